@@ -24,14 +24,16 @@ from __future__ import annotations
 import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from itertools import chain, count
 from math import inf
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
+import msgspec
 import numpy as np
+from msgspec import Meta
 from numpy.typing import NDArray
 
 from seatrial.daq.checks import Finding, unknown_times
@@ -358,13 +360,12 @@ def shaft_speed(t: Array, speed: Array, t_command: Array, command: Array) -> tup
     return own - GRID_STEP / 2, gain * np.interp(own - delay, clock, lagged) + np.interp(own, t, smooth)
 
 
-@dataclass(frozen=True)
-class FrameOrigin:
+class FrameOrigin(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Origin of the NED frame, where x = y = 0."""
 
-    latitude: float  # deg
-    longitude: float  # deg
-    log: str = ""  # name of the log whose first fix is the origin
+    latitude: Annotated[float, Meta(description="[deg]")]
+    longitude: Annotated[float, Meta(description="[deg]")]
+    log: Annotated[str, Meta(description="name of the log whose first fix is the origin")] = ""
 
     def offset(self, other: FrameOrigin) -> tuple[float, float]:
         """Return the distance north and east [m] from this origin to another one.
@@ -453,7 +454,7 @@ def _placed(log: LoadedLog, reference: FrameOrigin) -> LoadedLog:
 def _at(log: LoadedLog, origin: FrameOrigin) -> LoadedLog:
     """Return the log with this origin of x and y, noted also in ``meta`` and ``about`` for records and results."""
     run = replace(log.run, meta={**log.run.meta, ORIGIN: origin})
-    return replace(log, origin=origin, run=run, about=log.about | {ORIGIN: asdict(origin)})
+    return replace(log, origin=origin, run=run, about=log.about | {ORIGIN: msgspec.structs.asdict(origin)})
 
 
 def far_apart(origins: Sequence[object]) -> bool:
@@ -653,7 +654,7 @@ def with_unique_names(loaded: Sequence[LoadedLog], files: Sequence[Path]) -> lis
     return [
         log
         if log.origin is None or log.origin.log != before.run.name
-        else _at(log, replace(log.origin, log=log.run.name))
+        else _at(log, msgspec.structs.replace(log.origin, log=log.run.name))
         for log, before in zip(named, loaded, strict=True)
     ]
 

@@ -1,9 +1,11 @@
+from .acceptance import is_immaterial as is_immaterial
 from .adequacy import recommended_experiment as recommended_experiment
-from .results import Diagnosis as Diagnosis
-from .results import Refit as Refit
-from .results import RemovedEffect as RemovedEffect
-from .results import Round as Round
-from .results import ValidationMismatch as ValidationMismatch
+from .findings import Diagnosis as Diagnosis
+from .findings import Refit as Refit
+from .findings import RemovedEffect as RemovedEffect
+from .findings import Round as Round
+from .findings import ValidationMismatch as ValidationMismatch
+from .policy import SearchPolicy as SearchPolicy
 from .search import DiagnosisEvaluation as DiagnosisEvaluation
 from .search import diagnose as diagnose
 from .search import evaluate_diagnosis as evaluate_diagnosis

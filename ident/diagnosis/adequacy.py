@@ -18,101 +18,113 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from seatrial.ident.diagnosis.results import Diagnosis, EffectAttribution, EffectImportance, Refit, Round
+from seatrial.ident.diagnosis.acceptance import improves_prediction, is_accepted, is_validated
+from seatrial.ident.diagnosis.findings import Diagnosis, EffectAttribution, EffectImportance, Refit, Round
+from seatrial.ident.diagnosis.policy import DEFAULT_POLICY, SearchPolicy
 from seatrial.ident.diagnosis.score_test import Score
 from seatrial.ident.estimation import AT_BOUND, Fit, FittedModel, ReportedEstimates
 from seatrial.ident.experiment_design import reason_without_mission
 from seatrial.ident.model import Effect, EffectKind, Parameter
 from seatrial.ident.models import SENSOR_ERRORS, THRUST_LOSSES
 
-# Largest criterion (2 ln L less the penalty of the parameters) of the remaining score tests beside an identified
-# effect, whose true form is not exactly that of the catalogue: absolute, and as a share of what the effects explain
-# (tests/recovery: leave-one-out against the full catalogue)
-MAX_REMAINING_CRITERION, MAX_REMAINING_SHARE = 20.0, 0.03
-MAX_REMAINING_TESTS = 8  # remaining tests that may pass: a small difference of form makes a few of them pass
-# a competing model is not excluded if its criterion is lower by less than this: absolute, and as a share
-MAX_DISTANCE, MAX_DISTANCE_SHARE = 10.0, 0.05
-MIN_SIGNIFICANCE = 4.0  # standard errors between an effect and zero; right effects exceed it even at half their size
-REACH = 3.0  # a position is unknown if this many standard errors exceed its distance from the boat
-# Tolerance of a score below which the estimated parameters explain the effect. If the thrust is estimated, its
-# asymmetry explains a loss in reverse except 0.005 to 0.04 %. Other effects keep 0.3 % and more (tests/recovery).
-LEAST_TOLERANCE = 1e-3
-FORM_SHARE = 0.1  # a smaller gain, relative to that of an alternative, may only be the error of the alternative's form
+
+@dataclass(frozen=True)
+class AttributionEvidence:
+    """Evidence for the attribution of effects, beside the rounds of the search.
+
+    Attributes
+    ----------
+    remaining
+        Scores that still pass after the last effect, best first.
+    n
+        Number of rows of the estimation data, for the penalty ``df ln n`` of a score.
+    untested
+        Names of catalogue effects that were not tested because the data lack one of their inputs.
+    importances
+        Importance of each effect. The prediction is not judged for an effect without an entry.
+    reservations
+        Reasons, as clauses, why no effect can be identified on these data.
+    after
+        Last model, whose estimates are judged. None: the model of the effect's own round.
+    nominal
+        Scores on the model without effects, which show the effects that the estimated parameters explain.
+    """
+
+    remaining: Sequence[Score]
+    n: int
+    untested: Collection[str] = ()
+    importances: Sequence[EffectImportance] = ()
+    reservations: Sequence[str] = ()
+    after: FittedModel | None = None
+    nominal: Sequence[Score] = ()
 
 
 def assess_alternatives(
-    rounds: Sequence[Round],
-    left: Sequence[Score],
-    n: int,
-    untested: Collection[str] = (),
-    weights: Sequence[EffectImportance] = (),
-    reservations: Sequence[str] = (),
-    after: FittedModel | None = None,
-    nominal: Sequence[Score] = (),
+    rounds: Sequence[Round], evidence: AttributionEvidence, policy: SearchPolicy = DEFAULT_POLICY
 ) -> tuple[EffectAttribution, ...]:
     """Attribute each selected effect: identified, ambiguous or nonparametric.
 
     Parameters
     ----------
     rounds
-        Rounds of the search.
-    left
-        Scores that still pass after the last effect.
-    n
-        Number of rows of the estimation data.
-    untested
-        Names of catalogue effects that were not tested because the data lack one of their inputs.
-    weights
-        Importance of each effect.
-    reservations
-        Reasons why no effect can be identified on these data.
-    after
-        Last model, whose estimates are reported, by default that of each round.
-    nominal
-        Scores on the model without effects.
+        Rounds of the search. Rounds without a chosen effect are left out.
+    evidence
+        Remaining scores, importances, and weaknesses of data and fit.
+    policy
+        Thresholds of the attribution.
 
     Returns
     -------
     tuple of EffectAttribution
-        Attribution of each selected effect, with the reasons if it is ambiguous.
+        Attribution of each selected effect, in the order of the rounds. An effect is ambiguous if there is at least one
+        reason.
     """
-    taken_up = {s.name for s in nominal if s.tolerance < LEAST_TOLERANCE}
-    importance = {w.effect: w for w in weights}
+    explained = {s.name for s in evidence.nominal if s.tolerance < policy.min_tolerance}
+    importance = {w.effect: w for w in evidence.importances}
     chosen = [r.chosen for r in rounds if r.chosen is not None]
     total = sum(max(c.criterion, 0.0) for c in chosen)
-    limit = max(MAX_REMAINING_CRITERION, MAX_REMAINING_SHARE * total)
+    limit = max(policy.max_remaining_criterion, policy.max_remaining_share * total)
     found = []
     for search_round in rounds:
         if search_round.chosen is None:
             continue
         if search_round.chosen.nonparametric:
-            close = tuple(q.effect.name for q in _close(search_round))
+            close = tuple(q.effect.name for q in _competing_refits(search_round, policy))
             found.append(EffectAttribution(search_round.chosen.effect.name, "nonparametric", (), close))
             continue
         # the remaining criterion has to be small compared with all effects and with this effect
-        own_limit = max(MAX_REMAINING_CRITERION, search_round.chosen.criterion)
-        rest = [s for s in left if s.criterion(n) > min(limit, own_limit)]
-        fitted = search_round.chosen.fitted if after is None else after
+        own_limit = max(policy.max_remaining_criterion, search_round.chosen.criterion)
+        strong = [s for s in evidence.remaining if s.criterion(evidence.n) > min(limit, own_limit)]
+        fitted = search_round.chosen.fitted if evidence.after is None else evidence.after
         reasons = [
-            *_left(rest, n),
-            *_many(left),
-            *_kin(search_round.chosen.effect, left, len(chosen)),
-            *_tables(chosen, search_round),
+            *_strong_remaining_test_reasons(strong, evidence.n),
+            *_many_remaining_tests_reasons(evidence.remaining, policy),
+            *_remaining_alternative_reasons(search_round.chosen.effect, evidence.remaining, len(chosen)),
+            *_nonparametric_curve_reasons(chosen, search_round, policy),
         ]
-        reasons += [*_form(chosen, search_round.chosen), *_competing(search_round)]
-        reasons += [*_own(search_round.chosen.effect, fitted), *_place(search_round.chosen.effect, fitted)]
         reasons += [
-            *_untested(search_round.chosen.effect, untested),
-            *_not_fitted(search_round),
-            *_taken_up(search_round.chosen.effect, taken_up),
+            *_form_correction_reasons(chosen, search_round.chosen, policy),
+            *_competing_model_reasons(search_round, policy),
         ]
-        reasons += [*_unpredictive(importance.get(search_round.chosen.effect.name)), *reservations]
-        others = [q.effect.name for q in _close(search_round)]
-        unexamined = {*untested, *taken_up}
+        reasons += [
+            *_undetermined_size_reasons(search_round.chosen.effect, fitted, policy),
+            *_undetermined_position_reasons(search_round.chosen.effect, fitted, policy),
+        ]
+        reasons += [
+            *_untested_alternative_reasons(search_round.chosen.effect, evidence.untested),
+            *_failed_candidate_reasons(search_round),
+            *_explained_by_parameters_reasons(search_round.chosen.effect, explained),
+        ]
+        reasons += [
+            *_no_better_prediction_reasons(importance.get(search_round.chosen.effect.name), policy),
+            *evidence.reservations,
+        ]
+        others = [q.effect.name for q in _competing_refits(search_round, policy)]
+        unexamined = {*evidence.untested, *explained}
         others += [
             name for name in search_round.chosen.effect.alternatives if name in unexamined and name not in others
         ]
@@ -121,43 +133,62 @@ def assess_alternatives(
     return tuple(found)
 
 
-def _left(rest: Sequence[Score], n: int) -> list[str]:
-    """Return the reason that a remaining score test finds much, if any does."""
-    if not rest:
-        return []
-    best = max(rest, key=lambda s: s.criterion(n))
-    return [f"with it the score tests still find {_worded(best)} ({best.criterion(n):.0f} more in 2 ln L)"]
+def _strong_remaining_test_reasons(strong: Sequence[Score], n: int) -> list[str]:
+    """Return the reason for ambiguity that remaining score tests find much; empty if ``strong`` is empty.
 
-
-def _many(left: Sequence[Score]) -> list[str]:
-    """Return the reason that many score tests still pass, if they do."""
-    if len(left) <= MAX_REMAINING_TESTS:
-        return []
-    return [f"with it {len(left)} score tests still pass; the strongest finds {_worded(left[0])}"]
-
-
-def _kin(effect: Effect, left: Sequence[Score], n_added: int) -> list[str]:
-    """Return the reason that a declared alternative of this effect still passes, however small.
-
-    It applies only if several effects were added, because one effect may then explain all of them.
+    ``strong`` are the remaining scores beyond the limit, of which the one with the largest criterion is named. ``n`` is
+    the number of rows of the estimation data.
     """
-    alternatives = [s.name for s in left if s.name in effect.alternatives] if n_added > 1 else []
-    return [f"with it the score tests still find its alternative {alternatives[0]}"] if alternatives else []
+    if not strong:
+        return []
+    best = max(strong, key=lambda s: s.criterion(n))
+    return [
+        f"with this effect the score tests still find {_finding_in_words(best)} "
+        f"({best.criterion(n):.0f} more in 2 ln L)"
+    ]
 
 
-def _form(chosen: Sequence[Refit], refit: Refit) -> list[str]:
-    """Return the reason that this effect is a small alternative of a strong effect, if it is.
+def _many_remaining_tests_reasons(remaining: Sequence[Score], policy: SearchPolicy) -> list[str]:
+    """Return the reason for ambiguity that more score tests still pass than the policy allows; it names the first one.
 
-    The difference between the true form of the strong effect and that of the catalogue resembles the nearest
-    alternative.
+    Empty if there are not more.
     """
-    strong = [c.effect for c in chosen if refit.criterion < FORM_SHARE * c.criterion]
+    if len(remaining) <= policy.max_remaining_tests:
+        return []
+    return [
+        f"with this effect {len(remaining)} score tests still pass; "
+        f"the strongest finds {_finding_in_words(remaining[0])}"
+    ]
+
+
+def _remaining_alternative_reasons(effect: Effect, remaining: Sequence[Score], n_added: int) -> list[str]:
+    """Return the reason for ambiguity that a declared alternative of this effect still passes, however small its score.
+
+    It applies only if several effects were added (``n_added`` > 1), because one effect may then explain all of them.
+    Otherwise, or if no alternative passes, the list is empty.
+    """
+    alternatives = [s.name for s in remaining if s.name in effect.alternatives] if n_added > 1 else []
+    return [f"with this effect the score tests still find its alternative {alternatives[0]}"] if alternatives else []
+
+
+def _form_correction_reasons(chosen: Sequence[Refit], refit: Refit, policy: SearchPolicy) -> list[str]:
+    """Return the reason for ambiguity that this effect is a small alternative of a strong effect; empty if it is not.
+
+    The criterion of the effect is below ``policy.form_share`` of that of the strong effect, and one of both effects
+    declares the other one as its alternative. The difference between the true form of the strong effect and that of the
+    catalogue resembles the nearest alternative.
+    """
+    strong = [c.effect for c in chosen if refit.criterion < policy.form_share * c.criterion]
     related = [e for e in strong if e.name in refit.effect.alternatives or refit.effect.name in e.alternatives]
     return [f"it may only correct the formula of {related[0].title}"] if related else []
 
 
-def _own(effect: Effect, fitted: FittedModel) -> list[str]:
-    """Return the reason that a parameter of the effect is at its bound, or that its size is not significant."""
+def _undetermined_size_reasons(effect: Effect, fitted: FittedModel, policy: SearchPolicy) -> list[str]:
+    """Return the reason for ambiguity that a parameter of the effect is at its bound, or its size is not significant.
+
+    A size is a free parameter whose initial value is 0. All sizes together have to be ``policy.min_significance``
+    standard errors from zero. Only the first reason is returned; empty if there is none.
+    """
     fit = fitted.fit
     by_name = {p.full_name: p for p in effect.parameters if not p.per_record}
     for p in effect.parameters:
@@ -167,27 +198,32 @@ def _own(effect: Effect, fitted: FittedModel) -> list[str]:
     stuck = {name for name, flag in fit.flags if flag == AT_BOUND}
     for p in of_effect.values():
         if p.full_name in stuck:
-            name, value, _, unit = _reported(fit, p)
+            name, value, _, unit = _reported_estimate(fit, p)
             return [f"its parameter {name} ({p.meaning}) is at its bound, {value:.3g} {unit}".rstrip()]
     sizes = [i for i, p in of_effect.items() if p.value == 0.0 and fit.errors[i] > 0]
-    if not sizes or _distance_from_zero(fit, sizes) >= MIN_SIGNIFICANCE:
+    if not sizes or _distance_from_zero(fit, sizes) >= policy.min_significance:
         return []
-    name, value, error, unit = _reported(fit, of_effect[sizes[0]])
+    name, value, error, unit = _reported_estimate(fit, of_effect[sizes[0]])
     return [f"the data do not determine its size: {name} = {value:.3g} ± {error:.3g} {unit}".rstrip()]
 
 
-def _reported(fit: Fit, p: Parameter) -> tuple[str, float, float, str]:
-    """Return name, value, standard error and unit of a parameter, over the thrust if the force scale is unknown."""
+def _reported_estimate(fit: Fit, p: Parameter) -> tuple[str, float, float, str]:
+    """Return name, value, standard error and unit of a parameter as they are reported.
+
+    If the force scale is unknown, they are those of the ratio to the thrust (`m_u/T`, kg/N).
+    """
     reported = ReportedEstimates(fit)
     estimate = reported.estimate(p, p.segment or 0)
     return reported.scale.name(p.full_name, p.unit), *estimate, reported.scale.unit(p.unit)
 
 
-def _place(effect: Effect, fitted: FittedModel) -> list[str]:
-    """Return the reason that the position of an effect (for example the fixed end of a line) is not determined.
+def _undetermined_position_reasons(effect: Effect, fitted: FittedModel, policy: SearchPolicy) -> list[str]:
+    """Return the reason for ambiguity that the position of an effect is not determined (the fixed end of a line).
 
-    A small track determines the direction to the position. The prior determines its distance, so all positions along
-    that direction fit equally well.
+    The position is undetermined if ``policy.position_reach`` joint standard errors are not less than its RMS distance
+    from the boat. Empty for an effect without a scanned position, or if a coordinate is not free. A small track
+    determines the direction to the position. The prior determines its distance, so all positions along that direction
+    fit equally well.
     """
     fit, scan = fitted.fit, effect.scan
     points = [p for p in effect.parameters if p.name in scan and p.name.startswith(("x_", "y_"))]
@@ -197,14 +233,17 @@ def _place(effect: Effect, fitted: FittedModel) -> list[str]:
     axes = [p.name[0] for p in points]  # north x or east y
     track = [np.concatenate([r.y[:, r.outputs.index(axis)] for r in fitted.records]) for axis in axes]
     away = math.sqrt(sum(float(np.nanmean((y - fit.values[i]) ** 2)) for y, i in zip(track, at, strict=True)))
-    if REACH * float(np.linalg.norm(fit.errors[at])) < away:
+    if policy.position_reach * float(np.linalg.norm(fit.errors[at])) < away:
         return []
     values = ", ".join(f"{fit.names[i]} = {fit.values[i]:.3g} ± {fit.errors[i]:.2g} m" for i in at)
     return [f"the data do not determine its position, {away:.0f} m from the boat: {values}"]
 
 
 def _distance_from_zero(fit: Fit, sizes: Sequence[int]) -> float:
-    """Return the joint distance of correlated estimates from zero in standard errors (Wald)."""
+    """Return the joint distance of correlated estimates from zero in standard errors (Wald).
+
+    ``sizes`` are indices of the fitted parameters. 0 if their covariance is not finite.
+    """
     values = fit.values[list(sizes)]
     covariance = fit.covariance[np.ix_(sizes, sizes)]
     if not np.isfinite(covariance).all():
@@ -212,8 +251,11 @@ def _distance_from_zero(fit: Fit, sizes: Sequence[int]) -> float:
     return math.sqrt(max(float(values @ np.linalg.pinv(covariance, hermitian=True) @ values), 0.0))
 
 
-def _worded(score: Score) -> str:
-    """Return the effect or dependence that a score test finds, in words."""
+def _finding_in_words(score: Score) -> str:
+    """Return what a score test finds as a text for reports.
+
+    The text is the name of a parametric effect, or for example "that X depends on u and v" for a nonparametric one.
+    """
     curve = score.curve
     if curve is None:
         return score.name
@@ -226,28 +268,36 @@ def _worded(score: Score) -> str:
     return f"that {force} depends on {' and '.join(v for v in (curve.variable, curve.second) if v)}"
 
 
-def _tables(chosen: Sequence[Refit], search_round: Round) -> list[str]:
-    """Return the reasons that a nonparametric curve was added beside the effect, or would gain more than the effect."""
+def _nonparametric_curve_reasons(chosen: Sequence[Refit], search_round: Round, policy: SearchPolicy) -> list[str]:
+    """Return the reasons for ambiguity that nonparametric effects give.
+
+    There is one reason for each nonparametric effect that was added beside the effect, unless it is the curve of which
+    the effect is one form. There is another reason if an accepted nonparametric refit of the same round has a larger
+    criterion.
+    """
     assert search_round.chosen is not None
     curve = search_round.chosen.effect.nonparametric_of
     beside = [c.effect for c in chosen if c.nonparametric and not c.effect.is_table_of(curve)]
-    reasons = [f"{effect.title} had to be added beside it" for effect in beside]
+    reasons = [f"{effect.title} had to be added beside this effect" for effect in beside]
     better = [
-        q for q in search_round.refits if q.nonparametric and q.accepted and q.criterion > search_round.chosen.criterion
+        q
+        for q in search_round.refits
+        if q.nonparametric and is_accepted(q, policy) and q.criterion > search_round.chosen.criterion
     ]
     return reasons + [f"{q.effect.title} would explain more" for q in better[:1]]
 
 
-def _close(search_round: Round) -> list[Refit]:
-    """Return the competing models of a round, best first.
+def _competing_refits(search_round: Round, policy: SearchPolicy) -> list[Refit]:
+    """Return the refits of the competing models of a round, the largest criterion first.
 
-    They are the other effects whose criterion is close to that of the chosen effect.
-
-    An effect that nests the chosen effect competes only if its further parameters increase the criterion.
+    They are the other parametric effects whose criterion is close to that of the chosen effect: it is positive, and
+    lower by less than the larger of ``policy.max_distance`` and ``policy.max_distance_share`` of it. An effect that
+    nests the chosen effect competes only if its further parameters increase the criterion. The refits need not be
+    accepted.
     """
     assert search_round.chosen is not None
     name, best = search_round.chosen.effect.name, search_round.chosen.criterion
-    least = max(best - max(MAX_DISTANCE, MAX_DISTANCE_SHARE * best), 0.0)
+    least = max(best - max(policy.max_distance, policy.max_distance_share * best), 0.0)
     others = [
         q
         for q in search_round.refits
@@ -258,58 +308,71 @@ def _close(search_round: Round) -> list[Refit]:
     return sorted(others, key=lambda q: -q.criterion)
 
 
-def _competing(search_round: Round) -> list[str]:
-    """Return the reason that a competing model comes close, for the best of them."""
+def _competing_model_reasons(search_round: Round, policy: SearchPolicy) -> list[str]:
+    """Return the reason for ambiguity that a competing model comes close, for the one with the largest criterion.
+
+    Empty if there is no competing model.
+    """
     assert search_round.chosen is not None
-    return [_compared(q, search_round.chosen.criterion - q.criterion) for q in _close(search_round)[:1]]
+    return [
+        _comparison_in_words(q, search_round.chosen.criterion - q.criterion, policy)
+        for q in _competing_refits(search_round, policy)[:1]
+    ]
 
 
-def _compared(competitor: Refit, behind: float) -> str:
-    """Return a comparison with a competing model in words; its criterion is lower by ``behind``."""
+def _comparison_in_words(competitor: Refit, behind: float, policy: SearchPolicy) -> str:
+    """Return a clause that compares a competing model with the chosen effect.
+
+    ``behind`` is the criterion of the chosen effect less that of the competitor [2 ln L]. It is negative if the
+    competitor explains the estimation data better.
+    """
     title = competitor.effect.title
     if behind < 0:
-        better = "significantly better" if competitor.validated else "better"
+        better = "significantly better" if is_validated(competitor, policy) else "better"
         gain = f"by {-behind:.0f} in 2 ln L"
         return f"{title} explains the estimation data better ({gain}), but not the validation data {better}"
     return f"{title} explains nearly as much ({behind:.0f} less in 2 ln L)"
 
 
-def _untested(effect: Effect, untested: Collection[str]) -> list[str]:
-    """Return the reasons that alternatives of the effect could not be tested."""
+def _untested_alternative_reasons(effect: Effect, untested: Collection[str]) -> list[str]:
+    """Return one reason for ambiguity for each declared alternative of the effect whose name is in ``untested``."""
     lost = [name for name in effect.alternatives if name in untested]
     return [f"its alternative {name} could not be tested on these data" for name in lost]
 
 
-def _taken_up(effect: Effect, taken_up: Collection[str]) -> list[str]:
-    """Return the reasons that the estimated parameters explain the effect or its alternatives.
+def _explained_by_parameters_reasons(effect: Effect, explained: Collection[str]) -> list[str]:
+    """Return the reasons for ambiguity that the estimated parameters explain the effect, or else its alternatives.
 
-    The part of such an effect that the parameters do not explain is only a difference of form. It looks like the
-    alternatives of the effect.
+    ``explained`` has the names of the effects that the parameters of the nominal model explain. The rest of such an
+    effect is only a difference of form, which looks like the alternatives of the effect.
     """
-    if effect.name in taken_up:
-        return ["the model's estimated parameters explain nearly all of it"]
-    names = [name for name in effect.alternatives if name in taken_up]
+    if effect.name in explained:
+        return ["the model's estimated parameters explain nearly all of this effect"]
+    names = [name for name in effect.alternatives if name in explained]
     return [f"the model's estimated parameters explain nearly all of its alternative {name}" for name in names]
 
 
-def _not_fitted(search_round: Round) -> list[str]:
-    """Return the reason that a candidate of the same round passed the score test and could not be fitted.
+def _failed_candidate_reasons(search_round: Round) -> list[str]:
+    """Return the reason for ambiguity that a candidate of the same round passed the score test and could not be fitted.
 
-    Such a candidate may be the right one.
+    Such a candidate may be the right one. Only the first is named; empty if there is none.
     """
     return [
         f"{u.effect.title} passes the test too and could not be fitted: {u.reason}" for u in search_round.untested[:1]
     ]
 
 
-def _unpredictive(weight: EffectImportance | None) -> list[str]:
-    """Return the reason that the prediction is no better with the effect, or that this could not be tested."""
+def _no_better_prediction_reasons(weight: EffectImportance | None, policy: SearchPolicy) -> list[str]:
+    """Return the reason for ambiguity that the prediction is no better with the effect, or could not be tested.
+
+    Empty if the prediction is better, or if there is no importance (None).
+    """
     if weight is not None and weight.untested is not None:
-        return [f"the prediction without it could not be tested: {weight.untested}"]
-    if weight is None or weight.improves_prediction:
+        return [f"the prediction without this effect could not be tested: {weight.untested}"]
+    if weight is None or improves_prediction(weight, policy):
         return []
     horizon = "" if weight.prediction is None else f" {weight.prediction.horizon:g} s ahead"
-    return [f"the prediction{horizon} is no better with it"]
+    return [f"the prediction{horizon} is no better with this effect"]
 
 
 def recommended_experiment(diagnosis: Diagnosis) -> str | None:
@@ -323,13 +386,15 @@ def recommended_experiment(diagnosis: Diagnosis) -> str | None:
     Returns
     -------
     str or None
-        Sentences for reports. ``MODEL`` in a command stands for the diagnosed model.
+        Sentences for reports, joined by spaces. ``MODEL`` in a command stands for the file of the diagnosed model.
 
     Notes
     -----
-    - An effect with competing models: its experiment, and the command that designs the discriminating mission.
+    - An effect with competing models: its experiment, and the command that designs the discriminating mission. The
+      command is left out if one of both effects is not of the catalogue, or if no mission can be designed for the
+      model.
     - An ambiguous effect without competing models: its experiment.
-    - Tests passed and no candidate was confirmed on the validation data: the experiment of the best candidate.
+    - No effect was selected, although candidates were fitted: the experiment of the best refit of each round.
     """
     lines = []
     by_name = {j.effect: j for j in diagnosis.attributions}

@@ -20,14 +20,15 @@ from scipy.interpolate import BSpline
 from scipy.linalg import solve_banded
 
 from seatrial.ident.data import TIME_INPUT, Record
+from seatrial.ident.diagnosis.policy import DEFAULT_POLICY, SearchPolicy
 from seatrial.ident.diagnosis.score_test import (
     ColumnIndex,
     NormalEquations,
     Score,
     SensitivityColumns,
     SensitivityFilter,
+    assign_columns,
     block_index,
-    place,
     propagate_sensitivities,
     whole_blocks,
 )
@@ -39,8 +40,6 @@ from seatrial.ident.models import products_of, residuals_of, sensor_errors_of, s
 from seatrial.ident.numerics import Array, wrap
 from seatrial.ident.validation import SpectralPeak, spectral_peak
 
-MAX_PEAK_P = 1e-6  # coloured innovations have larger p values (tests/ident/diagnosis/test_spectral_peak.py)
-MAX_SAMPLE_INTERVAL = 0.25  # s; slower channels do not resolve waves
 SMALLEST_P = 1e-300  # smaller p values have no finite chi-squared quantile
 TERMS = 14  # of the series of a matrix exponential, for a norm of at most one half
 INITIAL_WAVE_SIZE = 0.4  # initial wave forces of the refit, relative to typical wave forces
@@ -59,6 +58,13 @@ class TrajectoryLinearisation:
         Record with the inputs of all candidates.
     x : Array (n_rows, n_states)
         Predicted states.
+
+    Attributes
+    ----------
+    rowwise
+        The model, evaluated on all rows at once.
+    own
+        The record with the inputs of the model only.
     """
 
     def __init__(self, model: Model, values: Array, record: Record, x: Array) -> None:
@@ -69,9 +75,10 @@ class TrajectoryLinearisation:
         self._ends: dict[tuple[str, ForceCurve | None], list[Array]] = {}  # states of effects at the last row
 
     def part(self, rows: slice) -> TrajectoryLinearisation:
-        """Return the linearisation of some rows.
+        """Return the linearisation of consecutive rows of the record.
 
-        The first row of each part is the last row of the part before. The states of effects continue from there.
+        The first row of each part is the last row of the part before. The states of effects continue from there, so the
+        parts have to be processed in the order of time: all parts share one store of these states.
         """
         part = copy(self)
         part.record, own = self.record.rows(rows), self.own.rows(rows)
@@ -82,7 +89,7 @@ class TrajectoryLinearisation:
 
     @cached_property
     def base(self) -> Array:
-        """Rates and outputs, Array (n_rows, n_states + n_outputs)."""
+        """State rates and outputs of the model along the trajectory, Array (n_rows, n_states + n_outputs)."""
         return self.rowwise(self.x, self.own.u, self.values)
 
     @cached_property
@@ -92,12 +99,18 @@ class TrajectoryLinearisation:
 
     @cached_property
     def steps(self) -> tuple[Array, NDArray[np.int64]]:
-        """Distinct lengths of the intervals [s], and the index of the length of each interval."""
+        """Distinct lengths of the intervals between rows [s], and the index of the length of each interval.
+
+        Lengths are rounded to 1e-9 s. The indices are an Array (n_rows - 1,).
+        """
         lengths, which = np.unique(np.round(self.record.h[:-1], 9), return_inverse=True)
         return lengths, which
 
     def parameter(self, name: str) -> Array:
-        """Return d(rates, outputs) / d parameter, Array (n_rows, n_states + n_outputs)."""
+        """Return d(rates, outputs) / d parameter for the named model parameter, Array (n_rows, n_states + n_outputs).
+
+        The central difference has the step of the parameter, or 1 % of its value if it has none.
+        """
         index = [p.name for p in self.model.parameters].index(name)
         p = self.model.parameters[index]
         h = p.step or 0.01 * max(abs(self.values[index]), 1e-3)
@@ -107,9 +120,10 @@ class TrajectoryLinearisation:
         return (self.rowwise(self.x, self.own.u, up) - self.rowwise(self.x, self.own.u, down)) / h
 
     def state(self, name: str) -> Array:
-        """Return d(rates, outputs) / d state, Array (n_rows, n_states + n_outputs).
+        """Return d(rates, outputs) / d state for the named disturbance state, Array (n_rows, n_states + n_outputs).
 
-        The difference is exact for the disturbance states, because they enter linearly.
+        The difference is exact for the disturbance states, because they enter linearly. The rate of the state itself is
+        set to zero, because its decay is not an effect on the boat.
         """
         index = [s.name for s in self.model.states].index(name)
         moved = self.x.copy()
@@ -119,7 +133,7 @@ class TrajectoryLinearisation:
         return change
 
     def relative(self, residual: DisturbanceChannel) -> Array:
-        """Return d(rates, outputs) / d relative change of a residual, Array (n_rows, n_states + n_outputs).
+        """Return d(rates, outputs) / d relative change of a residual (thrust), Array (n_rows, n_states + n_outputs).
 
         The difference is exact, because the change enters linearly.
         """
@@ -129,7 +143,13 @@ class TrajectoryLinearisation:
         return VectorisedModel(larger)(self.x, self.own.u, np.append(self.values, 1.0)) - self.base
 
     def effect(self, effect: Effect) -> Iterator[SensitivityColumns]:
-        """Yield the sensitivities of one candidate, for each combination of its scanned parameters."""
+        """Yield the sensitivities of one parametric candidate, once for each combination of its scanned parameters.
+
+        The columns are the derivatives by the size parameters of the effect. A size parameter is not scanned and not on
+        a log scale, and its value in the effect is zero (the first parameter may have another value). The other
+        parameters describe the form and keep their values. The states of the effect at the last row are stored for the
+        next `part`.
+        """
         key, n, m = (effect.name, effect.curve), len(self.model.states), len(effect.states)
         if key not in self._larger:
             self._larger[key] = self.model + effect, VectorisedModel(self.model + effect)
@@ -142,7 +162,7 @@ class TrajectoryLinearisation:
         driven = [np.zeros((len(self.x), 0))] * len(scans)
         if m:
             begin = self._ends.get(key, [np.zeros(m)] * len(scans))
-            driven = self._driven(rowwise, begin, all_values, u)
+            driven = self._effect_states(rowwise, begin, all_values, u)
             self._ends[key] = [z[-1].copy() for z in driven]
         for scanned, values, z in zip(scans, all_values, driven, strict=True):
             x, changes, names = np.concatenate([self.x.T, z.T]).T, list[list[Array]](), []
@@ -181,11 +201,24 @@ class TrajectoryLinearisation:
                 touched,
             )
 
-    def _driven(self, rowwise: VectorisedModel, begin: list[Array], all_values: list[Array], u: Array) -> list[Array]:
-        """Return the states (n_rows, m) of an effect along the trajectory, for each set of values.
+    def _effect_states(
+        self, rowwise: VectorisedModel, begin: list[Array], all_values: list[Array], u: Array
+    ) -> list[Array]:
+        """Return the states (n_rows, m) of an effect along the trajectory, for each set of parameter values.
 
-        The effect is at zero, so the states are linear with constant coefficients. ``begin`` has the states at the
-        first row.
+        The effect is at zero, so the states are linear with constant coefficients. They are driven by the model states
+        and inputs, and do not act on them.
+
+        Parameters
+        ----------
+        rowwise
+            The model with the effect, evaluated on all rows at once.
+        begin
+            States (m,) at the first row, for each set of values.
+        all_values
+            Sets of parameter values of the model with the effect.
+        u : Array (n_rows, n_inputs)
+            Inputs of the model with the effect.
         """
         n, m = len(self.model.states), begin[0].size
         x = np.concatenate([self.x.T, np.zeros((m, len(self.x)))]).T
@@ -194,21 +227,22 @@ class TrajectoryLinearisation:
         for z, values in zip(begin, all_values, strict=True):
             drive = np.stack(rowwise.columns(x, u, values)[n : n + m], axis=1)
             A = rowwise.rate_jacobian(x[:1], u[:1], values)[0, n:, n:]
-            transition, weight = (matrices[step_of] for matrices in _discrete(A, steps))
+            transition, weight = (matrices[step_of] for matrices in _discretised_dynamics(A, steps))
             mean = (drive[:-1] + drive[1:]) / 2
-            found.append(_recursion(transition, np.einsum("kij,kj->ki", weight, mean), z))
+            found.append(_solved_recursion(transition, np.einsum("kij,kj->ki", weight, mean), z))
         return found
 
     def generic(self, among: Mapping[str, SplineBasis] | None = None) -> Iterator[SensitivityColumns]:
         """Yield the sensitivities of the nonparametric candidates.
 
         Each residual force is a smooth function of each variable and of products, or a lagged or resonant response to
-        an input. Each sensor error is a smooth function of some variables.
+        an input. Each sensor error or thrust loss is a smooth function of the variables that its definition lists.
 
         Parameters
         ----------
         among
-            Spline bases of the variables, by default those of this record (see `generic_features`).
+            Spline bases by the name of their variable, by default those of this record. Give the bases of all records
+            together, so that a column has the same meaning in each record.
         """
         table = generic_features(self.model, self.own, self.x, among, self.values)
         for residual in (*residuals_of(self.model), *sensor_errors_of(self.model), *thrust_losses_of(self.model)):
@@ -227,10 +261,24 @@ class TrajectoryLinearisation:
                 yield replace(columns, name=curve_name(effect.kind, effect.curve))
 
 
-def _discrete(A: Array, steps: Array) -> tuple[Array, Array]:
-    """Discretise z' = A z + drive for each step; return transitions and weights of a constant drive (n_steps, m, m).
+def _discretised_dynamics(A: Array, steps: Array) -> tuple[Array, Array]:
+    """Discretise z' = A z + drive for each step length; the drive is constant over a step.
 
     The matrix exponentials of all steps are computed at once by scaling and squaring.
+
+    Parameters
+    ----------
+    A : Array (m, m)
+        Matrix of the rates [1/s].
+    steps : Array (n_steps,)
+        Step lengths [s].
+
+    Returns
+    -------
+    transition : Array (n_steps, m, m)
+        Transition matrices.
+    weight : Array (n_steps, m, m)
+        Matrices that multiply the constant drive.
     """
     # On a bench each of some thousand steps has its own length, and scipy's expm is slower by a loop over them.
     m = len(A)
@@ -246,10 +294,11 @@ def _discrete(A: Array, steps: Array) -> tuple[Array, Array]:
     return blocks[:, :m, :m], blocks[:, :m, m:]
 
 
-def _recursion(transition: Array, drive: Array, begin: Array) -> Array:
-    """Solve ``z_k+1 = transition_k z_k + drive_k`` from ``begin``; return z (n + 1, m).
+def _solved_recursion(transition: Array, drive: Array, begin: Array) -> Array:
+    """Solve ``z_k+1 = transition_k z_k + drive_k`` from ``begin`` (m,); return z (n + 1, m), with ``begin`` first.
 
-    The recursion is solved as a banded system with ones on its diagonal.
+    ``transition`` is (n, m, m) and ``drive`` is (n, m). The recursion is solved as a banded system with ones on its
+    diagonal.
     """
     n, m = drive.shape
     band = np.zeros((2 * m, (n + 1) * m))
@@ -264,10 +313,12 @@ def _recursion(transition: Array, drive: Array, begin: Array) -> Array:
 def variables(model: Model, record: Record, x: Array, values: Array | None = None) -> dict[str, Array]:
     """Return the variables that a residual may depend on, by name, each Array (n_rows,).
 
+    Angles are wrapped to -pi to pi.
+
     Parameters
     ----------
     model, record
-        Model and record.
+        Model, and record with its inputs.
     x : Array (n_rows, n_states)
         States.
     values : Array (n_parameters,)
@@ -296,19 +347,19 @@ def generic_features(
     Parameters
     ----------
     model, record
-        Model and record.
+        Model, and record with its inputs.
     x : Array (n_rows, n_states)
         States.
     among
-        Spline bases of the variables, by default those of this record. Give the bases of all records together, so that
-        a column has the same meaning in each record.
+        Spline bases by the name of their variable, by default those of this record. Give the bases of all records
+        together, so that a column has the same meaning in each record.
     values : Array (n_parameters,)
         Parameter values, by default those of the model.
 
     Returns
     -------
     dict
-        Array (n_rows, n_features) by variable names. Constant variables have no splines.
+        Array (n_rows, n_features) by a tuple of one or two variable names. A constant variable has no entry.
     """
     z = variables(model, record, x, values)
     available = variables_of(model)
@@ -327,14 +378,14 @@ def generic_features(
 
 @dataclass(frozen=True)
 class SplineBasis:
-    """Cubic B-splines over an interval, centred by their mean.
+    """Cubic B-splines over an interval, centred by their mean. The first function is left out.
 
     Attributes
     ----------
     low, high
-        Ends of the interval.
+        Ends of the interval, in the unit of the variable. Values outside are moved to the ends.
     knots
-        Knots, scaled to 0 to 1.
+        Knots, scaled to 0 to 1, the outer ones four times.
     mean : Array (n_functions - 1,)
         Mean of the functions over the samples of the basis, empty if the samples were constant.
     """
@@ -345,18 +396,27 @@ class SplineBasis:
     mean: Array
 
     def __call__(self, z: Array) -> Array:
-        """Return the functions at z (n,), Array (n, n_functions - 1), without columns for a constant variable."""
+        """Return the centred functions at z (n,), Array (n, n_functions - 1); no columns for a constant variable."""
         if not self.mean.size:
             return np.zeros((z.size, 0))
         return np.asarray(self._raw(z).toarray() - self.mean)
 
     def _raw(self, z: Array) -> Any:
+        """Return the functions at z (n,) before centring, a sparse matrix (n, n_functions - 1)."""
         within = np.clip((z - self.low) / (self.high - self.low), 0, 1 - 1e-9)
         return BSpline.design_matrix(within, self.knots, 3)[:, 1:]
 
 
 def spline_basis(among: Array, n_functions: int) -> SplineBasis:
-    """Return the spline basis over the middle 99 % of the samples ``among`` (n,), centred by its mean there."""
+    """Return the spline basis over the middle 99 % of samples, centred by its mean over all of them.
+
+    Parameters
+    ----------
+    among : Array (n,)
+        Samples of the variable. If the middle 99 % differ by less than 1e-6, the basis has no functions.
+    n_functions
+        Number of B-splines, with the first, which is left out.
+    """
     low, high = np.percentile(among, [0.5, 99.5])
     knots = np.concatenate([[0] * 3, np.linspace(0, 1, n_functions - 2), [1] * 3])
     basis = SplineBasis(float(low), float(high), knots, np.zeros(0))
@@ -366,14 +426,18 @@ def spline_basis(among: Array, n_functions: int) -> SplineBasis:
 
 
 def spline_bases(model: Model, among: Mapping[str, Array]) -> dict[str, SplineBasis]:
-    """Return the spline bases of all variables except angles, from the samples ``among`` (n,) of each."""
+    """Return the spline bases of all variables of a model except angles, by name of the variable.
+
+    ``among`` has the samples (n,) of each variable, over which the basis is centred.
+    """
     return {v.name: spline_basis(among[v.name], v.functions) for v in variables_of(model) if not v.angle}
 
 
 def splines(z: Array, n_functions: int, among: Array | None = None) -> Array:
-    """Return the values (n, n_functions) of spline functions at z (n,).
+    """Return the values (n, n_functions - 1) of centred spline functions at z (n,).
 
-    The knots are placed for the samples ``among``, by default for z itself.
+    The knots are placed for the samples ``among`` (m,), by default for z itself. For constant samples there are no
+    columns.
     """
     return spline_basis(z if among is None else among, n_functions)(z)
 
@@ -381,9 +445,10 @@ def splines(z: Array, n_functions: int, among: Array | None = None) -> Array:
 def all_columns(
     path: TrajectoryLinearisation, effects: Iterable[Effect], among: Mapping[str, SplineBasis] | None = None
 ) -> Iterator[SensitivityColumns]:
-    """Yield the sensitivities of every candidate along one record, in the same order for each record.
+    """Yield the sensitivities of every candidate along one record; the parametric candidates come first.
 
-    Effects are left out if the model does not accept them or if the record lacks one of their inputs.
+    The order is the same for each record. Effects are left out if the model does not accept them or if the record lacks
+    one of their inputs.
 
     Parameters
     ----------
@@ -392,7 +457,7 @@ def all_columns(
     effects
         Parametric candidates.
     among
-        Spline bases of the variables (see `generic_features`).
+        Spline bases by the name of their variable, by default the bases of this record.
     """
     chosen = [e for e in effects if path.model.accepts(e) and _has_inputs(path, e)]
     for e in chosen:
@@ -401,7 +466,7 @@ def all_columns(
 
 
 def _has_inputs(path: TrajectoryLinearisation, effect: Effect) -> bool:
-    """Return whether the record has all inputs of an effect."""
+    """Return whether the record of a linearisation has all inputs of an effect."""
     return all(i.name in path.record.inputs for i in effect.inputs)
 
 
@@ -415,21 +480,23 @@ def normal_equations(
     fitted
         The fitted model.
     records
-        Estimation data with the inputs of all candidates.
+        Estimation data with the inputs of all candidates; at least one record.
     candidates
-        Parametric candidates.
+        Parametric candidates. The nonparametric ones follow from the model and are added.
     free_parameters
         Fitted parameters, which get the first columns.
 
     Returns
     -------
-    tuple
-        The normal equations, and the column indices of each candidate.
+    normal
+        The normal equations.
+    column_indices
+        The column indices of each candidate.
 
     Notes
     -----
-    Parts of a long record are processed one after the other, each of whole blocks. The memory therefore does not grow
-    with the length of the record.
+    Parts of a long record are processed one after the other, each of whole blocks of time. The memory therefore does
+    not grow with the length of the record.
     """
     model = fitted.model
     paths = [
@@ -439,7 +506,7 @@ def normal_equations(
     by_record = [variables(model, p.own, p.x, p.values) for p in paths]
     among = spline_bases(model, {name: np.concatenate([v[name] for v in by_record]) for name in by_record[0]})
     normal: NormalEquations | None = None
-    places: list[ColumnIndex] = []
+    column_indices: list[ColumnIndex] = []
     for i, (path, view) in enumerate(zip(paths, fitted.estimation, strict=True)):
         indices, carried = [j for j, p in enumerate(free_parameters) if p.segment in (None, i)], list[Array]()
         for rows in whole_blocks(path.own.t, model.block):
@@ -449,26 +516,38 @@ def normal_equations(
             carrier = SensitivityFilter(view.run, path.own, part.jacobian, rows)
             g, slim = propagate_sensitivities(carrier, along, columns, carried)
             if normal is None:
-                places, total = place(slim, len(free_parameters), len(records))
+                column_indices, total = assign_columns(slim, len(free_parameters), len(records))
                 normal = NormalEquations([str(k) for k in range(total)])
-            at = indices + [k for where in places for k in where.of_record(i)]
+            at = indices + [k for where in column_indices for k in where.of_record(i)]
             normal.add(at, g, carrier.e, block_index(carrier.t, model.block))
     assert normal is not None
-    return normal, places
+    return normal, column_indices
 
 
-def wave_peak_score(fitted: FittedModel) -> Score | None:
+def wave_peak_score(fitted: FittedModel, policy: SearchPolicy = DEFAULT_POLICY) -> Score | None:
     """Return the score of the candidate ``waves`` for a fitted model, None if no spectral peak is significant.
 
-    ``step`` and ``scan`` of the score are the initial values of the refit. The p value of the peak is also the
-    block-robust p value. The peak is an average over segments of time, and the comparison with neighbouring bins makes
-    it valid for coloured innovations.
+    The peak of smallest p value in the band of waves counts, and its p value is multiplied by the number of peaks
+    (Bonferroni). ``lm`` of the score is the chi-squared quantile of that p value. ``step`` and ``scan`` are the initial
+    values of the refit. The p value of the peak is also the block-robust p value: the peak is an average over segments
+    of time, and the comparison with neighbouring bins makes it valid for coloured innovations.
+
+    Parameters
+    ----------
+    fitted
+        The fitted model, with its evaluation of the estimation data.
+    policy
+        Thresholds: largest p value and longest sample interval.
     """
-    peaks = [peak for view in fitted.estimation for peak in _peak(fitted.model, view)]
+    peaks = [
+        peak
+        for view in fitted.estimation
+        for peak in _spectral_peaks(fitted.model, view, policy.max_wave_sample_interval)
+    ]
     low, high = next(p.bounds for p in EFFECT.parameters if p.name == "f_wave")
     # resampled channels have a peak at 5 Hz, which is outside the band of waves
     best = min((peak for peak in peaks if low <= peak.frequency <= high), key=lambda peak: peak.p, default=None)
-    if best is None or best.p * len(peaks) > MAX_PEAK_P:
+    if best is None or best.p * len(peaks) > policy.max_peak_p:
         return None
     df = len(EFFECT.parameters)
     lm = float(stats.chi2.isf(max(best.p * len(peaks), SMALLEST_P), df))
@@ -477,22 +556,28 @@ def wave_peak_score(fitted: FittedModel) -> Score | None:
     return Score(EFFECT.name, lm, df, lm, step, {"f_wave": best.frequency})
 
 
-def _peak(model: Model, view: RecordEvaluation) -> list[SpectralPeak]:
-    """Return the spectral peaks of rates and accelerations, at most one for each sample interval."""
+def _spectral_peaks(model: Model, evaluation: RecordEvaluation, max_interval: float) -> list[SpectralPeak]:
+    """Return the spectral peaks of the innovations of rates and accelerations, at most one for each sample interval.
+
+    Channels with the same median sample interval are searched together. Channels slower than ``max_interval`` [s], or
+    with fewer than three samples, are left out.
+    """
     by_step: dict[float, dict[str, Array]] = {}
     for j, output in enumerate(model.outputs):
-        measured = np.isfinite(view.run.standardised[:, j])
+        measured = np.isfinite(evaluation.run.standardised[:, j])
         if "/s" in output.unit and measured.sum() > 2:
-            t = view.record.t[measured]
+            t = evaluation.record.t[measured]
             step = round(float(np.median(np.diff(t))), 4)
-            if 0.0 < step <= MAX_SAMPLE_INTERVAL:
-                by_step.setdefault(step, {})[output.name] = _even(t, view.run.standardised[measured, j], step)
+            if 0.0 < step <= max_interval:
+                by_step.setdefault(step, {})[output.name] = _on_regular_grid(
+                    t, evaluation.run.standardised[measured, j], step
+                )
     peaks = [spectral_peak(channels, step) for step, channels in by_step.items()]
     return [peak for peak in peaks if peak is not None]
 
 
-def _even(t: Array, e: Array, step: float) -> Array:
-    """Return the samples e (n,) on a regular grid with this step [s], NaN for missing samples."""
+def _on_regular_grid(t: Array, e: Array, step: float) -> Array:
+    """Return the samples e (n,) at times t (n,) [s] on a regular grid with this step [s]; missing samples are NaN."""
     at = np.round((t - t[0]) / step).astype(int)
     grid = np.full(at[-1] + 1, np.nan)
     grid[at] = e

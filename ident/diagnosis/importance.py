@@ -15,7 +15,8 @@ import numpy as np
 
 from seatrial.ident.data import Record
 from seatrial.ident.diagnosis.acceptance import comparison
-from seatrial.ident.diagnosis.results import EffectImportance, Refit, Round
+from seatrial.ident.diagnosis.findings import EffectImportance, Refit, Round
+from seatrial.ident.diagnosis.policy import DEFAULT_POLICY, SearchPolicy
 from seatrial.ident.engine import quick_compilation
 from seatrial.ident.estimation import FIT_ERRORS, ROUGH_SEARCH, FittedModel, ValidationData, fit_and_evaluate
 from seatrial.ident.model import Effect, Model
@@ -28,53 +29,66 @@ def effect_importance(
     rounds: Sequence[Round],
     records: Sequence[Record],
     validation_data: ValidationData,
+    policy: SearchPolicy = DEFAULT_POLICY,
 ) -> tuple[EffectImportance, ...]:
-    """Compute the importance of each chosen effect, largest first (``by_importance``).
+    """Compute the importance of each chosen effect, sorted from the most important (`by_importance`).
+
+    Each effect is left out in turn, and the other effects are fitted again by a rough search, unless a refit of the
+    search has the same effects. If a nonparametric curve of the same force and variable was chosen too, it is left out
+    together with the effect.
 
     Parameters
     ----------
     before, after
         Fitted models without and with all chosen effects.
     chosen
-        Refits of the chosen effects.
+        Refits of the chosen effects, in the order of their selection.
     rounds
         Rounds of the search, whose refits are used again if they have the right effects.
     records
         Estimation data.
     validation_data
-        Validation data.
+        Validation records, or blocks in time of the estimation data.
+    policy
+        Thresholds of the comparison.
 
     Returns
     -------
     tuple of EffectImportance
-        The importance is unknown if the model without the effect cannot be fitted. A smaller model in its place would
-        attribute the gain of other effects to this effect.
+        One for each chosen effect; empty if none was chosen. If the model without the effect cannot be fitted or
+        compared, its numbers are NaN and ``untested`` is the reason. A smaller model in its place would attribute the
+        gain of other effects to this effect.
     """
     if not chosen:
         return ()
-    known_fits = {frozenset(_added(before, q.fitted)): q.fitted for r in rounds for q in r.refits}
+    known_fits = {frozenset(_added_effect_names(before, q.fitted)): q.fitted for r in rounds for q in r.refits}
     known_fits |= {frozenset[str](): before}
-    added = _added(before, after)
+    added = _added_effect_names(before, after)
     found = []
     for refit in chosen:
         left_out = left_out_with(refit.effect, chosen)
         kept = [c for c in chosen if c.effect.name not in left_out]
         try:
-            fitted = known_fits.get(frozenset(added - left_out)) or _with(kept, after, before, records, validation_data)
-            found.append(_importance(refit, fitted, after, alone=len(left_out) == 1))
+            fitted = known_fits.get(frozenset(added - left_out)) or _fit_with_effects(
+                kept, after, before, records, validation_data
+            )
+            found.append(_importance(refit, fitted, after, policy, alone=len(left_out) == 1))
         except FIT_ERRORS as problem:
             unknown = float("nan")
             found.append(EffectImportance(refit.effect.name, unknown, unknown, untested=str(problem)))
     return by_importance(found, chosen)
 
 
-def _importance(refit: Refit, without: FittedModel, after: FittedModel, *, alone: bool) -> EffectImportance:
-    """Return the importance of an effect from the model ``without`` it.
+def _importance(
+    refit: Refit, without: FittedModel, after: FittedModel, policy: SearchPolicy, *, alone: bool
+) -> EffectImportance:
+    """Return the importance of an effect, from the fitted models ``without`` it and ``after`` it was added.
 
-    ``alone`` means that no other effect was left out together with this effect.
+    ``alone`` is True if no other effect was left out together with this effect. Then, if the effect was added last, the
+    comparison in its refit is used again.
     """
     gain = 2 * (after.fit.log_posterior - without.fit.log_posterior)
-    compared = comparison(without, after, refit.effect)
+    compared = comparison(without, after, refit.effect, policy)
     # if the effect was added last, the search has already compared these models
     if refit.fitted is after and alone and refit.prediction is not None:
         gain_and_t, prediction = (refit.validation_gain, refit.t), refit.prediction
@@ -84,9 +98,17 @@ def _importance(refit: Refit, without: FittedModel, after: FittedModel, *, alone
 
 
 def left_out_with(effect: Effect, chosen: Sequence[Refit]) -> set[str]:
-    """Return the names of all effects that are left out together with an effect.
+    """Return the names of all effects that are left out together with an effect, including its own.
 
-    The nonparametric curve of the effect is left out too, because the curve would take its place.
+    A chosen nonparametric curve of the same force and variable is left out too, because the curve would take the place
+    of the effect.
+
+    Parameters
+    ----------
+    effect
+        Effect that is left out.
+    chosen
+        Refits of all chosen effects.
     """
     curve = effect.nonparametric_of or effect.parametric_form_of
     return {effect.name, *(c.effect.name for c in chosen if c.effect.is_table_of(curve))}
@@ -105,7 +127,7 @@ def fit_without(
     Parameters
     ----------
     before, after
-        Fitted models without and with all chosen effects.
+        Fitted models without and with all chosen effects. The search starts at the values of ``after``.
     chosen
         Refits of the chosen effects.
     effect
@@ -113,19 +135,24 @@ def fit_without(
     records
         Estimation data.
     validation_data
-        Validation data.
+        Validation records, or blocks in time of the estimation data.
+
+    Returns
+    -------
+    FittedModel
+        ``before`` itself, not fitted again, if no other effect was chosen.
 
     Raises
     ------
     FIT_ERRORS
-        If the fit fails.
+        If the fit fails: ``ValueError``, ``ArithmeticError`` or ``LinAlgError``.
     """
     kept = [c for c in chosen if c.effect is not effect]
-    return _with(kept, after, before, records, validation_data, exact=True) if kept else before
+    return _fit_with_effects(kept, after, before, records, validation_data, exact=True) if kept else before
 
 
 def by_importance(found: Sequence[EffectImportance], chosen: Sequence[Refit]) -> tuple[EffectImportance, ...]:
-    """Sort effects by importance, largest first.
+    """Sort effects by importance, largest error ratio first; effects of unknown importance (NaN) come last.
 
     Parameters
     ----------
@@ -153,20 +180,37 @@ def by_importance(found: Sequence[EffectImportance], chosen: Sequence[Refit]) ->
     order = [w.effect for w in found if w.effect not in curves]
     for w in found:
         if w.effect in curves:
-            order.insert(_place(w, found, order, [c.effect.name for c in chosen], whole), w.effect)
+            order.insert(_rank_of_curve(w, found, order, [c.effect.name for c in chosen], whole), w.effect)
     return tuple(sorted(found, key=lambda w: order.index(w.effect)))
 
 
-def _place(
+def _rank_of_curve(
     table: EffectImportance,
     found: Sequence[EffectImportance],
     order: Sequence[str],
     search: Sequence[str],
     whole: Mapping[str, str],
 ) -> int:
-    """Return the rank of a nonparametric curve among the parametric effects.
+    """Return the index in ``order`` at which a nonparametric curve is inserted among the parametric effects.
 
-    ``search`` is the order of selection; ``whole`` maps a curve to the parametric effect that is a form of it.
+    Parameters
+    ----------
+    table
+        Importance of the curve.
+    found
+        Importances of all effects.
+    order
+        Names of the effects that are ranked already, the most important first.
+    search
+        Names of all effects in the order of their selection.
+    whole
+        Name of the parametric effect that is one form of a curve, by the name of the curve. Such a curve comes directly
+        before that effect.
+
+    Returns
+    -------
+    int
+        Otherwise the index of the first less important effect that was selected after the curve, or the end.
     """
     if table.effect in whole:
         return order.index(whole[table.effect])
@@ -175,12 +219,12 @@ def _place(
     return min(lighter, default=len(order))
 
 
-def _added(before: FittedModel, fitted: FittedModel) -> set[str]:
+def _added_effect_names(before: FittedModel, fitted: FittedModel) -> set[str]:
     """Return the names of the effects that a model has in addition to those of ``before``."""
     return {e.name for e in fitted.fit.model.effects} - {e.name for e in before.fit.model.effects}
 
 
-def _with(
+def _fit_with_effects(
     kept: Sequence[Refit],
     after: FittedModel,
     before: FittedModel,
@@ -189,7 +233,26 @@ def _with(
     *,
     exact: bool = False,
 ) -> FittedModel:
-    """Fit the model with only the kept effects, from the values of ``after``; roughly unless ``exact``."""
+    """Fit the model with only the kept effects, starting at the values of ``after``.
+
+    Parameters
+    ----------
+    kept
+        Refits of the effects that are added to the model of ``before``.
+    after, before
+        Fitted models with all effects and without them.
+    records
+        Estimation data.
+    validation_data
+        Validation records, or blocks in time of the estimation data.
+    exact
+        True for a complete search, False for a rough one.
+
+    Raises
+    ------
+    FIT_ERRORS
+        If the fit fails.
+    """
     last = after.fit.model
     model: Model = before.fit.model
     for refit in kept:

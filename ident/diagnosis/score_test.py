@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from seatrial.ident.data import Record
+from seatrial.ident.diagnosis.policy import DEFAULT_POLICY, SearchPolicy
 from seatrial.ident.engine import NOWHERE, apply_rows, padded
 from seatrial.ident.estimation import FilterResult
 from seatrial.ident.model import EffectKind, ForceCurve, Model, Parameter, segment_name
@@ -29,11 +30,6 @@ from seatrial.ident.numerics import Array, scaled_eigen
 BLOCK = 5.0  # s, block length of the block-robust version
 N_COLUMNS = 96  # columns propagated at once; they fit the cache of the processor
 WHOLE, PART = 8192, 2048  # rows: a record longer than the first is processed in parts of at least the second
-ALPHA = 0.05  # family-wise false-alarm probability of the score tests
-P_BLOCK = 0.01  # significance level of the block-robust version
-# Few blocks limit the block-robust statistic. Overwhelming evidence therefore passes at a weaker level, and the
-# validation decides.
-P_OVERWHELMING, P_BLOCK_OVERWHELMING = 1e-12, 0.1
 
 
 @dataclass(frozen=True)
@@ -45,19 +41,19 @@ class SensitivityColumns:
     name
         Name of the candidate.
     delta : Array (n_rows, n_touched, n_parameters)
-        Sensitivities of the affected rates and outputs.
+        Sensitivities of the affected state rates and outputs.
     parameters
-        Names of the parameters.
+        Names of the parameters, empty for a nonparametric candidate.
     scan
-        Values of the scanned parameters.
+        Values of the scanned parameters by name.
     kind, curve
-        Kind of the effect, and its curve for nonparametric candidates.
+        Kind of the effect, and its force and variables for a nonparametric candidate (None otherwise).
     one_sided
         Whether the first parameter can only be positive.
     per_record
         Whether the parameters have their own value in each record.
     touched : Array (n_touched,)
-        Indices of the affected rates and outputs among all, rates first, None for all.
+        Indices of the affected state rates and outputs among all, rates first. None if all are affected.
     """
 
     name: str
@@ -87,7 +83,10 @@ class ColumnIndex:
     at: tuple[int, ...]
 
     def of_record(self, i: int) -> tuple[int, ...]:
-        """Return the indices of the columns of record i."""
+        """Return the indices of the columns that record i (from 0) fills.
+
+        These are all columns, or for per-record parameters only those of the record.
+        """
         if not self.columns.per_record:
             return self.at
         size = self.columns.delta.shape[2]
@@ -95,15 +94,18 @@ class ColumnIndex:
 
     @property
     def names(self) -> list[str]:
-        """Names of the parameters, ``NAME@i`` for per-record parameters."""
+        """Names of the columns: ``NAME`` or, for per-record parameters, ``NAME@i``.
+
+        The columns of a nonparametric candidate are called ``CANDIDATE[i]``.
+        """
         c, size = self.columns, self.columns.delta.shape[2]
         names = list(c.parameters) or [f"{c.name}[{i}]" for i in range(size)]
         records = range(len(self.at) // size)
         return [segment_name(n, i) for i in records for n in names] if c.per_record else names
 
 
-def place(columns: Sequence[SensitivityColumns], first: int, n_records: int) -> tuple[list[ColumnIndex], int]:
-    """Assign column indices to every candidate.
+def assign_columns(columns: Sequence[SensitivityColumns], first: int, n_records: int) -> tuple[list[ColumnIndex], int]:
+    """Assign consecutive column indices to every candidate.
 
     Parameters
     ----------
@@ -112,12 +114,14 @@ def place(columns: Sequence[SensitivityColumns], first: int, n_records: int) -> 
     first
         First free index.
     n_records
-        Number of records.
+        Number of records. Per-record parameters get one set of columns for each record.
 
     Returns
     -------
-    tuple
-        Indices for every candidate, and the total number of columns.
+    indices
+        Column indices of every candidate.
+    total
+        First index that is free afterwards, which is the total number of columns.
     """
     places = []
     for c in columns:
@@ -135,23 +139,25 @@ class Score:
     ----------
     name
         Name of the candidate.
-    lm, df
-        Statistic and its degrees of freedom.
+    lm
+        Statistic (Lagrange multiplier), chi-squared without the effect.
+    df
+        Degrees of freedom: number of parameters that can be tested.
     lm_block
-        Block-robust statistic.
+        Block-robust statistic with the same degrees of freedom.
     step
-        One-step estimate of each parameter.
+        One-step estimate of each parameter by name, in the units of the parameters.
     scan
-        Values of the scanned parameters.
+        Values of the scanned parameters by name.
     kind, curve
-        Kind of the tested effect, and its curve for nonparametric candidates.
+        Kind of the tested effect, and its force and variables for nonparametric candidates (None otherwise).
     threshold
-        Critical value of ``lm`` among all tests of the same model.
+        Critical value of ``lm`` among all tests of the same model, NaN until it is set.
     blocks
         Number of blocks of time, an upper limit of ``lm_block`` for any size of the effect.
     tolerance
-        Share of the information that the fitted parameters do not explain, without priors (1 / variance inflation
-        factor). It is the largest share among the parameters of the candidate.
+        Share of the information that the fitted parameters do not explain, without priors, 0 to 1 (1 / variance
+        inflation factor). It is the largest share among the parameters of the candidate.
     """
 
     name: str
@@ -166,33 +172,53 @@ class Score:
     blocks: float = float("inf")
     tolerance: float = 1.0
 
-    @property
-    def least_blocks(self) -> int:
-        """Smallest number of blocks with which the block-robust test can reject."""
-        return int(np.ceil(stats.chi2.isf(P_BLOCK, self.df)))
+    def least_blocks(self, policy: SearchPolicy = DEFAULT_POLICY) -> int:
+        """Return the smallest number of blocks of time with which the block-robust test can pass.
+
+        The block-robust statistic cannot exceed the number of blocks. It has to exceed the quantile of chi-squared with
+        ``df`` degrees of freedom at the significance level ``policy.block_level``.
+        """
+        return int(np.ceil(stats.chi2.isf(policy.block_level, self.df)))
 
     @property
     def nonparametric(self) -> bool:
-        """Return whether the candidate is nonparametric."""
+        """Return whether the candidate is nonparametric: a curve or a response without a formula."""
         return self.kind.nonparametric
 
     @property
     def p(self) -> float:
-        """p value of the statistic."""
+        """Probability of a statistic of at least ``lm`` without the effect (p value)."""
         return float(stats.chi2.sf(self.lm, self.df))
 
     @property
     def p_block(self) -> float:
-        """p value of the block-robust statistic."""
+        """Probability of a block-robust statistic of at least ``lm_block`` without the effect (p value)."""
         return float(stats.chi2.sf(self.lm_block, self.df))
 
     def criterion(self, n: int) -> float:
-        """Return the BIC criterion ``lm - df ln n`` for n rows; larger is better."""
+        """Return the BIC criterion ``lm - df ln n`` for n rows of estimation data; larger is better."""
         return self.lm - self.df * float(np.log(n))
 
 
 class NormalEquations:
-    """Normal equations of the whitened sensitivities, summed over records."""
+    """Normal equations of the whitened sensitivities, summed over records.
+
+    Parameters
+    ----------
+    names
+        Names of the columns.
+
+    Attributes
+    ----------
+    names
+        Names of the columns.
+    information : Array (n_columns, n_columns)
+        Information ``G' G`` of the sensitivities G.
+    score : Array (n_columns,)
+        Score ``-G' e`` with the whitened innovations e.
+    blocks
+        Sums of the score over each block of time: one Array (n_blocks, n_columns) for each record or part of a record.
+    """
 
     def __init__(self, names: Sequence[str]) -> None:
         self.names = list(names)
@@ -201,18 +227,18 @@ class NormalEquations:
         self.blocks: list[Array] = []
 
     def add(self, positions: Sequence[int], g: Array, e: Array, block: NDArray[np.int64]) -> None:
-        """Add the sensitivities of one record or of one part of it.
+        """Add the sensitivities of one record, or of one part of it, to the sums in place.
 
         Parameters
         ----------
         positions
-            Indices of the columns among all columns.
+            Indices of the columns of ``g`` among all columns.
         g : Array (n_samples, n_columns)
             Whitened sensitivities.
         e : Array (n_samples,)
             Whitened innovations.
         block : Array (n_samples,)
-            Index of the block of each sample.
+            Index of the block of time of each sample, not decreasing.
         """
         at = np.asarray(positions)
         self.information[np.ix_(at, at)] += g.T @ g
@@ -226,6 +252,8 @@ class NormalEquations:
 class SensitivityFilter:
     """Propagation of sensitivity columns through the filter of one record.
 
+    Samples that are missing or outliers are left out.
+
     Parameters
     ----------
     run
@@ -235,12 +263,12 @@ class SensitivityFilter:
     jacobian : Array (n_rows or n_rows + 1, n_outputs, n_states)
         Jacobian of the outputs at the predicted states.
     rows
-        Rows to propagate through.
+        Consecutive rows to propagate through, by default all.
 
     Attributes
     ----------
     e, t : Array (n_samples,)
-        Whitened innovations and their times [s].
+        Whitened innovations and their times [s], row by row.
     end : Array (n_states, n_columns)
         Sensitivities of the state after the rows, from the last call.
     """
@@ -273,16 +301,16 @@ class SensitivityFilter:
         self.end = np.zeros((n_states, 0))
 
     def __call__(self, columns: Sequence[SensitivityColumns], begin: Array | None = None) -> Array:
-        """Return the whitened sensitivities of the innovations, Array (n_samples, n_columns).
+        """Return the whitened sensitivities of the innovations, Array (n_samples, n_columns), and set ``end``.
 
         Parameters
         ----------
         columns
             Sensitivities of the candidates. They may have one row more, at which the last interval ends.
         begin : Array (n_states, n_columns)
-            Sensitivities of the state before the rows, None at the start of a record.
+            Sensitivities of the state before the rows, None (zero) at the start of a record.
         """
-        drive, touched, width = self._together(columns)
+        drive, touched, width = self._joined_sensitivities(columns)
         first = np.zeros((self.n_states, drive.shape[2]))
         if begin is not None:
             first[:, :width] = begin
@@ -292,11 +320,18 @@ class SensitivityFilter:
         self.end = end[:, :width].copy()
         return found[:, :width]
 
-    def _together(self, columns: Sequence[SensitivityColumns]) -> tuple[Array, NDArray[np.int64], int]:
+    def _joined_sensitivities(self, columns: Sequence[SensitivityColumns]) -> tuple[Array, NDArray[np.int64], int]:
         """Join the sensitivities of all candidates in one array.
 
-        Returns the array (n_rows + 1, n_touched, at least n_columns), zero after the last row of a candidate, the
-        indices of the affected rates and outputs, and n_columns.
+        Returns
+        -------
+        drive : Array (n_rows + 1, n_touched, n_padded)
+            Sensitivities, zero after the last row of a candidate. The number of columns is padded to whole vectors of
+            the processor.
+        touched : Array (n_touched,)
+            Indices of the affected state rates and outputs among all.
+        width
+            Number of columns without the padding.
         """
         every = np.arange(self.n_states + self.seen.shape[1])
         each = [every if c.touched is None else c.touched for c in columns]
@@ -325,18 +360,20 @@ def propagate_sensitivities(
         Sensitivities of the candidates.
     carried
         Sensitivities of the state before the rows, batch by batch; empty at the start of a record. The list is replaced
-        by those after the rows.
+        in place by those after the rows.
 
     Returns
     -------
-    tuple
-        Whitened sensitivities (n_samples, n_columns), and the candidates with an empty ``delta``. The sensitivities of
-        the whole catalogue would fill the memory.
+    g : Array (n_samples, n_columns)
+        Whitened sensitivities.
+    candidates
+        The candidates with an empty ``delta``. The sensitivities of the whole catalogue would fill the memory.
     """
     parts, slim, ends = [], [], list[Array]()
     waiting, width = [SensitivityColumns("fitted", fitted)], fitted.shape[2]
 
     def done() -> None:
+        """Propagate the waiting columns as one batch; append the results to ``parts`` and ``ends``."""
         parts.append(carrier(waiting, carried[len(ends)] if carried else None))
         ends.append(carrier.end)
 
@@ -369,7 +406,17 @@ class PriorTerms:
 
 
 def prior_terms(parameters: Sequence[Parameter], values: Array) -> PriorTerms:
-    """Return the prior terms of the parameters at their values (n_parameters,), in the units of the parameters."""
+    """Return the prior terms of parameters at their values (n_parameters,), in the units of the parameters.
+
+    Both terms are 0 for a parameter without a prior.
+
+    Parameters
+    ----------
+    parameters
+        Fitted parameters, of which some have a prior.
+    values
+        Estimate of each parameter.
+    """
     gradient, information = np.zeros(len(parameters)), np.zeros(len(parameters))
     for k, (p, value) in enumerate(zip(parameters, values.tolist(), strict=True)):
         if (prior := p.free_prior()) is not None:
@@ -395,7 +442,8 @@ def score_tests(normal: NormalEquations, prior: PriorTerms, candidates: Sequence
     Returns
     -------
     list of Score
-        One score for each candidate that can be tested.
+        One score for each candidate that can be tested, in the order of the candidates. A candidate of which the fitted
+        parameters explain every column is left out, or has a score of zero if it is of the catalogue.
 
     Notes
     -----
@@ -403,9 +451,9 @@ def score_tests(normal: NormalEquations, prior: PriorTerms, candidates: Sequence
     maximum.
     """
     n_fitted = prior.gradient.size
-    gain = _gain(normal.information, prior.information)
+    gain = _coefficients_on_fitted(normal.information, prior.information)
     information = normal.information - normal.information[:n_fitted].T @ gain
-    by_data = _gain(normal.information, np.zeros(n_fitted))
+    by_data = _coefficients_on_fitted(normal.information, np.zeros(n_fitted))
     before = np.diag(normal.information)
     left = before - np.einsum("ij,ij->j", normal.information[:n_fitted], by_data)
     tolerance = np.divide(left, before, out=np.ones_like(left), where=before > 0)
@@ -420,10 +468,12 @@ def score_tests(normal: NormalEquations, prior: PriorTerms, candidates: Sequence
     ]
 
 
-def _gain(information: Array, prior: Array) -> Array:
+def _coefficients_on_fitted(information: Array, prior: Array) -> Array:
     """Regress all columns on the fitted parameters, and return the coefficients (n_fitted, n_columns).
 
-    The fitted parameters are the first columns. They have ``prior`` information in addition to that of the data.
+    The fitted parameters are the first n_fitted columns of ``information`` (n_columns, n_columns). ``prior``
+    (n_fitted,) is added to the diagonal of their information. Linearly dependent parameters share a coefficient (least
+    squares).
     """
     n_fitted = prior.size
     fitted = information[:n_fitted, :n_fitted] + np.diag(prior)
@@ -436,10 +486,26 @@ def _gain(information: Array, prior: Array) -> Array:
 def _candidate_score(
     placed: ColumnIndex, information: Array, score: Array, blocks: Array, before: Array
 ) -> Score | None:
-    """Return the score of one candidate, None if it has no testable column.
+    """Return the score of one candidate, without tolerance and threshold.
 
-    ``information``, ``score`` and ``blocks`` have the fitted parameters projected out; ``before`` (n_columns,) is the
-    information before that projection.
+    Parameters
+    ----------
+    placed
+        Candidate with its column indices.
+    information : Array (n_columns, n_columns)
+        Information with the fitted parameters projected out.
+    score : Array (n_columns,)
+        Score with the fitted parameters projected out.
+    blocks : Array (n_blocks, n_columns)
+        Sums of that score over the blocks of time.
+    before : Array (n_columns,)
+        Information of each column before the projection.
+
+    Returns
+    -------
+    Score or None
+        If the fitted parameters explain every column of the candidate: zero statistics for a catalogue effect that acts
+        on the data, None otherwise. The statistics are also zero if a one-sided candidate has a negative estimate.
     """
     candidate, names, index = placed.columns, np.array(placed.names), np.asarray(placed.at)
     # a column that the fitted parameters explain to 1e-8 cannot be tested
@@ -474,7 +540,20 @@ def _candidate_score(
 
 
 def whole_blocks(t: Array, block: float) -> list[slice]:
-    """Split the rows at times t (n_rows,) [s] into parts of whole blocks of time; a short record is one part."""
+    """Split the rows at times t (n_rows,) [s] into consecutive parts of whole blocks of time.
+
+    Parameters
+    ----------
+    t
+        Times of the rows.
+    block
+        Length of a block of time [s].
+
+    Returns
+    -------
+    list of slice
+        One part for a record of up to 8192 rows. Otherwise each part has at least 2048 rows.
+    """
     if t.size <= WHOLE:
         return [slice(0, t.size)]
     starts = np.flatnonzero(np.diff(block_index(t, block))) + 1
@@ -486,33 +565,62 @@ def whole_blocks(t: Array, block: float) -> list[slice]:
 
 
 def block_index(t: Array, block: float = BLOCK) -> NDArray[np.int64]:
-    """Return the index of the block of time of each time t (n,) [s]."""
+    """Return the index of the block of time of each time t (n,) [s]: t / block, rounded down. ``block`` is in s."""
     return np.floor(t / block).astype(np.int64)
 
 
 def fitted_parameters(model: Model, n_records: int) -> list[Parameter]:
-    """Return the fitted parameters except those of the noise: the shared ones, then those of each record."""
+    """Return the fitted parameters except those of the noise: the shared ones, then those of each record.
+
+    A per-record parameter is listed once for each record, with the index of the record as its ``segment``.
+
+    Parameters
+    ----------
+    model
+        Fitted model.
+    n_records
+        Number of estimation records.
+    """
     noise = model.noises  # their score is uncorrelated with that of the other parameters
     mean = [p for p in model.parameters if p.free and p.name not in noise]
     shared = [p for p in mean if not p.per_record]
     return shared + [replace(p, segment=i) for i in range(n_records) for p in mean if p.per_record]
 
 
-def score_threshold(score: Score, among: Sequence[Score]) -> float:
-    """Return the critical value of the statistic (chi-squared).
+def score_threshold(score: Score, among: Sequence[Score], policy: SearchPolicy = DEFAULT_POLICY) -> float:
+    """Return the critical value of a score test: the quantile of chi-squared with ``score.df`` degrees of freedom.
 
-    `ALPHA` is split equally between parametric and nonparametric candidates. All tests of one kind in ``among`` share
-    it (Bonferroni).
+    Parameters
+    ----------
+    score
+        Score of the candidate.
+    among
+        All scores of the same model, with ``score``. One half of ``policy.false_alarm_probability`` is for the
+        parametric candidates and one half for the nonparametric ones. All tests of one half share it equally
+        (Bonferroni).
+    policy
+        Thresholds of the score tests.
     """
     n_tests = sum(s.nonparametric == score.nonparametric for s in among)
-    return float(stats.chi2.isf(ALPHA / 2 / n_tests, score.df))
+    return float(stats.chi2.isf(policy.false_alarm_probability / 2 / n_tests, score.df))
 
 
-def score_test_passes(score: Score, among: Sequence[Score]) -> bool:
-    """Return whether the statistic exceeds `score_threshold` and the block-robust version is significant.
+def score_test_passes(score: Score, among: Sequence[Score], policy: SearchPolicy = DEFAULT_POLICY) -> bool:
+    """Return whether a candidate passes its score test.
 
-    Overwhelming evidence passes with a weaker level of the block-robust version.
+    Both of these have to hold: the statistic exceeds `score_threshold`, and the p value of the block-robust statistic
+    is below ``policy.block_level``. Overwhelming evidence (a p value below ``policy.overwhelming_p``) passes with the
+    weaker level ``policy.overwhelming_block_level``.
+
+    Parameters
+    ----------
+    score
+        Score of the candidate.
+    among
+        All scores of the same model, with ``score``.
+    policy
+        Thresholds of the score tests.
     """
-    if score.p < P_OVERWHELMING and score.p_block < P_BLOCK_OVERWHELMING:
+    if score.p < policy.overwhelming_p and score.p_block < policy.overwhelming_block_level:
         return True
-    return score.lm > score_threshold(score, among) and score.p_block < P_BLOCK
+    return score.lm > score_threshold(score, among, policy) and score.p_block < policy.block_level

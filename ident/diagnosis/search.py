@@ -25,12 +25,18 @@ import numpy as np
 
 from seatrial.daq.errors import counted
 from seatrial.ident.data import ORIGIN, LogSegment, Record, far_apart, make_record
-from seatrial.ident.diagnosis.acceptance import Comparison, comparison, validation_mismatches
-from seatrial.ident.diagnosis.adequacy import assess_alternatives
+from seatrial.ident.diagnosis.acceptance import (
+    Comparison,
+    comparison,
+    is_accepted,
+    is_validated,
+    refit_outcome,
+    should_be_removed,
+    validation_mismatches,
+)
+from seatrial.ident.diagnosis.adequacy import AttributionEvidence, assess_alternatives
 from seatrial.ident.diagnosis.candidates import normal_equations, variables, wave_peak_score
-from seatrial.ident.diagnosis.importance import effect_importance, fit_without
-from seatrial.ident.diagnosis.results import (
-    T_VALIDATION,
+from seatrial.ident.diagnosis.findings import (
     Diagnosis,
     EffectAttribution,
     EffectImportance,
@@ -40,8 +46,9 @@ from seatrial.ident.diagnosis.results import (
     Round,
     ShortData,
     UntestedCandidate,
-    helps,
 )
+from seatrial.ident.diagnosis.importance import effect_importance, fit_without
+from seatrial.ident.diagnosis.policy import DEFAULT_POLICY, SearchPolicy
 from seatrial.ident.diagnosis.score_test import (
     Score,
     fitted_parameters,
@@ -92,14 +99,15 @@ class DiagnosisEvaluation:
     Attributes
     ----------
     before, after
-        Evaluation of the model without and with the effects.
+        Evaluation of the model without and with the effects; the same object if no effect was selected.
     changes
-        Change of the prediction errors over the horizon, by role.
+        Change of the prediction errors over the horizon from ``before`` to ``after``, by role of the data
+        (``estimation``, ``validation``).
     forces_before, forces_after
-        Smoothed disturbance forces of both models.
+        Smoothed disturbance forces of both models, one for each record and force, in the same order.
     in_blocks
         Effects with per-record parameters. If there are any, the validation runs are predicted in blocks of time, with
-        the estimates of the other blocks of each run.
+        the estimates of the other blocks of each run. Empty without validation runs.
     """
 
     before: PredictionEvaluation
@@ -111,14 +119,17 @@ class DiagnosisEvaluation:
 
 
 def evaluate_diagnosis(diagnosis: Diagnosis, horizon: float | None = None) -> DiagnosisEvaluation:
-    """Evaluate the predictions of the models of a diagnosis.
+    """Evaluate the predictions of the models of a diagnosis: simulations, prediction errors and smoothed forces.
+
+    If a selected effect has per-record parameters and there are validation runs, both models are first evaluated on
+    blocks in time of the validation runs.
 
     Parameters
     ----------
     diagnosis
         The diagnosis.
     horizon
-        Prediction horizon [s], by default that of the model.
+        Prediction horizon [s], by default that of the model (10 s, on the bench 1 s).
     """
     before_stage, after_stage = diagnosis.before, diagnosis.after
     per_record = tuple(r.effect for r in diagnosis.effects if any(p.per_record for p in r.effect.parameters))
@@ -139,23 +150,6 @@ def evaluate_diagnosis(diagnosis: Diagnosis, horizon: float | None = None) -> Di
     )
 
 
-N_REFITS, N_NONPARAMETRIC = 4, 2  # parametric and nonparametric candidates that are refitted in a round
-N_BATCHES = 2  # batches of parametric candidates; the second is tried if the first has no accepted refit
-INDISTINGUISHABLE = 2.0  # in BIC; a smaller difference is "not worth more than a bare mention" (Kass and Raftery 1995)
-MAX_LOSS = 1.0  # in 2 ln L, loss of a larger model by rounding of the search
-MIN_BLOCKS = 20  # blocks of estimation data (100 s for a boat); with fewer no effect is identified
-# Blocks of validation data (40 s for a boat). Two of them are one block of the gain; with fewer, t > 2 is often chance.
-MIN_VALIDATION_BLOCKS = 8
-MIN_SCORE_RATIO = 0.05  # of the best score: a refit gains up to ten times its score, not twenty times
-# The difference between the true form of an effect and that of the catalogue resembles other, much smaller effects.
-# Those are not added.
-MIN_GAIN_RATIO = 0.02  # of the largest gain so far; an effect that improves the prediction enough needs no such gain
-MAX_RATIO_OF_SMALL = 0.98  # ratio of the prediction errors with to without a small effect, for this exception
-# The difference between a true curve and its spline gains up to a fifteenth of the curve. Most other missing effects
-# gain a third or more.
-MIN_GAIN_RATIO_AFTER_CURVE = 0.1  # of the largest gain so far
-
-
 def diagnose(
     model: Model,
     estimation: Sequence[LogSegment],
@@ -165,6 +159,7 @@ def diagnose(
     max_effects: int = 3,
     rate: float = 10.0,
     reporter: Reporter = QUIET,
+    policy: SearchPolicy = DEFAULT_POLICY,
 ) -> Diagnosis:
     """Find effects that a model lacks.
 
@@ -175,15 +170,18 @@ def diagnose(
     estimation
         Runs that the parameters are fitted to.
     validation
-        Runs that judge the effects. If they are missing, blocks in time of the estimation runs take their place.
+        Runs that judge the effects. Runs that cannot be evaluated are left out and listed in the findings. If none is
+        left, blocks in time of the estimation runs take their place.
     effects
-        Candidates by name, by default the whole catalogue.
+        Candidates by name, by default the whole catalogue. Those that the model does not accept are not tested.
     max_effects
-        Largest number of added effects.
+        Largest number of rounds, and so of added effects.
     rate
         Rate of the records' rows [Hz].
     reporter
         Receiver of progress messages.
+    policy
+        Thresholds of the score tests, the search, the acceptance and the attribution.
 
     Returns
     -------
@@ -207,7 +205,7 @@ def diagnose(
     accepted = set(candidates)
     failed = validation_records(full, validation, rate)[1]
     usable = [r for r in validation if r.name not in {f.record for f in failed}]
-    if _far_apart([*estimation, *usable]):
+    if _lack_common_origin([*estimation, *usable]):
         candidates = {n: e for n, e in candidates.items() if not e.fixed_point}
     everything, candidates = with_all_candidates(full, candidates, [*estimation, *usable])
     untested = accepted - set(candidates)
@@ -221,7 +219,7 @@ def diagnose(
     # user-defined effects keep their priors
     candidates = {n: scale_priors(e, size) if in_catalogue.get(n) is e else e for n, e in candidates.items()}
     candidates |= between_runs(before.fit)
-    search = _Search(records, validation_data, candidates, reporter)
+    search = _Search(records, validation_data, candidates, reporter, policy)
     current, passed = search.forward(before, max_effects)
     reporter.progress("computing the importance of the effects found")
     current, weights, removed = search.backward_elimination(before, current)
@@ -230,12 +228,18 @@ def diagnose(
     gone = {r.effect.name for r in removed}
     kept = [r for r in search.rounds if r.chosen is None or r.chosen.effect.name not in gone]
     order = [w.effect for w in weights]
-    judgements = assess_alternatives(
-        kept, passed, search.n, untested, weights, _reservations(before, current), current,
-        search.rounds[0].scores if search.rounds else (),
-    )  # fmt: skip
+    evidence = AttributionEvidence(
+        remaining=passed,
+        n=search.n,
+        untested=untested,
+        importances=weights,
+        reservations=_reservations(before, current, policy),
+        after=current,
+        nominal=search.rounds[0].scores if search.rounds else (),
+    )
+    judgements = assess_alternatives(kept, evidence, policy)
     judgements = tuple(sorted(judgements, key=lambda j: order.index(j.effect)))
-    shapes, undrawn = _shapes(before, kept, judgements, records)
+    shapes, undrawn = _reported_curves(before, kept, judgements, records)
     return Diagnosis(
         before=before,
         after=current,
@@ -246,30 +250,40 @@ def diagnose(
         importances=weights,
         removed=tuple(removed),
         failed_runs=(*failed, *before.failed, *(f for f in current.failed if f not in before.failed)),
-        mismatches=validation_mismatches(current),
-        short_data=_short_data(search.scores, before),
+        mismatches=validation_mismatches(current, policy),
+        short_data=_short_data(search.scores, before, policy),
         curve_failure=undrawn,
-        untestable=_refused(full, requested, [*estimation, *usable]),
+        untestable=_untestable_candidates(full, requested, [*estimation, *usable]),
         scores=tuple(search.scores),
         untried_scores=tuple(search.untried),
+        policy=policy,
     )
 
 
-def _far_apart(runs: Sequence[LogSegment]) -> bool:
-    """Return whether the runs are too far apart for one common origin."""
+def _lack_common_origin(runs: Sequence[LogSegment]) -> bool:
+    """Return whether the runs are too far apart for one common origin of x and y; unknown origins are ignored."""
     return far_apart([run.meta.get(ORIGIN) for run in runs])
 
 
-def _refused(
+def _untestable_candidates(
     model: Model, requested: Mapping[str, Effect], runs: Sequence[LogSegment]
 ) -> tuple[UntestedCandidate, ...]:
-    """Return the candidates that cannot be tested, and why.
+    """Return the requested candidates that cannot have a score test, with the reasons.
 
     User-defined candidates are always listed. Candidates of the catalogue, many of which do not concern a model, are
-    listed only if they are at a fixed point and the logs have no common frame.
+    listed only if they act at a fixed point and the runs are too far apart for one origin.
+
+    Parameters
+    ----------
+    model
+        The nominal model.
+    requested
+        All candidates by name.
+    runs
+        Runs of estimation and validation.
     """
     in_catalogue, found = catalogue(), []
-    if _far_apart(runs):
+    if _lack_common_origin(runs):
         apart = "it acts at a fixed point over ground, and the logs are too far apart for one origin of x and y"
         found = [UntestedCandidate(e, apart) for e in requested.values() if e.fixed_point and model.accepts(e)]
     user_defined = [e for name, e in requested.items() if in_catalogue.get(name) is not e]
@@ -284,19 +298,25 @@ def _refused(
     return tuple(found)
 
 
-def _short_data(scores: Sequence[Score], fitted: FittedModel) -> ShortData | None:
-    """Return the number of candidates that could not pass for any size because of too few blocks of time."""
-    short = [s for s in scores if s.blocks < s.least_blocks]
+def _short_data(
+    scores: Sequence[Score], fitted: FittedModel, policy: SearchPolicy = DEFAULT_POLICY
+) -> ShortData | None:
+    """Return the number of candidates that could not pass for any size because of too few blocks of time.
+
+    None if all candidates could pass. The length of the data is the total duration of the estimation records.
+    """
+    short = [s for s in scores if s.blocks < s.least_blocks(policy)]
     if not short:
         return None
-    needed = max(s.least_blocks for s in short) * fitted.model.block
+    needed = max(s.least_blocks(policy) for s in short) * fitted.model.block
     return ShortData(sum(r.duration for r in fitted.records), needed, len(short), len(scores))
 
 
 def _first_fit(full: Model, records: list[Record], runs: list[Record]) -> tuple[FittedModel, ValidationData]:
-    """Fit the nominal model, and return the data that validate it.
+    """Fit the nominal model to the records, and return it with the data that validate it.
 
-    These are the validation runs, or blocks in time of the estimation runs if no validation run can be evaluated.
+    The data are the validation runs, or blocks in time of the estimation runs if no validation run can be evaluated.
+    In the second case the model is also fitted once without each block.
     """
     fitted = fit_with_rescaling(full, records, runs)
     if fitted.validation:
@@ -305,24 +325,31 @@ def _first_fit(full: Model, records: list[Record], runs: list[Record]) -> tuple[
     return cross_validated(fitted, blocks), blocks
 
 
-def _reservations(before: FittedModel, after: FittedModel) -> list[str]:
-    """Return the reasons why no effect can be identified on these data."""
+def _reservations(before: FittedModel, after: FittedModel, policy: SearchPolicy) -> list[str]:
+    """Return the reasons, as clauses for reports, why no effect can be identified on these data.
+
+    A fit without (``before``) or with (``after``) the effects did not converge, the estimation data are short, or the
+    validation data are short. Empty if none applies.
+    """
     reasons = [
-        f"the fit {which} it did not converge"
+        f"the fit {which} the effects did not converge"
         for which, s in (("without", before), ("with", after))
         if not s.fit.converged
     ]
     seconds = sum(r.duration for r in after.records)
-    if seconds < MIN_BLOCKS * after.model.block:
+    if seconds < policy.min_estimation_blocks * after.model.block:
         reasons.append(f"the estimation data are short ({seconds:.0f} s)")
     validation_data = sum(v.record.duration for v in after.validation)
-    if validation_data < MIN_VALIDATION_BLOCKS * after.model.block:
+    if validation_data < policy.min_validation_blocks * after.model.block:
         reasons.append(f"the validation data are short ({validation_data:.0f} s)")
     return reasons
 
 
 def score_all(
-    fitted: FittedModel, records: Sequence[Record], candidates: Mapping[str, Effect]
+    fitted: FittedModel,
+    records: Sequence[Record],
+    candidates: Mapping[str, Effect],
+    policy: SearchPolicy = DEFAULT_POLICY,
 ) -> tuple[list[Score], list[Score]]:
     """Compute all score tests on a fitted model.
 
@@ -333,12 +360,17 @@ def score_all(
     records
         Estimation data with the inputs of all candidates.
     candidates
-        Parametric candidates by name.
+        Parametric candidates by name. The nonparametric ones follow from the model and are added.
+    policy
+        Thresholds of the score tests.
 
     Returns
     -------
-    tuple of list of Score
-        All scores, best first, and those that pass. Of a scanned effect only the best score is returned.
+    scores
+        One score for each candidate, the largest criterion first, with its threshold. Of a scanned effect only the best
+        score is returned.
+    passing
+        The scores that pass, in the same order.
     """
     model = fitted.model
     # A parameter at its bound cannot change to explain a part of a candidate, so it is not projected out.
@@ -347,19 +379,48 @@ def score_all(
     normal, places = normal_equations(fitted, records, list(candidates.values()), free_parameters)
     at = np.array([fitted.fit.estimate(p.name, p.segment or 0)[0] for p in free_parameters])
     scores = score_tests(normal, prior_terms(free_parameters, at), places)
-    waves = wave_peak_score(fitted) if "waves" in candidates else None
+    waves = wave_peak_score(fitted, policy) if "waves" in candidates else None
     scores += [] if waves is None else [waves]
     n = sum(r.n_rows for r in records)
     scores.sort(key=lambda s: -s.criterion(n))
     first: dict[str, Score] = {}
     for s in scores:
         first.setdefault(s.name, s)
-    best = [replace(s, threshold=score_threshold(s, scores)) for s in first.values()]
-    return best, [s for s in best if score_test_passes(s, scores)]
+    best = [replace(s, threshold=score_threshold(s, scores, policy)) for s in first.values()]
+    return best, [s for s in best if score_test_passes(s, scores, policy)]
 
 
 class _Search:
-    """Forward selection and backward elimination: their data, and the rounds so far."""
+    """Forward selection and backward elimination on one set of data.
+
+    Parameters
+    ----------
+    records
+        Estimation data.
+    validation_data
+        Validation records, or blocks in time of the estimation data.
+    candidates
+        Parametric candidates by name; copied.
+    reporter
+        Receiver of progress messages.
+    policy
+        Thresholds of the search.
+
+    Attributes
+    ----------
+    candidates
+        Parametric candidates that are not in the model. Effects move out when they are added, and back if removed.
+    rounds
+        Rounds so far, in their order.
+    nominal
+        Model without added effects, None before `forward`.
+    scores
+        Scores of all candidates on the last tested model, best first.
+    untried
+        Scores that passed when the largest number of effects had been added, and were not tried.
+    n
+        Number of rows of the estimation data.
+    """
 
     def __init__(
         self,
@@ -367,13 +428,10 @@ class _Search:
         validation_data: ValidationData,
         candidates: Mapping[str, Effect],
         reporter: Reporter,
+        policy: SearchPolicy = DEFAULT_POLICY,
     ) -> None:
-        self.records, self.validation_data, self.candidates, self.reporter = (
-            records,
-            validation_data,
-            dict(candidates),
-            reporter,
-        )
+        self.records, self.validation_data, self.candidates = records, validation_data, dict(candidates)
+        self.reporter, self.policy = reporter, policy
         self.rounds: list[Round] = []
         self.nominal: FittedModel | None = None
         self.scores: list[Score] = []  # of all candidates on the last model
@@ -381,15 +439,22 @@ class _Search:
         self.n = sum(r.n_rows for r in records)
 
     def scored(self, fitted: FittedModel) -> tuple[list[Score], list[Score]]:
-        """Return all scores on a model, and those that pass.
+        """Compute the scores of all candidates on a model and keep them in ``scores``.
+
+        Returns
+        -------
+        scores
+            Scores of all candidates, best first.
+        passing
+            The scores that pass, in the same order.
 
         Raises
         ------
         ValueError
-            If the residuals of the model cannot be tested.
+            If a matrix of the score tests cannot be factored, so that the residuals cannot be tested.
         """
         try:
-            self.scores, passed = score_all(fitted, self.records, self.candidates)
+            self.scores, passed = score_all(fitted, self.records, self.candidates, self.policy)
             return self.scores, passed
         except np.linalg.LinAlgError as problem:
             names = ", ".join(r.name for r in self.records)
@@ -397,12 +462,24 @@ class _Search:
             raise ValueError(f"{names}: {message}: {problem}; the fit {fitted.fit.message}") from problem
 
     def forward(self, before: FittedModel, max_effects: int) -> tuple[FittedModel, list[Score]]:
-        """Add effects one after the other; return the last model and the scores that pass on it."""
+        """Add effects one after the other; return the last model and the scores that pass on it.
+
+        The search ends after ``max_effects`` rounds, after a round without an added effect, or if no score passes.
+        After a nonparametric effect, only parametric effects with a large score are tried. ``rounds``, ``nominal``,
+        ``untried`` and ``candidates`` are changed.
+
+        Parameters
+        ----------
+        before
+            Fitted model without added effects.
+        max_effects
+            Largest number of rounds.
+        """
         self.nominal, current, unknown = before, before, False
         while True:
             scores, passed = self.scored(current)
             largest = max((r.chosen.criterion for r in self.rounds if r.chosen is not None), default=0.0)
-            least = MIN_GAIN_RATIO_AFTER_CURVE * largest
+            least = self.policy.min_gain_ratio_after_curve * largest
             tried = [s for s in passed if not s.nonparametric and s.criterion(self.n) > least] if unknown else passed
             if len(self.rounds) >= max_effects or not tried:
                 self.untried = tried
@@ -410,7 +487,7 @@ class _Search:
             self.reporter.progress(
                 f"round {len(self.rounds) + 1}: {len(passed)} of {len(scores)} candidates pass, best {tried[0].name}"
             )
-            found = self._round(current, scores, tried)
+            found = self._run_round(current, scores, tried)
             self.rounds.append(found)
             if found.chosen is None:
                 return current, passed
@@ -423,22 +500,46 @@ class _Search:
         """Leave each effect out in turn and remove the least supported effect, until all effects are supported.
 
         If the remaining effects predict worse than the nominal model after a removal, the last effect is removed too.
-        An effect is kept if the model without it cannot be fitted, because its importance is then unknown.
+        An effect is kept if the model without it cannot be fitted, because its importance is then unknown. A removed
+        parametric effect becomes a candidate again.
+
+        Parameters
+        ----------
+        before
+            Model without added effects.
+        current
+            Model with all added effects.
+
+        Returns
+        -------
+        model
+            Model with the remaining effects.
+        importances
+            Importance of each remaining effect, the most important first.
+        removed
+            Removed effects in the order of their removal.
         """
         removed: list[RemovedEffect] = []
         stuck: dict[str, str] = {}
         while True:
             gone = {r.effect.name for r in removed}
             chosen = [r.chosen for r in self.rounds if r.chosen is not None and r.chosen.effect.name not in gone]
-            weights = effect_importance(before, current, chosen, self.rounds, self.records, self.validation_data)
+            weights = effect_importance(
+                before, current, chosen, self.rounds, self.records, self.validation_data, self.policy
+            )
             weights = tuple(replace(w, untested=stuck.get(w.effect, w.untested)) for w in weights)
             tested = [w for w in weights if w.untested is None]
             curves = {c.effect.name for c in chosen if c.nonparametric}
-            idle_curves = {w.effect for w in tested if not (w.improves_prediction or helps(w.prediction))} & curves
-            idle = min(
-                (w for w in tested if not w.supported or w.effect in idle_curves), key=lambda w: w.t, default=None
-            )
-            if idle is None and removed and chosen and Comparison(before, current).prediction.verdict == "rose":
+            removable = [
+                w for w in tested if should_be_removed(w, nonparametric=w.effect in curves, policy=self.policy)
+            ]
+            idle = min(removable, key=lambda w: w.t, default=None)
+            if (
+                idle is None
+                and removed
+                and chosen
+                and Comparison(before, current, self.policy).prediction.verdict == "rose"
+            ):
                 idle = next((w for w in tested if w.effect == chosen[-1].effect.name), None)
             if idle is None:
                 return current, weights, removed
@@ -456,35 +557,54 @@ class _Search:
             ):  # the last score tests include every parametric effect that the model lacks
                 self.candidates[effect.name] = effect
 
-    def _round(self, current: FittedModel, scores: list[Score], passed: list[Score]) -> Round:
-        """Refit the best candidates that passed, and choose the refit to add."""
+    def _run_round(self, current: FittedModel, scores: list[Score], passed: list[Score]) -> Round:
+        """Refit the best candidates that passed, and choose the refit to add.
+
+        Parametric candidates are refitted in batches until a batch has an accepted refit. Then follow the nonparametric
+        candidates whose score is high enough.
+
+        Parameters
+        ----------
+        current
+            Model before the round.
+        scores
+            Scores of all candidates.
+        passed
+            Scores that pass, the largest criterion first.
+        """
         specific = [s for s in passed if not s.nonparametric]
         # If the best criterion is negative, no candidate is dropped: a refit can gain more than its score.
         if specific and (best := specific[0].criterion(self.n)) > 0:
-            specific = [s for s in specific if s.criterion(self.n) > MIN_SCORE_RATIO * best]
+            specific = [s for s in specific if s.criterion(self.n) > self.policy.min_score_ratio * best]
         refits: list[Refit] = []
         untested: list[UntestedCandidate] = []
-        for first in range(0, N_REFITS * N_BATCHES, N_REFITS):
-            batch = specific[first : first + N_REFITS]
+        size = self.policy.n_refits
+        for first in range(0, size * self.policy.n_batches, size):
+            batch = specific[first : first + size]
             self._refit_all(current, [(self.candidates[s.name], s) for s in batch], refits, untested)
-            if any(r.accepted for r in refits):
+            if any(is_accepted(r, self.policy) for r in refits):
                 break
-        leading = max((r for r in refits if r.accepted), key=lambda r: r.criterion, default=None)
+        leading = max((r for r in refits if is_accepted(r, self.policy)), key=lambda r: r.criterion, default=None)
         most, curve = (-np.inf, None) if leading is None else (leading.criterion, leading.effect.parametric_form_of)
         # A nonparametric candidate competes only if its score is high compared with the best accepted parametric
         # refit, or if that effect is one form of the same curve.
-        least = max(0.5 * most, most - 50)
+        least = max(self.policy.nonparametric_score_share * most, most - self.policy.nonparametric_score_distance)
         generic = [(s, s.kind is EffectKind.NONPARAMETRIC and s.curve == curve) for s in passed if s.nonparametric]
-        unknown = [s for s, same_curve in generic if s.criterion(self.n) > least or same_curve][:N_NONPARAMETRIC]
-        self._refit_all(current, [(_unknown(s, current), s) for s in unknown], refits, untested)
+        unknown = [s for s, same_curve in generic if s.criterion(self.n) > least or same_curve][
+            : self.policy.n_nonparametric
+        ]
+        self._refit_all(current, [(_nonparametric_effect_of(s, current), s) for s in unknown], refits, untested)
         names = tuple(s.name for s in passed)
-        refits, chosen = self._choose(current, refits, untested)
+        refits, chosen = self._choose_refit(current, refits, untested)
         return Round(tuple(scores), names, tuple(refits), chosen, tuple(untested))
 
-    def _choose(
+    def _choose_refit(
         self, current: FittedModel, refits: list[Refit], untested: list[UntestedCandidate]
     ) -> tuple[list[Refit], Refit | None]:
-        """Return the refits with their outcomes, best first, and the best accepted refit, fitted exactly.
+        """Judge the refits of a round; return them with their outcomes, and the refit to add.
+
+        The refits are returned with the largest criterion first. The refit to add is the best accepted refit, fitted
+        exactly; None if none is accepted. A refit whose exact fit fails is appended to ``untested`` instead.
 
         A difference between runs has as many parameters as there are runs, and explains a part of any effect. So it
         comes after the other effects, unless it explains the validation data significantly better than the best of
@@ -493,17 +613,21 @@ class _Search:
         judged: list[Refit] = []
         chosen: Refit | None = None
         for r in sorted(refits, key=lambda r: (r.effect.kind is EffectKind.BETWEEN_RUNS, -r.criterion)):
-            if not r.validated:
-                r = replace(r, outcome=Outcome.NOT_SUPPORTED if r.criterion <= 0 else Outcome.NOT_VALIDATED)
-            elif chosen is None or _tied(r, chosen) or (r.criterion > chosen.criterion and _explains_more(r, chosen)):
+            if not is_validated(r, self.policy):
+                r = replace(r, outcome=refit_outcome(r, (), self.policy))
+            elif (
+                chosen is None
+                or self._indistinguishable(r, chosen)
+                or (r.criterion > chosen.criterion and self._explains_more(r, chosen))
+            ):
                 try:
-                    r = self._exact(current, r)
+                    r = self._fit_exactly(current, r)
                 except FIT_ERRORS as problem:
                     untested.append(UntestedCandidate(r.effect, str(problem)))
                     continue
                 if r.outcome is not Outcome.ADDED:
                     pass  # the outcome has the reason
-                elif chosen is not None and _tied(r, chosen) and not _predicts_better(r, chosen):
+                elif chosen is not None and self._indistinguishable(r, chosen) and not _predicts_better(r, chosen):
                     r = replace(r, outcome=Outcome.OUTRANKED)
                 else:
                     judged = [replace(q, outcome=Outcome.OUTRANKED) if q is chosen else q for q in judged]
@@ -511,33 +635,64 @@ class _Search:
             judged.append(r)
         return sorted(judged, key=lambda r: -r.criterion), chosen
 
-    def _exact(self, current: FittedModel, rough: Refit) -> Refit:
-        """Fit a validated refit exactly and judge it by its prediction.
+    def _indistinguishable(self, first: Refit, second: Refit) -> bool:
+        """Return whether the likelihood cannot distinguish two parametric effects.
+
+        The criteria of both refits differ by less than ``policy.indistinguishable``. False if one of the effects is
+        nonparametric, or if ``first`` is a difference between runs.
+        """
+        parametric = not (first.nonparametric or second.nonparametric or first.effect.kind is EffectKind.BETWEEN_RUNS)
+        return parametric and abs(first.criterion - second.criterion) < self.policy.indistinguishable
+
+    def _explains_more(self, difference: Refit, other: Refit) -> bool:
+        """Return whether a difference between runs explains the validation data significantly better than an effect.
+
+        The gain in log-likelihood over the model with ``other`` is positive, its t statistic exceeds ``policy.min_t``,
+        and the prediction over the horizon is not significantly worse. False if ``difference`` is another kind of
+        effect, or if the models cannot be compared.
+        """
+        if difference.effect.kind is not EffectKind.BETWEEN_RUNS:
+            return False
+        try:
+            compared = comparison(other.fitted, difference.fitted, difference.effect, self.policy)
+            gain, t = compared.gain
+        except FIT_ERRORS:
+            return False
+        return gain > 0 and t > self.policy.min_t and compared.prediction.verdict != "rose"
+
+    def _fit_exactly(self, current: FittedModel, rough: Refit) -> Refit:
+        """Fit a validated rough refit exactly; return it with its gain, prediction changes and outcome.
+
+        Three sets of initial values are tried in turn: the rough estimates, the effect's own initial values, and half
+        of these. A fit that did not converge is used only if the fit of ``current`` did not converge either.
 
         Raises
         ------
         ValueError
-            If the fit fails or does not converge from any initial values.
+            If the fit fails or does not converge from any initial values. The message is the reason of the last trial.
         """
         again = current.fit.model + rough.effect
         reason = ""
         for begin in (rough.fitted.fit.model, again, again.with_values(_half_values(rough.effect))):
             try:
                 fitted = fit_and_evaluate(begin, self.records, self.validation_data)
-                compared = comparison(current, fitted, rough.effect)
+                compared = comparison(current, fitted, rough.effect, self.policy)
                 (gain, t), prediction = compared.gain, compared.prediction
             except FIT_ERRORS as problem:
                 reason = str(problem)
                 continue
             if fitted.fit.converged or not current.fit.converged:
                 assert self.nominal is not None
-                total = prediction if current is self.nominal else Comparison(self.nominal, fitted).prediction
+                total = (
+                    prediction if current is self.nominal else Comparison(self.nominal, fitted, self.policy).prediction
+                )
                 exact = replace(
                     rough, fitted=fitted, validation_gain=gain, t=t, prediction=prediction, total=total,
                     by_inputs=compared.by_inputs if rough.nonparametric else None,
                 )  # fmt: skip
-                return replace(exact, outcome=_outcome(exact, [r.chosen for r in self.rounds if r.chosen is not None]))
-            reason = f"the fit with it did not converge: it {fitted.fit.message}"
+                added = [r.chosen for r in self.rounds if r.chosen is not None]
+                return replace(exact, outcome=refit_outcome(exact, added, self.policy))
+            reason = f"the fit with the effect did not converge: it {fitted.fit.message}"
         raise ValueError(reason)
 
     def _refit_all(
@@ -547,9 +702,14 @@ class _Search:
         refits: list[Refit],
         untested: list[UntestedCandidate],
     ) -> None:
-        """Refit the current model with each candidate in parallel; append to ``refits`` or ``untested``."""
+        """Refit the current model with each candidate, two at a time, and append the results to two lists.
+
+        A fitted candidate goes to ``refits`` and one that could not be fitted to ``untested``, in the order of
+        ``tried``, which has each candidate with its score.
+        """
 
         def refit(pair: tuple[Effect, Score]) -> Refit | UntestedCandidate:
+            """Refit the current model with one pair of candidate and score."""
             return self._refit(current, *pair)
 
         with ThreadPoolExecutor(2) as pool, quick_compilation(self.n):
@@ -560,93 +720,63 @@ class _Search:
                     untested.append(found)
 
     def _refit(self, current: FittedModel, effect: Effect, score: Score) -> Refit | UntestedCandidate:
-        """Fit the current model with an effect.
+        """Fit the current model with an effect by a rough search; return an ``UntestedCandidate`` if no fit succeeds.
 
-        The initial values are tried in turn until a fit loses no likelihood; otherwise the best fit is returned.
+        The initial values of `_with_initial_values` are tried in turn until a fit loses no likelihood; otherwise the
+        best fit is returned. The reason of an untested candidate is that of the first failure.
 
         A larger model cannot be worse than the model that it contains. A fit that is worse has stopped early.
         """
         self.reporter.progress(f"refitting with {effect.title}")
         best, reason = None, ""
-        for start in _starts(effect, score):
+        for start in _with_initial_values(effect, score):
             try:
                 fitted = fit_and_evaluate(
                     current.fit.model + start, self.records, self.validation_data, settings=ROUGH_SEARCH
                 )
                 gain = 2 * (fitted.fit.log_posterior - current.fit.log_posterior)
-                total, t = comparison(current, fitted, effect).gain
+                total, t = comparison(current, fitted, effect, self.policy).gain
             except FIT_ERRORS as problem:
                 reason = reason or str(problem)
                 continue
-            df = sum(_degrees(effect, p, len(self.records)) for p in effect.parameters if p.free)
+            df = sum(_degrees_of_freedom(effect, p, len(self.records)) for p in effect.parameters if p.free)
             found = Refit(effect, fitted, gain, df, gain - df * float(np.log(self.n)), total, t)
             best = found if best is None or found.gain > best.gain else best
-            if best.gain > -MAX_LOSS:
+            if best.gain > -self.policy.max_loss:
                 break
         return UntestedCandidate(effect, reason) if best is None else best
 
 
-def _outcome(exact: Refit, added: Sequence[Refit]) -> Outcome:
-    """Return the outcome of an exact refit after the effects that were ``added``.
-
-    A small effect is left out with two exceptions: the prediction needs the effect, or the effect and a strong effect
-    are declared alternatives. In the latter case the strong effect may not explain all.
-    """
-    assert exact.prediction is not None
-    if not exact.validated:
-        return Outcome.NOT_VALIDATED
-    if not exact.accepted:
-        worse = "rose" in {p.verdict for p in (exact.prediction, exact.total) if p is not None}
-        return Outcome.WORSE_PREDICTION if worse else Outcome.NO_BETTER_PREDICTION
-    needed = exact.prediction.verdict == "fell" and exact.prediction.ratio < MAX_RATIO_OF_SMALL
-    alternative = any(
-        exact.effect.name in r.effect.alternatives or r.effect.name in exact.effect.alternatives for r in added
-    )
-    largest = max((r.criterion for r in added), default=0.0)
-    return Outcome.ADDED if needed or alternative or exact.criterion > MIN_GAIN_RATIO * largest else Outcome.SMALL
-
-
-def _tied(first: Refit, second: Refit) -> bool:
-    """Return whether the likelihood cannot distinguish two effects."""
-    parametric = not (first.nonparametric or second.nonparametric or first.effect.kind is EffectKind.BETWEEN_RUNS)
-    return parametric and abs(first.criterion - second.criterion) < INDISTINGUISHABLE
-
-
 def _predicts_better(first: Refit, second: Refit) -> bool:
-    """Return whether the first exact refit has smaller prediction errors over the horizon than the second."""
+    """Return whether the first exact refit has smaller prediction errors over the horizon than the second.
+
+    The point estimates are compared. Both refits must have a prediction change.
+    """
     assert first.prediction is not None
     assert second.prediction is not None
     return first.prediction.ratio < second.prediction.ratio
 
 
-def _explains_more(difference: Refit, other: Refit) -> bool:
-    """Return whether a difference between runs explains the validation data significantly better than an effect."""
-    if difference.effect.kind is not EffectKind.BETWEEN_RUNS:
-        return False
-    try:
-        compared = comparison(other.fitted, difference.fitted, difference.effect)
-        gain, t = compared.gain
-    except FIT_ERRORS:
-        return False
-    return gain > 0 and t > T_VALIDATION and compared.prediction.verdict != "rose"
-
-
 def _half_values(effect: Effect) -> dict[str, float]:
-    """Halve the initial values of the shared parameters, clipped to their bounds."""
+    """Return half of the initial value of each shared parameter of an effect by name, clipped to its bounds.
+
+    Per-record parameters are left out.
+    """
     return {p.name: min(max(0.5 * p.value, p.bounds[0]), p.bounds[1]) for p in effect.parameters if not p.per_record}
 
 
-def _degrees(effect: Effect, parameter: Parameter, n_records: int) -> int:
+def _degrees_of_freedom(effect: Effect, parameter: Parameter, n_records: int) -> int:
     """Return the degrees of freedom of a parameter of an effect.
 
-    A difference between runs has one less than there are records, because the model contains the mean.
+    1 for a shared parameter, ``n_records`` for a per-record parameter. A difference between runs has one less than
+    there are records, because the model contains the mean.
     """
     if not parameter.per_record:
         return 1
     return n_records - 1 if effect.kind is EffectKind.BETWEEN_RUNS else n_records
 
 
-def _starts(effect: Effect, score: Score) -> Iterator[Effect]:
+def _with_initial_values(effect: Effect, score: Score) -> Iterator[Effect]:
     """Yield the effect with different initial values.
 
     The first are the one-step estimates of the score test. Then follow smaller values, the neighbours of a scanned
@@ -663,11 +793,16 @@ def _starts(effect: Effect, score: Score) -> Iterator[Effect]:
         (scans[0], -0.3),
         (scans[0], 0.0),
     ]:
-        yield replace(effect, parameters=tuple(_start(p, score, scan, share) for p in effect.parameters))
+        yield replace(effect, parameters=tuple(_with_initial_value(p, score, scan, share) for p in effect.parameters))
 
 
-def _start(parameter: Parameter, score: Score, scan: Mapping[str, float], share: float) -> Parameter:
-    """Return a parameter with its initial value: ``share`` of the one-step estimate, limited by prior and bounds."""
+def _with_initial_value(parameter: Parameter, score: Score, scan: Mapping[str, float], share: float) -> Parameter:
+    """Return a parameter with its initial value.
+
+    The value is the parameter's own value plus ``share`` of the one-step estimate in the score, which is limited to one
+    standard deviation of the prior. It is clipped to the bounds. Without a one-step estimate the value is that of
+    ``scan``, or the parameter's own value.
+    """
     value = scan.get(parameter.name, parameter.value)
     if parameter.name in score.step:
         sd = parameter.prior[1] if parameter.prior else np.inf
@@ -677,18 +812,26 @@ def _start(parameter: Parameter, score: Score, scan: Mapping[str, float], share:
     return parameter.at(value)
 
 
-def _unknown(score: Score, fitted: FittedModel) -> Effect:
-    """Return the nonparametric effect of a score, with priors scaled to the size of the boat."""
+def _nonparametric_effect_of(score: Score, fitted: FittedModel) -> Effect:
+    """Return the nonparametric effect of a score, with priors scaled to the size of the boat.
+
+    A lagged or resonant response to an input is taken from the list of such effects. Otherwise a curve of splines is
+    made over the interval of its variable. The score must have a curve.
+    """
     assert score.curve is not None
     size, tested = size_of(fitted.fit.model), (score.kind, score.curve)
     for effect in input_response_effects(fitted.model):
         if (effect.kind, effect.curve) == tested:
             return scale_priors(effect, size)
-    return scale_priors(nonparametric_effect(fitted.model, score.curve, _span(fitted, score.curve)), size)
+    return scale_priors(nonparametric_effect(fitted.model, score.curve, _variable_interval(fitted, score.curve)), size)
 
 
-def _span(fitted: FittedModel, curve: ForceCurve) -> tuple[float, float]:
-    """Return the interval of a curve's variable: 1 % to 99 % of its values, or a full turn for angles and products."""
+def _variable_interval(fitted: FittedModel, curve: ForceCurve) -> tuple[float, float]:
+    """Return the ends of the interval of a curve's variable, in the unit of the variable.
+
+    They are the 1 % and 99 % quantiles of its values in the estimation data. For an angle, or a product of two
+    variables, they are -pi and pi.
+    """
     if curve.second or curve.variable in {v.name for v in variables_of(fitted.model) if v.angle}:
         return -np.pi, np.pi
     found = [variables(fitted.model, v.record, v.run.x_filt, v.values) for v in fitted.estimation]
@@ -697,24 +840,36 @@ def _span(fitted: FittedModel, curve: ForceCurve) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def _shapes(
+def _reported_curves(
     before: FittedModel, rounds: Sequence[Round], judgements: Sequence[EffectAttribution], records: Sequence[Record]
 ) -> tuple[list[NonparametricForce], str | None]:
-    """Return the nonparametric curves for the report, and why one of them could not be fitted.
+    """Return the nonparametric curves for the report, and why one of them could not be fitted (None if all could).
 
     The curves are those of the selected nonparametric effects, and of the residual in place of the first ambiguous
-    effect. The latter only illustrates the result, so a failed fit of this curve is no error.
+    effect. The latter only illustrates the result, so a failed fit of this curve is no error. For each pair of force
+    and variable only the first curve is returned.
+
+    Parameters
+    ----------
+    before
+        Model without added effects.
+    rounds
+        Rounds whose effects were not removed.
+    judgements
+        Attribution of each effect, the most important first.
+    records
+        Estimation data.
     """
     found, current, undrawn = [], before, None
     chosen = [r for r in rounds if r.chosen is not None]
     first = next((j.effect for j in judgements if j.attribution == "ambiguous"), None)
     for search_round, r in ((s, s.chosen) for s in chosen if s.chosen is not None):
         if r.nonparametric:
-            found.append(_drawn(r.effect, r.fitted))
+            found.append(_curve_with_errors(r.effect, r.fitted))
         elif r.effect.name == first and (likely := _likely_curve(search_round)):
             try:
-                effect = _unknown(likely, current)
-                found.append(_drawn(effect, fit_and_evaluate(current.fit.model + effect, records, ())))
+                effect = _nonparametric_effect_of(likely, current)
+                found.append(_curve_with_errors(effect, fit_and_evaluate(current.fit.model + effect, records, ())))
             except FIT_ERRORS as problem:
                 undrawn = f"{r.effect.title}: {problem}"
         current = r.fitted
@@ -726,12 +881,18 @@ def _shapes(
 
 
 def _likely_curve(search_round: Round) -> Score | None:
-    """Return the best score of a residual as a function of one variable, None if none passed."""
+    """Return the first passing score of a residual as a function of one variable, None if none passed.
+
+    The scores of a round are sorted, so this is the one with the largest criterion.
+    """
     curves = [s for s in search_round.scores if s.kind is EffectKind.NONPARAMETRIC and s.name in search_round.passed]
     return next((s for s in curves if s.curve is not None and not s.curve.second), None)
 
 
-def _drawn(effect: Effect, fitted: FittedModel) -> NonparametricForce | None:
-    """Return the curve of a nonparametric effect with its standard errors, None if it cannot be drawn."""
+def _curve_with_errors(effect: Effect, fitted: FittedModel) -> NonparametricForce | None:
+    """Return the curve of a fitted nonparametric effect with its standard errors, None if it cannot be drawn.
+
+    An effect cannot be drawn if it is not a function of one variable.
+    """
     f = fitted.fit
     return shape(f.model, effect, f.model.values, f.names, f.covariance)

@@ -5,8 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Annotated
 
+import msgspec
 import numpy as np
+from msgspec import Meta
 
 from seatrial.daq.errors import counted
 from seatrial.ident.data import LogSegment, Record, make_record
@@ -33,12 +36,11 @@ FIT_ERRORS = (ValueError, ArithmeticError, np.linalg.LinAlgError)  # raised if a
 ValidationData = Sequence[Record] | TimeBlocks  # validation records, or blocks of the estimation records
 
 
-@dataclass(frozen=True)
-class FailedRun:
-    """A validation run that cannot be evaluated: the name of its record, and the reason."""
+class FailedRun(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Validation run that could not be evaluated."""
 
-    record: str
-    reason: str
+    record: Annotated[str, Meta(description="name of the run's record")]
+    reason: Annotated[str, Meta(description="why the model could not be evaluated on the run")]
 
 
 @dataclass(frozen=True)

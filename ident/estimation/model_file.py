@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import tomlkit
 
@@ -183,7 +184,7 @@ def save_model(
     if (scale := _scale_table(model, calibration)) is not None:
         document["scale"] = scale
     if origin is not None and any(e.fixed_point for e in model.effects):
-        document["origin"] = asdict(origin)
+        document["origin"] = msgspec.structs.asdict(origin)
     document["validity"] = {k: [float(a), float(b)] for k, (a, b) in validity.items()}
     if rates:
         document["rates"] = {k: float(f"{z:.4g}") for k, z in rates.items()}

@@ -1,6 +1,7 @@
-"""Parts of a page: sections, their blocks (text, tables, plots, tabs), and the collector of figures.
+"""Building blocks of a page: sections, their contents (text, tables, plots, tabs), and the collector of figures.
 
-Blocks contain texts and numbers that are ready to show. ``templates/blocks.html.j2`` renders each by its ``kind``.
+A *block* here is a piece of a page. Blocks contain texts and numbers that are ready to show.
+``templates/blocks.html.j2`` renders each by its field ``kind``, the name of the block's type in the template.
 """
 
 from __future__ import annotations
@@ -14,16 +15,36 @@ from seatrial.ident.report.drawing import Budget, Figure
 
 @dataclass(frozen=True)
 class Prose:
-    """A paragraph."""
+    """Paragraph of text.
+
+    Attributes
+    ----------
+    words
+        Text of the paragraph.
+    style
+        CSS class; empty for an ordinary paragraph.
+    kind
+        Name of the block's type in the template.
+    """
 
     words: str
-    style: str = ""  # CSS class
+    style: str = ""
     kind: str = "prose"
 
 
 @dataclass(frozen=True)
 class Heading:
-    """A small heading inside a section, with a note in smaller type."""
+    """Small heading inside a section, with a note in smaller type.
+
+    Attributes
+    ----------
+    words
+        Text of the heading.
+    note
+        Text in smaller type after the heading; may be empty.
+    kind
+        Name of the block's type in the template.
+    """
 
     words: str
     note: str = ""
@@ -32,72 +53,156 @@ class Heading:
 
 @dataclass(frozen=True)
 class Cell:
-    """A cell of a table."""
+    """Cell of a table.
+
+    Attributes
+    ----------
+    words
+        Text of the cell.
+    style
+        CSS class; empty for an ordinary cell.
+    bar
+        Length of a small bar beside the text, -1 to 1, to the left if negative. None: no bar.
+    """
 
     words: str
-    style: str = ""  # CSS class
-    bar: float | None = None  # -1..1: length of a small bar beside the text, to the left if negative
+    style: str = ""
+    bar: float | None = None
 
 
 @dataclass(frozen=True)
 class Table:
-    """A table with a header row."""
+    """Table with a header row.
 
-    columns: Sequence[tuple[str, str]]  # title and CSS class (``num`` for numbers)
-    rows: Sequence[Sequence[Cell | str]]  # a row of one cell is the heading of a group
+    Attributes
+    ----------
+    columns
+        Title and CSS class of each column (``num`` for numbers).
+    rows
+        Cells of each row, from left to right. A row of one cell is the heading of the rows below it.
+    caption
+        Text below the table; may be empty.
+    kind
+        Name of the block's type in the template.
+    """
+
+    columns: Sequence[tuple[str, str]]
+    rows: Sequence[Sequence[Cell | str]]
     caption: str = ""
     kind: str = "table"
 
 
 @dataclass(frozen=True)
 class Plot:
-    """The place of a figure on the page."""
+    """Place of a figure on the page.
 
-    id: str  # key in ``Canvas.figures``
-    height: int  # px
-    label: str  # description for screen readers
-    title: str = ""  # heading above the figure
+    Attributes
+    ----------
+    id
+        Key of the figure in ``Canvas.figures``.
+    height
+        Height [px].
+    label
+        Description of the figure for screen readers.
+    title
+        Heading above the figure; may be empty.
+    kind
+        Name of the block's type in the template.
+    """
+
+    id: str
+    height: int
+    label: str
+    title: str = ""
     kind: str = "plot"
 
 
 @dataclass(frozen=True)
 class Grid:
-    """Plots side by side, as many in a row as fit the page."""
+    """Plots side by side, as many in a row as fit the page.
+
+    Attributes
+    ----------
+    plots
+        The plots from left to right.
+    least
+        Smallest width of a plot [px].
+    style
+        CSS class; empty for an ordinary grid.
+    kind
+        Name of the block's type in the template.
+    """
 
     plots: Sequence[Plot]
-    least: int = 260  # smallest width of a plot [px]
+    least: int = 260
     style: str = ""
     kind: str = "grid"
 
 
 @dataclass(frozen=True)
 class Key:
-    """Legend of the lines and symbols in the figures below."""
+    """Legend of the lines and symbols in the figures below it.
 
-    items: Sequence[tuple[str, str]]  # CSS class of the symbol, meaning
+    Attributes
+    ----------
+    items
+        CSS class of each symbol, and its meaning.
+    kind
+        Name of the block's type in the template.
+    """
+
+    items: Sequence[tuple[str, str]]
     kind: str = "key"
 
 
 @dataclass(frozen=True)
 class Tabs:
-    """Tabs: one is visible at a time; a printed page contains all."""
+    """Tabs, of which one is visible at a time; a printed page contains all.
 
-    tabs: Sequence[tuple[str, Sequence[Any]]]  # title, blocks
+    Attributes
+    ----------
+    tabs
+        Title and blocks of each tab.
+    kind
+        Name of the block's type in the template.
+    """
+
+    tabs: Sequence[tuple[str, Sequence[Any]]]
     kind: str = "tabs"
 
 
 @dataclass(frozen=True)
 class Facts:
-    """List of labelled values."""
+    """List of labelled values.
 
-    items: Sequence[tuple[str, str]]  # label, value
+    Attributes
+    ----------
+    items
+        Label and value of each entry.
+    style
+        CSS class; empty for an ordinary list.
+    kind
+        Name of the block's type in the template.
+    """
+
+    items: Sequence[tuple[str, str]]
     style: str = ""
     kind: str = "facts"
 
 
 @dataclass(frozen=True)
 class Lines:
-    """List of sentences."""
+    """List of sentences, one below the other.
+
+    Attributes
+    ----------
+    items
+        The sentences.
+    style
+        CSS class; empty for an ordinary list.
+    kind
+        Name of the block's type in the template.
+    """
 
     items: Sequence[str]
     style: str = ""
@@ -106,9 +211,25 @@ class Lines:
 
 @dataclass(frozen=True)
 class Dumbbell:
-    """Prediction error of one channel before and after an effect was added, drawn as two dots on a track.
+    """Prediction error of one channel before and after an effect was added, drawn as two dots on a horizontal track.
 
-    The positions are in per cent of the track's width.
+    Positions are in per cent of the track's width, 0 to 100. They are proportional to the ratio of the error to the
+    error before.
+
+    Attributes
+    ----------
+    label
+        Name of the channel.
+    before, after
+        Errors as texts; ``after`` has the unit.
+    change
+        Change in per cent as a text.
+    at_before, at_after
+        Positions of both dots.
+    low, high
+        Positions of the ends of the 95 % interval, None if it is unknown.
+    verdict
+        ``better``, ``worse``, or ``same`` if the interval contains an unchanged error.
     """
 
     label: str
@@ -117,14 +238,24 @@ class Dumbbell:
     change: str
     at_before: float
     at_after: float
-    low: float | None  # ends of the 95 % interval
+    low: float | None
     high: float | None
-    verdict: str  # better, worse, same
+    verdict: str
 
 
 @dataclass(frozen=True)
 class Dumbbells:
-    """Prediction errors before and after, of several channels on one relative scale."""
+    """Prediction errors before and after, of several channels on one relative scale.
+
+    Attributes
+    ----------
+    items
+        One entry for each channel.
+    caption
+        Text below the chart.
+    kind
+        Name of the block's type in the template.
+    """
 
     items: Sequence[Dumbbell]
     caption: str
@@ -133,56 +264,126 @@ class Dumbbells:
 
 @dataclass(frozen=True)
 class EffectCard:
-    """Card of an effect that was added to the model."""
+    """Card of an effect that was added to the model. All fields are texts as shown.
+
+    Attributes
+    ----------
+    title, name
+        Title of the effect, and its name in commands.
+    formula
+        Formula of the effect.
+    parameters
+        Name, value with standard error, and meaning of each parameter.
+    facts
+        Label and value of further entries.
+    importance
+        Factor or percentage by which the prediction error is larger without the effect; empty if unknown.
+    importance_words
+        Text after ``importance``; empty if unknown.
+    kind
+        Name of the block's type in the template.
+    """
 
     title: str
     name: str
     formula: str
-    parameters: Sequence[tuple[str, str, str]]  # name, value with standard error, meaning
-    facts: Sequence[tuple[str, str]]  # label, value
-    importance: str  # how much larger the prediction error is without the effect: the number
-    importance_words: str  # the words after the number
+    parameters: Sequence[tuple[str, str, str]]
+    facts: Sequence[tuple[str, str]]
+    importance: str
+    importance_words: str
     kind: str = "effect"
 
 
 @dataclass(frozen=True)
 class Bar:
-    """Bar of one candidate's score test; lengths in per cent of the track's width."""
+    """Bar of one candidate's score test. Lengths are in per cent of the track's width, 0 to 100.
+
+    Attributes
+    ----------
+    label, name
+        Title of the candidate, and its name in commands.
+    numbers
+        Statistic, degrees of freedom and p values as a text.
+    width
+        Length of the bar.
+    threshold
+        Position of the critical value.
+    generic
+        Whether the candidate is a nonparametric curve instead of an effect of the catalogue.
+    passed
+        Whether the candidate passed the score test.
+    chosen
+        Whether the candidate was added to the model.
+    """
 
     label: str
     name: str
     numbers: str
     width: float
     threshold: float
-    generic: bool  # a nonparametric curve, not an effect of the catalogue
+    generic: bool
     passed: bool
     chosen: bool
 
 
 @dataclass(frozen=True)
 class Ranking:
-    """Bar chart of the candidates' score tests on a logarithmic axis."""
+    """Bar chart of the candidates' score tests on a logarithmic axis.
+
+    Attributes
+    ----------
+    bars
+        The bars, the best candidate first.
+    ticks
+        Position [per cent of the axis] and label of each tick.
+    caption
+        Text below the chart.
+    kind
+        Name of the block's type in the template.
+    """
 
     bars: Sequence[Bar]
-    ticks: Sequence[tuple[float, str]]  # position [%], label
+    ticks: Sequence[tuple[float, str]]
     caption: str
     kind: str = "ranking"
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """One finding of a data check."""
+    """Finding of a data check.
 
-    level: str  # fault, warning, ok
-    where: str  # log or signal
-    check: str  # name of the check
-    words: str  # what was found
-    advice: str  # what to do
+    Attributes
+    ----------
+    level
+        ``fault``, ``warning`` or ``ok``.
+    where
+        Log or signal.
+    check
+        Name of the check.
+    words
+        Text of the finding.
+    advice
+        Remedy; may be empty.
+    """
+
+    level: str
+    where: str
+    check: str
+    words: str
+    advice: str
 
 
 @dataclass(frozen=True)
 class Verdicts:
-    """List of findings."""
+    """List of findings of data checks.
+
+    Attributes
+    ----------
+    items
+        The findings.
+    kind
+        Name of the block's type in the template.
+    """
 
     items: Sequence[Verdict]
     kind: str = "verdicts"
@@ -190,23 +391,43 @@ class Verdicts:
 
 @dataclass(frozen=True)
 class Section:
-    """A section of the page; pages leave out a section without blocks."""
+    """Section of the page. Pages leave out a section without blocks.
 
-    id: str  # anchor
+    Attributes
+    ----------
+    id
+        Anchor of the section in the page.
+    title
+        Heading of the section; may be empty.
+    blocks
+        Contents from top to bottom.
+    lead
+        Introductory paragraph; may be empty.
+    """
+
+    id: str
     title: str
     blocks: Sequence[Any]
-    lead: str = ""  # introductory paragraph
+    lead: str = ""
 
 
 @dataclass
 class Canvas:
-    """Collector of a page's figures while its sections are built."""
+    """Collector of a page's figures while its sections are built.
+
+    Attributes
+    ----------
+    budget
+        Largest number of points of a trace.
+    figures
+        Plotly figures by the id of their ``Plot``. `plot` adds to them.
+    """
 
     budget: Budget
     figures: dict[str, Figure] = field(default_factory=dict)
 
     def plot(self, figure: Figure, height: int, label: str, title: str = "") -> Plot:
-        """Store a figure and return its place on the page.
+        """Store a figure under a new id ``figure-N`` and return its place on the page.
 
         Parameters
         ----------
@@ -217,7 +438,7 @@ class Canvas:
         label : str
             Description of the figure for screen readers.
         title : str
-            Heading above the figure.
+            Heading above the figure; may be empty.
         """
         name = f"figure-{len(self.figures) + 1}"
         self.figures[name] = figure
@@ -225,9 +446,14 @@ class Canvas:
 
 
 def tabbed(tabs: Sequence[tuple[str, Sequence[Any]]]) -> list[Any]:
-    """Return a ``Tabs`` block of the tabs that have blocks.
+    """Return a ``Tabs`` block of the tabs that have blocks; no block if no tab has any.
 
     If only one tab has blocks, return its title as a heading followed by its blocks.
+
+    Parameters
+    ----------
+    tabs
+        Title and blocks of each tab.
     """
     full = [(title, list(blocks)) for title, blocks in tabs if blocks]
     if len(full) == 1:

@@ -30,16 +30,16 @@ PanelMaker = Callable[[CheckEvidence, int], Sequence[Panel]]  # from a log and t
 def write_check_page(report: CheckReport, logs: Sequence[CheckEvidence], command: str, path: Path) -> None:
     """Write the findings of a check, the curves of its logs and its dry run as one HTML page.
 
-    The page opens without a network.
+    The page opens without a network. An existing file is replaced.
 
     Parameters
     ----------
     report : CheckReport
         Findings, and the dry run of a rig's mission.
     logs : sequence of CheckEvidence
-        Curves of each log.
+        Curves of each log; may be empty.
     command : str
-        Command line of the check.
+        Command line of the check; without it the page has no section of provenance.
     path : Path
         File to write.
 
@@ -48,11 +48,13 @@ def write_check_page(report: CheckReport, logs: Sequence[CheckEvidence], command
     OSError
         If ``path`` cannot be written.
     """
-    canvas = Canvas(Budget.for_traces(sum(_count(log) for log in logs), MAX_POINTS))
+    canvas = Canvas(Budget.for_traces(sum(_trace_count(log) for log in logs), MAX_POINTS))
     problems = [f for f in report.findings if f.level != "ok"]
-    opening = Section("top", "", [*([_verdicts(problems)] if problems else []), Facts(_facts(report, logs))])
-    body = [_mission(canvas, report.mission), *_evidence(canvas, logs)]
-    body.append(Section("all", "All checks", [_verdicts(report.findings)] if report.findings else []))
+    opening = Section(
+        "top", "", [*([_findings_block(problems)] if problems else []), Facts(_labelled_facts(report, logs))]
+    )
+    body = [_mission_section(canvas, report.mission), *_evidence_sections(canvas, logs)]
+    body.append(Section("all", "All checks", [_findings_block(report.findings)] if report.findings else []))
     body.append(Section("made", "How it was made", [Facts([("command", command)], "made")] if command else []))
     page = compose(
         "Preflight" if report.rig is not None else "Check of a log",
@@ -67,47 +69,57 @@ def write_check_page(report: CheckReport, logs: Sequence[CheckEvidence], command
 
 
 def check_answer(report: CheckReport) -> str:
-    """Return the answer of a check in one sentence: ready or not, and the first fault or the warnings."""
+    """Return the answer of a check in one or two sentences: ready or not, and the first fault or the warnings.
+
+    A rig is called ready, a log in order. With faults, the first is given in full and the others by place and check.
+    Without any finding the answer says that no check applies.
+    """
     found, subject, rig = report.findings, report.subject, report.rig is not None
     faults, warnings = ([f for f in found if f.level == level] for level in ("fault", "warning"))
     if faults:
         first, *more = faults
-        rest = f" Other faults: {_named(more)}." if more else ""
-        return f"{subject} {'is not ready' if rig else 'cannot be trusted yet'}: {_sentence(_phrase(first))}{rest}"
+        rest = f" Other faults: {_findings_in_words(more)}." if more else ""
+        verdict = "is not ready" if rig else "cannot be trusted yet"
+        return f"{subject} {verdict}: {_with_full_stop(_finding_phrase(first))}{rest}"
     if warnings:
-        return f"{subject} can be used{' for a run' if rig else ''}; check the warnings first: {_named(warnings)}."
+        named = _findings_in_words(warnings)
+        return f"{subject} can be used{' for a run' if rig else ''}; check the warnings first: {named}."
     if not found:
         return f"{subject}: no check applies."
     return f"{subject} is {'ready' if rig else 'in order'}: {counted(len(found), 'check')}, no faults or warnings."
 
 
-def _phrase(finding: Finding) -> str:
-    """Return the text of a finding, preceded by its place unless the text contains the place."""
+def _finding_phrase(finding: Finding) -> str:
+    """Return the text of a finding, preceded by its place and a comma unless the text contains the place as a word."""
     where, text = finding.where, finding.text
     # whole words only: the letter of a signal such as `r` is in most texts
     named = re.search(rf"(?<!\w){re.escape(where.rsplit(': ', 1)[-1])}(?!\w)", text)
     return text if named else f"{where}, {text}"
 
 
-def _sentence(phrase: str) -> str:
-    """Return a phrase with a full stop unless it is a question."""
+def _with_full_stop(phrase: str) -> str:
+    """Return a text with a full stop, or unchanged if it ends with a question mark."""
     return phrase if phrase.endswith("?") else f"{phrase}."
 
 
-def _named(found: Sequence[Finding]) -> str:
-    """Return the places and checks of findings in a sentence: ``gnss (rate), left (delay) and 3 more``."""
+def _findings_in_words(found: Sequence[Finding]) -> str:
+    """Return the places and checks of findings: ``gnss (rate), left (delay) and 3 more``.
+
+    Of more than four findings, the first three are named. ``found`` must not be empty.
+    """
     shown = [f"{f.where} ({f.check})" for f in found]
     if len(shown) > MAX_NAMED:
         shown = [*shown[: MAX_NAMED - 1], f"{len(shown) - MAX_NAMED + 1} more"]
     return " and ".join([", ".join(shown[:-1]), shown[-1]] if len(shown) > 1 else shown)
 
 
-def _verdicts(found: Sequence[Finding]) -> Verdicts:
+def _findings_block(found: Sequence[Finding]) -> Verdicts:
+    """Return the block with the list of findings."""
     return Verdicts([Verdict(f.level, f.where, f.check, f.text, f.advice) for f in found])
 
 
-def _facts(report: CheckReport, logs: Sequence[CheckEvidence]) -> list[tuple[str, str]]:
-    """Return the labelled facts of a check: rig, durations of the logs, number of findings of each level."""
+def _labelled_facts(report: CheckReport, logs: Sequence[CheckEvidence]) -> list[tuple[str, str]]:
+    """Return the labelled facts of a check: rig, duration of each log, and number of findings of each level."""
     levels = [f.level for f in report.findings]
     facts = [] if report.rig is None else [("rig", report.rig)]
     for log in logs:
@@ -116,41 +128,45 @@ def _facts(report: CheckReport, logs: Sequence[CheckEvidence]) -> list[tuple[str
     return [*facts, *((word, str(levels.count(level))) for level, word in LEVELS.items())]
 
 
-def _count(log: CheckEvidence) -> int:
-    """Return the approximate number of traces that the curves of a log need."""
+def _trace_count(log: CheckEvidence) -> int:
+    """Return the approximate number of traces that the curves of a log need, for the budget of points."""
     return sum(len(rows) for rows in (log.intervals, log.shafts, log.thrust_response, log.sensors, log.signals)) + 2
 
 
-def _evidence(canvas: Canvas, logs: Sequence[CheckEvidence]) -> list[Section]:
-    """Return one section for each kind of curve, with a tab per log; a single log has no tabs."""
+def _evidence_sections(canvas: Canvas, logs: Sequence[CheckEvidence]) -> list[Section]:
+    """Return one section for each kind of curve, with a tab per log; a single log has no tabs.
+
+    The kinds are thrust response, shafts, pairs of sensors, signals and time between samples. Sections without curves
+    have no blocks.
+    """
     measured = ("measured", "measured")
     return [
-        _section(
+        _curve_section(
             canvas,
             logs,
             "push",
             "Measured motion and motion expected from the thrust",
-            _thrust_response,
+            _thrust_response_panels,
             170,
             [measured, ("line", "expected: thrust through a first-order lag, scaled to the measured motion")],
             "If the curves agree, sides and signs of the thrusters are right. If they are mirror images, left and "
             "right are exchanged or a sign is wrong.",
         ),
-        _section(
+        _curve_section(
             canvas,
             logs,
             "shafts",
             "Commands and shaft speeds",
-            _shafts,
+            _shaft_panels,
             132,
             [("before", "command"), ("line", "measured shaft speed")],
         ),
-        _section(
+        _curve_section(
             canvas,
             logs,
             "sensors",
             "The same motion from two sensors",
-            _sensors,
+            _sensor_panels,
             132,
             [
                 ("measured", "change of heading in 1 s, or of position in 5 s"),
@@ -159,13 +175,13 @@ def _evidence(canvas: Canvas, logs: Sequence[CheckEvidence]) -> list[Section]:
             "The two curves should agree. A constant factor between them indicates a wrong unit, a shift in time a "
             "delayed sensor.",
         ),
-        _section(canvas, logs, "signals", "Signals of the sensors", _signals, 100),
-        _section(
+        _curve_section(canvas, logs, "signals", "Signals of the sensors", _signal_panels, 100),
+        _curve_section(
             canvas,
             logs,
             "intervals",
             "Time between samples",
-            _intervals,
+            _interval_panels,
             90,
             [("line", "time since the sample before"), ("before", "expected from rate_hz of the rig file")],
             "A peak is a gap in the data. If the level is above the dashed line, the device is slower than rate_hz of "
@@ -174,7 +190,7 @@ def _evidence(canvas: Canvas, logs: Sequence[CheckEvidence]) -> list[Section]:
     ]
 
 
-def _section(
+def _curve_section(
     canvas: Canvas,
     logs: Sequence[CheckEvidence],
     key: str,
@@ -184,12 +200,12 @@ def _section(
     legend: Sequence[tuple[str, str]] = (),
     lead: str = "",
 ) -> Section:
-    """Return the section of one kind of curve.
+    """Return the section of one kind of curve; it has no blocks if no log has such a curve.
 
     Parameters
     ----------
     canvas : Canvas
-        Collector of the figures.
+        Collector of the figures, to which the figures are added.
     logs : sequence of CheckEvidence
         Curves of each log.
     key : str
@@ -197,13 +213,13 @@ def _section(
     title : str
         Title of the section.
     make_panels : callable
-        Function that draws the panels of one log.
+        Function that returns the panels of one log, given the largest number of points of a trace.
     height : int
         Height of a panel [px].
     legend : sequence
-        Pairs of style and meaning.
+        Pairs of CSS class and meaning; may be empty.
     lead : str
-        Introduction of the section.
+        Introduction of the section; may be empty.
     """
     found = []
     for log in logs:
@@ -216,8 +232,11 @@ def _section(
     return Section(key, title, [*([Key(legend)] if legend else []), *blocks] if blocks else [], lead)
 
 
-def _thrust_response(log: CheckEvidence, limit: int) -> list[Panel]:
-    """Return a panel for each motion: measured, and expected from the thrust."""
+def _thrust_response_panels(log: CheckEvidence, limit: int) -> list[Panel]:
+    """Return one panel for each motion: measured, and expected from the thrust.
+
+    ``limit`` is the largest number of points of a trace.
+    """
     panels = []
     for row in log.thrust_response:
         factor, unit = formatting.degrees_for(row.unit)
@@ -225,27 +244,30 @@ def _thrust_response(log: CheckEvidence, limit: int) -> list[Panel]:
             dots(row.t, factor * row.measured, "measured", limit),
             line_trace(row.t, factor * row.expected, "expected", limit),
         ]
-        panels.append(Panel(_capital(row.title) + formatting.bracket(unit), traces))
+        panels.append(Panel(_capitalised(row.title) + formatting.bracket(unit), traces))
     return panels
 
 
-def _shafts(log: CheckEvidence, limit: int) -> list[Panel]:
-    """Return a panel for each shaft: command and measured speed."""
+def _shaft_panels(log: CheckEvidence, limit: int) -> list[Panel]:
+    """Return one panel for each shaft: command and measured speed.
+
+    ``limit`` is the largest number of points of a trace.
+    """
     panels = []
     for row in log.shafts:
-        commanded = _held(row.t_command, row.n_command, row.end, limit)
+        commanded = _staircase(row.t_command, row.n_command, row.end, limit)
         traces = [
             line_trace(*commanded, "command", limit, color=BEFORE, dash="dash"),
             line_trace(row.t, row.n, "shaft speed", limit),
         ]
-        panels.append(Panel(f"{_capital(row.name)}, fraction of full speed", traces))
+        panels.append(Panel(f"{_capitalised(row.name)}, fraction of full speed", traces))
     return panels
 
 
-def _held(t: Array, value: Array, end: float, limit: int) -> tuple[Array, Array]:
+def _staircase(t: Array, value: Array, end: float, limit: int) -> tuple[Array, Array]:
     """Return times and values of a staircase: each command is held until the next one, the last until ``end`` [s].
 
-    If the corners are more than ``limit`` points, return the held values at equidistant times instead.
+    If the corners are more than ``limit`` points, return ``limit`` held values at equidistant times instead.
     """
     # line_trace would thin more corners, and join the remaining ones by slopes
     end = max(end, float(t[-1]))
@@ -255,31 +277,40 @@ def _held(t: Array, value: Array, end: float, limit: int) -> tuple[Array, Array]
     return at, value[np.searchsorted(t, at, side="right") - 1]
 
 
-def _sensors(log: CheckEvidence, limit: int) -> list[Panel]:
-    """Return a panel for each motion that two sensors measure."""
+def _sensor_panels(log: CheckEvidence, limit: int) -> list[Panel]:
+    """Return one panel for each motion that two sensors measure, with both curves.
+
+    ``limit`` is the largest number of points of a trace.
+    """
     panels = []
     for row in log.sensors:
         factor, unit = formatting.degrees_for(row.unit)
         first, second = row.names
         traces = [dots(row.t, factor * row.first, first, limit), line_trace(row.t, factor * row.second, second, limit)]
-        panels.append(Panel(_capital(row.title) + formatting.bracket(unit), traces))
+        panels.append(Panel(_capitalised(row.title) + formatting.bracket(unit), traces))
     return panels
 
 
-def _signals(log: CheckEvidence, limit: int) -> list[Panel]:
-    """Return a panel for each signal; angles in degrees are unwrapped."""
+def _signal_panels(log: CheckEvidence, limit: int) -> list[Panel]:
+    """Return one panel for each signal. Angles are shown in degrees without jumps of a full turn.
+
+    ``limit`` is the largest number of points of a trace.
+    """
     panels = []
     for row in log.signals:
         factor, unit = formatting.degrees_for(row.unit)
         name = row.channel
         shown = np.degrees(np.unwrap(row.value)) if row.angle and unit == "deg" else factor * row.value
-        title = formatting.titled(name) if name in formatting.MEANINGS else _capital(name.replace("_", " "))
+        title = formatting.titled(name) if name in formatting.MEANINGS else _capitalised(name.replace("_", " "))
         panels.append(Panel(title + formatting.bracket(unit), [dots(row.t, shown, name, limit)]))
     return panels
 
 
-def _intervals(log: CheckEvidence, limit: int) -> list[Panel]:
-    """Return a panel for each device: time between its samples [ms], and the expected time if the rig has a rate."""
+def _interval_panels(log: CheckEvidence, limit: int) -> list[Panel]:
+    """Return one panel for each device: time between its samples [ms], and the expected time if the rig has a rate.
+
+    ``limit`` is the largest number of points of a trace.
+    """
     panels = []
     for row in log.intervals:
         t, interval = row.t, 1e3 * row.interval
@@ -291,22 +322,25 @@ def _intervals(log: CheckEvidence, limit: int) -> list[Panel]:
     return panels
 
 
-def _mission(canvas: Canvas, mission: DryRun | None) -> Section:
-    """Return the section of the dry run: commands of the mission and predicted track of the boat."""
+def _mission_section(canvas: Canvas, mission: DryRun | None) -> Section:
+    """Return the section of the dry run: commands of the mission and predicted track of the boat.
+
+    Without a mission (None) the section has no blocks, and without a predicted track only the commands.
+    """
     if mission is None:
         return Section("mission", "", [])
     panels = []
     for column, name in enumerate(mission.thrusters):
         commanded = line_trace(
-            *_held(mission.t, mission.n[:, column], mission.end, canvas.budget.points), name, canvas.budget.points
+            *_staircase(mission.t, mission.n[:, column], mission.end, canvas.budget.points), name, canvas.budget.points
         )
-        title = f"{_capital(name)}: command, fraction of full speed"
+        title = f"{_capitalised(name)}: command, fraction of full speed"
         panels.append(Panel(title, [commanded], {"range": [-1.08, 1.08]}))
     figure, high = stacked(panels, "time since the start of the mission [s]")
     blocks: list[Any] = [Grid([canvas.plot(figure, high, "Commands of the mission")], 320)]
     if mission.track is not None:
         track = single(
-            _predicted_track(mission.track, mission.fence),
+            _track_traces(mission.track, mission.fence),
             "east of the start [m]",
             "north of the start [m]",
             hovermode="closest",
@@ -320,10 +354,10 @@ def _mission(canvas: Canvas, mission: DryRun | None) -> Section:
     return Section("mission", f"Dry run of the mission {mission.name}", blocks)
 
 
-def _predicted_track(track: PredictedTrack, fence: float | None) -> list[drawing.Trace]:
+def _track_traces(track: PredictedTrack, fence: float | None) -> list[drawing.Trace]:
     """Return the traces of the predicted track, its outermost 95 % circle, the geofence and the start.
 
-    ``fence`` is the radius of the geofence [m].
+    ``fence`` is the radius of the geofence [m]. The circle and the geofence are left out if they are unknown (None).
     """
     x, y = track.x - track.x[0], track.y - track.y[0]
     traces = [line_trace(y, x, "predicted track", 4000)]
@@ -341,5 +375,6 @@ def _predicted_track(track: PredictedTrack, fence: float | None) -> list[drawing
     return [trace | {"showlegend": True} for trace in traces]
 
 
-def _capital(words: str) -> str:
+def _capitalised(words: str) -> str:
+    """Return a text with a capital first letter; an empty text stays empty."""
     return words[:1].upper() + words[1:]

@@ -21,7 +21,14 @@ N_BINS = 60
 
 
 def write_design_page(result: DesignResult, path: Path) -> None:
-    """Write a design as one HTML page that opens without a network.
+    """Write a design as one HTML page that opens without a network. An existing file is replaced.
+
+    Parameters
+    ----------
+    result
+        Designed mission with its expected standard errors.
+    path
+        File to write.
 
     Raises
     ------
@@ -29,13 +36,13 @@ def write_design_page(result: DesignResult, path: Path) -> None:
         If ``path`` cannot be written.
     """
     canvas = Canvas(Budget.for_traces(12))
-    opening = Section("top", "", [Prose(_lead(result), "lead"), Facts(_facts(result))])
+    opening = Section("top", "", [Prose(_introduction(result), "lead"), Facts(_labelled_facts(result))])
     body = [
-        _errors(result),
-        _inputs(canvas, result),
-        _track(canvas, result.track),
-        _baselines(canvas, result),
-        _made(result),
+        _errors_section(result),
+        _commands_section(canvas, result),
+        _track_section(canvas, result.track),
+        _baselines_section(canvas, result),
+        _provenance_section(result),
     ]
     page = compose(
         "Mission design",
@@ -50,8 +57,8 @@ def write_design_page(result: DesignResult, path: Path) -> None:
     write_output(path, page)
 
 
-def _lead(result: DesignResult) -> str:
-    """Return the introduction of the page: the criterion, and the kind of information."""
+def _introduction(result: DesignResult) -> str:
+    """Return the introductory paragraph of the page: the criterion, its parameters, and the kind of information."""
     form = (
         "with process noise (prediction error)"
         if result.form == "prediction error"
@@ -64,8 +71,12 @@ def _lead(result: DesignResult) -> str:
     )
 
 
-def _facts(result: DesignResult) -> list[tuple[str, str]]:
-    """Return the labelled facts of a design: criterion of the design and of the baselines, sensors, T values."""
+def _labelled_facts(result: DesignResult) -> list[tuple[str, str]]:
+    """Return the labelled facts of a design.
+
+    The facts are the model, the criterion of the design and of the baseline signals, the share of samples won, the
+    rates of the sensors, and the discrimination of two effects if it was asked for.
+    """
     found = [("model", result.model), ("criterion", formatting.plain(result.value, 4))]
     found += [(f"best of 20 {r.name}", formatting.plain(r.value, 4)) for r in result.baselines]
     found.append(("better than the baselines in", formatting.percent(result.share_won, 1) + " of the samples"))
@@ -80,8 +91,8 @@ def _facts(result: DesignResult) -> list[tuple[str, str]]:
     return found
 
 
-def _errors(result: DesignResult) -> Section:
-    """Return the table of standard errors before and after the mission."""
+def _errors_section(result: DesignResult) -> Section:
+    """Return the section with the table of standard errors before and after the mission, one row for each parameter."""
     columns = (
         ("parameter", ""),
         ("value", "num"),
@@ -115,8 +126,8 @@ def _errors(result: DesignResult) -> Section:
     )
 
 
-def _inputs(canvas: Canvas, result: DesignResult) -> Section:
-    """Return the commands of each thruster over time."""
+def _commands_section(canvas: Canvas, result: DesignResult) -> Section:
+    """Return the section with the commands of each thruster over time; no blocks without inputs."""
     panels = [
         Panel(
             f"command {row.name}, -1..1",
@@ -131,8 +142,8 @@ def _inputs(canvas: Canvas, result: DesignResult) -> Section:
     return Section("inputs", "Thruster commands", [Grid([canvas.plot(figure, height, "Commands over time")], 600)])
 
 
-def _track(canvas: Canvas, track: DesignTrack | None) -> Section:
-    """Return the plot of the predicted track, of sampled boats and of the area; no blocks without a track."""
+def _track_section(canvas: Canvas, track: DesignTrack | None) -> Section:
+    """Return the section with the predicted track, sampled boats and the area; no blocks without a track."""
     if track is None:
         return Section("track", "", [])
     traces: list[Trace] = []
@@ -143,7 +154,7 @@ def _track(canvas: Canvas, track: DesignTrack | None) -> Section:
             | {"opacity": 0.35, "showlegend": k == 0, "hoverinfo": "skip"}
         )
     traces.append(line_trace(track.y, track.x, "nominal boat", 400) | {"showlegend": True})
-    traces.append(_dot(track.y[:1], track.x[:1]))
+    traces.append(_start_marker(track.y[:1], track.x[:1]))
     current = track.current
     water = (
         f"; the sampled boats meet currents of up to {formatting.plain(current)} m/s"
@@ -182,8 +193,8 @@ def _track(canvas: Canvas, track: DesignTrack | None) -> Section:
     )
 
 
-def _dot(x: Array, y: Array) -> Trace:
-    """Return the marker of the start."""
+def _start_marker(x: Array, y: Array) -> Trace:
+    """Return the trace of the square marker at the start, at x and y (1,) of the figure [m]."""
     return {
         "type": "scatter",
         "mode": "markers",
@@ -195,8 +206,11 @@ def _dot(x: Array, y: Array) -> Trace:
     }
 
 
-def _baselines(canvas: Canvas, result: DesignResult) -> Section:
-    """Return the histograms of the criterion over parameter samples, for the design and the baseline signals."""
+def _baselines_section(canvas: Canvas, result: DesignResult) -> Section:
+    """Return the section with histograms of the criterion over parameter samples.
+
+    There is one histogram for the design and one for each baseline signal. Without samples the section has no blocks.
+    """
     samples = result.samples
     if not samples:
         return Section("baselines", "", [])
@@ -219,14 +233,20 @@ def _baselines(canvas: Canvas, result: DesignResult) -> Section:
 
 
 def edges_of(samples: Mapping[str, Array]) -> Array:
-    """Return the common bin edges (N_BINS + 1,) of all histograms, from the 0.2 % to the 99.8 % quantile."""
+    """Return the common bin edges (N_BINS + 1,) of all histograms, from the 0.2 % to the 99.8 % quantile.
+
+    ``samples`` has the criterion at each sample by signal. Values that are not finite are left out.
+    """
     values = np.concatenate(list(samples.values()))
     low, high = np.quantile(values[np.isfinite(values)], [0.002, 0.998])
     return np.linspace(low, max(high, low + 1e-6), N_BINS + 1)
 
 
 def _histogram(name: str, values: Array, edges: Array) -> Trace:
-    """Return the outline of a histogram; values beyond the edges count in the first or last bin."""
+    """Return the outline of a histogram as a filled line; values beyond the edges count in the first or last bin.
+
+    ``name`` is that of the signal, and chooses colour and dash.
+    """
     count = np.histogram(np.clip(values, edges[0], edges[-1]), edges)[0].astype(float)
     outline_x, outline_y = np.repeat(edges, 2)[1:-1], np.repeat(count, 2)
     trace = line_trace(
@@ -235,6 +255,7 @@ def _histogram(name: str, values: Array, edges: Array) -> Trace:
     return trace | {"fill": "tozeroy", "opacity": 0.8, "showlegend": True}
 
 
-def _made(result: DesignResult) -> Section:
+def _provenance_section(result: DesignResult) -> Section:
+    """Return the section of provenance: command line and number of simulations."""
     facts = [("command", result.command), ("simulations", str(result.evaluations))]
     return Section("made", "How it was made", [Facts(facts, "made")])

@@ -52,13 +52,27 @@ TEMPLATE: Figure = {
 
 @dataclass
 class Budget:
-    """Largest number of points of a trace, which keeps the file of a page with many traces small."""
+    """Largest number of points of a trace, which keeps the file of a page with many traces small.
+
+    Attributes
+    ----------
+    points
+        Largest number of points.
+    """
 
     points: int = 3000
 
     @classmethod
     def for_traces(cls, n_traces: int, total: int = 220_000) -> Budget:
-        """Return the budget of a page of about ``total`` points; each trace may have 200 to 3000 points."""
+        """Return the budget of a page of about ``total`` points; each trace may have 200 to 3000 points.
+
+        Parameters
+        ----------
+        n_traces
+            Number of traces on the page.
+        total
+            Number of points that all traces together should have.
+        """
         return cls(int(np.clip(total / max(n_traces, 1), 200, 3000)))
 
 
@@ -68,9 +82,10 @@ def drawable(y: Array | None) -> Array | None:
 
 
 def thinned(y: Array, limit: int) -> Index:
-    """Return indices of at most ``limit`` points that include the minimum and maximum of each interval.
+    """Return indices of at most ``limit`` points of a line that include the minimum and maximum of each interval.
 
-    The first and the last point are included.
+    The first and the last point are included. All indices are returned if y (n,) has at most ``limit`` points. NaN is
+    never a minimum or maximum.
     """
     n = y.size
     if n <= limit:
@@ -86,12 +101,15 @@ def thinned(y: Array, limit: int) -> Index:
 
 
 def strided(n: int, limit: int) -> Index:
-    """Return indices of at most ``limit`` equidistant points, with the first and the last."""
+    """Return indices of at most ``limit`` of n points at equal distances, with the first and the last point."""
     return np.arange(n) if n <= limit else np.unique(np.linspace(0, n - 1, limit).round().astype(int))
 
 
 def sampled(y: Array, limit: int, n_extreme: int = 40) -> Index:
-    """Return indices of about ``limit`` points of a scatter plot: equidistant ones and the ``n_extreme`` largest."""
+    """Return indices of the points of a scatter plot to draw: all of y (n,), or about ``limit`` of them.
+
+    These are equidistant points and the ``n_extreme`` largest absolute values. The indices increase.
+    """
     if y.size <= limit:
         return np.arange(y.size)
     largest = np.argsort(-np.nan_to_num(np.abs(y)))[:n_extreme]
@@ -99,9 +117,11 @@ def sampled(y: Array, limit: int, n_extreme: int = 40) -> Index:
 
 
 def packed(values: Any) -> Any:
-    """Return an array in a form that Plotly reads: a list, or base64 of little-endian 32-bit floats if it is long.
+    """Return an array in a form that Plotly reads.
 
-    Values that are not finite or exceed the range of 32-bit floats (diverged models) become gaps.
+    Up to 64 numbers are a list, in which each has six significant digits. More are base64 of little-endian 32-bit
+    floats. Values that are not finite or exceed the range of 32-bit floats (diverged models) become gaps: None in a
+    list, NaN otherwise.
     """
     a = np.asarray(values, dtype=float)
     a = np.where(np.abs(a) < LARGEST, a, np.nan)
@@ -118,30 +138,62 @@ def escaped(words: str) -> str:
 def line_trace(
     x: Array, y: Array, name: str, limit: int, *, color: str = MODEL, dash: str = "solid", turn: float | None = None
 ) -> Trace:
-    """Return a line of at most ``limit`` points with gaps at NaN.
+    """Return a line through x and y (n,) of at most ``limit`` points, with gaps at NaN.
 
-    ``turn`` is a full turn in the unit of a wrapped angle; the line then has gaps where the angle jumps.
+    The line also has gaps where a wrapped angle jumps.
+
+    Parameters
+    ----------
+    x, y
+        Coordinates (n,) of the points.
+    name
+        Text in the legend and on hover.
+    limit
+        Largest number of points.
+    color
+        Colour, for example ``#0072B2``.
+    dash
+        Dash of the line in the words of Plotly.
+    turn
+        A full turn in the unit of a wrapped angle, None for other signals.
     """
     at = thinned(y, limit)
     style = {"color": color, "width": 1.6, "dash": dash}
-    return _scatter(*_broken(x[at], y[at], turn), name, mode="lines", line=style, connectgaps=False)
+    return _scatter(*_with_gaps_at_jumps(x[at], y[at], turn), name, mode="lines", line=style, connectgaps=False)
 
 
-def _jumps(y: Array, turn: float | None) -> Index:
-    """Return the indices of the points just after a jump of a wrapped angle; empty without ``turn``."""
+def _indices_after_jumps(y: Array, turn: float | None) -> Index:
+    """Return the indices of the points just after a jump of a wrapped angle by more than half a turn.
+
+    ``turn`` is a full turn in the unit of y (n,). Empty without ``turn``.
+    """
     return np.flatnonzero(np.abs(np.diff(y)) > turn / 2) + 1 if turn else np.zeros(0, dtype=np.intp)
 
 
-def _broken(x: Array, y: Array, turn: float | None) -> tuple[Array, Array]:
-    """Return x and y with a NaN inserted at each jump of a wrapped angle."""
-    at = _jumps(y, turn)
+def _with_gaps_at_jumps(x: Array, y: Array, turn: float | None) -> tuple[Array, Array]:
+    """Return x and y (n,) with a NaN inserted in y at each jump of a wrapped angle; unchanged if ``turn`` is None."""
+    at = _indices_after_jumps(y, turn)
     return np.insert(x, at, x[at]), np.insert(y, at, np.nan)
 
 
 def dots(x: Array, y: Array, name: str, limit: int, *, color: str = MEASURED, turn: float | None = None) -> Trace:
     """Return measured values as dots, or as a thin line with gaps if there are more than 700.
 
-    ``turn`` is a full turn in the unit of a wrapped angle.
+    Values of y (n,) that are not finite are left out. The line has a gap where samples are more than eight median
+    intervals apart.
+
+    Parameters
+    ----------
+    x, y
+        Coordinates (n,) of the values.
+    name
+        Text in the legend and on hover.
+    limit
+        Largest number of points of the thin line; up to 700 dots are not thinned.
+    color
+        Colour, for example ``#5b6470``.
+    turn
+        A full turn in the unit of a wrapped angle, None for other signals.
     """
     x, y = x[np.isfinite(y)], y[np.isfinite(y)]
     if x.size <= 700:
@@ -150,7 +202,7 @@ def dots(x: Array, y: Array, name: str, limit: int, *, color: str = MEASURED, tu
     x, y = np.insert(x, gap + 1, x[gap]), np.insert(y, gap + 1, np.nan)
     at = thinned(y, limit)
     at = np.union1d(at, gap + 1 + np.arange(gap.size)) if gap.size < limit // 4 else at
-    return _scatter(*_broken(x[at], y[at], turn), name, mode="lines", line={"color": color, "width": 0.9})
+    return _scatter(*_with_gaps_at_jumps(x[at], y[at], turn), name, mode="lines", line={"color": color, "width": 0.9})
 
 
 def band(
@@ -165,20 +217,52 @@ def band(
 ) -> Trace:
     """Return the filled band from ``middle - half`` to ``middle + half``, all arrays (n,).
 
-    ``turn`` is a full turn in the unit of a wrapped angle; the band is then split where the angle jumps.
+    Points that are not finite are left out, and about half of ``limit`` points are kept. The band is split where a
+    wrapped angle jumps.
+
+    Parameters
+    ----------
+    x
+        Horizontal coordinates.
+    middle
+        Curve in the middle of the band.
+    half
+        Half height of the band.
+    limit
+        Largest number of points of a trace on the page.
+    color
+        Colour, for example ``#0072B2``.
+    opacity
+        Opacity of the filling, 0 to 1.
+    turn
+        A full turn in the unit of a wrapped angle, None for other signals.
     """
     good = np.flatnonzero(np.isfinite(x) & np.isfinite(middle) & np.isfinite(half))
     at = good[strided(good.size, max(limit // 2, 100))]
-    ends = _jumps(middle[at], turn)
+    ends = _indices_after_jumps(middle[at], turn)
     return between(x[at], middle[at] - half[at], middle[at] + half[at], color=color, opacity=opacity, ends=ends)
 
 
 def between(
     x: Array, low: Array, high: Array, *, color: str = MODEL, opacity: float = 0.18, ends: Index | None = None
 ) -> Trace:
-    """Return the filled area between two curves (n,), without hover text.
+    """Return the filled area between the curves ``low`` and ``high`` (n,), without hover text.
 
-    The area is split before the points ``ends``.
+    The area is split before the points with the indices ``ends``. ``color`` is a hexadecimal colour such as
+    ``#0072B2``.
+
+    Parameters
+    ----------
+    x
+        Horizontal coordinates (n,).
+    low, high
+        Lower and upper curve.
+    color
+        Colour in hexadecimal digits, for example ``#0072B2``.
+    opacity
+        Opacity of the filling, 0 to 1.
+    ends
+        Indices of the first point of each further piece, None for one piece.
     """
     pieces = [np.split(a, [] if ends is None else ends) for a in (x, low, high)]
     around = [(np.append(t, t[::-1]), np.append(b, a[::-1])) for t, a, b in zip(*pieces, strict=True)]
@@ -190,23 +274,45 @@ def between(
 
 
 def _scatter(x: Array, y: Array, name: str, **style: Any) -> Trace:
-    """Return a scatter trace with packed coordinates and an escaped name."""
+    """Return a Plotly scatter trace through x and y (n,), with packed coordinates and an escaped name.
+
+    ``style`` has further entries of the trace, for example its mode and colour.
+    """
     return {"type": "scatter", "x": packed(x), "y": packed(y), "name": escaped(name), **style}
 
 
 @dataclass
 class Panel:
-    """One row of a stacked figure."""
+    """Panel of a stacked figure: one pair of axes, above or below other panels.
+
+    Attributes
+    ----------
+    title
+        Text above the left upper corner.
+    traces
+        Plotly traces.
+    y
+        Layout of the vertical axis.
+    """
 
     title: str
     traces: list[Trace] = field(default_factory=list)
-    y: dict[str, Any] = field(default_factory=dict)  # layout of the vertical axis
+    y: dict[str, Any] = field(default_factory=dict)
 
 
 def stacked(panels: Sequence[Panel], x_title: str, *, panel_height: int = 132) -> tuple[Figure, int]:
     """Return a figure of panels above each other with a common horizontal axis, and its height [px].
 
-    The common axis makes all panels zoom together. ``panel_height`` is in px.
+    The common axis makes all panels zoom together.
+
+    Parameters
+    ----------
+    panels
+        The panels from top to bottom; at least one.
+    x_title
+        Title of the common axis.
+    panel_height
+        Height of a panel without its title [px].
     """
     n, top, bottom, gap = len(panels), 22, 40, 26
     inner = n * panel_height + (n - 1) * gap
@@ -246,7 +352,19 @@ def heading(title: str, y: float) -> dict[str, Any]:
 def single(traces: list[Trace], x_title: str, y_title: str = "", **layout: Any) -> Figure:
     """Return a figure with one pair of axes.
 
-    Keyword arguments update the layout; ``xaxis`` and ``yaxis`` are merged with the titles.
+    Keyword arguments update the layout; ``xaxis`` and ``yaxis`` are merged with the titles. Without ``y_title`` the
+    left margin is smaller.
+
+    Parameters
+    ----------
+    traces
+        Plotly traces.
+    x_title
+        Title of the horizontal axis.
+    y_title
+        Title of the vertical axis; may be empty.
+    **layout
+        Entries of the Plotly layout.
     """
     x = {"title": {"text": escaped(x_title)}, **layout.pop("xaxis", {})}
     y = {"title": {"text": escaped(y_title)}, **layout.pop("yaxis", {})} if y_title else layout.pop("yaxis", {})

@@ -58,7 +58,8 @@ SYMBOLS = {"psi": "ψ", "phi": "φ", "theta": "θ"}
 def degrees_for(unit: str) -> tuple[float, str]:
     """Return the factor from the unit of a result file to the shown unit, and the shown unit.
 
-    Radians become degrees, also in compound units (rad/s, rad2/Hz); other units are only tidied.
+    Radians become degrees, also in compound units (rad/s, rad2/Hz). The factor of other units is 1, and they are only
+    typeset.
     """
     found = _RADIANS.match(unit)
     if found is None:
@@ -85,7 +86,10 @@ def bracket(unit: str) -> str:
 
 
 def named(name: str) -> str:
-    """Return meaning and symbol of a channel, ``heading ψ``; an unlisted name is returned unchanged."""
+    """Return meaning and symbol of a channel, ``heading ψ``; an unlisted name is returned unchanged.
+
+    The symbol is left out if it repeats the meaning.
+    """
     meaning = MEANINGS.get(name)
     if not meaning or name in meaning.split() or name.replace("_", " ") == meaning:
         return meaning or name
@@ -93,12 +97,12 @@ def named(name: str) -> str:
 
 
 def symbol(name: str) -> str:
-    """Return the symbol of a channel: ``ψ``, ``n_left``."""
+    """Return the symbol of a channel: ``ψ`` for psi. Names without a special symbol are returned unchanged."""
     return SYMBOLS.get(name, name)
 
 
 def titled(name: str) -> str:
-    """Return ``named`` with a capital, ``Heading ψ``; an unlisted name is returned unchanged."""
+    """Return meaning and symbol of a channel with a capital, ``Heading ψ``; an unlisted name is returned unchanged."""
     words = named(name)
     return words[0].upper() + words[1:] if name in MEANINGS else name
 
@@ -119,7 +123,10 @@ def count(value: float | None) -> str:
 
 
 def plain(value: float | None, digits: int = 3) -> str:
-    """Return a number with ``digits`` significant digits; a dash if it is None or not finite."""
+    """Return a number with ``digits`` significant digits and a true minus sign; a dash if it is None or not finite.
+
+    Numbers below 1e-4 or from 1e6 on are written with a power of ten.
+    """
     if value is None or not math.isfinite(value):
         return "–"
     if value == 0.0:
@@ -133,7 +140,17 @@ def plain(value: float | None, digits: int = 3) -> str:
 def with_error(value: float | None, se: float | None, unit: str = "") -> str:
     """Return a value with its standard error, ``40.05 ± 0.12 N``.
 
-    The precision is that of two significant digits of the standard error; without standard error, four digits.
+    The precision is that of two significant digits of the standard error; without standard error, four digits and no ±.
+    A common power of ten follows a bracket. A dash for a value of None.
+
+    Parameters
+    ----------
+    value
+        Estimate, None if it is unknown.
+    se
+        Standard error in the same unit, None if it is unknown.
+    unit
+        Unit, which follows the numbers; may be empty.
     """
     value_text, se_text = pair(value, se)
     joined = f"{value_text} ± {se_text}" if se_text else value_text
@@ -143,14 +160,33 @@ def with_error(value: float | None, se: float | None, unit: str = "") -> str:
 
 
 def noise_level(value: float, se: float | None, limit: float | None, factor: float, unit: str = "") -> str:
-    """Return a noise times a factor with its standard error, or its upper limit (``< 0.0021 deg``) if it is zero."""
+    """Return a noise times a factor with its standard error, or its upper limit (``< 0.0021 deg``).
+
+    The limit is used if there is a limit and no standard error, which means that the noise is zero.
+
+    Parameters
+    ----------
+    value
+        Standard deviation or intensity of the noise.
+    se
+        Standard error of the noise, None if no noise was found.
+    limit
+        95 % upper limit if no noise was found, otherwise None.
+    factor
+        Factor to the shown unit.
+    unit
+        Shown unit, which follows the numbers; may be empty.
+    """
     if se is None and limit is not None:
         return f"< {plain(factor * limit, 2)} {unit}".strip()
     return with_error(factor * value, None if se is None else factor * se, unit)
 
 
 def pair(value: float | None, se: float | None) -> tuple[str, str]:
-    """Return value and standard error as texts of the same precision; the second is empty without standard error."""
+    """Return value and standard error as texts of the same precision: two significant digits of the standard error.
+
+    If one is None or the standard error is not positive, the value has four digits and the second text is empty.
+    """
     if value is None or se is None or not se > 0:
         return short(plain(value, 4)), ""
     size = math.floor(math.log10(float(f"{se:.1e}")))
@@ -163,17 +199,23 @@ def pair(value: float | None, se: float | None) -> tuple[str, str]:
 
 
 def short(number: str) -> str:
-    """Return a decimal number without trailing zeros: ``0.4000`` -> ``0.4``."""
+    """Return a decimal number without trailing zeros: ``0.4000`` -> ``0.4``. Other texts are returned unchanged."""
     return number.rstrip("0").rstrip(".") if re.fullmatch(r"−?\d+\.\d+", number) else number
 
 
 def _scientific(value: float, size: int, decimals: int) -> str:
-    """Return ``value`` as mantissa times ten to the power ``size``: ``1.2 ×10⁻⁶``."""
+    """Return ``value`` as mantissa times ten to the power ``size``: ``1.2 ×10⁻⁶``.
+
+    ``decimals`` are those of the mantissa; a negative number counts as 0.
+    """
     return f"{value / 10.0**size:.{max(decimals, 0)}f} ×10{str(size).translate(SUPER)}".replace("-", "−")
 
 
 def probability(p: float | None) -> str:
-    """Return a p value with two digits, or as an upper power of ten if it is below 0.001; a dash for None."""
+    """Return a p value with two or three decimals, or as an upper power of ten if it is small.
+
+    Small is below 0.001 (``< 10⁻³``). A dash for None.
+    """
     if p is None:
         return "–"
     if p < 1e-300:  # near the smallest floating-point number, the value is no longer accurate
@@ -184,7 +226,7 @@ def probability(p: float | None) -> str:
 
 
 def percent(share: float | None, digits: int = 0) -> str:
-    """Return a share in per cent: 0.34 -> ``34 %``; a dash for None."""
+    """Return a share (1: all) in per cent with ``digits`` decimals: 0.34 -> ``34 %``; a dash for None."""
     if share is None:
         return "–"
     rounded = round(100 * share, digits) + 0.0  # turns -0.0 into 0.0
@@ -192,7 +234,10 @@ def percent(share: float | None, digits: int = 0) -> str:
 
 
 def duration(seconds: float | None) -> str:
-    """Return a duration [s] in hours, minutes and seconds: ``9 min 58 s``; a dash for None."""
+    """Return a duration [s] in hours, minutes and seconds: ``9 min 58 s``; a dash for None.
+
+    Zero entries are left out. Below half a second the duration has one decimal.
+    """
     if seconds is None:
         return "–"
     minutes, rest = divmod(round(seconds), 60)

@@ -32,7 +32,7 @@ KINDS = {
 
 
 def write_report(result: Result, path: Path) -> None:
-    """Write a result as one HTML page that opens without a network.
+    """Write a result as one HTML page that opens without a network. An existing file is replaced.
 
     Sections without data are left out.
 
@@ -40,12 +40,20 @@ def write_report(result: Result, path: Path) -> None:
     ------
     OSError
         If ``path`` cannot be written.
+    TypeError
+        If there is no page for this type of result (designs and studies have their own pages).
     """
     write_output(path, render(result))
 
 
 def render(result: Result) -> str:
-    """Return the HTML text of the page of a result."""
+    """Return the HTML text of the page of a result.
+
+    Raises
+    ------
+    TypeError
+        If there is no page for this type of result (designs and studies have their own pages).
+    """
     canvas = Canvas(Budget.for_traces(_count_traces(result)))
     opening, body = sections.opening(result), sections.body(canvas, result)
     return compose(
@@ -71,7 +79,7 @@ def compose(
     created: str = "",
     warnings: Sequence[str] = (),
 ) -> str:
-    """Return the HTML text of a page.
+    """Return the HTML text of a page, with styles, scripts and figures embedded.
 
     Parameters
     ----------
@@ -84,13 +92,13 @@ def compose(
     body : sequence of Section
         Sections of the page; each has an entry in the contents.
     figures : mapping
-        Plotly figures by the id of their ``Plot``.
+        Plotly figures by the id of their ``Plot``. Without figures the page lacks the script of Plotly.
     version, created : str
         Version of seatrial and ISO time, for the footer.
     warnings : sequence of str
         Sentences shown above the headline.
     """
-    scripts = [_asset(PLOTLY), _asset("report.js")] if figures else [_asset("report.js")]
+    scripts = [_template_file(PLOTLY), _template_file("report.js")] if figures else [_template_file("report.js")]
     return (
         _environment()
         .get_template("report.html.j2")
@@ -102,17 +110,17 @@ def compose(
             version=version,
             opening=opening,
             sections=body,
-            style=Markup(_asset("style.css")),
+            style=Markup(_template_file("style.css")),
             scripts=[Markup(script) for script in scripts],
-            policy=_policy(scripts),
-            figures=Markup(_embedded({"template": TEMPLATE, "figures": figures})),
+            policy=_content_security_policy(scripts),
+            figures=Markup(_script_safe_json({"template": TEMPLATE, "figures": figures})),
         )
     )
 
 
 @cache
 def _environment() -> Environment:
-    """Return the Jinja environment of the templates; undefined variables raise, and text is escaped."""
+    """Return the Jinja environment of the templates, created once; undefined variables raise, and text is escaped."""
     return Environment(
         loader=PackageLoader("seatrial.ident.report"),
         autoescape=True,
@@ -123,26 +131,26 @@ def _environment() -> Environment:
 
 
 def _count_traces(result: Result) -> int:
-    """Return the approximate number of long traces of a page: rows of each kind times the curves of a row."""
+    """Return the approximate number of long traces of a page: table rows of each kind times the curves of a row."""
     weights = {"traces": 8, "track": 3, "inputs": 1, "residuals": 2, "residual_forces": 4, "noise": 2, "navigation": 40}
     return sum(weight * len(getattr(result, key, ())) for key, weight in weights.items())
 
 
-def _embedded(value: Any) -> str:
-    """Return JSON whose characters cannot end the surrounding script element."""
+def _script_safe_json(value: Any) -> str:
+    """Return a value as JSON whose characters cannot end the surrounding script element. NaN raises ValueError."""
     written = json.dumps(value, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
     for character in "<>&\u2028\u2029":
         written = written.replace(character, f"\\u{ord(character):04x}")
     return written
 
 
-def _policy(scripts: list[str]) -> str:
+def _content_security_policy(scripts: list[str]) -> str:
     """Return a content security policy: only these scripts run, and the page loads nothing from the network."""
     hashes = [base64.b64encode(hashlib.sha256(script.encode()).digest()).decode() for script in scripts]
     allowed = " ".join(f"'sha256-{digest}'" for digest in hashes)
     return f"default-src 'none'; style-src 'unsafe-inline'; img-src data: blob:; script-src {allowed}"
 
 
-def _asset(name: str) -> str:
-    """Return the text of a file of the templates folder."""
+def _template_file(name: str) -> str:
+    """Return the text of a file of the templates folder, without white space at its ends."""
     return (Path(__file__).parent / "templates" / name).read_text(encoding="utf-8").strip()

@@ -12,7 +12,7 @@ ROLES = ("validation", "estimation")  # order of the tabs: records that were not
 
 
 class OfRecord(Protocol):
-    """Any row of a result that belongs to one record."""
+    """Any table row of a result that belongs to one record."""
 
     @property
     def record(self) -> str: ...
@@ -23,26 +23,49 @@ R = TypeVar("R", bound=OfRecord)
 
 @dataclass(frozen=True)
 class RecordTab:
-    """Tab of one record: the record's name and its role (estimation or validation)."""
+    """Tab of one record.
+
+    Attributes
+    ----------
+    name
+        Name of the record.
+    role
+        ``estimation`` or ``validation``; empty if it is unknown.
+    """
 
     name: str
     role: str
 
     @property
     def title(self) -> str:
-        """Label of the tab: role and name."""
+        """Label of the tab: role and name, or ``record`` if both are empty."""
         return " · ".join(dict.fromkeys(part for part in (self.role, self.name) if part)) or "record"
 
 
 def roles_of(logs: Sequence[LogSummary], traces: Sequence[Trace] = ()) -> dict[str, str]:
-    """Return the role of each record by its name; traces take precedence over logs."""
+    """Return the role of each record by its name; the role in a trace takes precedence over that of a log.
+
+    Parameters
+    ----------
+    logs
+        Logs of the result, each with the name of its record.
+    traces
+        Channels of the records.
+    """
     return {log.name: log.role for log in logs} | {row.record: row.role for row in traces}
 
 
 def origin_words(logs: Sequence[LogSummary], record: str) -> str:
     """Return the origin of a record's x and y as the end of an axis title; empty if the log has no origin.
 
-    The texts are `` of its first fix`` and `` of the first fix of NAME``.
+    The texts are `` of its first fix`` and `` of the first fix of NAME``, with a leading space.
+
+    Parameters
+    ----------
+    logs
+        Logs of the result.
+    record
+        Name of the record.
     """
     found = next((log.origin for log in logs if log.name == record), None)
     if found is None:
@@ -51,7 +74,10 @@ def origin_words(logs: Sequence[LogSummary], record: str) -> str:
 
 
 def origin_lines(logs: Sequence[LogSummary]) -> list[str]:
-    """Return one sentence per origin: the latitude and longitude that x and y of the logs count from."""
+    """Return one sentence per origin: the latitude and longitude that x and y of the logs count from.
+
+    The logs are named only if not all of them have the same origin. Empty if no log has an origin.
+    """
     origins: dict[tuple[float, float, str], list[str]] = {}
     for log in logs:
         if log.origin is not None:
@@ -67,7 +93,17 @@ def origin_lines(logs: Sequence[LogSummary]) -> list[str]:
 
 
 def record_tabs(rows: Iterable[OfRecord], roles: Mapping[str, str]) -> list[RecordTab]:
-    """Return a tab for each record that has rows: validation records first, otherwise in the order of the rows."""
+    """Return a tab for each record that has table rows.
+
+    Validation records come first, then estimation records, then records of unknown role, each in the order of the rows.
+
+    Parameters
+    ----------
+    rows
+        Table rows that belong to records.
+    roles
+        Role of each record by its name; may lack records.
+    """
     names = list(dict.fromkeys(row.record for row in rows))
     order = {role: i for i, role in enumerate(ROLES)}
     tabs = [RecordTab(name, roles.get(name, "")) for name in names]

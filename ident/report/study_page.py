@@ -47,7 +47,7 @@ PICTURES = "pictures"  # folder beside the Markdown page
 
 
 def write_study_page(result: StudyResult, aims: Aims, path: Path) -> None:
-    """Write a study's result as one HTML page that opens without a network.
+    """Write a study's result as one HTML page that opens without a network. An existing file is replaced.
 
     Parameters
     ----------
@@ -65,8 +65,8 @@ def write_study_page(result: StudyResult, aims: Aims, path: Path) -> None:
         If ``path`` cannot be written.
     """
     canvas = Canvas(Budget())
-    body = [_study(canvas, study, aims) for study in result.studies]
-    opening = Section("top", "", [Prose(_lead(aims), "lead")])
+    body = [_study_section(canvas, study, aims) for study in result.studies]
+    opening = Section("top", "", [Prose(_introduction(aims), "lead")])
     made = Section(
         "made",
         "How it was made",
@@ -84,8 +84,8 @@ def write_study_page(result: StudyResult, aims: Aims, path: Path) -> None:
     write_output(path, page)
 
 
-def _lead(aims: Aims) -> str:
-    """Return the introduction of the page: the aims in words."""
+def _introduction(aims: Aims) -> str:
+    """Return the introductory paragraph of the page: the aims in words."""
     bias, (low, high), coverage = aims["bias"][1], aims["ratio"], aims["coverage"]
     return (
         f"Aims: a bias below {bias:g} standard deviations, a variance of {low:g} to {high:g} times the least possible "
@@ -95,8 +95,11 @@ def _lead(aims: Aims) -> str:
     )
 
 
-def _study(canvas: Canvas, study: ModelStudy, aims: Aims) -> Section:
-    """Return the section of one model: facts, three plots and the table of its parameters."""
+def _study_section(canvas: Canvas, study: ModelStudy, aims: Aims) -> Section:
+    """Return the section of one model: facts, three plots and the table of its parameters.
+
+    Without parameters the section says that no replicate can be evaluated.
+    """
     found, name = study.parameters, study.model
     if not found:
         return Section(f"study-{name}", name, [Prose("No replicate can be evaluated.")])
@@ -105,7 +108,7 @@ def _study(canvas: Canvas, study: ModelStudy, aims: Aims) -> Section:
         ("ratio", "variance / least possible variance", 1.0),
         ("coverage", "coverage of 95 % intervals [%]", 100.0),
     )
-    plots = [_forest(canvas, found, key, title, factor, aims[key]) for key, title, factor in kinds]
+    plots = [_statistic_plot(canvas, found, key, title, factor, aims[key]) for key, title, factor in kinds]
     key = Key(
         [
             ("after", "within the aim; with 95 % interval of the study, the band is the aim"),
@@ -116,18 +119,18 @@ def _study(canvas: Canvas, study: ModelStudy, aims: Aims) -> Section:
         f"study-{name}",
         f"{name}: {study.about}",
         [
-            Facts(_facts(study)),
+            Facts(_labelled_facts(study)),
             Heading("Comparison with the aims"),
             key,
             Grid(plots, 290),
             Heading("Table"),
-            Table(COLUMNS, [_row(row) for row in found]),
+            Table(COLUMNS, [_table_cells(row) for row in found]),
         ],
     )
 
 
-def _facts(study: ModelStudy) -> list[tuple[str, str]]:
-    """Return the labelled facts of a study: estimator, replicates, failures, CPU time."""
+def _labelled_facts(study: ModelStudy) -> list[tuple[str, str]]:
+    """Return the labelled facts of a study: estimator, replicates, failures, and CPU times if they are known."""
     facts = [
         ("estimator", study.estimator),
         ("replicates", str(study.replicates)),
@@ -139,12 +142,25 @@ def _facts(study: ModelStudy) -> list[tuple[str, str]]:
     return [*facts, *([("CPU time", ", ".join(times))] if times else [])]
 
 
-def _forest(
+def _statistic_plot(
     canvas: Canvas, found: Sequence[ParameterStudy], key: Number, title: str, factor: float, aim: tuple[float, float]
 ) -> Plot:
-    """Return the plot of one statistic of every parameter with its 95 % interval; a band marks the aim.
+    """Return the plot of one statistic of every parameter with its 95 % interval; a shaded band marks the aim.
 
-    ``factor`` converts the statistic to the unit of the axis.
+    Parameters
+    ----------
+    canvas
+        Collector of the figures, to which the figure is added.
+    found
+        Parameters from top to bottom; at least one.
+    key
+        Name of the statistic.
+    title
+        Title of the axis.
+    factor
+        Factor from the statistic to the unit of the axis.
+    aim
+        Lower and upper limit of the aim, in the unit of the statistic.
     """
     value, low, high = factor * np.array([interval(row, key) for row in found]).T
     place = np.arange(len(found))[::-1]
@@ -198,7 +214,18 @@ def _forest(
 
 
 def interval(row: ParameterStudy, key: Number) -> tuple[float, float, float]:
-    """Return bias, variance ratio or coverage of a parameter, and the ends of its 95 % interval."""
+    """Return a statistic of a parameter, and the lower and upper end of its 95 % interval.
+
+    The statistic is the bias [standard deviations], the ratio of the variance to the Cramér-Rao bound, or the coverage
+    (0 to 1).
+
+    Parameters
+    ----------
+    row
+        Statistics of a parameter.
+    key
+        ``bias``, ``ratio`` or ``coverage``.
+    """
     if key == "bias":
         half = drawing.Z95 * row.bias_error
         return row.bias, row.bias - half, row.bias + half
@@ -208,7 +235,17 @@ def interval(row: ParameterStudy, key: Number) -> tuple[float, float, float]:
 
 
 def verdict_of(row: ParameterStudy, key: Number) -> str:
-    """Return ``fine`` (within the aim), ``chance`` (beyond the aim, perhaps by chance) or ``miss`` (beyond)."""
+    """Return the verdict on a statistic of a parameter, from the missed aims that the study lists.
+
+    ``fine``: within the aim. ``chance``: beyond the aim, perhaps by chance. ``miss``: beyond the aim.
+
+    Parameters
+    ----------
+    row
+        Statistics of a parameter.
+    key
+        ``bias``, ``ratio`` or ``coverage``.
+    """
     word = {"bias": "bias", "ratio": "variance", "coverage": "coverage"}[key]
     misses = [miss for miss in row.misses if miss.startswith(word)]
     if not misses:
@@ -216,13 +253,17 @@ def verdict_of(row: ParameterStudy, key: Number) -> str:
     return "chance" if all("chance" in miss for miss in misses) else "miss"
 
 
-def _row(row: ParameterStudy) -> list[Cell | str]:
-    """Return the cells of one parameter in the order of ``COLUMNS``."""
+def _table_cells(row: ParameterStudy) -> list[Cell | str]:
+    """Return the table cells of one parameter.
+
+    They are name, true value, bias, variance over reported variance, variance over bound, coverage, number of estimates
+    at a bound, and missed aims.
+    """
     shown = [
         formatting.with_error(row.bias, row.bias_error),
         formatting.plain(row.ratio),
-        _between(row, "ratio", 1.0, 2),
-        f"{_between(row, 'coverage', 100.0, 1)} %",
+        _value_and_interval(row, "ratio", 1.0, 2),
+        f"{_value_and_interval(row, 'coverage', 100.0, 1)} %",
         str(row.at_bound),
     ]
     value = f"{formatting.short(formatting.plain(row.truth, 4))} {formatting.typeset_unit(row.unit)}".strip()
@@ -235,8 +276,8 @@ def _row(row: ParameterStudy) -> list[Cell | str]:
     ]
 
 
-def _between(row: ParameterStudy, key: Number, factor: float, digits: int) -> str:
-    """Return ``value (low to high)``: a statistic times ``factor`` with its 95 % interval."""
+def _value_and_interval(row: ParameterStudy, key: Number, factor: float, digits: int) -> str:
+    """Return ``value (low to high)``: a statistic times ``factor`` with its 95 % interval, with ``digits`` decimals."""
     middle, low, high = (factor * value for value in interval(row, key))
     return f"{middle:.{digits}f} ({low:.{digits}f} to {high:.{digits}f})"
 
@@ -247,9 +288,10 @@ def picture(study: ModelStudy, aims: Aims) -> str:
     Parameters
     ----------
     study : ModelStudy
-        Study of one model.
+        Study of one model, with at least one parameter.
     aims : mapping
-        Lower and upper limit of the aim for ``bias``, ``ratio`` and ``coverage``.
+        Lower and upper limit of the aim for ``bias`` [standard deviations], ``ratio`` (of variances) and
+        ``coverage`` (0..1).
     """
     found = study.parameters
     bottom = TOP_PX + PICTURE_ROW_PX * len(found)
@@ -262,26 +304,39 @@ def picture(study: ModelStudy, aims: Aims) -> str:
     ]
     for k, row in enumerate(found):
         name = escape(row.name)
-        parts.append(f'<text x="{NAMES_PX - 8}" y="{_middle(k) + 4}" text-anchor="end">{name}</text>')
+        parts.append(f'<text x="{NAMES_PX - 8}" y="{_row_middle(k) + 4}" text-anchor="end">{name}</text>')
     for k, (key, title, factor) in enumerate(PANELS):
         left = NAMES_PX + k * (PANEL_PX + GAP_PX)
-        parts += _panel(found, key, factor, aims[key], left, bottom)
+        parts += _svg_panel(found, key, factor, aims[key], left, bottom)
         parts.append(f'<text x="{left + PANEL_PX / 2:g}" y="18" text-anchor="middle">{title}</text>')
     for k, (verdict, words) in enumerate(KEY):
         x, y = NAMES_PX + (0, 120, 370)[k], height - 10
-        parts.append(f'{_mark(x, y - 4, verdict)}<text x="{x + 12}" y="{y}">{words}</text>')
+        parts.append(f'{_svg_symbol(x, y - 4, verdict)}<text x="{x + 12}" y="{y}">{words}</text>')
     return "\n".join([*parts, "</svg>"]) + "\n"
 
 
-def _panel(
+def _svg_panel(
     found: Sequence[ParameterStudy], key: Number, factor: float, aim: tuple[float, float], left: int, bottom: int
 ) -> list[str]:
     """Return the SVG elements of one statistic of every parameter, with intervals, aim and chance limits.
 
-    ``factor`` converts the statistic to the unit of the axis; ``left`` and ``bottom`` are in px.
+    A parameter whose statistic or interval is not finite has no mark.
+
+    Parameters
+    ----------
+    found
+        Parameters from top to bottom.
+    key
+        Name of the statistic.
+    factor
+        Factor from the statistic to the unit of the axis.
+    aim
+        Lower and upper limit of the aim, in the unit of the statistic.
+    left, bottom
+        Left and lower edge of the panel in the picture [px].
     """
     table = factor * np.array([interval(row, key) for row in found])
-    edges, chance = factor * np.array(aim), factor * np.array(by_chance(key, _n(found)))
+    edges, chance = factor * np.array(aim), factor * np.array(by_chance(key, _median_count(found)))
     least, most = np.nanmin([*table[:, 1], *edges, *chance]), np.nanmax([*table[:, 2], *edges, *chance])
     room = 0.04 * (most - least)
 
@@ -300,13 +355,13 @@ def _panel(
             'stroke-dasharray="4 3"/>'
         )
     parts.append(f'<rect x="{left}" width="{PANEL_PX}" {size} fill="none" stroke="{drawing.GRID}"/>')
-    parts += _axis(float(least), float(most), x, bottom)
+    parts += _svg_axis(float(least), float(most), x, bottom)
     for k, (row, (value, low, high)) in enumerate(zip(found, table.tolist(), strict=True)):
         if np.isfinite([value, low, high]).all():
-            y = _middle(k)
+            y = _row_middle(k)
             parts.append(
                 f'<line x1="{x(low)}" x2="{x(high)}" y1="{y}" y2="{y}" stroke="{drawing.MEASURED}" '
-                f'stroke-width="1.4"/>{_mark(float(x(value)), y, verdict_of(row, key))}'
+                f'stroke-width="1.4"/>{_svg_symbol(float(x(value)), y, verdict_of(row, key))}'
             )
     return parts
 
@@ -316,6 +371,13 @@ def by_chance(key: Number, n: int) -> tuple[float, float]:
 
     The ideal estimator is unbiased, attains the Cramér-Rao bound and reports its variance exactly. Bias is in
     standard deviations, coverage in 0..1.
+
+    Parameters
+    ----------
+    key
+        ``bias``, ``ratio`` or ``coverage``.
+    n
+        Number of replicates.
     """
     if key == "bias":
         return -drawing.Z95 / float(np.sqrt(n)), drawing.Z95 / float(np.sqrt(n))
@@ -326,26 +388,33 @@ def by_chance(key: Number, n: int) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def _n(found: Sequence[ParameterStudy]) -> int:
-    """Return the median number of estimates of a parameter."""
+def _median_count(found: Sequence[ParameterStudy]) -> int:
+    """Return the median over the parameters of the number of their estimates."""
     return int(np.median([row.n for row in found]))
 
 
-def _middle(k: int) -> int:
-    """Return the vertical middle [px] of row ``k`` of the picture."""
+def _row_middle(k: int) -> int:
+    """Return the vertical middle [px] of the parameter with index ``k`` (from 0) in the picture."""
     return TOP_PX + PICTURE_ROW_PX * k + PICTURE_ROW_PX // 2
 
 
-def _mark(x: float, y: float, verdict: str) -> str:
-    """Return the SVG symbol of a verdict: a circle within the aim, otherwise a diamond (open: perhaps by chance)."""
+def _svg_symbol(x: float, y: float, verdict: str) -> str:
+    """Return the SVG symbol of a verdict at ``x``, ``y`` [px].
+
+    It is a circle within the aim, otherwise a diamond, which is open if the statistic is beyond the aim perhaps by
+    chance.
+    """
     if verdict == "fine":
         return f'<circle cx="{x:g}" cy="{y:g}" r="4" fill="{drawing.MODEL}"/>'
     fill = drawing.BEFORE if verdict == "miss" else "#ffffff"
     return f'<path d="M{x:g} {y - 6:g}l6 6-6 6-6-6z" fill="{fill}" stroke="{drawing.BEFORE}" stroke-width="1.6"/>'
 
 
-def _axis(least: float, most: float, x: Callable[[float], str], bottom: int) -> list[str]:
-    """Return the SVG ticks and labels below a panel, at round numbers."""
+def _svg_axis(least: float, most: float, x: Callable[[float], str], bottom: int) -> list[str]:
+    """Return the SVG ticks and labels below a panel, at round numbers from ``least`` to ``most``.
+
+    ``x`` converts a value to its horizontal position [px], and ``bottom`` is the lower edge of the panel [px].
+    """
     raw = (most - least) / N_TICKS
     step = float(10.0 ** np.floor(np.log10(raw)))
     step *= next(s for s in (1, 2, 5, 10) if s * step >= raw)
@@ -360,6 +429,15 @@ def _axis(least: float, most: float, x: Callable[[float], str], bottom: int) -> 
 def write_study_docs(result: StudyResult, path: Path) -> None:
     """Write a study's result as a Markdown page (``docs/study.md``) and its SVG pictures into a folder beside it.
 
+    The folder ``pictures`` is made if it is missing. A study without parameters has no picture.
+
+    Parameters
+    ----------
+    result
+        Studies of one or more models.
+    path
+        Markdown file to write.
+
     Raises
     ------
     OSError
@@ -373,16 +451,21 @@ def write_study_docs(result: StudyResult, path: Path) -> None:
 
 
 def _picture_path(study: ModelStudy) -> str:
+    """Return the path of the picture of a study, relative to the Markdown page."""
     return f"{PICTURES}/study-{study.model}.svg"
 
 
 def table(study: ModelStudy) -> list[tuple[str, ...]]:
-    """Return the table of a study as rows of text, the header first."""
-    return [HEAD, *(_line(r) for r in study.parameters)]
+    """Return the table of a study as tuples of text, one for each parameter, with the header first."""
+    return [HEAD, *(_text_cells(r) for r in study.parameters)]
 
 
-def _line(r: ParameterStudy) -> tuple[str, ...]:
-    """Return the cells of one parameter in the order of ``HEAD``."""
+def _text_cells(r: ParameterStudy) -> tuple[str, ...]:
+    """Return the cells of one parameter as texts.
+
+    They are name, number of estimates, number at a bound, bias, variance over reported variance, variance over bound,
+    coverage, and missed aims.
+    """
     return (
         r.name,
         str(r.n),
@@ -444,8 +527,8 @@ def page(result: StudyResult) -> str:
             f"## {study.model}, {study.method}",
             "",
             f"{study.about}; {study.estimator}; {study.replicates} replicates, {study.failed} failed, "
-            f"{study.unconverged} did not converge; {_ms(study.cpu_fit)} ms CPU per fit, "
-            f"{_ms(study.cpu_simulation)} ms per simulation.",
+            f"{study.unconverged} did not converge; {_milliseconds(study.cpu_fit)} ms CPU per fit, "
+            f"{_milliseconds(study.cpu_simulation)} ms per simulation.",
             "",
             *([f"![bias, variance and coverage of every parameter]({_picture_path(study)})", ""] if rows else []),
             "| " + " | ".join(head) + " |",
@@ -455,6 +538,6 @@ def page(result: StudyResult) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _ms(seconds: float | None) -> str:
+def _milliseconds(seconds: float | None) -> str:
     """Return a time [s] in whole milliseconds, a dash for None."""
     return "–" if seconds is None else f"{1e3 * seconds:.0f}"

@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from seatrial.ident.report import formatting
-from seatrial.ident.report.sections.parameters import interval, place
+from seatrial.ident.report.sections.parameters import interval, segment_in_words
 from seatrial.ident.report.sections.predictions import by_role, error_words, horizons
 from seatrial.ident.results import (
     DiagnosisResult,
@@ -45,7 +45,7 @@ def titled_table(title: str) -> Table:
 
 
 def tables_of(result: Result) -> list[Table]:
-    """Return the tables shown below the answer, for results that are not fits."""
+    """Return the tables shown below the answer, for results that are not fits; empty if such a result has none."""
     if isinstance(result, NoiseResult):
         return [noise_table(result)]
     if isinstance(result, NavigationResult):
@@ -56,7 +56,7 @@ def tables_of(result: Result) -> list[Table]:
 
 
 def noise_table(result: NoiseResult) -> Table:
-    """Return the table of white noise and random walk per channel, rejected noise models first."""
+    """Return the table of white noise and random walk of up to 12 channels, rejected noise models first."""
     shown = sorted(result.noise, key=lambda c: c.accepted)[:MAX_NOISE_CHANNELS]
     left = f" ({len(result.noise) - len(shown)} more in the report)" if len(result.noise) > len(shown) else ""
     table = titled_table(f"Noise{left}")
@@ -77,7 +77,7 @@ def noise_table(result: NoiseResult) -> Table:
 
 
 def outage_table(result: NavigationResult) -> Table:
-    """Return the table of the GNSS outages with the largest predicted position errors."""
+    """Return the table of up to eight GNSS outages, those with the largest predicted position errors first."""
     found = result.outages
     shown = sorted(found, key=lambda o: -o.at_end.radius)[:MAX_OUTAGES]
     worst = "" if len(shown) == len(found) else f" ({len(shown)} worst of {len(found)})"
@@ -93,7 +93,7 @@ def outage_table(result: NavigationResult) -> Table:
 
 
 def parameter_table(result: InformationResult) -> Table:
-    """Return the table of standard errors from these logs and the most informative segment per parameter."""
+    """Return the table of standard errors from these logs, with the segment of a log that each depends on most."""
     table = titled_table("Information of these logs")
     table.add_column("", no_wrap=True)
     table.add_column("value ± s.e.", justify="right", no_wrap=True)
@@ -104,14 +104,17 @@ def parameter_table(result: InformationResult) -> Table:
         factor, unit = formatting.degrees_for(p.unit)
         shown, segment, growth = "no information", "", "–"
         if p.se is not None:
-            shown, segment = formatting.with_error(factor * p.value, factor * p.se), place(p)
-            growth = _growth(math.inf if p.weight is None else p.weight)
+            shown, segment = formatting.with_error(factor * p.value, factor * p.se), segment_in_words(p)
+            growth = _growth_text(math.inf if p.weight is None else p.weight)
         table.add_row(Text(p.name, style="bold"), Text(shown), Text(unit), Text(segment), Text(growth))
     return table
 
 
 def segment_table(result: InformationResult) -> Table:
-    """Return the table of factors by which standard errors would grow without each segment."""
+    """Return the table of factors by which standard errors would grow without each segment of the logs.
+
+    Up to nine parameters (columns) and 24 segments are shown.
+    """
     names, found = result.information.names, result.information.segments
     shown = names[:MAX_PARAMETERS]
     title = "Without a segment, standard errors grow by ×"
@@ -124,15 +127,16 @@ def segment_table(result: InformationResult) -> Table:
         table.add_column(name, justify="right", no_wrap=True, min_width=4)
     for row in found[:MAX_SEGMENTS]:
         values: Sequence[float] = row.weight[: len(shown)].tolist()
-        cells = [Text(_growth(v), style="dim" if v < MIN_GROWTH else "bold green") for v in values]
-        table.add_row(Text(place(row)), *cells)
+        cells = [Text(_growth_text(v), style="dim" if v < MIN_GROWTH else "bold green") for v in values]
+        table.add_row(Text(segment_in_words(row)), *cells)
     return table
 
 
-def _growth(factor: float) -> str:
-    """Return the growth of a standard error as text.
+def _growth_text(factor: float) -> str:
+    """Return the factor by which a standard error grows without a segment as text.
 
-    ``all``: only this segment informs the parameter. A dash: no segment does. A dot: the growth is negligible.
+    ``all``: only this segment informs the parameter (infinite factor). A dash: no segment does (NaN). A dot: the factor
+    is below 1.05.
     """
     if math.isnan(factor):
         return "–"
@@ -140,9 +144,10 @@ def _growth(factor: float) -> str:
 
 
 def print_result(result: Result, console: Console) -> None:
-    """Print the warnings, the answer and the tables of a result.
+    """Print the warnings, the answer, the caveat of a diagnosis and the tables of a result to the console.
 
     The tables of a fit are its parameters, profile likelihoods and prediction errors; a diagnosis adds the candidates.
+    The answer of a fit that did not converge is printed as a warning.
     """
     console.print()
     for warning in result.warnings:
@@ -152,30 +157,30 @@ def print_result(result: Result, console: Console) -> None:
     console.print(Padding(answer, (0, 1)))
     if isinstance(result, DiagnosisResult) and result.caveat:
         console.print(Padding(Text(result.caveat, style="yellow"), (0, 1)))
-    for table in _tables(result):
+    for table in _all_tables(result):
         if table is not None:
             console.print()
             console.print(Padding(table, (0, 0, 0, 1)))
     console.print()
 
 
-def _tables(result: Result) -> Sequence[Table | None]:
-    """Return the tables of any result in the order of printing, None for a table without rows."""
+def _all_tables(result: Result) -> Sequence[Table | None]:
+    """Return the tables of any result in the order of printing, None in place of a table without content."""
     if not isinstance(result, FitResult):
         return tables_of(result)
     diagnosis = result if isinstance(result, DiagnosisResult) else None
     return [
-        _parameters(result.fit, diagnosis.effects if diagnosis else ()),
-        _profiles(result.profiles if isinstance(result, VehicleResult | ThrusterResult) else ()),
-        _candidates(diagnosis) if diagnosis else None,
-        _errors(result.errors, result.horizon_seconds),
+        _parameters_table(result.fit, diagnosis.effects if diagnosis else ()),
+        _profiles_table(result.profiles if isinstance(result, VehicleResult | ThrusterResult) else ()),
+        _candidates_table(diagnosis) if diagnosis else None,
+        _errors_table(result.errors, result.horizon_seconds),
     ]
 
 
-def _parameters(fit: FitSummary, added: Sequence[EffectRow]) -> Table | None:
-    """Return the table of free parameters: those of the added effects first, then those of the dynamics.
+def _parameters_table(fit: FitSummary, added: Sequence[EffectRow]) -> Table | None:
+    """Return the table of up to nine free parameters: those of the added effects first, then those of the dynamics.
 
-    Noise parameters and fixed parameters are left out; the report contains them.
+    Noise parameters and fixed parameters are left out; the report contains them. None if no parameter is left.
     """
     effects = [row for effect in added for row in effect.parameters]
     effect_names = {row.name for row in effects}
@@ -202,12 +207,15 @@ def _parameters(fit: FitSummary, added: Sequence[EffectRow]) -> Table | None:
 
 
 def error_title(scale: ForceScale) -> str:
-    """Return the title of the value column: does its standard error include the uncertainty of the thrust?"""
+    """Return the title of the value column.
+
+    The title says so if the standard errors exclude the uncertainty of the thrust.
+    """
     return "value ± s.e. (statistical only)" if scale.statistical_only else "value ± s.e."
 
 
-def _profiles(found: Sequence[ProfileCurve]) -> Table | None:
-    """Return the table of profile-likelihood intervals; the report shows their curves."""
+def _profiles_table(found: Sequence[ProfileCurve]) -> Table | None:
+    """Return the table of profile-likelihood intervals, None without profiles; the report shows their curves."""
     if not found:
         return None
     table = titled_table("Profile likelihood")
@@ -226,8 +234,12 @@ def _profiles(found: Sequence[ProfileCurve]) -> Table | None:
     return table
 
 
-def _candidates(result: DiagnosisResult) -> Table | None:
-    """Return the table of the best candidates of the first round that tested any, with their score tests."""
+def _candidates_table(result: DiagnosisResult) -> Table | None:
+    """Return the table of the six best candidates of the first round that tested any, with their score tests.
+
+    None if no round tested candidates. A mark shows whether a candidate was added in any round, removed again, or
+    passed.
+    """
     found = [row for row in result.rounds if row.candidates]
     if not found:
         return None
@@ -251,8 +263,11 @@ def _candidates(result: DiagnosisResult) -> Table | None:
     return table
 
 
-def _errors(errors: Errors, seconds: float) -> Table | None:
-    """Return the table of RMS prediction errors, from validation data if the result has any."""
+def _errors_table(errors: Errors, seconds: float) -> Table | None:
+    """Return the table of RMS prediction errors of up to eight channels, None without channels.
+
+    The errors are from validation data if the result has any. ``seconds`` is the prediction horizon [s].
+    """
     role, data = by_role(errors.validation, errors.estimation)[0]
     kinds = [(title, table) for title, table in horizons(data, seconds) if table]
     every = list(dict.fromkeys(name for _, table in kinds for name in table))
@@ -275,7 +290,10 @@ def _errors(errors: Errors, seconds: float) -> Table | None:
 
 
 def _error_text(row: ErrorComparison | None) -> Text:
-    """Return ``before → after`` of a channel, or one error if nothing was compared; empty without a row."""
+    """Return ``before → after`` of a channel in the shown unit, or one error if nothing was compared.
+
+    The text is empty without a table row (None). A significant fall is green, and a significant rise is red.
+    """
     factor = 1.0 if row is None else formatting.degrees_for(row.unit)[0]
     before, after = (None, None) if row is None else formatting.scaled(factor, row.before, row.after)
     if before is None or after is None:

@@ -44,7 +44,7 @@ from .parts import CalibrationTable as CalibrationTable
 from .parts import Candidate as Candidate
 from .parts import Correlation as Correlation
 from .parts import CorrelationTest as CorrelationTest
-from .parts import CrossCorrelation as CrossCorrelation
+from .parts import CrossCorrelationRow as CrossCorrelationRow
 from .parts import DiagnosisResult as DiagnosisResult
 from .parts import EffectParameter as EffectParameter
 from .parts import EffectRow as EffectRow
@@ -62,12 +62,12 @@ from .parts import ParameterRow as ParameterRow
 from .parts import Part as Part
 from .parts import ProfileCurve as ProfileCurve
 from .parts import Provenance as Provenance
-from .parts import Refit as Refit
+from .parts import RefitRow as RefitRow
 from .parts import ResidualForce as ResidualForce
 from .parts import ResidualTests as ResidualTests
 from .parts import Result as Result
 from .parts import ResultWarning as ResultWarning
-from .parts import Round as Round
+from .parts import RoundRow as RoundRow
 from .parts import StaticForce as StaticForce
 from .parts import ThrustCurveResult as ThrustCurveResult
 from .parts import ThrusterResult as ThrusterResult

@@ -27,9 +27,9 @@ from seatrial.ident.estimation import (
 from seatrial.ident.model import Model
 from seatrial.ident.results.parts import (
     Calibrations,
-    CrossCorrelation,
+    CrossCorrelationRow,
     Errors,
-    PredictionChange,
+    PredictionChangeRow,
     PredictionFit,
     Provenance,
     ResidualTests,
@@ -64,10 +64,19 @@ RAMP_SHARE = 0.05  # share of the rows, smallest commands first, that may belong
 FEWEST_SAMPLES = 10  # equal samples from which a sensor is called stuck
 
 
-def change_sentence(change: PredictionChange, horizon: float) -> str:
+def change_sentence(change: PredictionChangeRow, horizon: float) -> str:
     """Return the sentence on the change of the prediction errors of all channels over the horizon [s].
 
-    The sentence claims a rise or a fall only if the 95 % interval excludes the opposite.
+    The sentence claims a fall or a rise only if ``change.verdict`` does, and a rise by three times or more is a factor
+    instead of per cent. Up to four better channels and all worse channels are named. Without an interval the sentence
+    says that the data are too short.
+
+    Parameters
+    ----------
+    change
+        Change of the errors over the horizon, with its 95 % interval and verdict.
+    horizon
+        Prediction horizon [s].
     """
     begin = f"{horizon:g} s ahead on {change.role} data, all channels: "
     if change.low is None or change.high is None:
@@ -87,18 +96,22 @@ def change_sentence(change: PredictionChange, horizon: float) -> str:
         effect = f"prediction error is {format_number(change.ratio)} times as large "
         effect += f"(95 %: {format_number(change.low)} to {format_number(change.high)})"
     named = [("better", change.better, MOST_NAMES), ("worse", change.worse, len(change.worse))]
-    parts = [effect, *(f"{word}: {_listed(names, most)}" for word, names, most in named if names)]
+    parts = [effect, *(f"{word}: {_first_names(names, most)}" for word, names, most in named if names)]
     return f"{begin}{'; '.join(parts)}."
 
 
-def _listed(channels: Sequence[str], most: int = MOST_NAMES) -> str:
-    """List the first names and the number of the others."""
+def _first_names(channels: Sequence[str], most: int = MOST_NAMES) -> str:
+    """Return the first ``most`` channel or log names, separated by commas, and the number of the others.
+
+    Known channels are written out (``psi``: heading).
+    """
     names = [NAMES.get(name, name) for name in channels]
     more = len(names) - most
     return ", ".join(names) if more <= 0 else f"{', '.join(names[:most])} and {more} more"
 
 
 def _percent(share: float) -> str:
+    """Return a share (1: all) in whole per cent: ``34 %``."""
     return f"{100 * share:.0f} %"
 
 
@@ -107,7 +120,7 @@ def vehicle_answer(
     errors: Errors,
     horizon: float,
     residuals: Sequence[ResidualTests],
-    cross: Sequence[CrossCorrelation],
+    cross: Sequence[CrossCorrelationRow],
     *,
     searchable: bool,
 ) -> str:
@@ -115,22 +128,34 @@ def vehicle_answer(
 
     Parameters
     ----------
+    prediction : PredictionFit or None
+        Fit of all channels over the horizon. Without it the answer has only the sentence on the residuals.
+    errors : Errors
+        RMS prediction errors by channel.
     horizon : float
         Prediction horizon [s].
+    residuals : sequence of ResidualTests
+        Whiteness tests of each record and channel.
+    cross : sequence of CrossCorrelationRow
+        Correlations of the residuals with each input.
     searchable : bool
         Whether `seatrial ident diagnose` can search this model for missing effects.
     """
-    fit_sentence = "" if prediction is None else f"{_fit(prediction, errors, horizon)} "
-    return f"{fit_sentence}{_residuals(errors, residuals, cross, searchable)}"
+    fit_sentence = "" if prediction is None else f"{_fit_sentence(prediction, errors, horizon)} "
+    return f"{fit_sentence}{_whiteness_sentence(errors, residuals, cross, searchable)}"
 
 
-def _fit(prediction: PredictionFit, errors: Errors, horizon: float) -> str:
-    """Return the fit of all channels, with the channels that are predicted best and worst."""
+def _fit_sentence(prediction: PredictionFit, errors: Errors, horizon: float) -> str:
+    """Return the sentence on the fit of all channels over the horizon [s], with the best and the worst channel.
+
+    The channels are those of the validation data, or of the estimation data if there are no others. If the prediction
+    of some channels diverges, the sentence names only them.
+    """
     begin = f"{horizon:g} s ahead on {prediction.role} data, all channels: "
     table = errors.estimation if errors.validation is None else errors.validation
     lost = [n for n, row in table.horizon.items() if row.after is None]
     if lost:
-        return f"{begin}the prediction diverges ({_listed(lost)})."
+        return f"{begin}the prediction diverges ({_first_names(lost)})."
     each = {n: 1 - (row.after or 0.0) / row.spread for n, row in table.horizon.items() if row.spread}
     low, high = prediction.low, prediction.high
     interval = "" if low is None or high is None else f" (95 %: {100 * low:.0f} to {100 * high:.0f} %)"
@@ -139,12 +164,13 @@ def _fit(prediction: PredictionFit, errors: Errors, horizon: float) -> str:
     return f"{begin}fit {_percent(prediction.fit)}{interval}{span}."
 
 
-def _residuals(
-    errors: Errors, residuals: Sequence[ResidualTests], cross: Sequence[CrossCorrelation], searchable: bool
+def _whiteness_sentence(
+    errors: Errors, residuals: Sequence[ResidualTests], cross: Sequence[CrossCorrelationRow], searchable: bool
 ) -> str:
     """Return the sentence on whiteness and on correlation with the inputs, each tested at 1 % over all channels.
 
-    The level is divided by the number of tests (Bonferroni).
+    The level is divided by the number of tests (Bonferroni). Without tests the sentence says that there are too few
+    samples. ``searchable`` adds the advice to run `seatrial ident diagnose`.
     """
     tests = [p for r in residuals for p in (r.ljung_box_p, r.periodogram_p)]
     pairs = [c for c in cross if c.p is not None]
@@ -156,7 +182,7 @@ def _residuals(
         return f"There are too few samples to test whether the residuals are white: {least}."
     if not correlated_inputs and not coloured:
         hidden = ". Disturbance forces can still hide an effect: `seatrial ident diagnose` tests for it"
-        untested = _untested(errors, residuals)
+        untested = _untested_channels(errors, residuals)
         return f"The residuals are white and uncorrelated with the inputs{hidden if searchable else ''}{untested}."
     if correlated_inputs and correlated_inputs <= MEASURED_INPUTS:
         named = " and ".join(sorted(correlated_inputs))
@@ -164,7 +190,7 @@ def _residuals(
             f"The residuals are correlated with {named}, which the model takes as measured: the cause can be the noise "
             f"of these measurements rather than a missing effect{'. They are not white' if coloured else ''}."
         )
-    end = f"The residuals are correlated with the inputs{_largest(significant)}"
+    end = f"The residuals are correlated with the inputs{_largest_correlation(significant)}"
     if not correlated_inputs:
         end = "The residuals are not white"
     either = ": an effect is missing, or the noise of a sensor is autocorrelated"
@@ -172,24 +198,37 @@ def _residuals(
     return f"{end}{how}."
 
 
-def _largest(significant: Sequence[CrossCorrelation]) -> str:
-    """Return the largest correlation: in a long record, even negligible correlations are significant."""
+def _largest_correlation(significant: Sequence[CrossCorrelationRow]) -> str:
+    """Return the largest of the significant correlations and its channel in brackets; empty if there is none.
+
+    The size matters, because in a long record even negligible correlations are significant.
+    """
     most = max((c for c in significant if c.largest is not None), key=lambda c: c.largest or 0.0, default=None)
     return "" if most is None else f" (correlation up to {most.largest:.2g}, {NAMES.get(most.channel, most.channel)})"
 
 
-def _untested(errors: Errors, residuals: Sequence[ResidualTests]) -> str:
-    """List the channels of the estimation data with too few samples for the tests; empty if there are none."""
+def _untested_channels(errors: Errors, residuals: Sequence[ResidualTests]) -> str:
+    """Return the channels of the estimation data with too few samples for the tests, in brackets.
+
+    Empty if there are none.
+    """
     tested = {r.channel for r in residuals}
     left = [n for n in errors.estimation.one_step if n not in tested]
     return f" (too few samples to test: {', '.join(left)})" if left else ""
 
 
 def calibration_notes(calibration: Calibrations, horizon: float) -> list[str]:
-    """Return one line for each kind of prediction whose intervals are too narrow or too wide.
+    """Return one sentence for each kind of prediction whose intervals are too narrow or too wide, with the channels.
 
-    The lines are about the validation data, or about the estimation data if there are no validation data.
-    ``horizon`` is in s.
+    The kinds are one step ahead, over the horizon [s] and simulated. The sentences are about the validation data, or
+    about the estimation data if there are no validation data. Empty if all intervals are right.
+
+    Parameters
+    ----------
+    calibration
+        Calibration of each channel by set of data and kind of prediction.
+    horizon
+        Prediction horizon [s].
     """
     role, table = ("validation", calibration.validation)
     if table is None:
@@ -218,10 +257,17 @@ def calibration_notes(calibration: Calibrations, horizon: float) -> list[str]:
 def estimation_warnings(fit: Fit, records: Sequence[Record], length: float | None = None) -> list[ResultWarning]:
     """Return the warnings of a fit, those about its scale first.
 
+    Further warnings are about declared noise or priors that the data contradict, a yaw inertia that is too small for
+    the mass, records that were cut, and stuck sensors.
+
     Parameters
     ----------
+    fit : Fit
+        The fit.
+    records : sequence of Record
+        Records that the parameters were fitted to.
     length : float, optional
-        Length of the hull [m]; None if it is unknown.
+        Length of the hull [m]; without it the least yaw inertia follows from the thrusters' arms alone.
     """
     warnings = scale_warnings(thrust_scale_of(fit.model))
     for p, value, widths in contradicted_priors(fit):
@@ -254,6 +300,8 @@ def design_warnings(model: Model, thrust: float, pole: float | None) -> list[Res
 
     Parameters
     ----------
+    model : Model
+        The model that is designed for.
     thrust : float
         Assumed thrust of one thruster at full speed [N], if the inputs of the model are forces.
     pole : float or None
@@ -278,7 +326,10 @@ def design_warnings(model: Model, thrust: float, pole: float | None) -> list[Res
 
 
 def scale_warnings(scale: ThrustScale) -> list[ResultWarning]:
-    """Warn if the thrust or the thrusters' arms were not given: masses and inertias are then ratios."""
+    """Return one warning each if the thrust or the thrusters' arms were not given.
+
+    Masses and inertias are then ratios to the thrust or to the arm.
+    """
     warnings = []
     if scale.relative:
         text = (
@@ -299,9 +350,16 @@ def scale_warnings(scale: ThrustScale) -> list[ResultWarning]:
 
 
 def outlier_lines(residuals: Sequence[ChannelResiduals], model: Model) -> list[str]:
-    """Return one line with advice for each channel that has outliers among its innovations.
+    """Return one sentence with advice for each record and channel that has outliers among its innovations.
 
-    Channels that are already estimated robustly have no line.
+    Channels that are already estimated robustly have no sentence.
+
+    Parameters
+    ----------
+    residuals
+        Innovations of each record and channel, with their tests.
+    model
+        Model, of which the outputs that are estimated robustly are left out.
     """
     robust = {o.name for o in model.outputs if o.robust}
     lines = []
@@ -322,33 +380,46 @@ def faults_first(made: Provenance) -> str:
 
 
 def check_warnings(made: Provenance) -> list[ResultWarning]:
-    """Return one warning for each different finding of `seatrial check`, with all logs that have it."""
+    """Return one warning for each different finding of `seatrial check`, with up to four of the logs that have it."""
     logs: dict[str, list[str]] = {}
     for log in made.logs:
         for f in log.findings:
             logs.setdefault(f"{f.where}: {f.text} [{f.code}]{': ' * bool(f.advice)}{f.advice}.", []).append(log.path)
-    return [ResultWarning(code="log-check", text=f"{_listed(paths)}: {text}") for text, paths in logs.items()]
+    return [ResultWarning(code="log-check", text=f"{_first_names(paths)}: {text}") for text, paths in logs.items()]
 
 
 def late_sensor_warnings(made: Provenance, model: Model) -> list[ResultWarning]:
-    """Warn if a log has a late sensor or thrust signal, with the parameters that the delay biases."""
+    """Return a warning if a log has a late sensor or thrust signal, with the parameters that the delay biases.
+
+    Only delays that `seatrial check` calls a fault count. Empty if no free parameter is a mass, damping, time constant
+    or gain.
+
+    Parameters
+    ----------
+    made
+        Provenance of the result, with the findings of `seatrial check` for each log.
+    model
+        Fitted model, whose free parameters may be biased.
+    """
     logs = [log.path for log in made.logs if any(f.code in LATE_CODES and f.level == FAULT for f in log.findings)]
     biased = [p.name for p in model.parameters if p.free and p.name.partition("_")[0] in DELAY_BIASED]
     if not logs or not biased:
         return []
     text = (
-        f"{_listed(logs)}: a signal is late, but the fit assumes that it is on time: {', '.join(biased)} are biased, "
-        "by more than their standard errors. Correct its time stamps; for a late GNSS receiver, --effect gnss-latency "
-        "estimates the latency."
+        f"{_first_names(logs)}: a signal is late, but the fit assumes that it is on time: {', '.join(biased)} are "
+        "biased, by more than their standard errors. Correct its time stamps; for a late GNSS receiver, --effect "
+        "gnss-latency estimates the latency."
     )
     return [ResultWarning(code="late-sensor-bias", text=text)]
 
 
 def frame_warnings(model: Model, unplaced: Sequence[str], *, saved_origin_unknown: bool = False) -> list[ResultWarning]:
-    """Warn if a fixed point of the model is shared by logs whose x and y may have different origins.
+    """Return a warning if a fixed point of the model is shared by logs whose x and y may have different origins.
 
     Parameters
     ----------
+    model : Model
+        Model with its effects. Without an effect at a fixed point there is no warning.
     unplaced : sequence of str
         Logs without latitude and longitude, so that the origin of their x and y is unknown.
     saved_origin_unknown : bool
@@ -361,19 +432,19 @@ def frame_warnings(model: Model, unplaced: Sequence[str], *, saved_origin_unknow
         "the model file does not contain the origin of its x and y"
         if saved_origin_unknown
         else (
-            f"{_listed(list(unplaced))} {'gives' if len(unplaced) == 1 else 'give'} x and y "
+            f"{_first_names(list(unplaced))} {'gives' if len(unplaced) == 1 else 'give'} x and y "
             "without latitude and longitude"
         )
     )
     text = (
-        f"The fixed point of {_listed(points)} is the same for all logs, but {why}: all x and y are assumed to have "
-        "one origin. If they do not, the point and its force are wrong."
+        f"The fixed point of {_first_names(points)} is the same for all logs, but {why}: all x and y are "
+        "assumed to have one origin. If they do not, the point and its force are wrong."
     )
     return [ResultWarning(code="frame-assumed", text=text)]
 
 
 def frames_assumed(fitted: FittedModel) -> list[ResultWarning]:
-    """Return the frame warnings of a fit to several logs; empty if there is one log only."""
+    """Return the frame warnings of a fit to several records; empty if there is only one record."""
     records = {
         r.name: r for r in (*fitted.records, *(v.record for v in fitted.validation if not fitted.cross_validated))
     }
@@ -410,12 +481,12 @@ def cut_records(records: Sequence[Record]) -> list[ResultWarning]:
 
 
 def stuck_sensors(records: Sequence[Record]) -> list[ResultWarning]:
-    """Return one warning for each channel of a record whose samples are all equal."""
-    return [line for record in records for line in _stuck(record)]
+    """Return one warning for each channel of a record whose samples are all equal, from ten samples on."""
+    return [line for record in records for line in _stuck_channel_warnings(record)]
 
 
-def _stuck(record: Record) -> list[ResultWarning]:
-    """Return one warning for each stuck channel of one record."""
+def _stuck_channel_warnings(record: Record) -> list[ResultWarning]:
+    """Return one warning for each channel of one record whose finite samples are all equal, from ten samples on."""
     lines = []
     for j, name in enumerate(record.outputs):
         y = record.y[:, j]
@@ -429,14 +500,18 @@ def _stuck(record: Record) -> list[ResultWarning]:
 def smallest_command(records: Sequence[Record]) -> float:
     """Return the smallest command that was held on a thruster bench, as a part of full command.
 
-    Zero is left out, and so are the smallest 5 % of the rows, which a ramp may only pass through.
+    It is the 5 % quantile of the absolute commands that are not zero, because a ramp may only pass through the
+    smallest. 1.0 if all commands are zero.
     """
     size = np.abs(np.concatenate([r.u[:, r.inputs.index("n_cmd_0")] for r in records]))
     return float(np.quantile(size[size > 0.0], RAMP_SHARE)) if size.any() else 1.0
 
 
 def plus_minus(value: float, error: float) -> str:
-    """Format a value and its standard error, rounded to two digits of the error: ``40.783 ± 0.029``."""
+    """Format a value and its standard error, rounded to two digits of the error: ``40.783 ± 0.029``.
+
+    At most nine decimals are printed, and one decimal if the error is not positive.
+    """
     decimals = min(max(1 - math.floor(math.log10(error)), 0), 9) if error > 0.0 else 1
     return f"{round(value, decimals) + 0.0:.{decimals}f} ± {error:.{decimals}f}"  # + 0.0 turns -0 into 0
 
@@ -452,10 +527,12 @@ def thruster_answer(
 
     Parameters
     ----------
+    fitted : Fit
+        Fit of the thruster model.
     has_force : bool
-        Whether the bench has a load cell.
+        Whether the bench has a load cell. Without it the answer has no thrust.
     directions : sequence of float
-        Directions in which the shaft turned: 1 forward, -1 reverse.
+        Directions in which the shaft turned: 1 forward, -1 reverse. Other directions are called not measured.
     calibration : float, optional
         Relative standard uncertainty of the measured force; None if it was not given.
     smallest : float
@@ -487,7 +564,7 @@ def thruster_answer(
 
 
 def thruster_warnings(directions: Sequence[float]) -> list[ResultWarning]:
-    """Warn if the shaft turned in one direction only (``directions``: 1 forward, -1 reverse)."""
+    """Return a warning if the shaft turned in one direction only (``directions``: 1 forward, -1 reverse)."""
     if len(directions) != 1:
         return []
     measured, unmeasured = ("forward", "in reverse") if directions[0] > 0 else ("in reverse", "forward")
@@ -499,7 +576,7 @@ def thruster_warnings(directions: Sequence[float]) -> list[ResultWarning]:
 
 
 def curve_warnings(levels: Levels) -> list[ResultWarning]:
-    """Warn if the zero of the load cell is unknown because the command was never held at zero."""
+    """Return a warning if the zero of the load cell is unknown because the command was never held at zero."""
     if levels.offset is not None:
         return []
     text = (
@@ -510,7 +587,17 @@ def curve_warnings(levels: Levels) -> list[ResultWarning]:
 
 
 def curve_notes(levels: Levels, measured: ThrustCurve, quadratic: Quadratic) -> list[str]:
-    """Return the notes of a static thrust curve: zero, quadratic fit, standard errors, calibration, pooled levels."""
+    """Return the notes of a static thrust curve: zero, quadratic fit, standard errors, calibration, pooled levels.
+
+    Parameters
+    ----------
+    levels
+        Levels of held command with their mean forces [N].
+    measured
+        Thrust curve through the levels, and the uncertainty of the load cell's calibration.
+    quadratic
+        Quadratic fit c1 n|n| + c2 n^2 to the levels.
+    """
     curve, calibration = measured.curve, measured.calibration
     errors = np.sqrt(np.diag(quadratic.covariance))
     c2 = (
@@ -550,7 +637,10 @@ def curve_notes(levels: Levels, measured: ThrustCurve, quadratic: Quadratic) -> 
 
 
 def homogeneity_sentence(a: HomogeneityTest) -> str:
-    """Return the sentence on a homogeneity test: shared value, value of each log, verdict and scatter."""
+    """Return the sentence on a homogeneity test: shared value, value of each log, verdict and scatter.
+
+    If fewer than two logs inform the parameter, the sentence says only that.
+    """
     each = ", ".join(f"{v:.3g} ± {e:.2g}" for v, e in zip(a.values, a.errors, strict=True))
     low, high = a.interval
     verdict = "agree" if a.agree else "do not agree"

@@ -48,7 +48,6 @@ from seatrial.ident.results.tables import (
     calibration_tables,
     cross_correlations,
     error_tables,
-    failed_runs,
     fit_summary,
     homogeneity_reported,
     homogeneity_row,
@@ -63,14 +62,14 @@ from seatrial.ident.validation import PredictionEvaluation
 
 @dataclass(frozen=True)
 class FitContext:
-    """Context of a fit: what is reported with the estimates but was fixed before the fit.
+    """Context of a fit: facts that are reported with the estimates but were fixed before the fit.
 
     Attributes
     ----------
     start
-        Initial values of the parameters.
+        Initial value of each parameter by name.
     notes
-        Lines that precede the other notes of the result.
+        Sentences that precede the other notes of the result.
     unused
         Signals of the logs that the model does not use.
     length
@@ -93,10 +92,20 @@ def vehicle_result(
 ) -> VehicleResult:
     """Return the result of a vehicle fit and its evaluation.
 
+    If the fit did not converge, the answer says only that.
+
     Parameters
     ----------
+    fitted : FittedModel
+        The fit and its evaluation on each record.
+    evaluation : PredictionEvaluation
+        Predictions, residuals and calibration of the fitted model.
     made : Provenance
         Logs, command line, time and software version.
+    profiles : sequence of Profile
+        Profile likelihoods; empty without `--profile`.
+    homogeneity : sequence of HomogeneityTest
+        Tests of one value for all logs; empty without `--test-homogeneity`.
     posed : FitContext
         Initial values, notes and unused signals from before the fit.
     """
@@ -121,7 +130,7 @@ def vehicle_result(
         ),
         notes=_notes(posed.notes, evaluation, calibration),
         fit=fit_summary(fitted.fit, posed.start),
-        failed_runs=failed_runs(fitted.failed),
+        failed_runs=fitted.failed,
         horizon_seconds=evaluation.horizon,
         errors=errors,
         calibration=calibration,
@@ -147,10 +156,18 @@ def thruster_result(
 ) -> ThrusterResult:
     """Return the result of a thruster fit and its evaluation.
 
+    If the fit did not converge, the answer says only that.
+
     Parameters
     ----------
+    fitted : FittedModel
+        The fit and its evaluation on each record.
+    evaluation : PredictionEvaluation
+        Predictions, residuals and calibration of the fitted model.
     made : Provenance
         Logs, command line, time and software version.
+    profiles : sequence of Profile
+        Profile likelihoods; empty without `--profile`.
     static : StaticForce or None
         Measured and fitted static thrust; None if the logs have no force.
     posed : FitContext
@@ -170,7 +187,7 @@ def thruster_result(
         ),
         notes=_notes(posed.notes, evaluation, bands),
         fit=fit_summary(fitted.fit, posed.start, calibration if static is not None else 0.0),
-        failed_runs=failed_runs(fitted.failed),
+        failed_runs=fitted.failed,
         horizon_seconds=evaluation.horizon,
         errors=error_tables(evaluation),
         calibration=bands,
@@ -185,7 +202,11 @@ def thruster_result(
 
 
 def _notes(first: Sequence[str], evaluation: PredictionEvaluation, calibration: Calibrations) -> tuple[str, ...]:
-    """Return the notes of a fit: those from before the fit, outliers, and wrong prediction intervals."""
+    """Return the notes of a fit.
+
+    The order is: ``first`` (notes from before the fit), channels with outliers, and prediction intervals that are too
+    narrow or too wide.
+    """
     outliers = outlier_lines(evaluation.residuals, evaluation.model)
     return (*first, *outliers, *calibration_notes(calibration, evaluation.horizon))
 
@@ -193,7 +214,7 @@ def _notes(first: Sequence[str], evaluation: PredictionEvaluation, calibration: 
 class LogSpan(Part, frozen=True, kw_only=True):
     """Interval of a log."""
 
-    record: str
+    record: Annotated[str, Meta(description="name of the record")]
     t_from: Annotated[float, Meta(description="[s of the log]")]
     t_to: Annotated[float, Meta(description="[s of the log]")]
     what: Annotated[str, Meta(description="step of the mission that takes up most of the interval, or empty")]
@@ -202,10 +223,10 @@ class LogSpan(Part, frozen=True, kw_only=True):
 class InformedParameter(LogSpan, frozen=True, kw_only=True):
     """Information of all logs about a parameter, and the segment that contributes most."""
 
-    name: str
-    meaning: str
-    unit: str
-    value: float
+    name: Annotated[str, Meta(description="name of the parameter")]
+    meaning: Annotated[str, Meta(description="meaning in words")]
+    unit: Annotated[str, Meta(description="unit of the values, SI and radians; empty: none")]
+    value: Annotated[float, Meta(description="value in the model file")]
     se: Annotated[float | None, Meta(description="standard error from all logs; null: no information")]
     weight: Annotated[
         float | None,
@@ -234,25 +255,25 @@ class Information(Part, frozen=True, kw_only=True):
 
     names: Annotated[tuple[str, ...], Meta(description="names of the parameters")]
     seconds: Annotated[float, Meta(description="length of a segment [s]")]
-    parameters: tuple[InformedParameter, ...]
-    segments: tuple[SegmentInformation, ...]
+    parameters: Annotated[tuple[InformedParameter, ...], Meta(description="one for each parameter")]
+    segments: Annotated[tuple[SegmentInformation, ...], Meta(description="one for each segment of each log")]
 
 
 class InformationResult(Result, frozen=True, kw_only=True, tag_field="kind", tag="information"):
     """`seatrial ident information`: Fisher information of log segments about the parameters of a fitted model."""
 
-    information: Information
-    inputs: tuple[InputTrace, ...]
+    information: Annotated[Information, Meta(description="information of the logs")]
+    inputs: Annotated[tuple[InputTrace, ...], Meta(description="inputs of each log")]
 
 
 class StateTrace(Part, frozen=True, kw_only=True):
     """State over time, estimated from the model and all sensors."""
 
-    name: str
-    unit: str
-    meaning: str
+    name: Annotated[str, Meta(description="name of the state")]
+    unit: Annotated[str, Meta(description="unit of the values, SI and radians; empty: none")]
+    meaning: Annotated[str, Meta(description="meaning in words")]
     angle: Annotated[bool, Meta(description="whether the state is an angle, which is known except for whole turns")]
-    value: Array
+    value: Annotated[Array, Meta(description="estimate at each time")]
     sd: Annotated[Array, Meta(description="standard deviation, including the errors of the parameters")]
     measured: Annotated[Array | None, Meta(description="measured channel of the same name; null: there is none")] = None
 
@@ -269,13 +290,13 @@ class GnssFixes(Part, frozen=True, kw_only=True):
 class NavigatedRecord(Part, frozen=True, kw_only=True):
     """Estimated states of the boat in one log."""
 
-    record: str
+    record: Annotated[str, Meta(description="name of the record")]
     kind: Annotated[
         Literal["smoothed", "filtered"], Meta(description="estimated from all samples, or from the samples so far")
     ]
     t: Annotated[Array, Meta(description="[s of the log]")]
-    states: tuple[StateTrace, ...]
-    fixes: GnssFixes
+    states: Annotated[tuple[StateTrace, ...], Meta(description="one for each state of the model")]
+    fixes: Annotated[GnssFixes, Meta(description="positions that GNSS measured")]
 
 
 class PositionEllipse(Part, frozen=True, kw_only=True):
@@ -299,7 +320,7 @@ class WithheldErrors(Part, frozen=True, kw_only=True):
 class GnssOutage(Part, frozen=True, kw_only=True):
     """GNSS outage: predicted position at its end, and the error of this prediction."""
 
-    record: str
+    record: Annotated[str, Meta(description="name of the record")]
     start: Annotated[float, Meta(description="[s of the log]")]
     end: Annotated[float, Meta(description="[s of the log]")]
     duration: Annotated[float, Meta(description="[s]")]
@@ -326,7 +347,7 @@ class NavigationResult(Result, frozen=True, kw_only=True, tag_field="kind", tag=
 
     navigation: Annotated[tuple[NavigatedRecord, ...], Meta(description="one for each log")]
     outages: Annotated[tuple[GnssOutage, ...], Meta(description="one for each outage")]
-    inputs: tuple[InputTrace, ...]
+    inputs: Annotated[tuple[InputTrace, ...], Meta(description="inputs of each log")]
 
 
 class SpectrumBands(Part, frozen=True, kw_only=True):
@@ -344,7 +365,7 @@ class ChannelNoise(Part, frozen=True, kw_only=True):
     channel: Annotated[
         str, Meta(description="name of the channel, preceded by that of the log if there are several logs")
     ]
-    unit: str
+    unit: Annotated[str, Meta(description="unit of the values, SI and radians; empty: none")]
     white: Annotated[float, Meta(description="standard deviation of a sample [unit]")]
     random_walk: Annotated[float, Meta(description="[unit/sqrt(s)]")]
     se_white: Annotated[float | None, Meta(description="standard error; null: no white noise was found")]
@@ -377,9 +398,9 @@ class NoiseResult(Result, frozen=True, kw_only=True, tag_field="kind", tag="nois
 class DesignedParameter(Part, frozen=True, kw_only=True):
     """Standard errors of a parameter before and after the mission; null: no information."""
 
-    name: str
-    meaning: str
-    unit: str
+    name: Annotated[str, Meta(description="name of the parameter")]
+    meaning: Annotated[str, Meta(description="meaning in words")]
+    unit: Annotated[str, Meta(description="unit of the values, SI and radians; empty: none")]
     value: Annotated[float, Meta(description="nominal value")]
     before: Annotated[float | None, Meta(description="from earlier logs")]
     after: Annotated[float | None, Meta(description="after this mission, by prediction error")]
@@ -403,7 +424,7 @@ class Baseline(Part, frozen=True, kw_only=True):
 class CommandTrace(Part, frozen=True, kw_only=True):
     """Command of an input over time."""
 
-    name: str
+    name: Annotated[str, Meta(description="name of the input")]
     t: Annotated[Array, Meta(description="time since the first step [s]")]
     value: Annotated[Array, Meta(description="-1..1")]
 
@@ -432,7 +453,7 @@ class DesignTrack(Part, frozen=True, kw_only=True):
 class Discrimination(Part, frozen=True, kw_only=True):
     """Discrimination of two effects by the mission (`--discriminate`)."""
 
-    effects: tuple[str, str]
+    effects: Annotated[tuple[str, str], Meta(description="names of the first and the second effect")]
     if_second: Annotated[float, Meta(description="criterion T if the second effect is true")]
     if_first: Annotated[float, Meta(description="criterion T if the first effect is true")]
     clear: Annotated[bool, Meta(description="whether both are large enough to distinguish the effects")]
@@ -448,15 +469,15 @@ class DesignResult(Result, frozen=True, kw_only=True, tag_field="kind", tag="des
     form: Annotated[str, Meta(description="kind of Fisher information: `prediction error` or `output error`")]
     value: Annotated[float, Meta(description="value of the criterion")]
     evaluations: Annotated[int, Meta(description="number of simulations in the search")]
-    parameters: tuple[DesignedParameter, ...]
-    baselines: tuple[Baseline, ...]
+    parameters: Annotated[tuple[DesignedParameter, ...], Meta(description="one for each parameter")]
+    baselines: Annotated[tuple[Baseline, ...], Meta(description="one for each kind of baseline signal")]
     baseline: Annotated[str, Meta(description="name of the best baseline signal")]
     limited: Annotated[bool, Meta(description="whether the design had limits; baseline signals ignore limits")]
     samples: Annotated[
         dict[str, Array], Meta(description="for each signal, the criterion at 1000 samples of the parameters")
     ]
     share_won: Annotated[float, Meta(description="share of the samples in which the design is best")]
-    inputs: tuple[CommandTrace, ...]
+    inputs: Annotated[tuple[CommandTrace, ...], Meta(description="commands of the mission, one for each input")]
     track: Annotated[DesignTrack | None, Meta(description="null: the model has no position")]
     apart: Annotated[Discrimination | None, Meta(description="null: `--discriminate` was not given")] = None
     rates: Annotated[dict[str, float], Meta(description="assumed rate of each sensor [Hz]; empty in older files")] = (
@@ -478,8 +499,8 @@ AIMS = {"bias": (-BIAS, BIAS), "ratio": (1.0 - VARIANCE, 1.0 + VARIANCE), "cover
 class ParameterStudy(Part, frozen=True, kw_only=True):
     """Bias, variance and coverage of a parameter, in the coordinate of the estimator; intervals are 95 %."""
 
-    name: str
-    unit: str
+    name: Annotated[str, Meta(description="name of the parameter")]
+    unit: Annotated[str, Meta(description="unit of the values, SI and radians; empty: none")]
     truth: Annotated[float, Meta(description="true value of the simulation")]
     n: Annotated[int, Meta(description="number of estimates with an interval")]
     at_bound: Annotated[int, Meta(description="number of these estimates that are at a bound")]
@@ -487,14 +508,14 @@ class ParameterStudy(Part, frozen=True, kw_only=True):
     bias: Annotated[float, Meta(description="bias of the estimates, in units of `sd`")]
     bias_error: Annotated[float, Meta(description="standard error of `bias`")]
     ratio: Annotated[float, Meta(description="variance of the estimates / variance that the fits report")]
-    ratio_low: float
-    ratio_high: float
+    ratio_low: Annotated[float, Meta(description="lower end of the interval of `ratio`")]
+    ratio_high: Annotated[float, Meta(description="upper end of that interval")]
     bound_ratio: Annotated[float, Meta(description="variance / Cramér-Rao bound, or / least variance near bounds")]
-    bound_ratio_low: float
-    bound_ratio_high: float
+    bound_ratio_low: Annotated[float, Meta(description="lower end of the interval of `bound_ratio`")]
+    bound_ratio_high: Annotated[float, Meta(description="upper end of that interval")]
     coverage: Annotated[float, Meta(description="share of the 95 % intervals that contain the truth, 0..1")]
-    coverage_low: float
-    coverage_high: float
+    coverage_low: Annotated[float, Meta(description="lower end of the interval of `coverage`")]
+    coverage_high: Annotated[float, Meta(description="upper end of that interval")]
     misses: Annotated[
         tuple[str, ...],
         Meta(description="missed aims: `bias`, `variance`, `coverage`; `(chance?)`: possibly by chance"),
@@ -504,31 +525,31 @@ class ParameterStudy(Part, frozen=True, kw_only=True):
 class ModelStudy(Part, frozen=True, kw_only=True):
     """Monte Carlo study of one model: replicates are simulated, estimated and compared with the truth."""
 
-    model: str
+    model: Annotated[str, Meta(description="name of the model")]
     about: Annotated[str, Meta(description="description of the mission")]
     method: Annotated[Literal["PE", "OE"], Meta(description="prediction error or output error")]
     estimator: Annotated[str, Meta(description="description of the estimator")]
-    replicates: int
-    failed: int
-    unconverged: int
+    replicates: Annotated[int, Meta(description="number of replicates")]
+    failed: Annotated[int, Meta(description="number of replicates whose simulation or fit failed")]
+    unconverged: Annotated[int, Meta(description="number of replicates whose fit did not converge")]
     cpu_fit: Annotated[float | None, Meta(description="median CPU time of a fit [s]")]
     cpu_simulation: Annotated[float | None, Meta(description="mean CPU time of a simulation [s]")]
-    parameters: tuple[ParameterStudy, ...]
+    parameters: Annotated[tuple[ParameterStudy, ...], Meta(description="one for each free parameter")]
 
     @property
     def left_out(self) -> str:
-        """Replicates that the statistics leave out, in words; empty if there are none."""
+        """Number of replicates that the statistics leave out, with the reasons; an empty text if there are none."""
         counts = ((self.failed, "failed"), (self.unconverged, "did not converge"))
         return " and ".join(f"{n} {reason}" for n, reason in counts if n)
 
     @property
     def too_many_left_out(self) -> bool:
-        """Return whether so many replicates are left out that the others are a biased sample."""
+        """Return whether more than 5 % of the replicates are left out, so that the others are a biased sample."""
         return self.failed + self.unconverged > MOST_LOST * self.replicates
 
 
 class StudyResult(Result, frozen=True, kw_only=True, tag_field="kind", tag="study"):
     """`seatrial ident study`: Monte Carlo study of bias, variance and coverage of the estimator."""
 
-    seed: int
+    seed: Annotated[int, Meta(description="seed of the random numbers")]
     studies: Annotated[tuple[ModelStudy, ...], Meta(description="one for each model")]

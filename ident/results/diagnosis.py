@@ -15,7 +15,9 @@ from seatrial.ident.diagnosis import (
     Refit,
     RemovedEffect,
     Round,
+    SearchPolicy,
     ValidationMismatch,
+    is_immaterial,
     recommended_experiment,
 )
 from seatrial.ident.effects import catalogue
@@ -40,7 +42,6 @@ from seatrial.ident.results.tables import (
     calibration_tables,
     cross_correlations,
     error_tables,
-    failed_runs,
     finite,
     fit_summary,
     prediction_change,
@@ -65,14 +66,20 @@ def diagnosis_result(
 ) -> DiagnosisResult:
     """Return the result of a diagnosis and its evaluation.
 
+    If one of both fits did not converge, the answer says only that, and there is no caveat.
+
     Parameters
     ----------
+    diagnosis : Diagnosis
+        Findings of the search.
+    evaluation : DiagnosisEvaluation
+        Predictions of the models without and with the effects.
     made : Provenance
         Logs, command line, time and software version.
     warnings : sequence of ResultWarning
         Warnings of the final fit.
     notes : sequence of str
-        Lines that precede the other notes of the result.
+        Sentences that precede the other notes of the result.
     model_path : str
         File of the diagnosed model, which replaces MODEL in the recommended command.
     unused : sequence of UnusedSignal
@@ -108,11 +115,11 @@ def diagnosis_result(
             *calibration_notes(calibration, after.horizon),
         ),
         fit=fit_summary(diagnosis.after.fit, diagnosis.before.model.values),
-        failed_runs=failed_runs(diagnosis.failed_runs),
+        failed_runs=diagnosis.failed_runs,
         cross_validated=diagnosis.cross_validated,
-        mismatches=tuple(_mismatch(m) for m in reported_mismatches(diagnosis)),
+        mismatches=tuple(_mismatch_row(m) for m in reported_mismatches(diagnosis)),
         removed_effects=tuple(
-            parts.RemovedEffect(
+            parts.RemovedEffectRow(
                 name=r.effect.name,
                 title=r.effect.title,
                 validation_gain=r.validation_gain,
@@ -130,9 +137,9 @@ def diagnosis_result(
         residuals=residual_rows(before, with_effects),
         cross=cross_correlations(before, with_effects),
         unused_signals=tuple(unused),
-        residual_forces=_forces(diagnosis, evaluation),
-        rounds=tuple(_round(r) for r in diagnosis.rounds) or (_quiet_round(diagnosis),),
-        effects=_effects(diagnosis),
+        residual_forces=_residual_force_rows(diagnosis, evaluation),
+        rounds=tuple(_round_row(r) for r in diagnosis.rounds) or (_quiet_round(diagnosis),),
+        effects=_effect_rows(diagnosis),
         remaining_candidates=tuple(
             parts.RemainingCandidate(name=s.name, lm=s.lm, df=s.df, p=s.p) for s in diagnosis.remaining
         ),
@@ -150,17 +157,24 @@ def diagnosis_result(
             )
             for s in diagnosis.curves
         ),
-        parameters_before_after=_moved(diagnosis),
+        parameters_before_after=_parameter_change_rows(diagnosis),
         recommended_experiment=None if recommended is None else recommended.replace("MODEL", model_path),
     )
 
 
-def diagnosis_answer(diagnosis: Diagnosis, prediction: parts.PredictionChange | None, horizon: float) -> str:
+def diagnosis_answer(diagnosis: Diagnosis, prediction: parts.PredictionChangeRow | None, horizon: float) -> str:
     """Return the answer: the missing effects, the change of the prediction errors, and the kind of validation.
 
-    ``horizon`` is in s.
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+        Findings of the search.
+    prediction : PredictionChange or None
+        Change of the prediction errors by the effects. Without it, or without effects, the answer has no such sentence.
+    horizon : float
+        Prediction horizon [s].
     """
-    sentences = [_found(diagnosis, prediction)]
+    sentences = [_missing_effects_sentence(diagnosis, prediction)]
     if diagnosis.effects and prediction is not None:
         sentences.append(change_sentence(prediction, horizon))
     if diagnosis.cross_validated:
@@ -171,26 +185,35 @@ def diagnosis_answer(diagnosis: Diagnosis, prediction: parts.PredictionChange | 
     return " ".join(sentences)
 
 
-def _found(diagnosis: Diagnosis, prediction: parts.PredictionChange | None) -> str:
-    """Return one or two sentences on the missing effects, or on why no effect was found."""
+def _missing_effects_sentence(diagnosis: Diagnosis, prediction: parts.PredictionChangeRow | None) -> str:
+    """Return one or two sentences on the missing effects, or on why no effect was found.
+
+    Without effects the first of these applies: validation runs that the model does not fit; no candidate passed
+    (perhaps because the data are short); candidates could not be fitted; effects were removed as immaterial; the
+    residuals may differ from white noise by chance (no p value below 1e-6); no candidate explains the residuals.
+    """
     if diagnosis.effects:
         return f"{what_is_lacking(diagnosis, fell=prediction is not None and prediction.verdict == 'fell')}."
     if diagnosis.mismatches:
-        quiet = "" if diagnosis.rounds else f" {_too_short(diagnosis) or 'No effect was found in the estimation data.'}"
+        quiet = (
+            ""
+            if diagnosis.rounds
+            else f" {_short_data_sentence(diagnosis) or 'No effect was found in the estimation data.'}"
+        )
         return f"{' '.join(mismatch_sentence(m) for m in reported_mismatches(diagnosis))}{quiet}"
     if not diagnosis.rounds:
-        return _too_short(diagnosis) or (
+        return _short_data_sentence(diagnosis) or (
             "No effect is missing: the data show neither an effect of the catalogue nor a nonparametric one."
         )
     last = diagnosis.rounds[-1]
     if diagnosis.untested:
-        titles = _listed([u.effect.title for u in diagnosis.untested])
+        titles = _joined_titles([u.effect.title for u in diagnosis.untested])
         return f"No effect is confirmed, but candidates that may be missing could not be fitted: {titles}."
-    if immaterial := [r.effect.title for r in diagnosis.removed if r.immaterial]:
+    if immaterial := [r.effect.title for r in diagnosis.removed if is_immaterial(r, diagnosis.policy)]:
         do, them = ("explains", "it") if len(immaterial) == 1 else ("explain", "them")
         return (
-            f"No effect is missing that matters to the prediction: {_listed(immaterial)} {do} a part of the residuals "
-            f"one step ahead, but the prediction is as good without {them}."
+            f"No effect is missing that matters to the prediction: {_joined_titles(immaterial)} {do} a part "
+            f"of the residuals one step ahead, but the prediction is as good without {them}."
         )
     # An effect that was chosen in the last round, but is not in the model, was removed by backward elimination.
     why = (
@@ -199,12 +222,15 @@ def _found(diagnosis: Diagnosis, prediction: parts.PredictionChange | None) -> s
         else last.explanation
     )
     if min(s.p for s in last.scores) > CHANCE_P:
-        return f"The data show no missing effect: {_passed(last)} passed the score test, but {why}."
+        return f"The data show no missing effect: {_passed_candidates(last)} passed the score test, but {why}."
     return f"The residuals contradict the model, but no candidate explains them: {why}."
 
 
-def _too_short(diagnosis: Diagnosis) -> str:
-    """Return the sentence on data that are too short to test all candidates; empty if all were tested."""
+def _short_data_sentence(diagnosis: Diagnosis) -> str:
+    """Return the sentence on estimation data that are too short to test some candidates, with the needed length.
+
+    Empty if all candidates could be tested.
+    """
     short = diagnosis.short_data
     return (
         ""
@@ -237,7 +263,11 @@ def _reported_shift(shift: ParameterShift, reported: ReportedEstimates) -> Param
 
 
 def mismatch_sentence(m: ValidationMismatch) -> str:
-    """Return the sentence on a run with larger errors than predicted, and on the parameter change that explains it."""
+    """Return the sentence on a validation run with larger errors than predicted.
+
+    A second sentence has the parameter change that explains the errors best, if there is one. ``m`` is in reported
+    units.
+    """
     name = NAMES.get(m.channel, m.channel)
     mismatch = (
         f"The model does not hold in {m.record}: its errors one step ahead are {m.scale:.2g} times the predicted ones "
@@ -250,9 +280,12 @@ def mismatch_sentence(m: ValidationMismatch) -> str:
     return f"{mismatch}. The best explanation is {shift.name} = {value} in that run, instead of {shift.fitted:.4g}."
 
 
-def _mismatch(m: ValidationMismatch) -> parts.ValidationMismatch:
-    """Return the table row of a validation run with larger errors than predicted."""
-    found = parts.ValidationMismatch(record=m.record, channel=m.channel, scale=m.scale)
+def _mismatch_row(m: ValidationMismatch) -> parts.ValidationMismatchRow:
+    """Return the table row of a validation run with larger errors than predicted.
+
+    ``m`` is already in reported units. Its parameter change is left out of the row if there is none.
+    """
+    found = parts.ValidationMismatchRow(record=m.record, channel=m.channel, scale=m.scale)
     if m.shift is None:
         return found
     return msgspec.structs.replace(
@@ -265,61 +298,75 @@ def _mismatch(m: ValidationMismatch) -> parts.ValidationMismatch:
     )
 
 
-def _passed(last: Round) -> str:
-    """Return the candidate that passed the score test of a round, or the number of such candidates."""
+def _passed_candidates(last: Round) -> str:
+    """Return the title of the candidate that passed the score test of a round, or the number of such candidates."""
     titles = {r.effect.name: r.effect.title for r in last.refits}
     names = [titles.get(name, name) for name in last.passed]
     return names[0] if len(names) == 1 else f"{len(names)} candidates"
 
 
 def what_is_lacking(diagnosis: Diagnosis, *, fell: bool) -> str:
-    """Return the beginning of the answer: identified, then ambiguous, then nonparametric effects.
+    """Return the beginning of the answer: identified, then ambiguous, then nonparametric effects, without a full stop.
 
-    A nonparametric effect comes first if it is the most important one. ``fell`` is whether the prediction error over
-    the horizon fell. If it did not fall, a nonparametric curve is only said to resemble the missing effect, because
-    its prediction is the only evidence for a curve.
+    A nonparametric effect comes first if it is the most important one. The diagnosis must have at least one effect.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+        Findings of the search.
+    fell : bool
+        Whether the prediction error over the horizon fell. If it did not fall, a nonparametric curve is only said to
+        resemble the missing effect, because its prediction is the only evidence for a curve.
     """
     titles: dict[str, list[str]] = {"identified": [], "ambiguous": [], "nonparametric": []}
     for r, judged in zip(diagnosis.effects, diagnosis.attributions, strict=True):
         titles[judged.attribution].append(r.effect.title)
     identified, ambiguous, nonparametric = titles.values()
     if nonparametric and diagnosis.attributions[0].attribution == "nonparametric":
-        found = f"The model lacks {_listed(nonparametric)}" if fell else _resembles(nonparametric)
+        found = f"The model lacks {_joined_titles(nonparametric)}" if fell else _resemblance_clause(nonparametric)
         rest = [*identified, *(f"an effect that resembles {title}" for title in ambiguous)]
-        return f"{found}, and also {_listed(rest)}" if rest else found
+        return f"{found}, and also {_joined_titles(rest)}" if rest else found
     if identified and ambiguous:
-        found = f"The model lacks {_listed(identified)}, and an effect that resembles {_listed(ambiguous)}"
+        found = (
+            f"The model lacks {_joined_titles(identified)}, and an effect that resembles {_joined_titles(ambiguous)}"
+        )
     elif identified:
-        found = f"The model lacks {_listed(identified)}"
+        found = f"The model lacks {_joined_titles(identified)}"
     else:
-        found = _resembles(ambiguous)
-    return f"{found}, and also {_listed(nonparametric)}" if nonparametric else found
+        found = _resemblance_clause(ambiguous)
+    return f"{found}, and also {_joined_titles(nonparametric)}" if nonparametric else found
 
 
-def _resembles(titles: Sequence[str]) -> str:
-    """Return the beginning of an answer that is about ambiguous effects only."""
+def _resemblance_clause(titles: Sequence[str]) -> str:
+    """Return the beginning of an answer that the missing effects resemble the effects with these titles."""
     missing = "The missing effect resembles" if len(titles) == 1 else "The missing effects resemble"
-    return f"{missing} {_listed(titles)}"
+    return f"{missing} {_joined_titles(titles)}"
 
 
 def diagnosis_caveat(diagnosis: Diagnosis) -> str | None:
-    """Return why the name of an effect is uncertain, and whether --max-effects ended the search; None if neither."""
+    """Return why the name of an effect is uncertain, and whether --max-effects ended the search; None if neither.
+
+    Only the first reason of the first ambiguous effect is given.
+    """
     reasons = [reason for j in diagnosis.attributions if j.attribution == "ambiguous" for reason in j.reasons]
     sentences = [f"The name is uncertain: {reasons[0]}."] if reasons else []
     if diagnosis.remaining and diagnosis.untried_scores:
         many = counted(sum(search_round.chosen is not None for search_round in diagnosis.rounds), "effect")
         limit = "the limit set by --max-effects"
-        sentences.append(f"The search ended with {many}, {limit}; not tried: {_left(diagnosis)}.")
+        sentences.append(f"The search ended with {many}, {limit}; not tried: {_remaining_names(diagnosis)}.")
     return " ".join(sentences) or None
 
 
-def _listed(titles: Sequence[str]) -> str:
-    """Join titles by commas and a final "and"."""
+def _joined_titles(titles: Sequence[str]) -> str:
+    """Join one or more titles by commas and a final "and"."""
     return titles[0] if len(titles) == 1 else ", ".join(titles[:-1]) + " and " + titles[-1]
 
 
-def _forces(diagnosis: Diagnosis, evaluation: DiagnosisEvaluation) -> tuple[parts.ResidualForce, ...]:
-    """Return the smoothed disturbance forces without and, if effects were added, with the effects."""
+def _residual_force_rows(diagnosis: Diagnosis, evaluation: DiagnosisEvaluation) -> tuple[parts.ResidualForce, ...]:
+    """Return the smoothed disturbance forces without and, if effects were added, with the effects.
+
+    There is one row for each record and force, in reported units. Without effects the second columns are None.
+    """
     before, after = (ReportedEstimates(fitted.fit) for fitted in (diagnosis.before, diagnosis.after))
     changed = bool(diagnosis.effects)
     return tuple(
@@ -337,21 +384,27 @@ def _forces(diagnosis: Diagnosis, evaluation: DiagnosisEvaluation) -> tuple[part
     )
 
 
-def _quiet_round(diagnosis: Diagnosis) -> parts.Round:
-    """Return the round of a search in which no candidate passed, with all its score tests."""
-    tested = _round(Round(diagnosis.scores, (), (), None))
+def _quiet_round(diagnosis: Diagnosis) -> parts.RoundRow:
+    """Return the table of a round in which no candidate passed: its best 24 score tests, and the reason.
+
+    The reason also says so if the data were too short to test some candidates.
+    """
+    tested = _round_row(Round(diagnosis.scores, (), (), None))
     why = "no candidate passes the score tests"
     if (short := diagnosis.short_data) is not None:
         why += f"; {short.seconds:.0f} s of data are too short to test {short.untestable} of {short.candidates}"
     return msgspec.structs.replace(tested, why=why)
 
 
-def _round(search_round: Round) -> parts.Round:
-    """Return the table of one round: the best candidates, the refits and the choice."""
+def _round_row(search_round: Round) -> parts.RoundRow:
+    """Return the table of one round: the best 24 candidates and all that passed, the refits and the choice.
+
+    The best candidates have the largest statistic per degree of freedom.
+    """
     titles = {n: e.title for n, e in catalogue().items()} | {r.effect.name: r.effect.title for r in search_round.refits}
     ranked = sorted(search_round.scores, key=lambda s: -s.lm / max(s.df, 1))
     best = [s for k, s in enumerate(ranked) if k < MOST_CANDIDATES or s.name in search_round.passed]
-    return parts.Round(
+    return parts.RoundRow(
         candidates=tuple(
             parts.Candidate(
                 name=s.name,
@@ -368,9 +421,9 @@ def _round(search_round: Round) -> parts.Round:
         ),
         tested=len(search_round.scores),
         passed=len(search_round.passed),
-        refits=tuple(_refit(r) for r in search_round.refits),
+        refits=tuple(_refit_row(r) for r in search_round.refits),
         untested=tuple(
-            parts.UntestedCandidate(name=u.effect.name, title=u.effect.title, reason=u.reason)
+            parts.UntestedCandidateRow(name=u.effect.name, title=u.effect.title, reason=u.reason)
             for u in search_round.untested
         ),
         chosen=search_round.chosen.effect.name if search_round.chosen else None,
@@ -378,9 +431,9 @@ def _round(search_round: Round) -> parts.Round:
     )
 
 
-def _refit(r: Refit) -> parts.Refit:
-    """Return the table of one refit."""
-    return parts.Refit(
+def _refit_row(r: Refit) -> parts.RefitRow:
+    """Return the table row of one refit, with the parameters of its effect."""
+    return parts.RefitRow(
         name=r.effect.name,
         title=r.effect.title,
         gain=r.gain,
@@ -390,14 +443,21 @@ def _refit(r: Refit) -> parts.Refit:
         t=r.t,
         prediction=None if r.prediction is None else prediction_change(r.prediction, "validation"),
         outcome=cast(parts.RefitOutcome, r.outcome.value),
-        parameters=_own(r, r.fitted),
+        parameters=_effect_parameter_rows(r, r.fitted),
     )
 
 
-def _own(r: Refit, fitted: FittedModel) -> tuple[parts.EffectParameter, ...]:
-    """Return the estimates of an effect's parameters.
+def _effect_parameter_rows(r: Refit, fitted: FittedModel) -> tuple[parts.EffectParameter, ...]:
+    """Return the estimates of an effect's parameters in reported units, one row for each run of a per-record parameter.
 
     For an effect that differs between runs, return the differences from the first run.
+
+    Parameters
+    ----------
+    r : Refit
+        Refit with the effect.
+    fitted : FittedModel
+        Model whose estimates are reported.
     """
     reported, rows = ReportedEstimates(fitted.fit), []
     for p in r.effect.parameters:
@@ -415,8 +475,11 @@ def _own(r: Refit, fitted: FittedModel) -> tuple[parts.EffectParameter, ...]:
     return tuple(rows)
 
 
-def _effects(diagnosis: Diagnosis) -> tuple[parts.EffectRow, ...]:
-    """Return the added effects with their estimates in the final model and their importance, the largest first."""
+def _effect_rows(diagnosis: Diagnosis) -> tuple[parts.EffectRow, ...]:
+    """Return the added effects with their estimates in the final model and their importance, the largest first.
+
+    The alternatives of an effect are the other refits of its round.
+    """
     rows = []
     rounds = {
         search_round.chosen.effect.name: search_round
@@ -443,7 +506,7 @@ def _effects(diagnosis: Diagnosis) -> tuple[parts.EffectRow, ...]:
                 attribution=judged.attribution,
                 reasons=tuple(judged.reasons),
                 not_excluded=tuple(judged.not_excluded),
-                parameters=_own(r, diagnosis.after),
+                parameters=_effect_parameter_rows(r, diagnosis.after),
                 error_ratio_without=finite(weight.error_ratio),
                 gain_last=finite(weight.gain),
             )
@@ -451,8 +514,11 @@ def _effects(diagnosis: Diagnosis) -> tuple[parts.EffectRow, ...]:
     return tuple(rows)
 
 
-def _moved(diagnosis: Diagnosis) -> tuple[parts.ParameterChange, ...]:
-    """Return the shared free parameters of the model before and after the effects were added."""
+def _parameter_change_rows(diagnosis: Diagnosis) -> tuple[parts.ParameterChange, ...]:
+    """Return the estimates of the shared free parameters before and after the effects were added, in reported units.
+
+    The parameters are those of the model without effects. Per-record parameters are left out.
+    """
     before, after = (ReportedEstimates(fitted.fit) for fitted in (diagnosis.before, diagnosis.after))
     scale, rows = before.scale, []
     for p in before.fit.model.parameters:
@@ -472,7 +538,7 @@ def _moved(diagnosis: Diagnosis) -> tuple[parts.ParameterChange, ...]:
 
 
 def _untested_warnings(diagnosis: Diagnosis) -> list[parts.ResultWarning]:
-    """Return warnings about candidates and effects that could not be tested."""
+    """Return warnings about candidates, effects and curves that could not be tested or fitted."""
     texts = [f"Not tested, because it could not be fitted: {u.effect.title} ({u.reason})." for u in diagnosis.untested]
     texts += [f"Not tested: {u.effect.title} ({u.reason})." for u in diagnosis.untestable]
     texts += [
@@ -489,43 +555,54 @@ def _untested_warnings(diagnosis: Diagnosis) -> list[parts.ResultWarning]:
 
 
 def _blocks_note(evaluation: DiagnosisEvaluation) -> list[str]:
-    """Return the note on validation runs that are predicted in blocks, because effects have per-record parameters."""
+    """Return the note that validation runs are predicted in blocks of time, because effects have per-record parameters.
+
+    The list is empty if there are no such effects.
+    """
     if not evaluation.in_blocks:
         return []
     titles = [e.title for e in evaluation.in_blocks]
     have = "has" if len(titles) == 1 else "have"
     return [
         f"The validation runs are predicted in blocks of time, each with the estimates from the other blocks of its "
-        f"run, because {_listed(titles)} {have} separate parameters for each run."
+        f"run, because {_joined_titles(titles)} {have} separate parameters for each run."
     ]
 
 
-def _removal_reason(removed: RemovedEffect) -> str:
-    """Return why an effect was removed by backward elimination."""
-    if removed.immaterial:
+def _removal_reason(removed: RemovedEffect, policy: SearchPolicy) -> str:
+    """Return the clause why an effect was removed by backward elimination; ``policy`` has the thresholds."""
+    if is_immaterial(removed, policy):
         return "the prediction is as good without it"
     return "with the other effects in the model, the validation data do not support it"
 
 
-def _left(diagnosis: Diagnosis) -> str:
-    """List the first candidates that still pass the score test."""
+def _remaining_names(diagnosis: Diagnosis) -> str:
+    """Return the names of the first four candidates that still pass the score test, separated by commas."""
     return ", ".join(s.name for s in diagnosis.remaining[:4])
 
 
 def _notes(diagnosis: Diagnosis) -> list[str]:
-    """Return the notes on remaining candidates, removed effects, mismatches and flagged parameters."""
+    """Return the notes of a diagnosis.
+
+    The notes are about candidates that still pass the score test, the reason why the search ended, removed effects,
+    validation runs that the model does not fit, and flagged parameters.
+    """
     notes = []
     if diagnosis.remaining and not diagnosis.untried_scores:
         if diagnosis.effects:
-            notes.append(f"Candidates that still pass the score test after the last effect: {_left(diagnosis)}.")
+            notes.append(
+                f"Candidates that still pass the score test after the last effect: {_remaining_names(diagnosis)}."
+            )
         elif diagnosis.removed:
-            notes.append(f"Candidates that pass the score test of the model without effects: {_left(diagnosis)}.")
+            notes.append(
+                f"Candidates that pass the score test of the model without effects: {_remaining_names(diagnosis)}."
+            )
     if diagnosis.effects and diagnosis.rounds[-1].chosen is None:
         why = diagnosis.rounds[-1].explanation
         notes.append(f"{why[0].upper()}{why[1:]}.")
     notes += [
-        f"{r.effect.title} was added and removed again: {_removal_reason(r)} (d ln L of the validation data "
-        f"{r.validation_gain:.0f}, t = {r.t:.1f})."
+        f"{r.effect.title} was added and removed again: {_removal_reason(r, diagnosis.policy)} "
+        f"(d ln L of the validation data {r.validation_gain:.0f}, t = {r.t:.1f})."
         for r in diagnosis.removed
     ]
     if diagnosis.effects:

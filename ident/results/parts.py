@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 import msgspec
 from msgspec import Meta
 
+from seatrial.ident.data import FrameOrigin
+from seatrial.ident.estimation import FailedRun
 from seatrial.ident.numerics import Array
 
 FORMAT = "seatrial-result 2"
@@ -31,11 +33,15 @@ class Part(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     docs/formats/result.md.
     """
 
-    exact: ClassVar[bool] = False  # True: the numbers of the table keep all digits in a file
-
 
 def same_length(part: Part, *names: str) -> None:
-    """Raise ValueError if the named arrays of a table, which are plotted over each other, differ in length."""
+    """Compare the shapes of the named arrays of a table, which are plotted over each other; None is left out.
+
+    Raises
+    ------
+    ValueError
+        If the shapes differ.
+    """
     sizes = {name: array.shape for name in names if (array := getattr(part, name)) is not None}
     if len(set(sizes.values())) > 1:
         raise ValueError(f"{' and '.join(sizes)} must be of one length, not {sizes}")
@@ -46,29 +52,20 @@ class LogFinding(Part, frozen=True, kw_only=True):
 
     level: Annotated[str, Meta(description="`warning` or `fault`")]
     code: Annotated[str, Meta(description="code of the finding, for programs")]
-    check: str
+    check: Annotated[str, Meta(description="name of the check")]
     where: Annotated[str, Meta(description="device, thruster or signal")]
-    text: str
+    text: Annotated[str, Meta(description="text of the finding, for readers")]
     advice: Annotated[str, Meta(description="what to do about it")] = ""
     spoils: Annotated[bool, Meta(description="a fit to this log is meaningless (`--despite-faults`)")] = False
-
-
-class FrameOrigin(Part, frozen=True, kw_only=True):
-    """Origin of the NED frame, where x = y = 0."""
-
-    exact: ClassVar[bool] = True  # seven digits of a latitude are 10 m
-    latitude: Annotated[float, Meta(description="[deg]")]
-    longitude: Annotated[float, Meta(description="[deg]")]
-    log: Annotated[str, Meta(description="name of the log whose first fix is the origin")] = ""
 
 
 class LogSummary(Part, frozen=True, kw_only=True):
     """Log that a result was made from."""
 
-    path: str
-    sha256: str
+    path: Annotated[str, Meta(description="file name, with the time window if only a part was used")]
+    sha256: Annotated[str, Meta(description="SHA-256 of the file; empty if a time window was given")]
     role: Annotated[str, Meta(description="`estimation`, `validation`, `navigated` or `judged`")]
-    name: str
+    name: Annotated[str, Meta(description="name of the log, which its record has too")]
     duration: Annotated[float, Meta(description="[s]")]
     rig: Annotated[str | None, Meta(description="name of the rig")] = None
     mission: Annotated[str | None, Meta(description="name of the mission")] = None
@@ -88,7 +85,7 @@ class Provenance(Part, frozen=True, kw_only=True):
     created: Annotated[str, Meta(description="UTC time (ISO 8601)")]
     seatrial: Annotated[str, Meta(description="version")]
     command: Annotated[str, Meta(description="command line")]
-    logs: tuple[LogSummary, ...] = ()
+    logs: Annotated[tuple[LogSummary, ...], Meta(description="logs that the result was made from")] = ()
 
 
 WarningCode = Literal[
@@ -116,7 +113,7 @@ WarningCode = Literal[
 class ResultWarning(Part, frozen=True, kw_only=True):
     """Warning to be read before the estimates."""
 
-    code: WarningCode
+    code: Annotated[WarningCode, Meta(description="code of the warning, for programs")]
     text: Annotated[str, Meta(description="one line for the reader")]
 
 
@@ -173,7 +170,7 @@ class ForceScale(Part, frozen=True, kw_only=True):
 class UnusedSignal(Part, frozen=True, kw_only=True):
     """Signal of a log that the model uses neither as an input nor as an output."""
 
-    signal: str
+    signal: Annotated[str, Meta(description="name of the signal")]
     logs: Annotated[tuple[str, ...], Meta(description="names of the logs that contain the signal")]
     code: Annotated[
         Literal["incomplete-sensor", "other-name", "not-in-model", "unknown-name", "validation-only"],
@@ -183,16 +180,16 @@ class UnusedSignal(Part, frozen=True, kw_only=True):
             "uses that name; `validation-only`: no estimation log contains it, so its noise is unknown"
         ),
     ]
-    reason: str
+    reason: Annotated[str, Meta(description="reason in words why the signal is not used")]
 
 
 class EffectParameter(Part, frozen=True, kw_only=True):
     """Estimated parameter of an effect."""
 
-    name: str
-    meaning: str
-    unit: str
-    value: float
+    name: Annotated[str, Meta(description="name of the parameter")]
+    meaning: Annotated[str, Meta(description="meaning in words")]
+    unit: Annotated[str, Meta(description="unit of the values, SI and radians; empty: none")]
+    value: Annotated[float, Meta(description="estimate")]
     se: Annotated[
         float | None,
         Meta(description="standard error; null: the parameter is fixed, at a bound or not informed by the data"),
@@ -202,10 +199,10 @@ class EffectParameter(Part, frozen=True, kw_only=True):
 class ParameterRow(Part, frozen=True, kw_only=True):
     """Parameter of the model. A per-record parameter has one row for each record."""
 
-    name: str
-    meaning: str
-    unit: str
-    value: float
+    name: Annotated[str, Meta(description="name of the parameter; a ratio to the thrust is `NAME/T`")]
+    meaning: Annotated[str, Meta(description="meaning in words")]
+    unit: Annotated[str, Meta(description="unit of the values, SI and radians; empty: none")]
+    value: Annotated[float, Meta(description="estimate, or value of a fixed parameter")]
     se: Annotated[
         float | None,
         Meta(
@@ -226,12 +223,15 @@ class ParameterRow(Part, frozen=True, kw_only=True):
 class Correlation(Part, frozen=True, kw_only=True):
     """Correlation matrix of the estimates."""
 
-    names: tuple[str, ...]
+    names: Annotated[tuple[str, ...], Meta(description="names of the parameters, in the order of the rows and columns")]
     matrix: Annotated[Array, Meta(description="(names, names)")]
 
     def __post_init__(self) -> None:
+        """Raise ValueError if the matrix has another size than the names."""
         if self.matrix.shape != (len(self.names), len(self.names)):
-            raise ValueError(f"matrix must be of {len(self.names)} names, not {self.matrix.shape}")
+            raise ValueError(
+                f"the correlation matrix has the shape {self.matrix.shape}, but there are {len(self.names)} names"
+            )
 
 
 class FitSummary(Part, frozen=True, kw_only=True):
@@ -241,29 +241,34 @@ class FitSummary(Part, frozen=True, kw_only=True):
     method: Annotated[Literal["PE", "OE"], Meta(description="prediction error or output error")]
     restricted: Annotated[bool, Meta(description="noise variances are estimated by restricted maximum likelihood")]
     second_order: Annotated[bool, Meta(description="the filter is a second-order EKF")]
-    converged: bool
+    converged: Annotated[bool, Meta(description="whether the search converged")]
     message: Annotated[str, Meta(description="why the search ended")]
-    log_likelihood: float | None
-    iterations: int
+    log_likelihood: Annotated[
+        float | None, Meta(description="natural logarithm of the likelihood at the estimate; null: not finite")
+    ]
+    iterations: Annotated[int, Meta(description="number of iterations of the search")]
     cpu: Annotated[float, Meta(description="CPU time [s]")]
     coloured: Annotated[
         bool, Meta(description="residuals are autocorrelated: standard errors are the robust ones if these are larger")
     ] = False
-    scale: ForceScale = ForceScale()
-    parameters: tuple[ParameterRow, ...]
-    correlation: Correlation
+    scale: Annotated[ForceScale, Meta(description="provenance of the force scale")] = ForceScale()
+    parameters: Annotated[
+        tuple[ParameterRow, ...],
+        Meta(description="one for each parameter, or for each record of a per-record parameter"),
+    ]
+    correlation: Annotated[Correlation, Meta(description="correlation of the estimated parameters")]
 
 
 class Trace(Part, frozen=True, kw_only=True):
     """Channel of a record: measured, predicted over the horizon, and simulated from the inputs alone."""
 
-    record: str
-    role: Role
-    channel: str
-    unit: str
+    record: Annotated[str, Meta(description="name of the record")]
+    role: Annotated[Role, Meta(description="`estimation` or `validation`")]
+    channel: Annotated[str, Meta(description="name of the measured channel")]
+    unit: Annotated[str, Meta(description="unit of the values, SI and radians; empty: none")]
     angle: Annotated[bool, Meta(description="whether the channel is an angle, which is known except for whole turns")]
     t: Annotated[Array, Meta(description="[s]")]
-    measured: Array
+    measured: Annotated[Array, Meta(description="measured values")]
     model: Annotated[Array, Meta(description="simulated")]
     sd: Annotated[Array, Meta(description="standard deviation of the simulation")]
     diverged: Annotated[
@@ -278,6 +283,7 @@ class Trace(Part, frozen=True, kw_only=True):
     ] = None
 
     def __post_init__(self) -> None:
+        """Raise ValueError if arrays that are plotted over each other differ in length."""
         same_length(self, "t", "measured", "model", "sd", "before")
         same_length(self, "t_horizon", "horizon", "sd_horizon", "horizon_before")
 
@@ -285,29 +291,31 @@ class Trace(Part, frozen=True, kw_only=True):
 class Track(Part, frozen=True, kw_only=True):
     """Track of a record: north (x) and east (y) [m]."""
 
-    record: str
-    role: Role
-    x_measured: Array
-    y_measured: Array
-    x_model: Array
-    y_model: Array
-    x_before: Array | None = None
-    y_before: Array | None = None
+    record: Annotated[str, Meta(description="name of the record")]
+    role: Annotated[Role, Meta(description="`estimation` or `validation`")]
+    x_measured: Annotated[Array, Meta(description="measured, north [m]")]
+    y_measured: Annotated[Array, Meta(description="measured, east [m]")]
+    x_model: Annotated[Array, Meta(description="simulated, north [m]")]
+    y_model: Annotated[Array, Meta(description="simulated, east [m]")]
+    x_before: Annotated[Array | None, Meta(description="diagnosis: simulated without the effects, north [m]")] = None
+    y_before: Annotated[Array | None, Meta(description="diagnosis: simulated without the effects, east [m]")] = None
 
     def __post_init__(self) -> None:
+        """Raise ValueError if the arrays differ in length."""
         same_length(self, "x_measured", "y_measured", "x_model", "y_model", "x_before", "y_before")
 
 
 class InputTrace(Part, frozen=True, kw_only=True):
     """Input of the model over time."""
 
-    record: str
-    name: str
-    unit: str
+    record: Annotated[str, Meta(description="name of the record")]
+    name: Annotated[str, Meta(description="name of the input")]
+    unit: Annotated[str, Meta(description="unit of the values, SI and radians; empty: none")]
     t: Annotated[Array, Meta(description="[s]")]
-    value: Array
+    value: Annotated[Array, Meta(description="values of the input at `t`")]
 
     def __post_init__(self) -> None:
+        """Raise ValueError if times and values differ in length."""
         same_length(self, "t", "value")
 
 
@@ -330,9 +338,9 @@ class WhitenessTests(Part, frozen=True, kw_only=True):
 class ResidualTests(WhitenessTests, frozen=True, kw_only=True):
     """Whiteness of the residuals of a channel in a record."""
 
-    record: str
-    channel: str
-    unit: str
+    record: Annotated[str, Meta(description="name of the record")]
+    channel: Annotated[str, Meta(description="name of the measured channel")]
+    unit: Annotated[str, Meta(description="unit of the values, SI and radians; empty: none")]
     t: Annotated[Array, Meta(description="[s]")]
     lags: Annotated[Array, Meta(description="[s]")]
     band: Annotated[float, Meta(description="95 % half width of `acf` for white noise")]
@@ -340,6 +348,7 @@ class ResidualTests(WhitenessTests, frozen=True, kw_only=True):
     after: Annotated[WhitenessTests | None, Meta(description="diagnosis: the same with the effects")] = None
 
     def __post_init__(self) -> None:
+        """Raise ValueError if arrays that are plotted over each other differ in length."""
         same_length(self, "t", "e")
         same_length(self, "lags", "acf")
         same_length(self, "frequency", "cumulative")
@@ -353,16 +362,17 @@ class CorrelationTest(Part, frozen=True, kw_only=True):
     largest: Annotated[float | None, Meta(description="largest absolute correlation coefficient over all lags")] = None
 
 
-class CrossCorrelation(CorrelationTest, frozen=True, kw_only=True):
+class CrossCorrelationRow(CorrelationTest, frozen=True, kw_only=True):
     """Correlation of the residuals of a channel with an input."""
 
-    record: str
-    channel: str
-    input: str
+    record: Annotated[str, Meta(description="name of the record")]
+    channel: Annotated[str, Meta(description="name of the measured channel")]
+    input: Annotated[str, Meta(description="name of the input")]
     lags: Annotated[Array, Meta(description="[s]")]
     after: Annotated[CorrelationTest | None, Meta(description="diagnosis: the same with the effects")] = None
 
     def __post_init__(self) -> None:
+        """Raise ValueError if lags and correlations differ in length."""
         same_length(self, "lags", "z")
 
 
@@ -371,9 +381,9 @@ class ErrorComparison(Part, frozen=True, kw_only=True):
 
     before: Annotated[float | None, Meta(description="diagnosis: RMS error without the effects")] = None
     after: Annotated[float | None, Meta(description="RMS error of the model; null: the prediction diverged")]
-    unit: str
+    unit: Annotated[str, Meta(description="unit of the channel")]
     low: Annotated[float | None, Meta(description="over the horizon: 95 % interval of after / before")] = None
-    high: float | None = None
+    high: Annotated[float | None, Meta(description="upper end of the interval")] = None
     verdict: Annotated[Change | None, Meta(description="over the horizon: verdict on the change, by the interval")] = (
         None
     )
@@ -389,7 +399,7 @@ class ErrorComparison(Part, frozen=True, kw_only=True):
 class ErrorTable(Part, frozen=True, kw_only=True):
     """Prediction errors of each channel: one step ahead, over the horizon, and in simulation."""
 
-    one_step: dict[str, ErrorComparison]
+    one_step: Annotated[dict[str, ErrorComparison], Meta(description="one step ahead")]
     horizon: Annotated[dict[str, ErrorComparison], Meta(description="over `horizon_seconds`")]
     simulation: Annotated[dict[str, ErrorComparison], Meta(description="from the inputs alone")]
 
@@ -401,22 +411,22 @@ class PredictionFit(Part, frozen=True, kw_only=True):
     the measured output.
     """
 
-    role: Role
-    fit: float
+    role: Annotated[Role, Meta(description="`estimation` or `validation`")]
+    fit: Annotated[float, Meta(description="fit, 1 for a perfect prediction")]
     low: Annotated[float | None, Meta(description="95 % interval of `fit`; null: the data are too short")] = None
-    high: float | None = None
+    high: Annotated[float | None, Meta(description="upper end of the interval")] = None
 
 
-class PredictionChange(Part, frozen=True, kw_only=True):
+class PredictionChangeRow(Part, frozen=True, kw_only=True):
     """Prediction change: effect of the added effects on the prediction errors over the horizon.
 
     The ratio is the geometric mean over all channels of RMS error after / before.
     """
 
-    role: Role
-    ratio: float
+    role: Annotated[Role, Meta(description="`estimation` or `validation`")]
+    ratio: Annotated[float, Meta(description="error after / before; below 1 the error fell")]
     low: Annotated[float | None, Meta(description="95 % interval of `ratio`; null: the data are too short")] = None
-    high: float | None = None
+    high: Annotated[float | None, Meta(description="upper end of the interval")] = None
     verdict: Annotated[Change, Meta(description="verdict on the change, by the interval")]
     better: Annotated[tuple[str, ...], Meta(description="channels whose error fell significantly")] = ()
     worse: Annotated[tuple[str, ...], Meta(description="channels whose error rose significantly")] = ()
@@ -425,7 +435,7 @@ class PredictionChange(Part, frozen=True, kw_only=True):
 class Errors(Part, frozen=True, kw_only=True):
     """Prediction errors on the estimation data and on the validation data."""
 
-    estimation: ErrorTable
+    estimation: Annotated[ErrorTable, Meta(description="on the estimation data")]
     validation: Annotated[ErrorTable | None, Meta(description="null: there were no validation data")] = None
 
 
@@ -438,7 +448,7 @@ class CalibrationRow(Part, frozen=True, kw_only=True):
     inside_95: Annotated[float, Meta(description="share of the errors inside the 95 % interval")]
     scale: Annotated[float | None, Meta(description="RMS of error / predicted standard deviation")]
     low: Annotated[float | None, Meta(description="95 % interval of `scale`")]
-    high: float | None
+    high: Annotated[float | None, Meta(description="upper end of the interval")]
     pit: Annotated[Array, Meta(description="(10,) shares of the errors in each tenth of the predicted distribution")]
     verdict: Annotated[
         Verdict,
@@ -449,14 +459,15 @@ class CalibrationRow(Part, frozen=True, kw_only=True):
     ]
 
     def __post_init__(self) -> None:
+        """Raise ValueError if there are not ten shares."""
         if self.pit.shape != (10,):
-            raise ValueError(f"pit must have ten shares, not {self.pit.shape}")
+            raise ValueError(f"pit must have ten shares, one for each tenth of the distribution, not {self.pit.shape}")
 
 
 class CalibrationTable(Part, frozen=True, kw_only=True):
     """Calibration of each channel: one step ahead, over the horizon, and in simulation."""
 
-    one_step: dict[str, CalibrationRow]
+    one_step: Annotated[dict[str, CalibrationRow], Meta(description="one step ahead")]
     horizon: Annotated[dict[str, CalibrationRow], Meta(description="over `horizon_seconds`")]
     simulation: Annotated[dict[str, CalibrationRow], Meta(description="from the inputs alone")]
 
@@ -464,7 +475,7 @@ class CalibrationTable(Part, frozen=True, kw_only=True):
 class Calibrations(Part, frozen=True, kw_only=True):
     """Calibration on the estimation data and on the validation data (diagnosis: with the effects)."""
 
-    estimation: CalibrationTable
+    estimation: Annotated[CalibrationTable, Meta(description="on the estimation data")]
     validation: Annotated[CalibrationTable | None, Meta(description="null: there were no validation data")] = None
 
 
@@ -472,8 +483,8 @@ class ProfileCurve(Part, frozen=True, kw_only=True):
     """Profile likelihood of a parameter."""
 
     name: Annotated[str, Meta(description="parameter; `V_x@0` is that of the first log")]
-    unit: str
-    value: float
+    unit: Annotated[str, Meta(description="unit of the values, SI and radians; empty: none")]
+    value: Annotated[float, Meta(description="estimate")]
     grid: Annotated[Array, Meta(description="values of the parameter, increasing")]
     drop: Annotated[
         Array,
@@ -485,9 +496,9 @@ class ProfileCurve(Part, frozen=True, kw_only=True):
     low: Annotated[
         float | None, Meta(description="95 % interval, at whose ends the drop is 1.92; null: open on that side")
     ] = None
-    high: float | None = None
+    high: Annotated[float | None, Meta(description="upper end of the interval; null: open on that side")] = None
     wald_low: Annotated[float | None, Meta(description="95 % interval by 1.96 standard errors")] = None
-    wald_high: float | None = None
+    wald_high: Annotated[float | None, Meta(description="upper end of that interval")] = None
     notes: Annotated[
         tuple[str, ...],
         Meta(
@@ -497,39 +508,33 @@ class ProfileCurve(Part, frozen=True, kw_only=True):
     ] = ()
 
     def __post_init__(self) -> None:
+        """Raise ValueError if grid and drop differ in length."""
         same_length(self, "grid", "drop")
 
 
 class Homogeneity(Part, frozen=True, kw_only=True):
     """Homogeneity test of a parameter: likelihood ratio of one value for all logs against one for each log."""
 
-    name: str
-    unit: str
+    name: Annotated[str, Meta(description="name of the parameter")]
+    unit: Annotated[str, Meta(description="unit of the values, SI and radians; empty: none")]
     value: Annotated[float, Meta(description="one value for all logs")]
-    se: float | None
+    se: Annotated[float | None, Meta(description="standard error of `value`; null: not informed by the data")]
     se_robust: Annotated[float | None, Meta(description="robust standard error (sandwich covariance)")]
-    records: tuple[str, ...]
+    records: Annotated[tuple[str, ...], Meta(description="names of the logs, in the order of `values`")]
     values: Annotated[Array, Meta(description="value of each log")]
     ses: Annotated[Array, Meta(description="standard errors of `values`")]
     lr: Annotated[float, Meta(description="likelihood ratio")]
-    df: int
-    p: float
-    agree: bool
+    df: Annotated[int, Meta(description="degrees of freedom of `lr`")]
+    p: Annotated[float, Meta(description="p value of `lr`")]
+    agree: Annotated[bool, Meta(description="verdict: the logs agree in one value")]
     scatter: Annotated[float | None, Meta(description="standard deviation between logs beyond their standard errors")]
     mean: Annotated[float | None, Meta(description="mean over the logs, weighted with that scatter")]
-    se_mean: float | None
+    se_mean: Annotated[float | None, Meta(description="standard error of `mean`")]
     low: Annotated[float | None, Meta(description="95 % interval of `mean`")]
-    high: float | None
+    high: Annotated[float | None, Meta(description="upper end of the interval")]
     left_out: Annotated[
         tuple[str, ...], Meta(description="logs that do not inform the parameter; `df` does not count them")
     ] = ()
-
-
-class FailedRun(Part, frozen=True, kw_only=True):
-    """Validation run that could not be evaluated."""
-
-    record: str
-    reason: str
 
 
 class FitResult(Result, frozen=True, kw_only=True):
@@ -540,20 +545,20 @@ class FitResult(Result, frozen=True, kw_only=True):
         """Return whether all fits that the answer depends on converged."""
         return self.fit.converged
 
-    fit: FitSummary
-    failed_runs: tuple[FailedRun, ...] = ()
+    fit: Annotated[FitSummary, Meta(description="method, convergence and estimates")]
+    failed_runs: Annotated[tuple[FailedRun, ...], Meta(description="validation runs that were left out")] = ()
     horizon_seconds: Annotated[
         float,
         Meta(description="prediction horizon (`--horizon`) [s]: 10 by default, 1 on the bench"),
     ]
-    errors: Errors
-    calibration: Calibrations
+    errors: Annotated[Errors, Meta(description="RMS prediction errors")]
+    calibration: Annotated[Calibrations, Meta(description="calibration of the prediction intervals")]
     traces: Annotated[tuple[Trace, ...], Meta(description="one for each record and channel")]
     track: Annotated[tuple[Track, ...], Meta(description="one for each record with positions")]
-    inputs: tuple[InputTrace, ...]
+    inputs: Annotated[tuple[InputTrace, ...], Meta(description="one for each record and input")]
     residuals: Annotated[tuple[ResidualTests, ...], Meta(description="one for each estimation record and channel")]
     cross: Annotated[
-        tuple[CrossCorrelation, ...], Meta(description="one for each estimation record, channel and input")
+        tuple[CrossCorrelationRow, ...], Meta(description="one for each estimation record, channel and input")
     ]
     unused_signals: Annotated[
         tuple[UnusedSignal, ...], Meta(description="signals of the logs that the model does not use, with the reason")
@@ -566,13 +571,14 @@ class StaticForce(Part, frozen=True, kw_only=True):
     n: Annotated[Array, Meta(description="measured shaft speed or command, as a part of full")]
     force: Annotated[Array, Meta(description="[N]")]
     sd: Annotated[Array, Meta(description="standard errors of `force` [N]")]
-    n_model: Array
+    n_model: Annotated[Array, Meta(description="shaft speeds or commands of the fitted curve")]
     force_model: Annotated[Array, Meta(description="[N]")]
     force_sd: Annotated[Array, Meta(description="[N]")]
     force_quadratic: Annotated[Array | None, Meta(description="static curve: c1 n|n| + c2 n^2 [N]")] = None
     abscissa: Annotated[str, Meta(description="quantity of `n`")] = "shaft speed n"
 
     def __post_init__(self) -> None:
+        """Raise ValueError if arrays of the points, or those of the curve, differ in length."""
         same_length(self, "n", "force", "sd")
         same_length(self, "n_model", "force_model", "force_sd", "force_quadratic")
 
@@ -599,35 +605,35 @@ class ThrusterResult(FitResult, frozen=True, kw_only=True, tag_field="kind", tag
 class ThrustCurveResult(Result, frozen=True, kw_only=True, tag_field="kind", tag="thrust_curve"):
     """`seatrial ident thruster` if the logs have no shaft speed: a static thrust curve."""
 
-    static: StaticForce
+    static: Annotated[StaticForce, Meta(description="measured points and fitted curve")]
 
 
 class Candidate(Part, frozen=True, kw_only=True):
     """Candidate in a round of the search, with its score test."""
 
-    name: str
-    title: str
+    name: Annotated[str, Meta(description="name of the candidate")]
+    title: Annotated[str, Meta(description="title for readers")]
     lm: Annotated[float, Meta(description="score test statistic")]
-    df: int
-    p: float
+    df: Annotated[int, Meta(description="degrees of freedom")]
+    p: Annotated[float, Meta(description="p value of `lm`")]
     p_block: Annotated[float | None, Meta(description="block-robust p value")]
     generic: Annotated[bool, Meta(description="nonparametric curve, not an effect of the catalogue")]
     threshold: Annotated[float, Meta(description="threshold of `lm`, corrected for the number of tests")]
-    passed: bool
+    passed: Annotated[bool, Meta(description="whether the candidate passed the score test")]
 
 
-class Refit(Part, frozen=True, kw_only=True):
+class RefitRow(Part, frozen=True, kw_only=True):
     """Refit: the model of a round with one more effect, all parameters estimated again."""
 
-    name: str
-    title: str
+    name: Annotated[str, Meta(description="name of the added effect")]
+    title: Annotated[str, Meta(description="title for readers")]
     gain: Annotated[float, Meta(description="2 d ln L")]
-    df: int
+    df: Annotated[int, Meta(description="number of added parameters")]
     criterion: Annotated[float, Meta(description="gain - df ln n")]
     validation_gain: Annotated[float, Meta(description="d ln L on the validation data")]
     t: Annotated[float, Meta(description="t statistic of `validation_gain` over blocks")]
     prediction: Annotated[
-        PredictionChange | None, Meta(description="null: the refit was rejected before its prediction was compared")
+        PredictionChangeRow | None, Meta(description="null: the refit was rejected before its prediction was compared")
     ] = None
     outcome: Annotated[
         RefitOutcome,
@@ -637,50 +643,59 @@ class Refit(Part, frozen=True, kw_only=True):
             "validation data; `worse-prediction`; `no-better-prediction`: of a nonparametric effect"
         ),
     ]
-    parameters: tuple[EffectParameter, ...]
+    parameters: Annotated[
+        tuple[EffectParameter, ...], Meta(description="estimates of the parameters of the added effect")
+    ]
 
 
-class UntestedCandidate(Part, frozen=True, kw_only=True):
+class UntestedCandidateRow(Part, frozen=True, kw_only=True):
     """Candidate that passed the score test but could not be fitted."""
 
-    name: str
-    title: str
-    reason: str
+    name: Annotated[str, Meta(description="name of the candidate")]
+    title: Annotated[str, Meta(description="title for readers")]
+    reason: Annotated[str, Meta(description="reason in words why no fit succeeded")]
 
 
-class RemovedEffect(Part, frozen=True, kw_only=True):
+class RemovedEffectRow(Part, frozen=True, kw_only=True):
     """Effect that was added and removed again by backward elimination: the validation data do not support it."""
 
-    name: str
-    title: str
+    name: Annotated[str, Meta(description="name of the effect")]
+    title: Annotated[str, Meta(description="title for readers")]
     validation_gain: Annotated[
         float, Meta(description="d ln L on the validation data with the effect against without it")
     ]
     t: Annotated[float, Meta(description="t statistic of `validation_gain` over blocks")]
-    prediction: PredictionChange | None
+    prediction: Annotated[
+        PredictionChangeRow | None,
+        Meta(description="change of the prediction errors by adding the effect; null: no channel can be compared"),
+    ]
 
 
-class ValidationMismatch(Part, frozen=True, kw_only=True):
+class ValidationMismatchRow(Part, frozen=True, kw_only=True):
     """Validation run whose prediction errors are larger than the model predicts."""
 
-    record: str
+    record: Annotated[str, Meta(description="name of the validation run")]
     channel: Annotated[str, Meta(description="channel with the largest `scale`")]
     scale: Annotated[float, Meta(description="RMS of one-step error / predicted standard deviation")]
     parameter: Annotated[str | None, Meta(description="parameter whose change would explain the run best")] = None
-    unit: str = ""
+    unit: Annotated[str, Meta(description="unit of the parameter")] = ""
     fitted: Annotated[float | None, Meta(description="value from the estimation runs")] = None
     value: Annotated[float | None, Meta(description="value from this run alone")] = None
-    se: float | None = None
+    se: Annotated[float | None, Meta(description="standard error of `value`; null: unknown")] = None
 
 
-class Round(Part, frozen=True, kw_only=True):
+class RoundRow(Part, frozen=True, kw_only=True):
     """Round of the search for missing effects."""
 
     tested: Annotated[int, Meta(description="number of candidates")] = 0
     passed: Annotated[int, Meta(description="number of candidates that passed the score test")] = 0
     candidates: Annotated[tuple[Candidate, ...], Meta(description="the best 24, best first")] = ()
-    refits: tuple[Refit, ...] = ()
-    untested: tuple[UntestedCandidate, ...] = ()
+    refits: Annotated[
+        tuple[RefitRow, ...], Meta(description="refits of the best candidates, the largest criterion first")
+    ] = ()
+    untested: Annotated[
+        tuple[UntestedCandidateRow, ...], Meta(description="candidates that passed and could not be fitted")
+    ] = ()
     chosen: Annotated[str | None, Meta(description="name of the added effect")] = None
     why: Annotated[str, Meta(description="reason for the choice, or for the end of the search")]
 
@@ -688,21 +703,21 @@ class Round(Part, frozen=True, kw_only=True):
 class Alternative(Part, frozen=True, kw_only=True):
     """Competing model: another refit of the same round, which was not chosen."""
 
-    name: str
-    title: str
+    name: Annotated[str, Meta(description="name of the competing effect")]
+    title: Annotated[str, Meta(description="title for readers")]
     criterion_behind: Annotated[float, Meta(description="criterion of the chosen effect less that of this one")]
 
 
 class EffectRow(Part, frozen=True, kw_only=True):
     """Effect that was added to the model."""
 
-    name: str
-    title: str
-    formula: str
-    source: str
+    name: Annotated[str, Meta(description="name of the effect")]
+    title: Annotated[str, Meta(description="title for readers")]
+    formula: Annotated[str, Meta(description="formula")]
+    source: Annotated[str, Meta(description="literature")]
     place: Annotated[str, Meta(description="part of the model that the effect acts on")]
     experiment: Annotated[str, Meta(description="experiment that shows the effect")]
-    alternatives: tuple[Alternative, ...]
+    alternatives: Annotated[tuple[Alternative, ...], Meta(description="competing models")]
     attribution: Annotated[
         Literal["identified", "ambiguous", "nonparametric"],
         Meta(
@@ -712,7 +727,9 @@ class EffectRow(Part, frozen=True, kw_only=True):
     ]
     reasons: Annotated[tuple[str, ...], Meta(description="reasons for the attribution `ambiguous`")]
     not_excluded: Annotated[tuple[str, ...], Meta(description="names of effects that may be the true one instead")]
-    parameters: tuple[EffectParameter, ...]
+    parameters: Annotated[
+        tuple[EffectParameter, ...], Meta(description="estimates of its parameters in the last model")
+    ]
     error_ratio_without: Annotated[
         float | None,
         Meta(
@@ -726,10 +743,10 @@ class EffectRow(Part, frozen=True, kw_only=True):
 class RemainingCandidate(Part, frozen=True, kw_only=True):
     """Candidate that still passes the score test after the last effect was added."""
 
-    name: str
-    lm: float
-    df: int
-    p: float
+    name: Annotated[str, Meta(description="name of the candidate")]
+    lm: Annotated[float, Meta(description="score test statistic")]
+    df: Annotated[int, Meta(description="degrees of freedom")]
+    p: Annotated[float, Meta(description="p value of `lm`")]
 
 
 class NonparametricCurve(Part, frozen=True, kw_only=True):
@@ -737,45 +754,47 @@ class NonparametricCurve(Part, frozen=True, kw_only=True):
 
     force: Annotated[str, Meta(description="force, relative change of thrust (`T`, `T_left`), or sensor")]
     sensor_error: Annotated[bool, Meta(description="true: the curve is the error of this sensor, not a force")]
-    variable: str
-    unit: str
-    variable_unit: str
-    grid: Array
-    value: Array
-    sd: Array
+    variable: Annotated[str, Meta(description="name of the variable")]
+    unit: Annotated[str, Meta(description="unit of `value`, `sd` and `band`")]
+    variable_unit: Annotated[str, Meta(description="unit of `grid`")]
+    grid: Annotated[Array, Meta(description="values of the variable")]
+    value: Annotated[Array, Meta(description="estimated curve at `grid`")]
+    sd: Annotated[Array, Meta(description="standard deviation of `value`")]
     band: Annotated[
         Array, Meta(description="half width of the band that contains the whole curve with 95 % probability")
     ]
 
     def __post_init__(self) -> None:
+        """Raise ValueError if the arrays differ in length."""
         same_length(self, "grid", "value", "sd", "band")
 
 
 class ResidualForce(Part, frozen=True, kw_only=True):
     """Disturbance force: smoothed estimate of a force that the model does not explain."""
 
-    record: str
+    record: Annotated[str, Meta(description="name of the record")]
     force: Annotated[str, Meta(description="`X`, `Y`, `N`; on the bench `F` [N] and `n_dot` [1/s]")]
-    unit: str
+    unit: Annotated[str, Meta(description="unit of the values, SI and radians; empty: none")]
     t: Annotated[Array, Meta(description="[s]")]
-    mean: Array
-    sd: Array
+    mean: Annotated[Array, Meta(description="smoothed estimate, in a diagnosis without the effects")]
+    sd: Annotated[Array, Meta(description="standard deviation of `mean`")]
     after_mean: Annotated[Array | None, Meta(description="with the effects")] = None
-    after_sd: Array | None = None
+    after_sd: Annotated[Array | None, Meta(description="standard deviation of `after_mean`")] = None
 
     def __post_init__(self) -> None:
+        """Raise ValueError if the arrays differ in length."""
         same_length(self, "t", "mean", "sd", "after_mean", "after_sd")
 
 
 class ParameterChange(Part, frozen=True, kw_only=True):
     """Estimate of a parameter without and with the effects."""
 
-    name: str
-    unit: str
-    before: float
-    before_se: float | None
-    after: float
-    after_se: float | None
+    name: Annotated[str, Meta(description="name of the parameter")]
+    unit: Annotated[str, Meta(description="unit of the values, SI and radians; empty: none")]
+    before: Annotated[float, Meta(description="estimate without the effects")]
+    before_se: Annotated[float | None, Meta(description="its standard error; null: not informed by the data")]
+    after: Annotated[float, Meta(description="estimate with the effects")]
+    after_se: Annotated[float | None, Meta(description="its standard error; null: not informed by the data")]
 
 
 class DiagnosisResult(FitResult, frozen=True, kw_only=True, tag_field="kind", tag="diagnosis"):
@@ -786,6 +805,7 @@ class DiagnosisResult(FitResult, frozen=True, kw_only=True, tag_field="kind", ta
 
     @property
     def converged(self) -> bool:
+        """Return whether the fits without and with the effects converged."""
         return self.fit.converged and self.converged_before
 
     caveat: Annotated[
@@ -793,7 +813,7 @@ class DiagnosisResult(FitResult, frozen=True, kw_only=True, tag_field="kind", ta
         Meta(description="why a name in the answer is uncertain, and whether --max-effects ended the search"),
     ] = None
     converged_before: Annotated[bool, Meta(description="whether the fit without the effects converged")]
-    prediction: Annotated[PredictionChange | None, Meta(description="null: no effect was added")] = None
+    prediction: Annotated[PredictionChangeRow | None, Meta(description="null: no effect was added")] = None
     cross_validated: Annotated[
         bool,
         Meta(
@@ -801,19 +821,25 @@ class DiagnosisResult(FitResult, frozen=True, kw_only=True, tag_field="kind", ta
         ),
     ] = False
     mismatches: Annotated[
-        tuple[ValidationMismatch, ...],
+        tuple[ValidationMismatchRow, ...],
         Meta(description="validation runs whose errors are larger than the model predicts"),
     ] = ()
-    rounds: tuple[Round, ...]
-    removed_effects: tuple[RemovedEffect, ...] = ()
+    rounds: Annotated[tuple[RoundRow, ...], Meta(description="rounds of the search, in their order")]
+    removed_effects: Annotated[
+        tuple[RemovedEffectRow, ...], Meta(description="effects that were added and removed again")
+    ] = ()
     effects: Annotated[tuple[EffectRow, ...], Meta(description="added effects, the most important first")] = ()
-    remaining_candidates: tuple[RemainingCandidate, ...] = ()
+    remaining_candidates: Annotated[
+        tuple[RemainingCandidate, ...], Meta(description="candidates that still pass the score test, best first")
+    ] = ()
     nonparametric_effects: Annotated[
         tuple[NonparametricCurve, ...],
         Meta(description="nonparametric effects, and the curve that the first ambiguous effect approximates"),
     ] = ()
     residual_forces: Annotated[tuple[ResidualForce, ...], Meta(description="one for each record and force")] = ()
-    parameters_before_after: tuple[ParameterChange, ...] = ()
+    parameters_before_after: Annotated[
+        tuple[ParameterChange, ...], Meta(description="shared free parameters of the model without effects")
+    ] = ()
     recommended_experiment: Annotated[
         str | None, Meta(description="experiment that would distinguish the competing models")
     ] = None

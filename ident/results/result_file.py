@@ -1,7 +1,7 @@
 """Reader and writer of result.json.
 
 A result is a frozen ``Result`` that a workflow fills once. ``read_result`` inverts ``write_result``. Arrays become
-lists, and NaN and infinity become null. Numbers keep seven significant digits, except in tables that are ``exact``. A
+lists, and NaN and infinity become null. Numbers keep seven significant digits, except in the types of ``EXACT``. A
 missing, misspelt or mistyped key is an error that names its path.
 """
 
@@ -16,11 +16,13 @@ import numpy as np
 
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.files import write_output
+from seatrial.ident.data import FrameOrigin
 from seatrial.ident.numerics import Array
 from seatrial.ident.results.commands import DesignResult, InformationResult, NavigationResult, NoiseResult, StudyResult
 from seatrial.ident.results.parts import DiagnosisResult, Part, ThrustCurveResult, ThrusterResult, VehicleResult
 
 DIGITS = 7  # significant digits of a number in a file
+EXACT = (FrameOrigin,)  # types whose numbers keep all digits: seven digits of a latitude are 10 m
 EXACT_POWER = 22  # powers of ten up to this exponent are exact in float64
 
 AnyResult = (
@@ -37,12 +39,23 @@ AnyResult = (
 
 
 def to_json(result: Part) -> bytes:
-    """Return a result as JSON in UTF-8."""
-    return msgspec.json.encode(_plain(result))
+    """Return a result as JSON in UTF-8.
+
+    Keys are in the order of the fields. NaN and infinity become null, and numbers keep seven significant digits except
+    in the types of ``EXACT``.
+    """
+    return msgspec.json.encode(_as_json_types(result))
 
 
 def write_result(result: Part, path: Path) -> None:
-    """Write a result as JSON.
+    """Write a result as JSON to a file. An existing file is replaced.
+
+    Parameters
+    ----------
+    result
+        Result or table.
+    path
+        File to write, in a folder that exists.
 
     Raises
     ------
@@ -52,7 +65,9 @@ def write_result(result: Part, path: Path) -> None:
     try:
         write_output(path, to_json(result))
     except OSError as problem:
-        raise SeatrialError(f"{path}: {problem.strerror}; the result was not saved") from problem
+        raise SeatrialError(
+            f"{path}: {problem.strerror}; the result was not saved, check that the folder exists and is writable"
+        ) from problem
 
 
 def from_json(content: bytes) -> AnyResult:
@@ -63,7 +78,7 @@ def from_json(content: bytes) -> AnyResult:
     msgspec.DecodeError
         If a key is missing, misspelt or mistyped; the message contains its path.
     """
-    found: AnyResult = msgspec.json.decode(content, type=AnyResult, dec_hook=_decode)
+    found: AnyResult = msgspec.json.decode(content, type=AnyResult, dec_hook=_decode_array)
     return found
 
 
@@ -79,35 +94,41 @@ def read_result(path: Path | str) -> AnyResult:
     try:
         return from_json(path.read_bytes())
     except (msgspec.DecodeError, OSError) as problem:
-        raise SeatrialError(f"{path}: {problem}") from problem
+        raise SeatrialError(
+            f"{path}: {problem}; give a result.json that this version of seatrial has written"
+        ) from problem
 
 
-def _decode(kind: Any, value: Any) -> Any:
-    """Decode an array, the only type that msgspec does not decode itself; null becomes NaN."""
+def _decode_array(kind: Any, value: Any) -> Any:
+    """Return a list of numbers as a float64 array, in which null becomes NaN.
+
+    An array is the only type that msgspec does not decode itself. ``kind`` is that type and is not used. ValueError for
+    other JSON values.
+    """
     if not isinstance(value, list):
         raise ValueError(f"expected a list of numbers, got {type(value).__name__}")
     return np.array(value, dtype=np.float64)
 
 
-def _plain(value: Any) -> Any:
+def _as_json_types(value: Any) -> Any:
     """Convert a value to JSON types.
 
-    Tables become objects and arrays become lists. Numbers are rounded to ``DIGITS`` significant digits. NaN and
-    infinity become None.
+    Tables become objects, with their tag first, and arrays become lists. Numbers are rounded to ``DIGITS`` significant
+    digits, except in the types of ``EXACT``. NaN and infinity become None. Other values are returned unchanged.
     """
-    if isinstance(value, Part) and value.exact:
+    if isinstance(value, EXACT):
         return msgspec.structs.asdict(value)
-    if isinstance(value, Part):
+    if isinstance(value, msgspec.Struct):
         config = type(value).__struct_config__
         kind = {} if config.tag is None else {str(config.tag_field): config.tag}
-        return kind | {name: _plain(getattr(value, name)) for name in value.__struct_fields__}
+        return kind | {name: _as_json_types(getattr(value, name)) for name in value.__struct_fields__}
     if isinstance(value, np.ndarray):
         # Encoded here, because a list of Python numbers takes three times the memory.
         return msgspec.Raw(msgspec.json.encode(_rounded(value)))
     if isinstance(value, dict):
-        return {k: _plain(v) for k, v in value.items()}
+        return {k: _as_json_types(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(v) for v in value]
+        return [_as_json_types(v) for v in value]
     if isinstance(value, np.generic):
         value = value.item()
     if isinstance(value, float):

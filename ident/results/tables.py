@@ -11,7 +11,7 @@ from importlib.metadata import version
 import msgspec
 import numpy as np
 
-from seatrial.ident import estimation, validation
+from seatrial.ident import validation
 from seatrial.ident.data import LoadedLog, Record
 from seatrial.ident.estimation import Fit, HomogeneityTest, Profile, ReportedEstimates
 from seatrial.ident.model import Model, ModelKind, segment_name
@@ -22,18 +22,17 @@ from seatrial.ident.results.parts import (
     CalibrationTable,
     Correlation,
     CorrelationTest,
-    CrossCorrelation,
+    CrossCorrelationRow,
     ErrorComparison,
     Errors,
     ErrorTable,
-    FailedRun,
     FitSummary,
     ForceScale,
     Homogeneity,
     InputTrace,
     LogSummary,
     ParameterRow,
-    PredictionChange,
+    PredictionChangeRow,
     PredictionFit,
     ProfileCurve,
     Provenance,
@@ -57,7 +56,7 @@ NO_PREDICTION = HorizonPrediction(*(np.zeros(0),) * 3)  # of a channel without a
 
 
 def finite(value: float | None) -> float | None:
-    """Return the value, or None for NaN and infinity."""
+    """Return the value as a float, or None for None, NaN and infinity."""
     return None if value is None or not math.isfinite(value) else float(value)
 
 
@@ -68,7 +67,15 @@ def format_number(value: float) -> str:
 
 
 def provenance(loaded: Sequence[LoadedLog], command: str) -> Provenance:
-    """Return the provenance of a result: time, software version, command line and logs."""
+    """Return the provenance of a result: the present UTC time, software version, command line and logs.
+
+    Parameters
+    ----------
+    loaded
+        Logs, with their description: path, hash, role, name, duration, rig, mission.
+    command
+        Command line.
+    """
     return Provenance(
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         seatrial=version("seatrial"),
@@ -80,12 +87,18 @@ def provenance(loaded: Sequence[LoadedLog], command: str) -> Provenance:
 def fit_summary(fit: Fit, start: Mapping[str, float], calibration: float | None = None) -> FitSummary:
     """Return the summary of a fit: parameters with standard errors, correlation and convergence.
 
+    Values are in reported units: ratios to the thrust if its scale is unknown. A free per-record parameter has one row
+    for each record.
+
     Parameters
     ----------
+    fit : Fit
+        The fit.
     start : mapping of str to float
-        Initial values of the parameters.
+        Initial values of the parameters by name.
     calibration : float, optional
-        On the bench: relative standard uncertainty of the measured force. It is added to the standard errors.
+        On the bench: relative standard uncertainty of the measured force. It is added to the standard errors. None: not
+        given, so that the standard errors are called statistical only.
     """
     flags, reported, rows = dict(fit.flags), ReportedEstimates(fit), []
     scale = reported.scale
@@ -143,14 +156,16 @@ def error_tables(
     before: PredictionEvaluation | None = None,
     changes: Mapping[str, validation.PredictionChange] | None = None,
 ) -> Errors:
-    """Return the RMS prediction errors of a model.
+    """Return the RMS prediction errors of a model for each set of data, kind of prediction and channel.
 
     Parameters
     ----------
+    after : PredictionEvaluation
+        Evaluation of the model.
     before : PredictionEvaluation, optional
         Evaluation of another model, whose errors are reported beside those of ``after``.
     changes : mapping, optional
-        Changes of the errors over the horizon, for each role.
+        Changes of the errors over the horizon, by role of the data (``estimation``, ``validation``).
     """
     units = {o.name: o.unit for o in after.model.outputs}
 
@@ -159,6 +174,7 @@ def error_tables(
         old: Mapping[str, PredictionErrors],
         change: validation.PredictionChange | None = None,
     ) -> dict[str, ErrorComparison]:
+        """Return the errors by channel of one kind of prediction; the interval only if ``change`` is given."""
         spans = {} if change is None else change.channels
         return {
             name: ErrorComparison(
@@ -187,7 +203,8 @@ def error_tables(
 def prediction_fit(evaluation: PredictionEvaluation) -> PredictionFit | None:
     """Return the fit over the horizon on the validation data, or on the estimation data if there are no others.
 
-    None if no channel is predicted over the horizon.
+    The fit is 1 less the geometric mean of RMS error over standard deviation. None if no channel is predicted over the
+    horizon.
     """
     found = evaluation.sets[evaluation.headline_set].explained
     if not found.channels:
@@ -196,11 +213,19 @@ def prediction_fit(evaluation: PredictionEvaluation) -> PredictionFit | None:
     return PredictionFit(role=evaluation.headline_set, fit=1 - found.ratio, low=low, high=high)
 
 
-def prediction_change(found: validation.PredictionChange, role: Role) -> PredictionChange | None:
-    """Return the change of the errors over the horizon; None if no channel can be compared."""
+def prediction_change(found: validation.PredictionChange, role: Role) -> PredictionChangeRow | None:
+    """Return the change of the errors over the horizon on the data of a role; None if no channel can be compared.
+
+    Parameters
+    ----------
+    found
+        Change of the errors from the model without the effects to that with them.
+    role
+        Role of the data, `estimation` or `validation`.
+    """
     if not found.channels:
         return None
-    return PredictionChange(
+    return PredictionChangeRow(
         role=role,
         ratio=found.ratio,
         low=finite(found.low),
@@ -212,9 +237,10 @@ def prediction_change(found: validation.PredictionChange, role: Role) -> Predict
 
 
 def calibration_tables(evaluation: PredictionEvaluation) -> Calibrations:
-    """Return the calibration of the prediction intervals on each set of data."""
+    """Return the calibration of the prediction intervals for each set of data, kind of prediction and channel."""
 
     def table(found: Mapping[str, Calibration]) -> dict[str, CalibrationRow]:
+        """Return the calibration by channel of one kind of prediction."""
         return {
             name: CalibrationRow(
                 n=c.n,
@@ -243,9 +269,17 @@ def calibration_tables(evaluation: PredictionEvaluation) -> Calibrations:
 
 
 def traces(after: PredictionEvaluation, before: PredictionEvaluation | None = None) -> tuple[Trace, ...]:
-    """Return each measured channel with its prediction over the horizon and its simulation.
+    """Return each measured channel of each record with its prediction over the horizon and its simulation.
 
-    ``before`` is the evaluation of another model, whose predictions are added.
+    Rows without a measurement are left out, and so are channels without any. ``before`` is the evaluation of another
+    model, whose predictions are added.
+
+    Parameters
+    ----------
+    after
+        Evaluation of the model.
+    before
+        Evaluation of another model on the same records, or None.
     """
     return tuple(
         Trace(
@@ -265,7 +299,7 @@ def traces(after: PredictionEvaluation, before: PredictionEvaluation | None = No
             sd_horizon=far.sd,
             horizon_before=None if then is None else then.horizon.get(o.name, NO_PREDICTION).y,
         )
-        for role, now, then in _pairs(after, before)
+        for role, now, then in _predictions_of_both(after, before)
         for j, o in enumerate(after.model.outputs)
         if (seen := np.isfinite(now.record.y[:, j])).any()
         for far in [now.horizon.get(o.name, NO_PREDICTION)]
@@ -273,9 +307,16 @@ def traces(after: PredictionEvaluation, before: PredictionEvaluation | None = No
 
 
 def tracks(after: PredictionEvaluation, before: PredictionEvaluation | None = None) -> tuple[Track, ...]:
-    """Return the measured and the simulated track of each record with positions.
+    """Return the measured and the simulated track of each record with positions; empty for a model without positions.
 
-    ``before`` is the evaluation of another model, whose tracks are added.
+    ``before`` is the evaluation of another model, whose simulated tracks are added.
+
+    Parameters
+    ----------
+    after
+        Evaluation of the model.
+    before
+        Evaluation of another model on the same records, or None.
     """
     names = [o.name for o in after.model.outputs]
     if "x" not in names:
@@ -292,15 +333,18 @@ def tracks(after: PredictionEvaluation, before: PredictionEvaluation | None = No
             x_before=None if then is None else then.simulation.y[seen, i],
             y_before=None if then is None else then.simulation.y[seen, j],
         )
-        for role, now, then in _pairs(after, before)
+        for role, now, then in _predictions_of_both(after, before)
         if (seen := np.isfinite(now.record.y[:, i])).any()
     )
 
 
-def _pairs(
+def _predictions_of_both(
     after: PredictionEvaluation, before: PredictionEvaluation | None
 ) -> list[tuple[Role, RecordPrediction, RecordPrediction | None]]:
-    """Return each record with the predictions of both models, estimation records first."""
+    """Return the role of each record and its predictions by both models, estimation records first.
+
+    The second prediction is None without another model (``before``).
+    """
     found: list[tuple[Role, RecordPrediction, RecordPrediction | None]] = []
     roles: tuple[Role, ...] = ("estimation", "validation")
     for role in roles:
@@ -311,7 +355,7 @@ def _pairs(
 
 
 def record_inputs(model: Model, record: Record) -> tuple[InputTrace, ...]:
-    """Return the inputs of a record as the model uses them."""
+    """Return the inputs of a record as the model uses them, one trace for each input that reports show."""
     return tuple(
         InputTrace(record=record.name, name=name, unit=unit, t=record.t, value=record.u[:, j])
         for j, name, unit in shown_inputs(model)
@@ -319,7 +363,7 @@ def record_inputs(model: Model, record: Record) -> tuple[InputTrace, ...]:
 
 
 def all_inputs(evaluation: PredictionEvaluation) -> tuple[InputTrace, ...]:
-    """Return the inputs of all records."""
+    """Return the inputs of all records of an evaluation."""
     return tuple(
         row
         for data in evaluation.sets.values()
@@ -329,18 +373,25 @@ def all_inputs(evaluation: PredictionEvaluation) -> tuple[InputTrace, ...]:
 
 
 def residual_rows(before: PredictionEvaluation, after: PredictionEvaluation | None = None) -> tuple[ResidualTests, ...]:
-    """Return the whiteness tests of all channels.
+    """Return the whiteness tests of all records and channels.
 
-    ``after`` is the evaluation of another model, whose tests are added.
+    ``after`` is the evaluation of another model, whose tests are added to those of the same record and channel.
+
+    Parameters
+    ----------
+    before
+        Evaluation of the model, or in a diagnosis of the model without effects.
+    after
+        Evaluation of the model with effects, or None.
     """
     later = {} if after is None else {(r.record, r.channel): r for r in after.residuals}
     return tuple(residual_row(r, later.get((r.record, r.channel))) for r in before.residuals)
 
 
 def residual_row(r: ChannelResiduals, after: ChannelResiduals | None = None) -> ResidualTests:
-    """Return the whiteness tests of one channel; ``after``: residuals of another model, whose tests are added."""
+    """Return the whiteness tests of one channel of a record, and those of another model (``after``) if it is given."""
     return ResidualTests(
-        **msgspec.structs.asdict(_whiteness(r)),
+        **msgspec.structs.asdict(_whiteness_tests(r)),
         record=r.record,
         channel=r.channel,
         unit=r.unit,
@@ -348,12 +399,12 @@ def residual_row(r: ChannelResiduals, after: ChannelResiduals | None = None) -> 
         lags=r.lags,
         band=r.tests.band,
         frequency=r.tests.frequency,
-        after=None if after is None else _whiteness(after),
+        after=None if after is None else _whiteness_tests(after),
     )
 
 
-def _whiteness(r: ChannelResiduals) -> WhitenessTests:
-    """Return the whiteness tests of one channel, without its record and lags."""
+def _whiteness_tests(r: ChannelResiduals) -> WhitenessTests:
+    """Return the whiteness tests of one channel, without its record, lags and frequencies."""
     return WhitenessTests(
         e=r.e,
         acf=r.tests.acf,
@@ -369,23 +420,30 @@ def _whiteness(r: ChannelResiduals) -> WhitenessTests:
 
 def cross_correlations(
     before: PredictionEvaluation, after: PredictionEvaluation | None = None
-) -> tuple[CrossCorrelation, ...]:
-    """Return the correlations of the residuals with the inputs.
+) -> tuple[CrossCorrelationRow, ...]:
+    """Return the correlations of the residuals with the inputs, one for each record, channel and input.
 
     ``after`` is the evaluation of another model, whose correlations are added.
+
+    Parameters
+    ----------
+    before
+        Evaluation of the model, or in a diagnosis of the model without effects.
+    after
+        Evaluation of the model with effects, or None.
     """
     later = {} if after is None else {(r.record, r.channel): r for r in after.residuals}
     return tuple(row for r in before.residuals for row in cross_rows(r, later.get((r.record, r.channel))))
 
 
-def cross_rows(r: ChannelResiduals, after: ChannelResiduals | None = None) -> list[CrossCorrelation]:
-    """Return the correlations of one channel with each input; ``after``: residuals of another model, to be added."""
+def cross_rows(r: ChannelResiduals, after: ChannelResiduals | None = None) -> list[CrossCorrelationRow]:
+    """Return the correlations of one channel with each input, and those of another model (``after``) if it is given."""
     later = {
         c.input: CorrelationTest(z=c.z, p=finite(c.p), largest=finite(c.largest))
         for c in (() if after is None else after.inputs)
     }
     return [
-        CrossCorrelation(
+        CrossCorrelationRow(
             record=r.record,
             channel=r.channel,
             input=c.input,
@@ -400,7 +458,15 @@ def cross_rows(r: ChannelResiduals, after: ChannelResiduals | None = None) -> li
 
 
 def profile_curve(found: Profile, reported: ReportedEstimates) -> ProfileCurve:
-    """Return a profile likelihood in the units in which the estimates are reported."""
+    """Return a profile likelihood in the units in which the estimates are reported.
+
+    Parameters
+    ----------
+    found
+        Profile likelihood in the units of the parameters.
+    reported
+        Converter to reported units: ratios to the thrust if its scale is unknown.
+    """
     scale, factor = reported.scale, reported.factor(found.unit)
     return ProfileCurve(
         name=scale.name(found.name, found.unit),
@@ -417,7 +483,15 @@ def profile_curve(found: Profile, reported: ReportedEstimates) -> ProfileCurve:
 
 
 def homogeneity_reported(a: HomogeneityTest, reported: ReportedEstimates) -> HomogeneityTest:
-    """Convert a homogeneity test to the units in which the estimates are reported."""
+    """Convert a homogeneity test to the units in which the estimates are reported.
+
+    Parameters
+    ----------
+    a
+        Homogeneity test in the units of the parameters.
+    reported
+        Converter to reported units: ratios to the thrust if its scale is unknown.
+    """
     k = reported.factor(a.unit)
     low, high = a.interval
     return replace(
@@ -436,13 +510,8 @@ def homogeneity_reported(a: HomogeneityTest, reported: ReportedEstimates) -> Hom
     )
 
 
-def failed_runs(failed: Sequence[estimation.FailedRun]) -> tuple[FailedRun, ...]:
-    """Return the validation runs that could not be evaluated, with the reasons."""
-    return tuple(FailedRun(record=f.record, reason=f.reason) for f in failed)
-
-
 def homogeneity_row(a: HomogeneityTest) -> Homogeneity:
-    """Return the table row of a homogeneity test."""
+    """Return the table row of a homogeneity test, whose values are already in reported units."""
     return Homogeneity(
         name=a.name,
         unit=a.unit,

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 
-from seatrial.ident.data import FrameOrigin
 from seatrial.ident.estimation import Fit, FittedModel, save_model
 from seatrial.ident.report import write_report
 from seatrial.ident.results import FitResult, write_result
@@ -41,14 +40,7 @@ def write_all(
     out.mkdir(parents=True, exist_ok=True)
     logs = [f"{x.path} sha256:{x.sha256[:16]}" for x in result.logs if x.role == "estimation"]
     made = {"made_by": result.command, "created": result.created, "seatrial": result.seatrial, "logs": logs}
-    origin = next(
-        (
-            FrameOrigin(x.origin.latitude, x.origin.longitude, x.origin.log)
-            for x in result.logs
-            if x.role == "estimation" and x.origin is not None
-        ),
-        None,
-    )
+    origin = next((x.origin for x in result.logs if x.role == "estimation" and x.origin is not None), None)
     save_model(
         out / "model.toml",
         fit,

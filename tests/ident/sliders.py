@@ -13,8 +13,8 @@ from seatrial.ident.diagnosis.score_test import (
     Score,
     SensitivityColumns,
     SensitivityFilter,
+    assign_columns,
     block_index,
-    place,
     score_tests,
 )
 from seatrial.ident.estimation.likelihood import Likelihood
@@ -119,7 +119,7 @@ def scores_of_columns(
     g, e, t = carrier([SensitivityColumns("fitted", own), *columns]), carrier.e, carrier.t
     normal = NormalEquations([str(k) for k in range(g.shape[1])])
     normal.add(range(g.shape[1]), g, e, block_index(t))
-    placed, _ = place(columns, len(fitted), 1)
+    placed, _ = assign_columns(columns, len(fitted), 1)
     return score_tests(normal, no_priors(len(fitted)), placed)
 
 

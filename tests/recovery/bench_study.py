@@ -20,7 +20,7 @@ from typing import Any
 
 from seatrial.ident.characterisation.thruster import THRUSTER_RATE, fit_with_delay_on_grid
 from seatrial.ident.data.record import Channel, LogSegment, Record, build_record
-from seatrial.ident.diagnosis.results import Diagnosis
+from seatrial.ident.diagnosis.findings import Diagnosis
 from seatrial.ident.diagnosis.search import diagnose
 from seatrial.ident.estimation.fitted_model import FittedModel
 from seatrial.ident.estimation.maximum_likelihood import EstimationOptions

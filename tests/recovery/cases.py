@@ -16,7 +16,7 @@ import numpy as np
 
 from seatrial.bench.mission_generators import make_mission
 from seatrial.ident.data.record import LogSegment
-from seatrial.ident.diagnosis.results import Diagnosis
+from seatrial.ident.diagnosis.findings import Diagnosis
 from seatrial.ident.diagnosis.search import diagnose, evaluate_diagnosis
 from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.estimation.fitted_model import FittedModel

@@ -25,10 +25,12 @@ def opening(result: Result) -> Section:
 def body(canvas: Canvas, result: Result) -> list[Section]:
     """Return the sections of a result that have blocks, in the order of the page.
 
+    Figures are added to ``canvas``.
+
     Raises
     ------
     TypeError
-        If there is no page for this type of result.
+        If there is no page for this type of result (designs and studies have their own pages).
     """
     if isinstance(result, FitResult):
         found = _fit(canvas, result)
@@ -43,14 +45,14 @@ def body(canvas: Canvas, result: Result) -> list[Section]:
         found = [parameters.information_section(result), parameters.segments_section(canvas, result)]
         found.append(runs.run_section(canvas, result.logs, result.inputs))
     else:
-        raise TypeError(f"no page for a {type(result).__name__}")
+        raise TypeError(f"there is no report page for a {type(result).__name__}; designs and studies have their own")
     unused = result.unused_signals if isinstance(result, FitResult) else ()
     found += [predictions.notes_section(result.notes, unused), predictions.made_section(result)]
     return [section for section in found if section.blocks]
 
 
 def _fit(canvas: Canvas, result: FitResult) -> list[Section]:
-    """Return the sections of a fit of a vehicle or thruster, or of a diagnosis."""
+    """Return the sections of a fit of a vehicle or thruster, or of a diagnosis, including those without blocks."""
     static = result.static if isinstance(result, ThrusterResult) else None
     profiled = result.profiles if isinstance(result, VehicleResult | ThrusterResult) else ()
     diagnosis = result if isinstance(result, DiagnosisResult) else None

@@ -27,7 +27,9 @@ MAX_KEY_PARAMETERS = 9
 def section(result: Result) -> Section:
     """Return the untitled section that follows the headline.
 
-    A fit that did not converge has no blocks, as its estimates are not valid.
+    A diagnosis has its caveat, the chart of prediction errors and a card for each effect. Another fit has its key
+    parameters. A fit that did not converge has no such blocks, as its estimates are not valid, and neither has any
+    other result.
     """
     caveat = [result.caveat] if isinstance(result, DiagnosisResult) and result.caveat else []
     blocks: list[Any] = [Prose(line, "callout") for line in caveat]
@@ -43,7 +45,8 @@ def section(result: Result) -> Section:
 def headline(result: DiagnosisResult) -> list[Any]:
     """Return the chart of prediction errors over the horizon, before and after the effects were added.
 
-    The errors are from validation data if the result has any, otherwise from estimation data.
+    The errors are from validation data if the result has any, otherwise from estimation data. Channels that diverged
+    are named in the caption. No block if no channel was compared.
     """
     role, data = by_role(result.errors.validation, result.errors.estimation)[0]
     items = [(n, row) for n, row in data.horizon.items() if row.before is not None and row.after is not None]
@@ -62,15 +65,27 @@ def headline(result: DiagnosisResult) -> list[Any]:
 
 
 def _dumbbells(items: list[tuple[str, ErrorComparison]]) -> list[Dumbbell]:
-    """Return the rows of the chart on a common scale: the largest ratio, at most 2.5, is near the right end."""
+    """Return one dumbbell for each channel on a common scale: the largest ratio, at most 2.5, is near the right end."""
     ratios = [(row.after or 0.0) / max(row.before or 0.0, 1e-300) for _, row in items]
     widest = max([1.0, *ratios, *(row.high or 0.0 for _, row in items)])
     scale = 96.0 / min(widest, 2.5)  # per cent of the track's width for a ratio of one
-    return [_dumbbell(name, row, ratio, scale) for (name, row), ratio in zip(items, ratios, strict=True)]
+    return [_channel_dumbbell(name, row, ratio, scale) for (name, row), ratio in zip(items, ratios, strict=True)]
 
 
-def _dumbbell(name: str, row: ErrorComparison, ratio: float, scale: float) -> Dumbbell:
-    """Return one channel's row; ``scale`` is the length of a ratio of one, in per cent of the track's width."""
+def _channel_dumbbell(name: str, row: ErrorComparison, ratio: float, scale: float) -> Dumbbell:
+    """Return the dumbbell of one channel.
+
+    Parameters
+    ----------
+    name
+        Name of the channel.
+    row
+        Errors before and after.
+    ratio
+        Error after over error before.
+    scale
+        Length of a ratio of one, in per cent of the track's width. Positions beyond 100 are drawn at 100.
+    """
     factor, unit = formatting.degrees_for(row.unit)
     before, after = (factor * (value or 0.0) for value in (row.before, row.after))
     low, high = row.low, row.high
@@ -88,8 +103,11 @@ def _dumbbell(name: str, row: ErrorComparison, ratio: float, scale: float) -> Du
     )
 
 
-def _behind(criterion: float) -> str:
-    """Return how much worse or better the criterion (BIC) of a competing model is."""
+def _criterion_in_words(criterion: float) -> str:
+    """Return by how much the criterion (BIC) of a competing model is worse, or better if ``criterion`` is negative.
+
+    ``criterion`` is that of the added effect less that of the competing model.
+    """
     if criterion < 0:  # the effect was still preferred, because validation data do not support the competing model
         return f"{formatting.plain(-criterion)} better, but worse on the validation data"
     return f"{formatting.plain(criterion)} worse"
@@ -102,7 +120,7 @@ def effect_card(effect: EffectRow) -> EffectCard:
         factor, unit = formatting.degrees_for(row.unit)
         value, se = formatting.scaled(factor, row.value, row.se)
         parameters.append((row.name, formatting.with_error(value, se, unit), row.meaning))
-    alternatives = [f"{row.name} ({_behind(row.criterion_behind)})" for row in effect.alternatives]
+    alternatives = [f"{row.name} ({_criterion_in_words(row.criterion_behind)})" for row in effect.alternatives]
     facts = (
         ("Acts on", effect.place),
         ("Source", effect.source),
@@ -116,14 +134,15 @@ def effect_card(effect: EffectRow) -> EffectCard:
         effect.formula,
         parameters,
         [(label, value) for label, value in facts if value],
-        *_importance(effect.error_ratio_without),
+        *_importance_in_words(effect.error_ratio_without),
     )
 
 
-def _importance(factor: float | None) -> tuple[str, str]:
+def _importance_in_words(factor: float | None) -> tuple[str, str]:
     """Return how much larger the prediction error is without the effect: the number, and the words after it.
 
-    ``factor`` is the error without the effect over the error with it (seatrial.ident.diagnosis.importance).
+    ``factor`` is the error without the effect over the error with it (seatrial.ident.diagnosis.importance). Both texts
+    are empty if it is unknown (None). From 2 on the number is a factor, otherwise a percentage.
     """
     if factor is None:
         return "", ""
@@ -134,7 +153,7 @@ def _importance(factor: float | None) -> tuple[str, str]:
 
 
 def attribution_words(effect: EffectRow) -> str:
-    """Return how far the name of an effect can be trusted, with the reasons if it is ambiguous."""
+    """Return a text on how far the name of an effect can be trusted, with the reasons if it is ambiguous."""
     if effect.attribution == "ambiguous":
         alternatives = [formatting.titled(name) for name in effect.not_excluded]
         reasons = [*effect.reasons, *([f"not excluded: {', '.join(alternatives)}"] if alternatives else [])]
@@ -146,7 +165,10 @@ def attribution_words(effect: EffectRow) -> str:
 
 
 def key_parameters(fit: FitSummary) -> list[Any]:
-    """Return the facts of the free dynamic parameters that all runs share; noise parameters are left out."""
+    """Return up to nine facts of the free dynamic parameters that all runs share, and a caption.
+
+    Noise parameters and parameters without a standard error are left out. No blocks if no parameter is left.
+    """
     found = []
     for row in fit.parameters:
         value, se = row.value, row.se
@@ -155,7 +177,7 @@ def key_parameters(fit: FitSummary) -> list[Any]:
         factor, unit = formatting.degrees_for(row.unit)
         title = row.meaning or row.name
         title += f" (⚠ {row.flag})" if row.flag else ""
-        found.append((title, _symbol(row, factor * value, factor * se, unit)))
+        found.append((title, _symbol_and_value(row, factor * value, factor * se, unit)))
     if not found:
         return []
     caption = ["± one standard error" + (", statistical only" if fit.scale.statistical_only else "")]
@@ -163,12 +185,23 @@ def key_parameters(fit: FitSummary) -> list[Any]:
     return [Facts(found[:MAX_KEY_PARAMETERS], "cards"), Prose("; ".join(caption), "caption")]
 
 
-def _symbol(row: ParameterRow, value: float, se: float, unit: str) -> str:
+def _symbol_and_value(row: ParameterRow, value: float, se: float, unit: str) -> str:
+    """Return ``NAME = value ± standard error unit`` of a parameter, whose numbers are in the shown unit."""
     return f"{row.name} = {formatting.with_error(value, se, unit)}"
 
 
 def static_section(canvas: Canvas, static: StaticForce) -> Section:
-    """Return the section of a thruster's static curve: steady force over shaft speed, measured and fitted."""
+    """Return the section of a thruster's static curve, measured and fitted.
+
+    The curve is the steady force [N] over shaft speed or command, which are fractions of full.
+
+    Parameters
+    ----------
+    canvas
+        Collector of the figures, to which the figure is added.
+    static
+        Measured points and fitted curve.
+    """
     traces = [
         drawing.band(static.n_model, static.force_model, drawing.Z95 * static.force_sd, 600),
         drawing.line_trace(static.n_model, static.force_model, "model", 600),

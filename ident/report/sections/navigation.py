@@ -18,7 +18,11 @@ ELLIPSE_ANGLES = np.linspace(0.0, 2 * np.pi, 73)  # rad
 
 
 def outages_section(result: NavigationResult) -> Section:
-    """Return the table of outages: predicted position error at the end of each, and the distance from the next fix."""
+    """Return the section with the table of outages, with no blocks if there are none.
+
+    The table has the predicted position error at the end of each outage, and the distance from the next fix. If fixes
+    were withheld on purpose, it also has the RMS errors at these fixes.
+    """
     found = result.outages
     if not found:
         return Section("outages", "", [])
@@ -41,45 +45,59 @@ def outages_section(result: NavigationResult) -> Section:
     )
     if withheld:
         lead += " RMS errors: for outages with GNSS fixes withheld on purpose, distances from all withheld fixes."
-    return Section("outages", "GNSS outages", [Table(columns, [_outage(o, withheld) for o in found])], lead)
+    return Section("outages", "GNSS outages", [Table(columns, [_outage_cells(o, withheld) for o in found])], lead)
 
 
-def _outage(o: GnssOutage, withheld: bool) -> list[Cell | str]:
-    """Return the row of one outage; ``withheld`` adds the RMS errors on withheld fixes."""
+def _outage_cells(o: GnssOutage, withheld: bool) -> list[Cell | str]:
+    """Return the table cells of one outage; ``withheld`` adds the RMS errors on withheld fixes."""
     verdict = {True: Cell("✓ inside", "good"), False: Cell("✗ outside", "bad"), None: Cell("–")}[o.inside]
     cells: list[Cell | str] = [
         o.record,
         Cell(f"{formatting.plain(o.start, 4)} s", "num"),
         Cell(f"{formatting.plain(o.duration)} s", "num"),
-        _metres(o.at_end.radius),
-        _metres(o.error),
-        _metres(o.allowed),
+        _metres_cell(o.at_end.radius),
+        _metres_cell(o.error),
+        _metres_cell(o.allowed),
         verdict,
     ]
     errors = [None if e is None else e.rms for e in (o.predicted, o.best)]
-    return [*cells, *(_metres(rms) for rms in errors)] if withheld else cells
+    return [*cells, *(_metres_cell(rms) for rms in errors)] if withheld else cells
 
 
-def _metres(value: float | None) -> Cell:
+def _metres_cell(value: float | None) -> Cell:
+    """Return the table cell of a length [m]; a dash for None."""
     return Cell("–" if value is None else f"{formatting.plain(value)} m", "num")
 
 
 def states_section(canvas: Canvas, result: NavigationResult) -> Section:
-    """Return the section of estimated states: one tab per record with the track and all states over time."""
+    """Return the section of estimated states: one tab per record with the track and all states over time.
+
+    Without finite states the section has no blocks.
+
+    Parameters
+    ----------
+    canvas
+        Collector of the figures, to which the figures are added.
+    result
+        Estimated states and GNSS outages of each log.
+    """
     tabs = []
     for row in result.navigation:
         outages, origin = [o for o in result.outages if o.record == row.record], origin_words(result.logs, row.record)
-        tabs.append((row.record, _record(canvas, row, outages, origin)))
+        tabs.append((row.record, _record_blocks(canvas, row, outages, origin)))
     if not any(blocks for _, blocks in tabs):
         return Section("navigation", "", [])
     lead = "Line: the estimate with its 95 % band, which includes the parameter errors. Grey: measurements."
     return Section("navigation", "Track and states", tabbed(tabs), lead)
 
 
-def _record(canvas: Canvas, row: NavigatedRecord, outages: Sequence[GnssOutage], origin: str) -> list[Any]:
-    """Return the blocks of one record; ``origin`` ends the titles of the track's axes."""
+def _record_blocks(canvas: Canvas, row: NavigatedRecord, outages: Sequence[GnssOutage], origin: str) -> list[Any]:
+    """Return the legend, the track and the states over time of one record.
+
+    ``origin`` ends the titles of the track's axes, for example `` of its first fix``.
+    """
     blocks: list[Any] = []
-    track = _track(canvas, row, outages, origin)
+    track = _track_plot(canvas, row, outages, origin)
     if track is not None:
         legend = [
             ("after", "estimate, with the 95 % ellipse at the end of each outage"),
@@ -87,7 +105,7 @@ def _record(canvas: Canvas, row: NavigatedRecord, outages: Sequence[GnssOutage],
             ("before", "withheld fixes"),
         ]
         blocks += [Key(legend), Grid([track], 320)]
-    panels = [panel for s in row.states if (panel := _panel(canvas, row.t, s, outages)) is not None]
+    panels = [panel for s in row.states if (panel := _state_panel(canvas, row.t, s, outages)) is not None]
     if panels:
         figure, height = drawing.stacked(panels, TIME)
         blocks += [Prose("Shaded: GNSS outages.", "quiet")] if outages else []
@@ -95,8 +113,11 @@ def _record(canvas: Canvas, row: NavigatedRecord, outages: Sequence[GnssOutage],
     return blocks
 
 
-def _panel(canvas: Canvas, t: Array, state: StateTrace, outages: Sequence[GnssOutage]) -> drawing.Panel | None:
-    """Return the panel of one state over time ``t`` (n_rows,) [s], None without finite values."""
+def _state_panel(canvas: Canvas, t: Array, state: StateTrace, outages: Sequence[GnssOutage]) -> drawing.Panel | None:
+    """Return the panel of one state over time ``t`` (n_rows,) [s] with its 95 % band, None without finite values.
+
+    Measurements are added if there are any. Outages are shaded.
+    """
     if not np.isfinite(state.value).any():
         return None
     factor, unit = formatting.degrees_for(state.unit)
@@ -120,12 +141,15 @@ def _panel(canvas: Canvas, t: Array, state: StateTrace, outages: Sequence[GnssOu
     return drawing.Panel(title + formatting.bracket(unit), [*shade, *traces])
 
 
-def _track(canvas: Canvas, row: NavigatedRecord, outages: Sequence[GnssOutage], origin: str) -> Plot | None:
-    """Return the plot of the track with fixes and outage ellipses, None for a model without position."""
+def _track_plot(canvas: Canvas, row: NavigatedRecord, outages: Sequence[GnssOutage], origin: str) -> Plot | None:
+    """Return the plot of the track with fixes and outage ellipses, None for a model without position.
+
+    Outages before the first fix have no ellipse. ``origin`` ends the titles of the axes.
+    """
     values = {s.name: s.value for s in row.states}
     if not {"x", "y"} <= set(values):
         return None
-    traces = _fixes(row.fixes, canvas.budget.points)
+    traces = _fix_traces(row.fixes, canvas.budget.points)
     at = drawing.strided(row.t.size, canvas.budget.points)
     line = {"color": drawing.MODEL, "width": 1.8}
     traces.append(
@@ -140,14 +164,17 @@ def _track(canvas: Canvas, row: NavigatedRecord, outages: Sequence[GnssOutage], 
     )
     for o in outages:
         if not o.leading:  # before the first fix, the ellipse is wider than the track
-            traces.append(_ellipse(o))
+            traces.append(_ellipse_trace(o))
     equal = {"scaleanchor": "x", "scaleratio": 1, "nticks": 7}
     figure = drawing.single(traces, f"east{origin} [m]", f"north{origin} [m]", hovermode="closest", yaxis=equal)
     return canvas.plot(figure, 420, f"Track, {row.record}", "Track, north up")
 
 
-def _fixes(fixes: GnssFixes, limit: int) -> list[drawing.Trace]:
-    """Return the traces of used and withheld fixes, each of at most ``limit`` points."""
+def _fix_traces(fixes: GnssFixes, limit: int) -> list[drawing.Trace]:
+    """Return the traces of used and withheld fixes, each of at most ``limit`` points.
+
+    A trace without points is left out.
+    """
     traces = []
     for used, name, color in ((1.0, "fix", drawing.MEASURED), (0.0, "withheld", drawing.BEFORE)):
         chosen = np.flatnonzero(fixes.used == used)
@@ -166,7 +193,7 @@ def _fixes(fixes: GnssFixes, limit: int) -> list[drawing.Trace]:
     return traces
 
 
-def _ellipse(o: GnssOutage) -> drawing.Trace:
+def _ellipse_trace(o: GnssOutage) -> drawing.Trace:
     """Return the trace of the 95 % ellipse about the position predicted for the end of an outage."""
     e = o.at_end
     a, b = e.major * np.cos(ELLIPSE_ANGLES), e.minor * np.sin(ELLIPSE_ANGLES)

@@ -13,7 +13,15 @@ from seatrial.ident.results import ChannelNoise, NoiseResult, SpectrumBands
 
 
 def section(canvas: Canvas, result: NoiseResult) -> Section:
-    """Return the section of sensor noise: a table of all channels and a power spectral density plot of each."""
+    """Return the section of sensor noise: a table of all channels and a power spectral density plot of each.
+
+    Parameters
+    ----------
+    canvas
+        Collector of the figures, to which the plots are added.
+    result
+        Noise of each channel.
+    """
     columns = (
         ("channel", ""),
         ("white noise", "num"),
@@ -22,16 +30,16 @@ def section(canvas: Canvas, result: NoiseResult) -> Section:
         ("predictable share", "num"),
         ("p", "num"),
     )
-    blocks: list[Any] = [Table(columns, [_row(c) for c in result.noise])] if result.noise else []
-    plots = [plot for c in result.noise if (plot := _density(canvas, c)) is not None]
+    blocks: list[Any] = [Table(columns, [_noise_cells(c) for c in result.noise])] if result.noise else []
+    plots = [plot for c in result.noise if (plot := _density_plot(canvas, c)) is not None]
     if plots:
         lines = [("measured", "measured power spectral density, with averages over bands and their 95 % intervals")]
         blocks += [Key([*lines, ("after", "power spectral density of the fitted model")]), Grid(plots, 320)]
     return Section("noise", "Noise of each channel", blocks)
 
 
-def _row(c: ChannelNoise) -> list[Cell | str]:
-    """Return the cells of one channel."""
+def _noise_cells(c: ChannelNoise) -> list[Cell | str]:
+    """Return the table cells of one channel: noise levels in the shown unit, verdict, predictable share and p value."""
     factor, unit = formatting.degrees_for(c.unit)
     cells: list[Cell | str] = [formatting.named(c.channel)]
     walk_unit = f"{unit}/√s" if unit else "1/√s"
@@ -44,8 +52,11 @@ def _row(c: ChannelNoise) -> list[Cell | str]:
     return [*cells, verdict, share, Cell(formatting.probability(c.p), "num")]
 
 
-def _density(canvas: Canvas, c: ChannelNoise) -> Plot | None:
-    """Return the plot of a channel's measured and modelled power spectral density, None without finite values."""
+def _density_plot(canvas: Canvas, c: ChannelNoise) -> Plot | None:
+    """Return the plot of a channel's measured and modelled power spectral density, None without finite values.
+
+    Both axes are logarithmic; frequencies and densities that are not positive are left out.
+    """
     factor, unit = formatting.degrees_for(c.unit)
     traces = []
     for values, name in ((c.psd, "measured"), (c.psd_model, "model")):
@@ -62,17 +73,19 @@ def _density(canvas: Canvas, c: ChannelNoise) -> Plot | None:
     if not traces:
         return None
     if c.bands is not None:
-        traces.append(_averages(c.bands, factor**2))
+        traces.append(_band_averages_trace(c.bands, factor**2))
     log = {"type": "log", "exponentformat": "power", "nticks": 6}
     square = f"({unit})²" if not unit.isalpha() else f"{unit}²"
     title = formatting.named(c.channel)
     shown = f"{title} [{square}/Hz]" if unit else f"{title} [1/Hz]"
-    figure = drawing.single(traces, "frequency [Hz]", xaxis=_ticks(c.frequency), yaxis=log | {"automargin": True})
+    figure = drawing.single(
+        traces, "frequency [Hz]", xaxis=_frequency_axis(c.frequency), yaxis=log | {"automargin": True}
+    )
     return canvas.plot(figure, 230, f"Power spectral density of {title}", shown)
 
 
-def _averages(bands: SpectrumBands, factor: float) -> drawing.Trace:
-    """Return the averages over frequency bands with their 95 % intervals, which the reader can compare to the model.
+def _band_averages_trace(bands: SpectrumBands, factor: float) -> drawing.Trace:
+    """Return the trace of averages over frequency bands with their 95 % intervals, for comparison with the model.
 
     ``factor`` converts the density to the shown unit.
     """
@@ -82,8 +95,11 @@ def _averages(bands: SpectrumBands, factor: float) -> drawing.Trace:
     return drawing.dots(bands.frequency, y, "average", y.size) | {"error_y": bars}
 
 
-def _ticks(frequency: Array) -> dict[str, Any]:
-    """Return a logarithmic axis with ticks at powers of ten, and at 2 and 5 if it spans less than 2.5 decades."""
+def _frequency_axis(frequency: Array) -> dict[str, Any]:
+    """Return the layout of a logarithmic axis with ticks at powers of ten, and at 2 and 5 below 2.5 decades.
+
+    Without a positive frequency [Hz] the ticks are those of Plotly.
+    """
     positive = frequency[frequency > 0]
     if not positive.size:
         return {"type": "log"}

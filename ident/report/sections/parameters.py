@@ -34,14 +34,16 @@ MAX_NUMBERED = 14  # parameters; larger correlation matrices show their numbers 
 def parameters_section(canvas: Canvas, fit: FitSummary, changes: Sequence[ParameterChange] = ()) -> Section:
     """Return the section of estimates: facts and table of the fit, changes by effects, and correlation.
 
+    The columns for prior, record and note are shown only if a parameter has such an entry.
+
     Parameters
     ----------
     canvas : Canvas
-        Collector of the figures.
+        Collector of the figures, to which the figure is added.
     fit : FitSummary
         The last fit.
     changes : sequence of ParameterChange
-        Parameters before and after the effects of a diagnosis were added.
+        Parameters before and after the effects of a diagnosis were added; empty for other fits.
     """
     blocks: list[Any] = _fit_facts(fit)
     table = fit.parameters
@@ -51,13 +53,16 @@ def parameters_section(canvas: Canvas, fit: FitSummary, changes: Sequence[Parame
         extra = (("prior_share", "from prior", "num"), ("record", "record", ""), ("flag", "note", ""))
         used = [item for item in extra if any(getattr(row, item[0]) is not None for row in table)]
         columns += [(title, style) for _, title, style in used]
-        blocks.append(Table(columns, [_row(row, [key for key, _, _ in used]) for row in table]))
-    blocks += _changes(changes) + _correlation(canvas, fit.correlation)
+        blocks.append(Table(columns, [_parameter_cells(row, [key for key, _, _ in used]) for row in table]))
+    blocks += _change_blocks(changes) + _correlation_blocks(canvas, fit.correlation)
     return Section("parameters", "Parameters", blocks)
 
 
 def _fit_facts(fit: FitSummary) -> list[Any]:
-    """Return the facts of a fit: model, method, convergence, likelihood, kind of standard errors, time."""
+    """Return the labelled facts of a fit: model, method, convergence, likelihood, kind of standard errors, CPU time.
+
+    Facts without a value are left out.
+    """
     methods = {"OE": "output error (OE)", "PE": "prediction error (PE)"}
     converged, message = "yes" if fit.converged else "no", fit.message
     log_likelihood = fit.log_likelihood
@@ -76,8 +81,12 @@ def _fit_facts(fit: FitSummary) -> list[Any]:
     return [Facts(found)] if found else []
 
 
-def _row(row: ParameterRow, extra: list[str]) -> list[Cell | str]:
-    """Return the cells of one parameter; ``extra`` names the optional columns of the table."""
+def _parameter_cells(row: ParameterRow, extra: list[str]) -> list[Cell | str]:
+    """Return the table cells of one parameter.
+
+    ``extra`` has the names of the optional columns of the table: ``prior_share``, ``record``, ``flag``. In place of a
+    missing standard error, a fixed parameter has the provenance of its value.
+    """
     factor, unit = formatting.degrees_for(row.unit)
     value, se = formatting.scaled(factor, row.value, row.se)
     shown, error = formatting.pair(value, se)
@@ -96,17 +105,20 @@ def _row(row: ParameterRow, extra: list[str]) -> list[Cell | str]:
     return cells + [more[key] for key in extra]
 
 
-def _changes(table: Sequence[ParameterChange]) -> list[Any]:
-    """Return the table of the parameters before and after the effects were added."""
+def _change_blocks(table: Sequence[ParameterChange]) -> list[Any]:
+    """Return the heading and table of the parameters before and after the effects were added; no blocks without any."""
     if not table:
         return []
     columns = (("parameter", ""), ("before", "num"), ("after", "num"), ("unit", ""), ("change", "num"))
     note = "change in standard errors of the value before"
-    return [Heading("Before and after the effects", note), Table(columns, [_change_row(row) for row in table])]
+    return [Heading("Before and after the effects", note), Table(columns, [_change_cells(row) for row in table])]
 
 
-def _change_row(row: ParameterChange) -> list[Cell | str]:
-    """Return the cells of one parameter; a change beyond the 95 % interval is in bold."""
+def _change_cells(row: ParameterChange) -> list[Cell | str]:
+    """Return the table cells of one parameter before and after; a change beyond 1.96 standard errors is in bold.
+
+    The change is in standard errors of the value before, or of the value after if the former is unknown.
+    """
     factor, unit = formatting.degrees_for(row.unit)
     before, before_se, after, after_se = formatting.scaled(factor, row.before, row.before_se, row.after, row.after_se)
     se = before_se or after_se
@@ -119,8 +131,11 @@ def _change_row(row: ParameterChange) -> list[Cell | str]:
     return [Cell(row.name, "symbol"), *(Cell(words, "num") for words in texts), Cell(unit, "nowrap"), shift]
 
 
-def _correlation(canvas: Canvas, correlation: Correlation) -> list[Any]:
-    """Return the heat map of the correlation of the estimates; no blocks for fewer than two parameters."""
+def _correlation_blocks(canvas: Canvas, correlation: Correlation) -> list[Any]:
+    """Return the heat map of the correlation of the estimates, and its strongest pairs.
+
+    No blocks for fewer than two parameters. Numbers are printed in the map for up to 14 parameters.
+    """
     names, table = correlation.names, correlation.matrix
     if len(names) < 2:
         return []
@@ -150,13 +165,16 @@ def _correlation(canvas: Canvas, correlation: Correlation) -> list[Any]:
         layout[axis]["tickfont"] = {"size": 10 if len(names) <= 20 else 8}
     height = min(190 + 22 * len(names), 720)
     plot = canvas.plot({"data": [heat], "layout": layout}, height, "Correlation of the estimates")
-    strong = _strongest(names, table)
+    strong = _strongest_pairs(names, table)
     lead = [Prose(f"Strongest: {strong}.", "quiet")] if strong else []
     return [Heading("Correlation of the estimates"), *lead, Grid([plot], 320, "narrow" if len(names) > 7 else "small")]
 
 
-def _strongest(names: Sequence[str], table: Array, n: int = 4) -> str:
-    """Return the ``n`` most correlated pairs with their correlation; pairs below 0.5 are left out."""
+def _strongest_pairs(names: Sequence[str], table: Array, n: int = 4) -> str:
+    """Return the ``n`` most correlated pairs with their correlation as a text; pairs below 0.5 are left out.
+
+    ``table`` is the correlation matrix (names, names); NaN counts as no correlation. Empty if no pair is left.
+    """
     i, j = np.triu_indices(len(names), 1)
     size = np.nan_to_num(np.abs(table[i, j]))
     order = [k for k in np.argsort(-size)[:n] if size[k] >= 0.5]
@@ -168,14 +186,24 @@ MAX_DROP = 2.6  # upper end of the plots
 
 
 def profiles_section(canvas: Canvas, table: Sequence[ProfileCurve]) -> Section:
-    """Return the section of profile likelihoods: a table of 95 % intervals and a plot for each parameter."""
+    """Return the section of profile likelihoods: a table of 95 % intervals and a plot for each parameter.
+
+    No blocks without profiles.
+
+    Parameters
+    ----------
+    canvas
+        Collector of the figures, to which the plots are added.
+    table
+        Profile likelihood of each parameter.
+    """
     if not table:
         return Section("profiles", "Profile likelihoods", [])
     columns = [("parameter", ""), ("value", "num"), ("95 % by profile", "num"), ("95 % by s.e.", "num"), ("unit", "")]
     noted = any(row.notes for row in table)
-    shown = Table([*columns, ("note", "")] if noted else columns, [_profile_row(row, noted) for row in table])
+    shown = Table([*columns, ("note", "")] if noted else columns, [_profile_cells(row, noted) for row in table])
     blocks: list[Any] = [shown]
-    plots = [plot for row in table if (plot := _curve(canvas, row)) is not None]
+    plots = [plot for row in table if (plot := _profile_plot(canvas, row)) is not None]
     if plots:
         blocks += [
             Key(
@@ -194,8 +222,11 @@ def profiles_section(canvas: Canvas, table: Sequence[ProfileCurve]) -> Section:
     return Section("profiles", "Profile likelihoods", blocks, lead)
 
 
-def _profile_row(row: ProfileCurve, noted: bool) -> list[Cell | str]:
-    """Return the cells of one parameter: value, both intervals, unit, and its notes if the table has a note column."""
+def _profile_cells(row: ProfileCurve, noted: bool) -> list[Cell | str]:
+    """Return the table cells of one parameter: value, interval by profile, interval by standard error, and unit.
+
+    ``noted`` adds the cell of notes.
+    """
     factor, unit = formatting.degrees_for(row.unit)
     ends = ((row.low, row.high), (row.wald_low, row.wald_high))
     cells: list[Cell | str] = [
@@ -208,15 +239,21 @@ def _profile_row(row: ProfileCurve, noted: bool) -> list[Cell | str]:
 
 
 def interval(low: float | None, high: float | None) -> str:
-    """Return an interval as text, ``1.2 to 3.4``; an end that the data do not bound is ``open``."""
+    """Return an interval as text, ``1.2 to 3.4``; an end that the data do not bound (None) is ``open``.
+
+    A dash if both ends are None.
+    """
     if low is None and high is None:
         return "–"
     ends = ["open" if end is None else formatting.plain(end) for end in (low, high)]
     return f"{ends[0]} to {ends[1]}"
 
 
-def _curve(canvas: Canvas, row: ProfileCurve) -> Plot | None:
-    """Return the plot of a profile likelihood, None if it has fewer than three points."""
+def _profile_plot(canvas: Canvas, row: ProfileCurve) -> Plot | None:
+    """Return the plot of a profile likelihood with its 95 % interval, None if it has fewer than three points.
+
+    The parabola of the standard error is added if its interval is known.
+    """
     value = row.value
     if row.grid.size < 3 or drawing.drawable(row.drop) is None:
         return None
@@ -253,7 +290,10 @@ ROW_PX, AXES_PX, LEFT_PX = 26, 104, 74  # height of a row, height of colour bar 
 
 
 def information_section(result: InformationResult) -> Section:
-    """Return the table of standard errors that the logs give, and of the most informative segment per parameter."""
+    """Return the section with the table of standard errors from the logs, and of the most informative segment of each.
+
+    No blocks without parameters.
+    """
     found = result.information.parameters
     columns = [
         ("parameter", ""),
@@ -272,7 +312,7 @@ def information_section(result: InformationResult) -> Section:
 
 
 def _information_row(p: InformedParameter) -> list[Cell | str]:
-    """Return the cells of one parameter."""
+    """Return the table cells of one parameter; without information (no standard error) most of them are dashes."""
     factor, unit = formatting.degrees_for(p.unit)
     name, shown = f"{p.name}  {p.meaning}{formatting.bracket(unit)}", Cell(formatting.plain(factor * p.value), "num")
     if p.se is None:
@@ -283,25 +323,38 @@ def _information_row(p: InformedParameter) -> list[Cell | str]:
         name,
         shown,
         Cell(formatting.plain(se), "num"),
-        place(p),
+        segment_in_words(p),
         Cell(without, "num"),
         Cell(formatting.plain(alone), "num"),
     ]
 
 
-def place(segment: LogSpan) -> str:
-    """Return record, interval and manoeuvre of a segment: ``run, 30 to 60 s (zigzag)``."""
+def segment_in_words(segment: LogSpan) -> str:
+    """Return record, interval and manoeuvre of a segment of a log: ``run, 30 to 60 s (zigzag)``.
+
+    The manoeuvre is left out if it is unknown.
+    """
     words = f"{segment.record}, {segment.t_from:.0f} to {segment.t_to:.0f} s"
     return f"{words} ({segment.what})" if segment.what else words
 
 
 def segments_section(canvas: Canvas, result: InformationResult) -> Section:
-    """Return the map of lost information over time: one tab per log, with the inputs below the map."""
+    """Return the map of lost information over time: one tab per log, with the inputs below the map.
+
+    No blocks if no segment has information.
+
+    Parameters
+    ----------
+    canvas
+        Collector of the figures, to which the maps are added.
+    result
+        Information of each segment of each log about each parameter.
+    """
     tabs = []
     for record in dict.fromkeys(row.record for row in result.information.segments):
         found = [row for row in result.information.segments if row.record == record]
         inputs = [row for row in result.inputs if row.record == record]
-        tabs.append((record, _record(canvas, result.information.names, found, inputs)))
+        tabs.append((record, _record_blocks(canvas, result.information.names, found, inputs)))
     if not any(blocks for _, blocks in tabs):
         return Section("segments", "", [])
     lead = (
@@ -312,20 +365,32 @@ def segments_section(canvas: Canvas, result: InformationResult) -> Section:
     return Section("segments", "Segment by segment", tabbed(tabs), lead)
 
 
-def _record(
+def _record_blocks(
     canvas: Canvas, names: Sequence[str], found: Sequence[SegmentInformation], inputs: Sequence[InputTrace]
 ) -> list[Any]:
-    """Return the map of one log and its inputs over the same time axis; no blocks without information."""
+    """Return the map of one log and its inputs over the same time axis; no blocks without information.
+
+    Parameters
+    ----------
+    canvas
+        Collector of the figures, to which the figures are added.
+    names
+        Names of the parameters, from top to bottom.
+    found
+        Segments of the log in the order of time.
+    inputs
+        Inputs of the log.
+    """
     good = [row for row in found if np.isfinite(row.lost).any()]
     if not good:
         return []
     record = good[0].record
     edges = np.array([good[0].t_from, *(row.t_to for row in good)])
     z = np.clip(np.column_stack([row.lost for row in good]), 0.0, 1.0)
-    words = [[place(row) for row in good]] * len(names)
+    words = [[segment_in_words(row) for row in good]] * len(names)
     parameter_axis = {"autorange": "reversed", "type": "category", "dtick": 1}
     figure = drawing.single(
-        [_map(edges, z, names, words)],
+        [_lost_information_map(edges, z, names, words)],
         TIME,
         yaxis=parameter_axis,
         hovermode="closest",
@@ -347,10 +412,13 @@ def _record(
     return blocks
 
 
-def _map(edges: Array, z: Array, names: Sequence[str], words: Sequence[Sequence[str]]) -> drawing.Trace:
-    """Return a heat map of the shares ``z`` (n_parameters, n_segments) between the times ``edges`` [s].
+def _lost_information_map(
+    edges: Array, z: Array, names: Sequence[str], words: Sequence[Sequence[str]]
+) -> drawing.Trace:
+    """Return a heat map of the share of information that is lost without each segment of a log.
 
-    ``words`` describes the segment of each cell on hover.
+    ``z`` has the shares (n_parameters, n_segments) between the times ``edges`` (n_segments + 1,) [s], and ``words`` the
+    text of each cell on hover. A share that is not finite has no colour.
     """
     shown = [[None if not np.isfinite(v) else round(float(v), 4) for v in line] for line in z]
     texts = [[drawing.escaped(word) for word in line] for line in words]

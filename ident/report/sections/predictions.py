@@ -26,7 +26,10 @@ Kinds = Sequence[tuple[str, Mapping[str, ErrorComparison]]]
 
 
 def horizons(table: ErrorTable, seconds: float) -> list[tuple[str, Mapping[str, ErrorComparison]]]:
-    """Return title and rows of each kind of prediction; the prediction over the horizon [s] comes first."""
+    """Return title and errors by channel of each kind of prediction; the prediction over the horizon comes first.
+
+    ``seconds`` is the horizon [s]. The other kinds are one step ahead and simulation.
+    """
     one_step, horizon, simulation = titles(seconds)
     return [(horizon, table.horizon), (one_step, table.one_step), (simulation, table.simulation)]
 
@@ -37,12 +40,15 @@ def titles(seconds: float) -> tuple[str, str, str]:
 
 
 def by_role(validation: T | None, estimation: T) -> list[tuple[str, T]]:
-    """Return role and data in the order of the page: validation data first, as they are stronger evidence."""
+    """Return role and data in the order of the page: validation data first, as they are stronger evidence.
+
+    Without validation data (None) only the estimation data are returned.
+    """
     return [*([] if validation is None else [("validation", validation)]), ("estimation", estimation)]
 
 
 def compared(errors: Errors) -> bool:
-    """Return whether any channel has an error before the effects were added."""
+    """Return whether any channel has an error of the model before effects were added."""
     tables = [table for _, table in by_role(errors.validation, errors.estimation)]
     kinds = [kind for table in tables for kind in (table.one_step, table.horizon, table.simulation)]
     return any(row.before is not None for kind in kinds for row in kind.values())
@@ -69,22 +75,32 @@ def errors_section(errors: Errors, seconds: float) -> Section:
 
 
 def _before_after_table(kinds: Kinds) -> list[Any]:
-    """Return the table of errors before and after, with their ratio."""
+    """Return the table of errors before and after, with their ratio and its interval; no block without channels."""
     columns = (("channel", ""), ("before", "num"), ("after", "num"), ("unit", ""), ("ratio", "num"), ("95 %", "num"))
-    return _grouped(kinds, columns, _before_after_cells)
+    return _grouped_table(kinds, columns, _before_after_cells)
 
 
 def _error_table(kinds: Kinds) -> list[Any]:
-    """Return the table of the errors of one model, with the fit in per cent."""
-    return _grouped(kinds, (("channel", ""), ("error", "num"), ("unit", ""), ("fit", "num")), _error_cells)
+    """Return the table of the errors of one model, with the fit in per cent; no block without channels."""
+    return _grouped_table(kinds, (("channel", ""), ("error", "num"), ("unit", ""), ("fit", "num")), _error_cells)
 
 
-def _grouped(
+def _grouped_table(
     kinds: Kinds,
     columns: tuple[tuple[str, str], ...],
     cells: Callable[[str, ErrorComparison], list[Cell | str]],
 ) -> list[Any]:
-    """Return a table with a group of rows for each kind of prediction; no block without rows."""
+    """Return a table with a heading and one row per channel for each kind of prediction; no block without channels.
+
+    Parameters
+    ----------
+    kinds
+        Title and errors by channel of each kind of prediction.
+    columns
+        Title and CSS class of each column.
+    cells
+        Function that returns the cells of a channel.
+    """
     lines: list[list[Cell | str]] = []
     for title, table in kinds:
         found = [cells(name, row) for name, row in table.items()]
@@ -93,7 +109,7 @@ def _grouped(
 
 
 def _error_cells(channel: str, row: ErrorComparison) -> list[Cell | str]:
-    """Return channel, error, unit and fit."""
+    """Return channel, error, unit and fit; the fit is 1 - error / spread, or a dash if one of both is unknown."""
     factor, unit = formatting.degrees_for(row.unit)
     error = row.after
     fit = None if error is None or not row.spread else 1 - error / row.spread
@@ -111,7 +127,10 @@ def error_words(error: float | None) -> str:
 
 
 def _before_after_cells(channel: str, row: ErrorComparison) -> list[Cell | str]:
-    """Return channel, error before and after, unit, ratio with its verdict, and its 95 % interval."""
+    """Return channel, error before and after, unit, ratio with its verdict, and the 95 % interval of the ratio.
+
+    Unknown numbers are dashes; an error of None is printed as ``diverged``.
+    """
     factor, unit = formatting.degrees_for(row.unit)
     before, after = formatting.scaled(factor, row.before, row.after)
     low, high = row.low, row.high
@@ -128,12 +147,20 @@ def _before_after_cells(channel: str, row: ErrorComparison) -> list[Cell | str]:
 
 
 def next_section(words: str | None) -> Section:
-    """Return the section of the recommended experiment."""
+    """Return the section of the recommended experiment; no blocks without a text."""
     return Section("next", "Next experiment", [Prose(words, "callout")] if words else [])
 
 
 def notes_section(lines: Sequence[str], unused: Sequence[UnusedSignal] = ()) -> Section:
-    """Return the section of the notes of a result and of the signals that the model does not use."""
+    """Return the section of the notes of a result and of the signals that the model does not use, with the reasons.
+
+    Parameters
+    ----------
+    lines
+        Notes, each a sentence.
+    unused
+        Signals that the model does not use.
+    """
     blocks: list[Any] = [Lines(list(lines))] if lines else []
     if unused:
         blocks += [Heading("Signals that are not used", ""), Lines([f"{s.signal}: {s.reason}" for s in unused])]
@@ -141,7 +168,7 @@ def notes_section(lines: Sequence[str], unused: Sequence[UnusedSignal] = ()) -> 
 
 
 def made_section(made: Provenance) -> Section:
-    """Return the section of provenance: command, version of seatrial, time."""
+    """Return the section of provenance: command, version of seatrial, time; empty entries are left out."""
     facts = (("Command", made.command), ("seatrial", made.seatrial), ("Time", formatting.moment(made.created)))
     found = [(label, value) for label, value in facts if value]
     return Section("made", "How it was made", [Facts(found, "made")] if found else [])
@@ -170,11 +197,11 @@ def calibration_section(canvas: Canvas, calibration: Calibrations, seconds: floa
     Parameters
     ----------
     canvas : Canvas
-        Collector of the figures.
+        Collector of the figures, to which the plots are added.
     calibration : Calibrations
         Coverage of the prediction intervals.
     seconds : float
-        Horizon [s].
+        Horizon of the prediction [s].
     """
     roles = by_role(calibration.validation, calibration.estimation)
     tabs = [(f"{role} data", _calibration_blocks(canvas, role, data, seconds)) for role, data in roles]
@@ -187,12 +214,15 @@ def calibration_section(canvas: Canvas, calibration: Calibrations, seconds: floa
 
 
 def _calibration_blocks(canvas: Canvas, role: str, data: CalibrationTable, seconds: float) -> list[Any]:
-    """Return the table of all kinds of prediction for one set of data, and a reliability plot for each kind."""
+    """Return the table of all kinds of prediction for one set of data, and a reliability plot for each kind.
+
+    ``role`` is ``estimation`` or ``validation``, and ``seconds`` the horizon [s]. No blocks without channels.
+    """
     lines: list[list[Cell | str]] = []
     plots = []
     for title, found in zip(titles(seconds), (data.one_step, data.horizon, data.simulation), strict=True):
-        lines += [[Cell(title, "group")], *(_line(n, row) for n, row in found.items())] if found else []
-        plot = _reliability(canvas, f"{title}, {role} data", found)
+        lines += [[Cell(title, "group")], *(_calibration_cells(n, row) for n, row in found.items())] if found else []
+        plot = _reliability_plot(canvas, f"{title}, {role} data", found)
         plots += [plot] if plot is not None else []
     if not lines:
         return []
@@ -204,8 +234,12 @@ def _calibration_blocks(canvas: Canvas, role: str, data: CalibrationTable, secon
     return [Table(COLUMNS, lines), Prose(note, "quiet"), *([Prose(axes, "quiet"), Grid(plots, 220)] if plots else [])]
 
 
-def _line(channel: str, row: CalibrationRow) -> list[Cell | str]:
-    """Return the cells of one channel in the order of ``COLUMNS``."""
+def _calibration_cells(channel: str, row: CalibrationRow) -> list[Cell | str]:
+    """Return the table cells of one channel.
+
+    They are the channel, the shares inside the 50 % and 95 % interval, error over predicted standard deviation, its 95
+    % interval, the number of independent samples, and the verdict.
+    """
     low, high = row.low, row.high
     return [
         formatting.named(channel),
@@ -218,10 +252,11 @@ def _line(channel: str, row: CalibrationRow) -> list[Cell | str]:
     ]
 
 
-def _reliability(canvas: Canvas, title: str, found: Mapping[str, CalibrationRow]) -> Plot | None:
+def _reliability_plot(canvas: Canvas, title: str, found: Mapping[str, CalibrationRow]) -> Plot | None:
     """Return the reliability plot: empirical over nominal coverage of the central 20, 40, ... 100 % intervals.
 
-    The coverage is summed from the histogram of the probability integral transform, which has ten bins.
+    The coverage is summed from the histogram of the probability integral transform, which has ten bins. None without
+    channels.
     """
     nominal: Any = 0.2 * np.arange(6)
     traces = [drawing.line_trace(nominal, nominal, "nominal", 10, color=drawing.FAINT, dash="dot")]

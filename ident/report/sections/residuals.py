@@ -11,7 +11,7 @@ from seatrial.ident.numerics import Array
 from seatrial.ident.report import drawing, formatting
 from seatrial.ident.report.blocks import Canvas, Cell, Grid, Heading, Key, Plot, Section, Table, tabbed
 from seatrial.ident.report.record_tabs import RecordTab, of_record, record_tabs, roles_of
-from seatrial.ident.results import CorrelationTest, CrossCorrelation, FitResult, ResidualTests, WhitenessTests
+from seatrial.ident.results import CorrelationTest, CrossCorrelationRow, FitResult, ResidualTests, WhitenessTests
 
 T = TypeVar("T", WhitenessTests, CorrelationTest)
 # 95 % quantile of sqrt(m) times the largest distance of the cumulative periodogram of white noise from the diagonal,
@@ -20,14 +20,28 @@ KOLMOGOROV_95 = 1.358
 
 
 def section(canvas: Canvas, result: FitResult) -> Section:
-    """Return the section of residuals: one tab per record.
+    """Return the section of residuals: one tab per record, no blocks without residuals.
 
     A tab has the table of whiteness tests, three plots per channel, and the correlations with the inputs.
+
+    Parameters
+    ----------
+    canvas
+        Collector of the figures, to which the plots are added.
+    result
+        Result of a fit, with whiteness tests and correlations.
     """
     tabs = []
     for tab in record_tabs([*result.residuals, *result.cross], roles_of(result.logs, result.traces)):
         rows, cross = of_record(result.residuals, tab), of_record(result.cross, tab)
-        tabs.append((tab.title, _verdicts(rows) + _channels(canvas, rows, tab) + _cross(canvas, cross, tab)))
+        tabs.append(
+            (
+                tab.title,
+                _whiteness_table(rows)
+                + _channel_plots(canvas, rows, tab)
+                + _cross_correlation_blocks(canvas, cross, tab),
+            )
+        )
     if not any(blocks for _, blocks in tabs):
         return Section("residuals", "", [])
     lead = (
@@ -41,25 +55,32 @@ def section(canvas: Canvas, result: FitResult) -> Section:
     return Section("residuals", "Residuals", [*key, *tabbed(tabs)], lead)
 
 
-def _versions(row: T, after: T | None) -> list[tuple[str, T, str]]:
-    """Return name, values and colour of the models before and after effects were added, or of the only model."""
+def _before_and_after(row: T, after: T | None) -> list[tuple[str, T, str]]:
+    """Return name, values and colour of the models before and after effects were added, or of the only model.
+
+    ``row`` has the values of the model before, and ``after`` those of the model with the effects, None if there is
+    none.
+    """
     if after is not None:
         return [("before", row, drawing.BEFORE), ("after", after, drawing.MODEL)]
     return [("residual", row, drawing.MODEL)]
 
 
-def _verdicts(found: Sequence[ResidualTests]) -> list[Any]:
-    """Return the table of the whiteness tests of a record."""
+def _whiteness_table(found: Sequence[ResidualTests]) -> list[Any]:
+    """Return the table of the whiteness tests of a record, one row for each channel; no block without channels."""
     columns = (
         ("channel", ""),
         ("white", ""),
         *((title, "num") for title in ("Ljung–Box p", "periodogram p", "normal p", "beyond 6 σ", "largest")),
     )
-    return [Table(columns, [_verdict(row) for row in found])] if found else []
+    return [Table(columns, [_whiteness_cells(row) for row in found])] if found else []
 
 
-def _verdict(row: ResidualTests) -> list[Cell | str]:
-    """Return the cells of one channel: verdict, p values, number of outliers, largest residual."""
+def _whiteness_cells(row: ResidualTests) -> list[Cell | str]:
+    """Return the table cells of one channel: verdict, p values, number of outliers, largest residual.
+
+    With effects, each cell has the values before and after, joined by an arrow.
+    """
     versions: list[WhitenessTests] = [row] if row.after is None else [row, row.after]
     verdict = " → ".join("✓" if v.white else "✗" for v in versions)
     cells: list[Cell | str] = [
@@ -73,21 +94,24 @@ def _verdict(row: ResidualTests) -> list[Cell | str]:
     return [*cells, Cell(" → ".join(str(v.outliers) for v in versions), style), Cell(f"{largest} σ", "num")]
 
 
-def _channels(canvas: Canvas, rows: Sequence[ResidualTests], tab: RecordTab) -> list[Any]:
-    """Return a heading and three plots for each channel."""
+def _channel_plots(canvas: Canvas, rows: Sequence[ResidualTests], tab: RecordTab) -> list[Any]:
+    """Return a heading and up to three plots for each channel: innovations, autocorrelation, cumulative periodogram."""
     blocks: list[Any] = []
     for row in rows:
-        makers = (_over_time, _autocorrelation, _periodogram)
+        makers = (_innovations_plot, _autocorrelation_plot, _periodogram_plot)
         plots = [plot for make in makers if (plot := make(canvas, row, tab))]
         if plots:
             blocks += [Heading(formatting.titled(row.channel)), Grid(plots, 250)]
     return blocks
 
 
-def _over_time(canvas: Canvas, row: ResidualTests, tab: RecordTab) -> Plot | None:
-    """Return the plot of the standardised innovations over time, None without finite values."""
+def _innovations_plot(canvas: Canvas, row: ResidualTests, tab: RecordTab) -> Plot | None:
+    """Return the plot of the standardised innovations over time, None without finite values.
+
+    Lines at ±1.96 contain 95 % of white innovations. ``tab`` gives the record's title for the description of the plot.
+    """
     traces = []
-    for name, values, color in _versions(row, row.after):
+    for name, values, color in _before_and_after(row, row.after):
         t, e = row.t, values.e
         if drawing.drawable(e) is None or t.size != e.size:
             continue
@@ -96,51 +120,61 @@ def _over_time(canvas: Canvas, row: ResidualTests, tab: RecordTab) -> Plot | Non
         traces.append({**points, "name": name, "marker": {"color": color, "size": 2.6, "opacity": 0.55}})
     if not traces:
         return None
-    band = [_level(level) for level in (-drawing.Z95, drawing.Z95)]
+    band = [_horizontal_line(level) for level in (-drawing.Z95, drawing.Z95)]
     figure = drawing.single(traces, "time since the start of the record [s]", shapes=band, hovermode="closest")
-    return canvas.plot(figure, 210, _label("Innovations over time", row, tab), "Standardised innovations")
+    return canvas.plot(figure, 210, _plot_label("Innovations over time", row, tab), "Standardised innovations")
 
 
-def _level(y: float) -> dict[str, Any]:
-    """Return a dotted horizontal line at ``y``."""
+def _horizontal_line(y: float) -> dict[str, Any]:
+    """Return the layout shape of a dotted horizontal line at ``y``."""
     line = {"color": drawing.FAINT, "width": 1, "dash": "dot"}
     return {"type": "line", "xref": "paper", "x0": 0, "x1": 1, "y0": y, "y1": y, "line": line}
 
 
-def _level_band(half: float) -> dict[str, Any]:
-    """Return a grey horizontal band from ``-half`` to ``half``."""
+def _horizontal_band(half: float) -> dict[str, Any]:
+    """Return the layout shape of a grey horizontal band from ``-half`` to ``half``."""
     style = {"fillcolor": "#8a93a0", "opacity": 0.22, "line": {"width": 0}, "layer": "below"}
     return {"type": "rect", "xref": "paper", "x0": 0, "x1": 1, "y0": -half, "y1": half, **style}
 
 
-def _label(plot: str, row: ResidualTests, tab: RecordTab) -> str:
+def _plot_label(plot: str, row: ResidualTests, tab: RecordTab) -> str:
+    """Return the description of a plot for screen readers: kind of plot, channel, and role and name of the record."""
     return f"{plot}, {formatting.named(row.channel)}, {tab.title}"
 
 
-def _stems(x: Array, y: Array, name: str, color: str) -> drawing.Trace:
-    """Return a trace of markers joined by a thin line; the trace named "before" is open and dotted."""
+def _stem_trace(x: Array, y: Array, name: str, color: str) -> drawing.Trace:
+    """Return a trace of markers at x and y (n,), joined by a thin line.
+
+    The markers of the trace with the name "before" are open, and its line is dotted.
+    """
     marker = {"color": color, "size": 5, "symbol": "circle-open" if name == "before" else "circle"}
     line = {"color": color, "width": 1, "dash": "dot" if name == "before" else "solid"}
     coordinates = {"x": drawing.packed(x), "y": drawing.packed(y)}
     return {"type": "scatter", "mode": "lines+markers", "name": name, "marker": marker, "line": line, **coordinates}
 
 
-def _autocorrelation(canvas: Canvas, row: ResidualTests, tab: RecordTab) -> Plot | None:
-    """Return the plot of the autocorrelation over the lag [s], None without finite values."""
+def _autocorrelation_plot(canvas: Canvas, row: ResidualTests, tab: RecordTab) -> Plot | None:
+    """Return the plot of the autocorrelation over the lag [s] with its 95 % band, None without finite values.
+
+    ``tab`` gives the record's title for the description of the plot.
+    """
     traces = []
-    for name, values, color in _versions(row, row.after):
+    for name, values, color in _before_and_after(row, row.after):
         if drawing.drawable(values.acf) is not None and values.acf.size == row.lags.size:
-            traces.append(_stems(row.lags, values.acf, name, color))
+            traces.append(_stem_trace(row.lags, values.acf, name, color))
     if not traces:
         return None
-    figure = drawing.single(traces, "lag [s]", shapes=[_level_band(row.band)])
-    return canvas.plot(figure, 210, _label("Autocorrelation", row, tab), "Autocorrelation")
+    figure = drawing.single(traces, "lag [s]", shapes=[_horizontal_band(row.band)])
+    return canvas.plot(figure, 210, _plot_label("Autocorrelation", row, tab), "Autocorrelation")
 
 
-def _periodogram(canvas: Canvas, row: ResidualTests, tab: RecordTab) -> Plot | None:
-    """Return the plot of the cumulative periodogram with its 95 % band, None without finite values."""
+def _periodogram_plot(canvas: Canvas, row: ResidualTests, tab: RecordTab) -> Plot | None:
+    """Return the plot of the cumulative periodogram with its 95 % band, None without finite values.
+
+    ``tab`` gives the record's title for the description of the plot.
+    """
     traces, top = [], 0.0
-    for name, values, color in _versions(row, row.after):
+    for name, values, color in _before_and_after(row, row.after):
         x, y = row.frequency, values.cumulative
         if drawing.drawable(y) is not None and x.size == y.size:
             dash = "dot" if name == "before" else "solid"
@@ -153,20 +187,23 @@ def _periodogram(canvas: Canvas, row: ResidualTests, tab: RecordTab) -> Plot | N
     ends, low, high = np.array([0.0, top]), np.array([-half, 1 - half]), np.array([half, 1 + half])
     traces.insert(0, drawing.between(ends, low, high, color=drawing.FAINT, opacity=0.22))
     figure = drawing.single(traces, "frequency [Hz]", yaxis={"range": [-0.05, 1.05]}, xaxis={"range": [0, top]})
-    return canvas.plot(figure, 210, _label("Cumulative periodogram", row, tab), "Cumulative periodogram")
+    return canvas.plot(figure, 210, _plot_label("Cumulative periodogram", row, tab), "Cumulative periodogram")
 
 
-def _cross(canvas: Canvas, rows: Sequence[CrossCorrelation], tab: RecordTab) -> list[Any]:
-    """Return a plot of the cross-correlation for each pair of channel and input."""
+def _cross_correlation_blocks(canvas: Canvas, rows: Sequence[CrossCorrelationRow], tab: RecordTab) -> list[Any]:
+    """Return a plot of the cross-correlation for each pair of channel and input of a record.
+
+    No blocks without finite values.
+    """
     plots = []
     for row in rows:
         traces, p = [], []
-        for name, values, color in _versions(row, row.after):
+        for name, values, color in _before_and_after(row, row.after):
             if drawing.drawable(values.z) is not None and values.z.size == row.lags.size:
-                traces.append(_stems(row.lags, values.z, name, color))
+                traces.append(_stem_trace(row.lags, values.z, name, color))
                 p.append(formatting.probability(values.p))
         if traces:
-            figure = drawing.single(traces, "lag [s]", shapes=[_level_band(drawing.Z95)])
+            figure = drawing.single(traces, "lag [s]", shapes=[_horizontal_band(drawing.Z95)])
             channel, name = (formatting.symbol(word) for word in (row.channel, row.input))
             title = f"{channel} × {name}"
             shown = f"{title} · p {' → '.join(p)}"

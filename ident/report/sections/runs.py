@@ -18,24 +18,36 @@ TIME = "time since the start of the record [s]"
 
 
 def run_section(canvas: Canvas, logs: Sequence[LogSummary], inputs: Sequence[InputTrace]) -> Section:
-    """Return the section of the logs (role, duration, rig, mission, warnings) and of their inputs over time."""
+    """Return the section of the logs (role, duration, rig, mission, origin, warnings) and of their inputs over time.
+
+    Parameters
+    ----------
+    canvas
+        Collector of the figures, to which the figures are added.
+    logs
+        Logs of the result.
+    inputs
+        Inputs of the model, one for each record and input; may be empty.
+    """
     columns = (("log", ""), ("role", ""), ("duration", "num"), ("rig", ""), ("mission", ""), ("SHA-256", ""))
-    blocks: list[Any] = [Table(columns, [_log_row(row) for row in logs])] if logs else []
+    blocks: list[Any] = [Table(columns, [_log_cells(row) for row in logs])] if logs else []
     if places := origin_lines(logs):
         blocks.append(Lines(places))
     warnings = [f"{_log_name(row)}: {line}" for row in logs for line in row.warnings]
     if warnings:
         blocks.append(Lines(warnings, "warning"))
     tabs = record_tabs(inputs, roles_of(logs))
-    blocks += tabbed([(tab.title, _inputs(canvas, of_record(inputs, tab), tab)) for tab in tabs])
+    blocks += tabbed([(tab.title, _input_blocks(canvas, of_record(inputs, tab), tab)) for tab in tabs])
     return Section("run", "Runs and inputs", blocks)
 
 
 def _log_name(row: LogSummary) -> str:
+    """Return the name of a log, or else the last part of its path, or else ``log``."""
     return row.name or row.path.replace("\\", "/").rsplit("/", 1)[-1] or "log"
 
 
-def _log_row(row: LogSummary) -> list[Cell | str]:
+def _log_cells(row: LogSummary) -> list[Cell | str]:
+    """Return the table cells of one log: name, role, duration, rig, mission, and ten digits of the SHA-256."""
     role = row.role
     return [
         Cell(_log_name(row), "strong"),
@@ -47,8 +59,8 @@ def _log_row(row: LogSummary) -> list[Cell | str]:
     ]
 
 
-def _inputs(canvas: Canvas, inputs: Sequence[InputTrace], tab: RecordTab) -> list[Any]:
-    """Return the figure of the inputs of one record: one panel for each unit."""
+def _input_blocks(canvas: Canvas, inputs: Sequence[InputTrace], tab: RecordTab) -> list[Any]:
+    """Return the figure of the inputs of one record: one panel for each unit; no blocks without finite values."""
     by_unit: dict[str, list[InputTrace]] = {}
     for row in inputs:
         by_unit.setdefault(row.unit, []).append(row)
@@ -74,11 +86,18 @@ def _inputs(canvas: Canvas, inputs: Sequence[InputTrace], tab: RecordTab) -> lis
 def prediction_section(canvas: Canvas, result: FitResult) -> Section:
     """Return the section of channels measured and predicted over the horizon, one tab per record.
 
-    The errors of the headline are those of these predictions.
+    The errors of the headline are those of these predictions. No blocks without predictions.
+
+    Parameters
+    ----------
+    canvas
+        Collector of the figures, to which the figures are added.
+    result
+        Result of a fit, with predictions over the horizon.
     """
     seconds = result.horizon_seconds
     found = record_tabs(result.traces, roles_of(result.logs, result.traces))
-    tabs = [(tab.title, _predicted(canvas, result, of_record(result.traces, tab), tab)) for tab in found]
+    tabs = [(tab.title, _prediction_blocks(canvas, result, of_record(result.traces, tab), tab)) for tab in found]
     if not any(blocks for _, blocks in tabs):
         return Section("prediction", "", [])
     compared = any(row.horizon_before is not None for row in result.traces)
@@ -86,14 +105,27 @@ def prediction_section(canvas: Canvas, result: FitResult) -> Section:
         f"Each value is predicted from the filtered state {seconds:g} s earlier and the inputs since then. "
         "The fit in the panel titles is over all records with the same role."
     )
-    key = _key(f"predicted {seconds:g} s ahead", compared)
+    key = _legend(f"predicted {seconds:g} s ahead", compared)
     return Section("prediction", f"Predicted {seconds:g} s ahead against measured", [key, *tabbed(tabs)], lead)
 
 
 def traces_section(canvas: Canvas, result: FitResult) -> Section:
-    """Return the section of channels measured and simulated, and of the track, one tab per record."""
+    """Return the section of channels measured and simulated, and of the track, one tab per record.
+
+    No blocks without simulations.
+
+    Parameters
+    ----------
+    canvas
+        Collector of the figures, to which the figures are added.
+    result
+        Result of a fit, with simulations and tracks.
+    """
     tabs = [
-        (tab.title, _simulated(canvas, result, of_record(result.traces, tab), tab) + _track(canvas, result, tab))
+        (
+            tab.title,
+            _simulation_blocks(canvas, result, of_record(result.traces, tab), tab) + _track_blocks(canvas, result, tab),
+        )
         for tab in record_tabs([*result.traces, *result.track], roles_of(result.logs, result.traces))
     ]
     if not any(blocks for _, blocks in tabs):
@@ -103,18 +135,33 @@ def traces_section(canvas: Canvas, result: FitResult) -> Section:
         "After the first 15 s, the simulation uses the inputs alone, so that small errors of speed and heading "
         "accumulate in the position. The fit in the panel titles is over all records with the same role."
     )
-    return Section("traces", "Simulated against measured", [_key("simulated", compared), *tabbed(tabs)], lead)
+    return Section("traces", "Simulated against measured", [_legend("simulated", compared), *tabbed(tabs)], lead)
 
 
-def _key(model: str, compared: bool) -> Key:
-    """Return the legend of measured and model curves; ``compared`` adds the model before the effects."""
+def _legend(model: str, compared: bool) -> Key:
+    """Return the legend of measured and model curves; ``compared`` adds the model before the effects.
+
+    ``model`` is the text for the model's curve, for example ``simulated``.
+    """
     items = [("measured", "measured"), ("after", f"{model}, with 95 % interval")]
     return Key([*items, ("before", f"{model}, before the effects were added")] if compared else items)
 
 
 @dataclass(frozen=True)
 class _Curves:
-    """Model curves of one channel; all arrays are (n,), NaN for gaps."""
+    """Model curves of one channel. Gaps are NaN.
+
+    Attributes
+    ----------
+    t : Array (n,)
+        Times [s].
+    model : Array (n,)
+        Prediction or simulation, in the unit of the channel.
+    sd : Array (n,)
+        Standard deviation of the prediction.
+    before : Array (n,) or None
+        Curve of the model before the effects were added.
+    """
 
     t: Array  # s
     model: Array
@@ -122,37 +169,44 @@ class _Curves:
     before: Array | None  # of the model before the effects were added
 
 
-def _predicted(canvas: Canvas, result: FitResult, rows: Sequence[Trace], tab: RecordTab) -> list[Any]:
-    """Return the figure of the predictions over the horizon for one record."""
+def _prediction_blocks(canvas: Canvas, result: FitResult, rows: Sequence[Trace], tab: RecordTab) -> list[Any]:
+    """Return the figure of the predictions over the horizon for one record, with the fit in the panel titles."""
     panels = []
     for row in rows:
         curves = _Curves(row.t_horizon, row.horizon, row.sd_horizon, row.horizon_before)
         note = _fit_note(_errors_of(result, row.role).horizon.get(row.channel))
-        if panel := _channel(canvas, row, curves, note):
+        if panel := _channel_panel(canvas, row, curves, note):
             panels.append(panel)
     return _stacked(canvas, panels, f"Measured and predicted {result.horizon_seconds:g} s ahead, {tab.title}")
 
 
-def _simulated(canvas: Canvas, result: FitResult, rows: Sequence[Trace], tab: RecordTab) -> list[Any]:
-    """Return the figure of the simulations of one record; a diverged simulation is cut at its divergence."""
+def _simulation_blocks(canvas: Canvas, result: FitResult, rows: Sequence[Trace], tab: RecordTab) -> list[Any]:
+    """Return the figure of the simulations of one record, with the fit in the panel titles.
+
+    A diverged simulation is cut at its divergence, and the title says so.
+    """
     panels = []
     for row in rows:
         note, model, sd = _fit_note(_errors_of(result, row.role).simulation.get(row.channel)), row.model, row.sd
         if row.diverged is not None:
             note = f"simulation diverged after {row.diverged - row.t[0]:.0f} s"
             model, sd = (np.where(row.t < row.diverged, curve, np.nan) for curve in (model, sd))
-        if panel := _channel(canvas, row, _Curves(row.t, model, sd, row.before), note):
+        if panel := _channel_panel(canvas, row, _Curves(row.t, model, sd, row.before), note):
             panels.append(panel)
     return _stacked(canvas, panels, f"Measured and simulated over time, {tab.title}")
 
 
 def _errors_of(result: FitResult, role: str) -> ErrorTable:
+    """Return the errors on the data of a role; those of the estimation data if there are no validation data."""
     estimation, validation = result.errors.estimation, result.errors.validation
     return validation if role == "validation" and validation is not None else estimation
 
 
 def _fit_note(row: ErrorComparison | None) -> str:
-    """Return the fit in per cent, before and after if both are known; empty if the output is constant."""
+    """Return the fit in per cent, before and after if both are known; empty if the output is constant.
+
+    A prediction without a finite error is called diverged.
+    """
     if row is None or not row.spread:
         return ""
     errors = (row.after,) if row.before is None else (row.before, row.after)
@@ -160,7 +214,10 @@ def _fit_note(row: ErrorComparison | None) -> str:
 
 
 def _stacked(canvas: Canvas, panels: Sequence[drawing.Panel], label: str) -> list[Any]:
-    """Return the figure of the panels, with a caption if the vertical range of any is limited."""
+    """Return the figure of the panels above each other; no blocks without panels.
+
+    A caption is added if the vertical range of any panel is limited, except that of an angle.
+    """
     if not panels:
         return []
     figure, height = drawing.stacked(panels, TIME)
@@ -170,14 +227,18 @@ def _stacked(canvas: Canvas, panels: Sequence[drawing.Panel], label: str) -> lis
     return [*plots, Prose(cut, "caption")] if any("range" in p.y and "dtick" not in p.y for p in panels) else plots
 
 
-def _channel(canvas: Canvas, row: Trace, curves: _Curves, note: str) -> drawing.Panel | None:
-    """Return the panel of one channel: measurements, model with 95 % band, and model before; None without values."""
+def _channel_panel(canvas: Canvas, row: Trace, curves: _Curves, note: str) -> drawing.Panel | None:
+    """Return the panel of one channel, None without finite values.
+
+    The panel has the measurements, the model with its 95 % band, and the model before. Angles are wrapped to half a
+    turn about zero. ``note`` follows the title.
+    """
     limit = canvas.budget.points
     factor, unit = formatting.degrees_for(row.unit)
     found = (drawing.drawable(a) for a in (row.measured, curves.model, curves.sd, curves.before))
     measured, model, sd, before = (None if a is None else factor * a for a in found)
     turn = 2 * np.pi * factor if row.angle else None
-    measured, model, before = (_wrapped(a, turn) for a in (measured, model, before))
+    measured, model, before = (_wrapped_angle(a, turn) for a in (measured, model, before))
     traces = []
     if model is not None and sd is not None:
         traces.append(drawing.band(curves.t, model, drawing.Z95 * sd, limit, turn=turn))
@@ -191,7 +252,7 @@ def _channel(canvas: Canvas, row: Trace, curves: _Curves, note: str) -> drawing.
     if not traces:
         return None
     edges = [] if model is None or sd is None else [model - drawing.Z95 * sd, model + drawing.Z95 * sd]
-    frame = _frame([measured, model], [before, *edges])
+    frame = _axis_limits([measured, model], [before, *edges])
     axis: dict[str, Any] = {"range": frame} if frame else {}
     if turn:
         axis = {"range": [-turn / 2, turn / 2], "tick0": 0, "dtick": turn / 4}
@@ -199,33 +260,37 @@ def _channel(canvas: Canvas, row: Trace, curves: _Curves, note: str) -> drawing.
     return drawing.Panel(title, traces, axis)
 
 
-def _wrapped(angle: Array | None, turn: float | None) -> Array | None:
-    """Return an angle wrapped to half a ``turn`` about zero; other signals are returned unchanged."""
+def _wrapped_angle(angle: Array | None, turn: float | None) -> Array | None:
+    """Return an angle wrapped to half a ``turn`` about zero; None, or other signals (``turn`` None), unchanged."""
     return angle if angle is None or turn is None else np.mod(angle + turn / 2, turn) - turn / 2
 
 
-def _frame(shown: list[Array | None], wide: list[Array | None]) -> list[float] | None:
+def _axis_limits(shown: list[Array | None], wide: list[Array | None]) -> list[float] | None:
     """Return limits of the vertical axis that keep the curves ``shown`` readable, None if none are needed.
 
-    Limits are needed if the curves ``wide`` exceed the span of the others by more than that span on a side.
+    Limits are needed if the curves ``wide`` exceed the span of ``shown`` by more than that span on a side. The limits
+    then leave half of that span on each side.
     """
-    least, most = _span(shown)
+    least, most = _finite_span(shown)
     margin = 0.5 * (most - least)
-    low, high = _span([*shown, *wide])
+    low, high = _finite_span([*shown, *wide])
     if not margin > 0.0 or (low >= least - 2.0 * margin and high <= most + 2.0 * margin):
         return None
     return [max(low, least - margin), min(high, most + margin)]
 
 
-def _span(curves: list[Array | None]) -> tuple[float, float]:
-    """Return the smallest and largest finite value of all curves, NaN without any."""
+def _finite_span(curves: list[Array | None]) -> tuple[float, float]:
+    """Return the smallest and largest finite value of all curves, NaN without any; None is no curve."""
     finite = [curve[np.isfinite(curve)] for curve in curves if curve is not None]
     every = np.concatenate(finite) if finite else np.empty(0)
     return (float(every.min()), float(every.max())) if every.size else (np.nan, np.nan)
 
 
-def _track(canvas: Canvas, result: FitResult, tab: RecordTab) -> list[Any]:
-    """Return the plot of the track of a record: measured, simulated, and simulated before the effects."""
+def _track_blocks(canvas: Canvas, result: FitResult, tab: RecordTab) -> list[Any]:
+    """Return the plot of the track of a record: measured, simulated, and simulated before the effects.
+
+    No blocks without finite positions.
+    """
     plots, origin = [], origin_words(result.logs, tab.name)
     for row in of_record(result.track, tab):
         styles = (
@@ -233,7 +298,7 @@ def _track(canvas: Canvas, result: FitResult, tab: RecordTab) -> list[Any]:
             ("before", row.x_before, row.y_before),
             ("model", row.x_model, row.y_model),
         )
-        traces = [t for style, x, y in styles for t in _path(style, x, y, canvas.budget.points)]
+        traces = [t for style, x, y in styles for t in _path_traces(style, x, y, canvas.budget.points)]
         if traces:
             equal = {"scaleanchor": "x", "scaleratio": 1, "nticks": 7}
             figure = drawing.single(traces, f"east{origin} [m]", f"north{origin} [m]", hovermode="closest", yaxis=equal)
@@ -241,8 +306,11 @@ def _track(canvas: Canvas, result: FitResult, tab: RecordTab) -> list[Any]:
     return [Grid(plots, 320, "narrow" if len(plots) == 1 else "")] if plots else []
 
 
-def _path(style: str, north: Array | None, east: Array | None, limit: int) -> list[drawing.Trace]:
-    """Return the trace of a path [m] and a marker at its start; ``style`` is measured, before or model."""
+def _path_traces(style: str, north: Array | None, east: Array | None, limit: int) -> list[drawing.Trace]:
+    """Return the trace of a path [m] of at most ``limit`` points, and a marker at its start.
+
+    ``style`` is ``measured``, ``before`` or ``model``. Empty without finite positions.
+    """
     if north is None or east is None:
         return []
     good = np.isfinite(north) & np.isfinite(east)

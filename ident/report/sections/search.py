@@ -9,7 +9,7 @@ from typing import Any
 from seatrial.ident.report import drawing, formatting
 from seatrial.ident.report.blocks import Bar, Canvas, Cell, Grid, Heading, Key, Prose, Ranking, Section, Table, tabbed
 from seatrial.ident.report.record_tabs import RecordTab, of_record, record_tabs, roles_of
-from seatrial.ident.results import Candidate, DiagnosisResult, NonparametricCurve, Refit, ResidualForce, Round
+from seatrial.ident.results import Candidate, DiagnosisResult, NonparametricCurve, RefitRow, ResidualForce, RoundRow
 
 MAX_BARS = 14
 OUTCOMES = {
@@ -24,11 +24,19 @@ OUTCOMES = {
 
 
 def section(canvas: Canvas, result: DiagnosisResult) -> Section:
-    """Return the section of the search: a tab per round, then residual forces and nonparametric curves."""
+    """Return the section of the search: a tab per round, then residual forces and nonparametric curves.
+
+    Parameters
+    ----------
+    canvas
+        Collector of the figures, to which the figures are added.
+    result
+        Result of a diagnosis.
+    """
     found, removed = result.rounds, {row.name for row in result.removed_effects}
-    rounds = [(_round_title(i, row, removed), _round(row, removed)) for i, row in enumerate(found, 1)]
+    rounds = [(_round_title(i, row, removed), _round_blocks(row, removed)) for i, row in enumerate(found, 1)]
     blocks: list[Any] = tabbed(rounds)
-    blocks += _forces(canvas, result) + _curves(canvas, result.nonparametric_effects)
+    blocks += _residual_force_blocks(canvas, result) + _curve_blocks(canvas, result.nonparametric_effects)
     lead = (
         "Each round tests all candidates on the residuals (score test) and refits the model with the best of them. "
         "Validation data decide whether an effect is added."
@@ -36,27 +44,33 @@ def section(canvas: Canvas, result: DiagnosisResult) -> Section:
     return Section("search", "Search for missing effects", blocks, lead if found else "")
 
 
-def _round_title(i: int, row: Round, removed: Collection[str]) -> str:
+def _round_title(i: int, row: RoundRow, removed: Collection[str]) -> str:
+    """Return the title of the tab of round ``i`` (from 1), with the name of the added effect."""
     return f"Round {i}: {row.chosen or 'nothing added'}{', removed again' if row.chosen in removed else ''}"
 
 
-def _round(row: Round, removed: Collection[str]) -> list[Any]:
-    """Return the blocks of one round; ``removed`` names the effects that were removed later."""
+def _round_blocks(row: RoundRow, removed: Collection[str]) -> list[Any]:
+    """Return the blocks of one round: reason, candidates and refits.
+
+    ``removed`` has the names of the effects that were removed later; the block of the reason says so.
+    """
     blocks: list[Any] = [Prose(row.why, "why")] if row.why else []
     if row.chosen in removed:
         words = "This effect was removed again: with the other effects in the model it adds too little; see the notes."
         blocks.append(Prose(words, "why"))
     chosen = None if row.chosen in removed else row.chosen
-    return blocks + ranking(row, chosen) + _refits(row, chosen)
+    return blocks + ranking(row, chosen) + _refits_table(row, chosen)
 
 
-def ranking(row: Round, chosen: str | None) -> list[Any]:
-    """Return the bar chart of the best candidates of a round on a logarithmic axis.
+def ranking(row: RoundRow, chosen: str | None) -> list[Any]:
+    """Return the bar chart of up to 14 candidates of a round on a logarithmic axis, with a heading.
+
+    Candidates with a statistic of zero are left out; no blocks if none is left.
 
     Parameters
     ----------
-    row : Round
-        Round with its candidates in order.
+    row : RoundRow
+        Round with its candidates, best first.
     chosen : str, optional
         Name of the effect that was added.
     """
@@ -72,7 +86,7 @@ def ranking(row: Round, chosen: str | None) -> list[Any]:
         """Return the position of a statistic on the axis, in per cent of the track's width."""
         return 100.0 * min(max(math.log(value / low) / math.log(high / low), 0.004), 1.0)
 
-    bars = [_bar(c, at(size), at(limit), chosen) for c, size, limit in zip(best, sizes, limits, strict=True)]
+    bars = [_candidate_bar(c, at(size), at(limit), chosen) for c, size, limit in zip(best, sizes, limits, strict=True)]
     decades = range(math.ceil(math.log10(low)), math.floor(math.log10(high)) + 1)
     ticks = [(at(10.0**d) if d > math.log10(low) else 0.0, f"{10**d:,}" if d >= 0 else f"{10.0**d:g}") for d in decades]
     caption = (
@@ -83,8 +97,18 @@ def ranking(row: Round, chosen: str | None) -> list[Any]:
     return [Heading("Candidates"), Ranking(bars, ticks, caption)]
 
 
-def _bar(candidate: Candidate, width: float, limit: float, chosen: str | None) -> Bar:
-    """Return the bar of one candidate; ``width`` and ``limit`` are positions in per cent of the track's width."""
+def _candidate_bar(candidate: Candidate, width: float, limit: float, chosen: str | None) -> Bar:
+    """Return the bar of one candidate.
+
+    Parameters
+    ----------
+    candidate
+        Candidate with its score test.
+    width, limit
+        Positions of the statistic and of its critical value, in per cent of the track's width.
+    chosen
+        Name or title of the effect that was added, None if there is none.
+    """
     p, p_block = (formatting.probability(value) for value in (candidate.p, candidate.p_block))
     numbers = f"{formatting.plain(candidate.lm)} on {formatting.count(candidate.df)} df, p {p}, block-robust {p_block}"
     name = candidate.name
@@ -100,8 +124,11 @@ def _bar(candidate: Candidate, width: float, limit: float, chosen: str | None) -
     )
 
 
-def _refits(row: Round, chosen: str | None) -> list[Any]:
-    """Return the table of the refits of a round."""
+def _refits_table(row: RoundRow, chosen: str | None) -> list[Any]:
+    """Return the heading and table of the refits of a round; no blocks without refits.
+
+    ``chosen`` is the name of the effect that was added, None if there is none.
+    """
     found = row.refits
     columns = (
         ("refitted with", ""),
@@ -114,11 +141,14 @@ def _refits(row: Round, chosen: str | None) -> list[Any]:
         ("outcome", ""),
     )
     heading = Heading("Refits with the best candidates")
-    return [heading, Table(columns, [_refit(r, chosen) for r in found])] if found else []
+    return [heading, Table(columns, [_refit_cells(r, chosen) for r in found])] if found else []
 
 
-def _refit(row: Refit, chosen: str | None) -> list[Cell | str]:
-    """Return the cells of one refit."""
+def _refit_cells(row: RefitRow, chosen: str | None) -> list[Cell | str]:
+    """Return the table cells of one refit; up to three parameters of its effect are printed.
+
+    ``chosen`` is the name of the effect that was added, None if there is none.
+    """
     parameters = []
     for p in row.parameters:
         factor, unit = formatting.degrees_for(p.unit)
@@ -139,8 +169,11 @@ def _refit(row: Refit, chosen: str | None) -> list[Cell | str]:
     ]
 
 
-def _forces(canvas: Canvas, result: DiagnosisResult) -> list[Any]:
-    """Return the residual forces over time, one tab per record; no blocks if no force has finite values."""
+def _residual_force_blocks(canvas: Canvas, result: DiagnosisResult) -> list[Any]:
+    """Return the heading, legend and plots of the residual forces over time, one tab per record.
+
+    No blocks if no force has finite values.
+    """
     forces = result.residual_forces
     found = record_tabs(forces, roles_of(result.logs, result.traces))
     tabs = [(tab.title, _force_tab(canvas, of_record(forces, tab), tab)) for tab in found]
@@ -153,7 +186,7 @@ def _forces(canvas: Canvas, result: DiagnosisResult) -> list[Any]:
 
 
 def _force_tab(canvas: Canvas, forces: Sequence[ResidualForce], tab: RecordTab) -> list[Any]:
-    """Return the figure of the residual forces of one record."""
+    """Return the figure of the residual forces of one record; no blocks without finite values."""
     panels = [p for row in forces if (p := _force_panel(canvas, row))]
     if not panels:
         return []
@@ -162,7 +195,10 @@ def _force_tab(canvas: Canvas, forces: Sequence[ResidualForce], tab: RecordTab) 
 
 
 def _force_panel(canvas: Canvas, row: ResidualForce) -> drawing.Panel | None:
-    """Return the panel of one force before and after the effects were added, None without finite values."""
+    """Return the panel of one force over time with its 95 % band, None without finite values.
+
+    The curve after the effects were added is drawn too, if there is one.
+    """
     limit, traces = canvas.budget.points, []
     mean, sd, after_mean, after_sd = map(drawing.drawable, (row.mean, row.sd, row.after_mean, row.after_sd))
     for middle, half, name, color, dash in (
@@ -178,8 +214,11 @@ def _force_panel(canvas: Canvas, row: ResidualForce) -> drawing.Panel | None:
     return drawing.Panel(title, traces) if traces else None
 
 
-def _curves(canvas: Canvas, curves: Sequence[NonparametricCurve]) -> list[Any]:
-    """Return a plot of each nonparametric curve: residual force or sensor error over one variable."""
+def _curve_blocks(canvas: Canvas, curves: Sequence[NonparametricCurve]) -> list[Any]:
+    """Return a plot of each nonparametric curve: residual force or sensor error over one variable.
+
+    Curves without finite values are left out.
+    """
     plots = []
     for row in curves:
         if drawing.drawable(row.value) is None:

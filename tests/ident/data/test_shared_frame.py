@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -14,7 +15,7 @@ from seatrial.daq.errors import SeatrialError
 from seatrial.daq.samples import Ahrs, Esc, Gnss
 from seatrial.ident.data.loading import FrameOrigin, LoadedLog, load_all, load_run, share_frame
 from seatrial.ident.data.record import LogSegment, make_record
-from seatrial.ident.diagnosis.search import _refused
+from seatrial.ident.diagnosis.search import _untestable_candidates
 from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.estimation.fitted_model import FittedModel, fit_nominal_model, nominal_model
 from seatrial.ident.estimation.likelihood import Likelihood
@@ -103,7 +104,7 @@ def test_logs_of_one_command_use_the_first_fix_of_the_first_log(tmp_path: Path) 
             there, here = shared.run.channels[n].value, own.run.channels[n].value
             assert there - there[0] == pytest.approx(here - here[0], abs=1e-9)
             assert shared.own_channels[n].value == pytest.approx(here, abs=1e-9)
-        assert shared.about["origin"] == asdict(estimation[0].origin)
+        assert shared.about["origin"] == msgspec.structs.asdict(estimation[0].origin)
     origin = estimation[0].origin
     assert origin is not None
     assert origin.log == "log0"
@@ -139,10 +140,10 @@ def test_distant_logs_keep_their_own_origins_and_reject_a_common_point(tmp_path:
     require_one_frame(plain, logs)
     with pytest.raises(SeatrialError, match="more than 10 km from the first fix of log0, but mooring has one position"):
         require_one_frame(moored, logs)
-    untested = _refused(nominal_model(plain), catalogue(), [one.run for one in logs])
+    untested = _untestable_candidates(nominal_model(plain), catalogue(), [one.run for one in logs])
     assert sorted(u.effect.name for u in untested) == ["mooring", "tether"]
     assert "fixed point over ground" in untested[0].reason
-    assert not _refused(nominal_model(plain), catalogue(), [logs[0].run])
+    assert not _untestable_candidates(nominal_model(plain), catalogue(), [logs[0].run])
 
 
 def test_positions_without_latitude_and_longitude_are_assumed_in_one_frame_with_a_warning(tmp_path: Path) -> None:

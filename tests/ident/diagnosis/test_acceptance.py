@@ -10,15 +10,16 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from seatrial.ident.diagnosis.acceptance import validation_gain
-from seatrial.ident.diagnosis.results import (
-    MATERIAL_ERROR_RATIO,
-    MIN_ERROR_RATIO,
-    EffectImportance,
-    Outcome,
-    Refit,
-    Round,
+from seatrial.ident.diagnosis.acceptance import (
+    improves_prediction,
+    is_accepted,
+    is_validated,
+    is_worth_its_parameters,
+    refit_outcome,
+    validation_gain,
 )
+from seatrial.ident.diagnosis.findings import EffectImportance, Outcome, Refit, Round
+from seatrial.ident.diagnosis.policy import DEFAULT_POLICY
 from seatrial.ident.model.structure import Effect, EffectKind
 from seatrial.ident.validation.prediction_errors import PredictionChange
 
@@ -67,7 +68,7 @@ def test_few_blocks_with_large_losses_are_not_treated_as_outliers() -> None:
     ll[150:170] = -80.0
     gain, t = validation_gain(fitted(run=np.zeros(400)), fitted(run=ll))
     assert gain < 0
-    assert not refit(gain=gain, t=t).validated
+    assert not is_validated(refit(gain=gain, t=t))
 
 
 def test_validation_gain_compares_only_runs_of_both_models() -> None:
@@ -128,28 +129,36 @@ def refit(
     ],
 )
 def test_refit_is_accepted_only_if_every_condition_holds(values: dict[str, Any], accepted: bool) -> None:
-    assert refit(**values).accepted is accepted
+    assert is_accepted(refit(**values)) is accepted
+
+
+def test_thresholds_of_the_policy_decide() -> None:
+    strict = replace(DEFAULT_POLICY, min_t=5.0)
+    assert is_validated(refit(t=4.0))
+    assert not is_validated(refit(t=4.0), strict)
+    assert refit_outcome(refit(t=4.0, prediction=SAME), (), strict) is Outcome.NOT_VALIDATED
 
 
 @pytest.mark.parametrize(
     ("prediction", "error", "predicts", "pays"),
     [
         (change(0.7, 0.5, 0.9), 1.0, True, True),
-        (change(0.98, 0.7, 1.3), MIN_ERROR_RATIO + 0.01, True, True),
-        (change(0.98, 0.7, 1.3), MIN_ERROR_RATIO - 0.01, False, True),
+        (change(0.98, 0.7, 1.3), DEFAULT_POLICY.min_error_ratio + 0.01, True, True),
+        (change(0.98, 0.7, 1.3), DEFAULT_POLICY.min_error_ratio - 0.01, False, True),
         (change(1.2, 1.1, 1.3), 1.5, False, False),
         # The error is the same with and without the effect.
-        (change(0.99, 0.9, 1.1), MATERIAL_ERROR_RATIO - 0.001, False, False),
+        (change(0.99, 0.9, 1.1), DEFAULT_POLICY.material_error_ratio - 0.001, False, False),
     ],
 )
 def test_effect_importance_reports_support_and_improved_prediction(
     prediction: Any, error: float, predicts: bool, pays: bool
 ) -> None:
     weight = EffectImportance("wind", 100.0, error, 30.0, 4.0, prediction)
-    assert (weight.improves_prediction, weight.supported) == (predicts, pays)
-    assert replace(weight, t=1.9).supported is (predicts and pays)  # A better prediction also counts as support.
-    assert not replace(weight, t=0.9).supported
-    assert not EffectImportance("wind", 100.0, error, -3.0, 4.0, prediction).supported
+    assert (improves_prediction(weight), is_worth_its_parameters(weight)) == (predicts, pays)
+    # A better prediction also counts as support.
+    assert is_worth_its_parameters(replace(weight, t=1.9)) is (predicts and pays)
+    assert not is_worth_its_parameters(replace(weight, t=0.9))
+    assert not is_worth_its_parameters(EffectImportance("wind", 100.0, error, -3.0, 4.0, prediction))
 
 
 @pytest.mark.parametrize(

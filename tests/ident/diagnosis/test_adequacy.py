@@ -14,8 +14,9 @@ import pytest
 from numpy.typing import ArrayLike
 from rich.console import Console
 
-from seatrial.ident.diagnosis.adequacy import MAX_REMAINING_CRITERION, MAX_REMAINING_TESTS, assess_alternatives
-from seatrial.ident.diagnosis.results import EffectAttribution, EffectImportance, Refit, Round, UntestedCandidate
+from seatrial.ident.diagnosis.adequacy import AttributionEvidence, assess_alternatives
+from seatrial.ident.diagnosis.findings import EffectAttribution, EffectImportance, Refit, Round, UntestedCandidate
+from seatrial.ident.diagnosis.policy import DEFAULT_POLICY
 from seatrial.ident.diagnosis.score_test import Score
 from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.estimation.standard_errors import AT_BOUND
@@ -73,7 +74,7 @@ def score(name: str, criterion: float) -> Score:
 def attributions_of(
     *rounds: Round, left: tuple[Score, ...] = (), untested: tuple[str, ...] = ()
 ) -> tuple[EffectAttribution, ...]:
-    return assess_alternatives(rounds, left, N, untested)
+    return assess_alternatives(rounds, AttributionEvidence(left, N, untested))
 
 
 def test_effect_that_leaves_no_unexplained_score_is_identified() -> None:
@@ -92,13 +93,19 @@ def test_larger_form_of_an_effect_competes_only_if_it_explains_more() -> None:
 
 
 @pytest.mark.parametrize(
-    ("worth", "attribution"), [(MAX_REMAINING_CRITERION - 1, "identified"), (MAX_REMAINING_CRITERION + 1, "ambiguous")]
+    ("worth", "attribution"),
+    [
+        (DEFAULT_POLICY.max_remaining_criterion - 1, "identified"),
+        (DEFAULT_POLICY.max_remaining_criterion + 1, "ambiguous"),
+    ],
 )
 def test_remaining_score_makes_an_effect_ambiguous_above_a_threshold(worth: float, attribution: str) -> None:
     (found,) = attributions_of(one_round(refit("lever-arm", 500.0)), left=(score("N(u, r)", worth),))
     assert found.attribution == attribution
     if found.reasons:
-        assert found.reasons == ("with it the score tests still find that N depends on u and r (21 more in 2 ln L)",)
+        assert found.reasons == (
+            "with this effect the score tests still find that N depends on u and r (21 more in 2 ln L)",
+        )
 
 
 def test_threshold_of_the_remaining_score_grows_with_the_explained_criterion() -> None:
@@ -109,7 +116,8 @@ def test_threshold_of_the_remaining_score_grows_with_the_explained_criterion() -
 
 
 @pytest.mark.parametrize(
-    ("n_left", "attribution"), [(MAX_REMAINING_TESTS, "identified"), (MAX_REMAINING_TESTS + 1, "ambiguous")]
+    ("n_left", "attribution"),
+    [(DEFAULT_POLICY.max_remaining_tests, "identified"), (DEFAULT_POLICY.max_remaining_tests + 1, "ambiguous")],
 )
 def test_many_small_remaining_scores_make_an_effect_ambiguous(n_left: int, attribution: str) -> None:
     """If a lag is fitted in place of a delay, many tests find a small remaining effect. No test finds a large one."""
@@ -121,7 +129,7 @@ def test_many_small_remaining_scores_make_an_effect_ambiguous(n_left: int, attri
 def test_nonparametric_effect_added_beside_an_effect_makes_it_ambiguous() -> None:
     wind, table = attributions_of(one_round(refit("heading-moment", 700.0)), one_round(refit("unknown Y(psi)", 1000.0)))
     assert (wind.attribution, table.attribution) == ("ambiguous", "nonparametric")
-    assert "unknown Y(psi) had to be added beside it" in wind.reasons
+    assert "unknown Y(psi) had to be added beside this effect" in wind.reasons
 
 
 def test_validated_nonparametric_effect_that_explains_more_makes_an_effect_ambiguous() -> None:
@@ -158,13 +166,17 @@ def test_alternative_that_the_fitted_parameters_imitate_is_not_excluded() -> Non
     """
     linear = refit("thrust-linearity", 90.0, alternatives=("dead-band", "reverse-thrust"))
     hidden = replace(score("reverse-thrust", 5.0), tolerance=4e-4)
-    (found,) = assess_alternatives([one_round(linear)], (), N, nominal=[hidden])
+    (found,) = assess_alternatives([one_round(linear)], AttributionEvidence((), N, nominal=[hidden]))
     assert (found.attribution, found.not_excluded) == ("ambiguous", ("reverse-thrust",))
     why = "the model's estimated parameters explain nearly all of its alternative reverse-thrust"
     assert found.reasons == (why,)
-    (itself,) = assess_alternatives([one_round(refit("reverse-thrust", 90.0))], (), N, nominal=[hidden])
-    assert itself.reasons == ("the model's estimated parameters explain nearly all of it",)
-    (seen,) = assess_alternatives([one_round(linear)], (), N, nominal=[replace(hidden, tolerance=2e-3)])
+    (itself,) = assess_alternatives(
+        [one_round(refit("reverse-thrust", 90.0))], AttributionEvidence((), N, nominal=[hidden])
+    )
+    assert itself.reasons == ("the model's estimated parameters explain nearly all of this effect",)
+    (seen,) = assess_alternatives(
+        [one_round(linear)], AttributionEvidence((), N, nominal=[replace(hidden, tolerance=2e-3)])
+    )
     assert seen.attribution == "identified"
 
 
@@ -209,20 +221,22 @@ def test_effect_without_influence_on_the_prediction_is_ambiguous(error: float, a
     """
     unchanged = PredictionChange(0.99, 0.9, 1.1, 10.0, {})
     weight = EffectImportance("current-drift", 4000.0, error, 300.0, 9.0, unchanged)
-    (found,) = assess_alternatives([one_round(refit("current-drift", 4000.0))], (), N, weights=[weight])
+    (found,) = assess_alternatives(
+        [one_round(refit("current-drift", 4000.0))], AttributionEvidence((), N, importances=[weight])
+    )
     assert found.attribution == attribution
 
 
 def test_effect_with_unknown_importance_is_ambiguous() -> None:
     weight = EffectImportance("wind", float("nan"), float("nan"), untested="x0")
-    (found,) = assess_alternatives([one_round(refit("wind", 800.0))], (), N, weights=[weight])
+    (found,) = assess_alternatives([one_round(refit("wind", 800.0))], AttributionEvidence((), N, importances=[weight]))
     assert found.attribution == "ambiguous"
-    assert found.reasons == ("the prediction without it could not be tested: x0",)
+    assert found.reasons == ("the prediction without this effect could not be tested: x0",)
 
 
 def test_reservation_about_the_data_makes_every_effect_ambiguous() -> None:
     short = "the estimation data are short (60 s)"
-    (found,) = assess_alternatives([one_round(refit("wind", 800.0))], (), N, reservations=[short])
+    (found,) = assess_alternatives([one_round(refit("wind", 800.0))], AttributionEvidence((), N, reservations=[short]))
     assert (found.attribution, found.reasons) == ("ambiguous", (short,))
 
 
@@ -281,8 +295,10 @@ def test_small_alternative_of_a_strong_effect_is_ambiguous_as_a_correction_of_it
     ],
 )
 def test_remaining_score_is_described_in_words(name: str, description: str) -> None:
-    (found,) = attributions_of(one_round(refit("lever-arm", 500.0)), left=(score(name, MAX_REMAINING_CRITERION + 1),))
-    assert found.reasons[0].startswith(f"with it the score tests still find {description} (")
+    (found,) = attributions_of(
+        one_round(refit("lever-arm", 500.0)), left=(score(name, DEFAULT_POLICY.max_remaining_criterion + 1),)
+    )
+    assert found.reasons[0].startswith(f"with this effect the score tests still find {description} (")
 
 
 def test_two_effects_without_remaining_scores_are_both_identified() -> None:
@@ -388,8 +404,8 @@ def test_attribution_uses_the_estimates_of_the_final_model() -> None:
         return SimpleNamespace(fit=a_fit(("F",), [value], np.eye(1)))
 
     wind = refit("wind", 800.0, fit=stage(6.0).fit, parameters=(Parameter("F", 0.0, "N"),))
-    (alone,) = assess_alternatives([one_round(wind)], (), N)
-    (beside,) = assess_alternatives([one_round(wind)], (), N, after=stage(1.5))
+    (alone,) = assess_alternatives([one_round(wind)], AttributionEvidence((), N))
+    (beside,) = assess_alternatives([one_round(wind)], AttributionEvidence((), N, after=stage(1.5)))
     assert (alone.attribution, beside.attribution) == ("identified", "ambiguous")
 
 

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from seatrial.ident.diagnosis import importance
+from seatrial.ident.diagnosis.acceptance import is_worth_its_parameters
+from seatrial.ident.diagnosis.findings import EffectImportance, Refit, Round
 from seatrial.ident.diagnosis.importance import by_importance, effect_importance
-from seatrial.ident.diagnosis.results import EffectImportance, Refit, Round
 from seatrial.ident.model.structure import Effect, ForceCurve
 from tests.ident.unlisted import kind_of
 
@@ -64,10 +65,10 @@ def test_effect_has_no_importance_if_the_model_without_it_cannot_be_fitted(monke
     wind_refit, before = chosen("wind"), stage(0.0)
     wind_refit = replace(wind_refit, fitted=stage(900.0, wind_refit))
     lift_refit = replace(chosen("lift"), fitted=stage(930.0, wind_refit, chosen("lift")), prediction=cast(Any, "fell"))
-    monkeypatch.setattr(importance, "_with", fails)
+    monkeypatch.setattr(importance, "_fit_with_effects", fails)
     monkeypatch.setattr(importance, "comparison", lambda *_: SimpleNamespace(error_ratio=1.2))
     rounds = [Round((), (), (c,), c) for c in (wind_refit, lift_refit)]
     lift, wind = effect_importance(before, lift_refit.fitted, [wind_refit, lift_refit], rounds, [], [])
     assert (lift.effect, lift.gain, lift.untested) == ("lift", 60.0, None)
-    assert (wind.effect, wind.untested, wind.supported) == ("wind", "x0", False)
+    assert (wind.effect, wind.untested, is_worth_its_parameters(wind)) == ("wind", "x0", False)
     assert np.isnan([wind.gain, wind.error_ratio, wind.t]).all()

@@ -20,9 +20,9 @@ from seatrial.ident.diagnosis.score_test import (
     PriorTerms,
     SensitivityColumns,
     SensitivityFilter,
+    assign_columns,
     block_index,
     fitted_parameters,
-    place,
     prior_terms,
     score_tests,
     whole_blocks,
@@ -143,7 +143,7 @@ def test_tolerance_is_the_residual_of_a_regression_on_the_fitted_parameters() ->
     normal, m = NormalEquations([str(k) for k in range(g.shape[1])]), len(own)
     normal.add(range(g.shape[1]), g, carrier.e, block_index(carrier.t))
     strong = PriorTerms(np.zeros(m), 1e3 * np.diag(normal.information)[:m])
-    found = score_tests(normal, strong, place(columns, m, 1)[0])
+    found = score_tests(normal, strong, assign_columns(columns, m, 1)[0])
     for score, column in zip(found, g.T[m:], strict=True):
         rest = column - g[:, :m] @ np.linalg.lstsq(g[:, :m], column, rcond=None)[0]
         assert score.tolerance == pytest.approx(np.sum(rest**2) / np.sum(column**2), rel=1e-4)
@@ -331,7 +331,7 @@ def test_per_record_effect_may_have_opposite_signs() -> None:
     e = [rng.normal(size=300) - sign * 0.5 * common[:, 1] for sign, common in zip((1, -1), g, strict=True)]
     shared = SensitivityColumns("shared", np.zeros((1, 1, 1)), ("k",))
     own = SensitivityColumns("own", np.zeros((1, 1, 1)), ("k",), per_record=True)
-    places, total = place([shared, own], 1, 2)
+    places, total = assign_columns([shared, own], 1, 2)
     assert [p.at for p in places] == [(1,), (2, 3)]
     normal = NormalEquations([str(k) for k in range(total)])
     for i in range(2):

@@ -10,7 +10,8 @@ import pytest
 
 from seatrial.ident.data.record import Channel, LogSegment
 from seatrial.ident.diagnosis import search
-from seatrial.ident.diagnosis.results import (
+from seatrial.ident.diagnosis.acceptance import is_immaterial, refit_outcome
+from seatrial.ident.diagnosis.findings import (
     Diagnosis,
     EffectAttribution,
     EffectImportance,
@@ -23,7 +24,7 @@ from seatrial.ident.diagnosis.results import (
     ValidationMismatch,
 )
 from seatrial.ident.diagnosis.score_test import Score
-from seatrial.ident.diagnosis.search import _Search, _starts, diagnose, evaluate_diagnosis
+from seatrial.ident.diagnosis.search import _Search, _with_initial_values, diagnose, evaluate_diagnosis
 from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.estimation.fitted_model import FittedModel, validated_in_blocks
 from seatrial.ident.estimation.homogeneity import BETWEEN, ParameterShift
@@ -34,7 +35,7 @@ from seatrial.ident.reporter import QUIET
 from seatrial.ident.results import parts
 from seatrial.ident.results.diagnosis import (
     _blocks_note,
-    _mismatch,
+    _mismatch_row,
     _notes,
     _quiet_round,
     _untested_warnings,
@@ -72,7 +73,7 @@ def exactly(by_name: dict[str, PredictionChange | Exception]) -> Any:
         if isinstance(found, Exception):
             raise found
         exact_refit = replace(rough, prediction=found)
-        return replace(exact_refit, outcome=search._outcome(exact_refit, []))
+        return replace(exact_refit, outcome=refit_outcome(exact_refit, []))
 
     return exact
 
@@ -90,10 +91,10 @@ def exactly(by_name: dict[str, PredictionChange | Exception]) -> Any:
 def test_best_accepted_candidate_is_chosen(
     monkeypatch: pytest.MonkeyPatch, by_name: Any, outcomes: list[Outcome], untested: list[tuple[str, str]]
 ) -> None:
-    monkeypatch.setattr(_Search, "_exact", exactly(by_name))
+    monkeypatch.setattr(_Search, "_fit_exactly", exactly(by_name))
     refused = [refit(name, 1000.0 - k, gain=-5.0, t=-1.0) for k, name in enumerate("abcd")]
     lost: list[UntestedCandidate] = []
-    judged, chosen = a_search()._choose(blank(), [refit("f", 90.0), *refused, refit("e", 100.0)], lost)
+    judged, chosen = a_search()._choose_refit(blank(), [refit("f", 90.0), *refused, refit("e", 100.0)], lost)
     assert [r.outcome for r in judged] == outcomes
     added = [r for r in judged if r.outcome is Outcome.ADDED]
     assert [chosen] == (added or [None])
@@ -113,8 +114,8 @@ def test_best_accepted_candidate_is_chosen(
 def test_better_prediction_decides_between_equally_likely_effects(
     monkeypatch: pytest.MonkeyPatch, behind: float, by_name: Any, chosen: str
 ) -> None:
-    monkeypatch.setattr(_Search, "_exact", exactly(by_name))
-    judged, found = a_search()._choose(blank(), [refit("lift", 100.0), refit("wind", 100.0 - behind)], [])
+    monkeypatch.setattr(_Search, "_fit_exactly", exactly(by_name))
+    judged, found = a_search()._choose_refit(blank(), [refit("lift", 100.0), refit("wind", 100.0 - behind)], [])
     assert found is not None
     worse = [r.effect.name for r in judged if r.outcome is Outcome.WORSE_PREDICTION]
     assert worse == [name for name, change in by_name.items() if change is ROSE]
@@ -128,11 +129,11 @@ def test_better_prediction_decides_between_equally_likely_effects(
 def test_parameter_difference_between_runs_is_chosen_only_if_it_explains_significantly_more(
     monkeypatch: pytest.MonkeyPatch, gain: float, t: float, chosen: str
 ) -> None:
-    monkeypatch.setattr(_Search, "_exact", exactly({}))
+    monkeypatch.setattr(_Search, "_fit_exactly", exactly({}))
     monkeypatch.setattr(search, "comparison", lambda *_: blank(gain=(gain, t), prediction=SAME))
     between = refit(f"{BETWEEN}payload", 500.0)
     between = replace(between, effect=replace(between.effect, kind=EffectKind.BETWEEN_RUNS))
-    judged, found = a_search()._choose(blank(), [between, refit("lift", 90.0), refit("wind", 100.0)], [])
+    judged, found = a_search()._choose_refit(blank(), [between, refit("lift", 90.0), refit("wind", 100.0)], [])
     assert found is not None
     assert [found.effect.name] == [r.effect.name for r in judged if r.outcome is Outcome.ADDED] == [chosen]
     assert [r.effect.name for r in judged] == [f"{BETWEEN}payload", "wind", "lift"]
@@ -146,7 +147,7 @@ def test_candidate_with_a_negative_score_criterion_is_still_refitted(monkeypatch
     alone.n = 5000
     score = Score("compass", 28.0, 4, 20.0, {}, {})
     assert score.criterion(alone.n) < 0
-    alone._round(blank(), [score], [score])
+    alone._run_round(blank(), [score], [score])
     assert tried == ["compass"]
 
 
@@ -167,7 +168,7 @@ def test_data_too_short_for_the_tests_are_reported() -> None:
     )
     assert answer.endswith("too short to test 2 of 3 candidates: give 105 s or more.")
     assert search._short_data([replace(s, blocks=21) for s in scores], blank()) is None
-    assert [scores[k].least_blocks for k in range(3)] == [7, 14, 21]
+    assert [scores[k].least_blocks() for k in range(3)] == [7, 14, 21]
 
 
 @pytest.mark.parametrize("fell", [True, False])
@@ -178,7 +179,7 @@ def test_curve_without_a_better_prediction_is_described_as_a_resemblance(fell: b
         blank(), blank(cross_validated=False), (Round((), (), (chosen,), chosen),), (), (),
         (EffectAttribution(curve.name, "nonparametric"),), (EffectImportance(curve.name, 90.0, 1.02),),
     )  # fmt: skip
-    change = parts.PredictionChange(
+    change = parts.PredictionChangeRow(
         role="validation", ratio=0.98, low=0.96, high=0.99 if fell else 1.01, verdict="fell" if fell else "unchanged",
         better=(), worse=(),
     )  # fmt: skip
@@ -224,7 +225,7 @@ def test_removal_never_leaves_effects_that_predict_worse_than_the_nominal_model(
         names = [c.effect.name for c in chosen]
         return tuple(EffectImportance(n, 10.0, 1.1, 20.0, 0.3 if n == "hump" else 6.0, FELL) for n in names)
 
-    def compared(_before: Any, after: Any) -> Any:
+    def compared(_before: Any, after: Any, *_: Any) -> Any:
         left.append(after.name)
         return blank(prediction=ROSE if after.name == "without hump" else FELL)
 
@@ -271,7 +272,7 @@ def test_effect_with_a_small_likelihood_gain_may_matter(
     name: str, criterion: float, prediction: PredictionChange, outcome: Outcome
 ) -> None:
     compass = replace(refit("compass", 10_000.0), effect=catalogue()["compass"])
-    assert search._outcome(replace(refit(name, criterion), prediction=prediction), [compass]) is outcome
+    assert refit_outcome(replace(refit(name, criterion), prediction=prediction), [compass]) is outcome
 
 
 SCANNED = Effect(
@@ -285,7 +286,7 @@ SCORE = Score("scanned", 100.0, 1, 50.0, {"A": 5.0}, {"w": 1.0})
 
 
 def test_initial_values_of_a_refit_start_at_the_score_test_and_end_at_zero() -> None:
-    assert [tuple(p.value for p in e.parameters) for e in _starts(SCANNED, SCORE)] == [
+    assert [tuple(p.value for p in e.parameters) for e in _with_initial_values(SCANNED, SCORE)] == [
         (1.0, 1.0),
         (0.6, 1.0),
         (1.0, 0.5),
@@ -385,8 +386,8 @@ def test_curve_of_an_ambiguous_effect_is_omitted_if_it_cannot_be_fitted(monkeypa
     table = Score("X(u)", 100.0, 1, 0.0, {}, {}, EffectKind.NONPARAMETRIC, ForceCurve("X", "u"))
     chosen = refit("hump", 900.0)
     rounds = [Round((table,), ("X(u)",), (chosen,), chosen)]
-    monkeypatch.setattr(search, "_unknown", fails)
-    drawn, undrawn = search._shapes(blank(), rounds, [EffectAttribution("hump", "ambiguous")], [])
+    monkeypatch.setattr(search, "_nonparametric_effect_of", fails)
+    drawn, undrawn = search._reported_curves(blank(), rounds, [EffectAttribution("hump", "ambiguous")], [])
     assert (drawn, undrawn) == ([], "hump: x0")
     judged = (EffectAttribution("hump", "ambiguous"),)
     found = Diagnosis(
@@ -415,7 +416,7 @@ def test_user_candidate_that_cannot_be_tested_is_listed() -> None:
     twice = Effect("twice", "a mass", {}, (Parameter("m_u", 1.0),))
     fine = Effect("fine", "a fine one", {}, (Parameter("own", 0.0),))
     candidates = {**catalogue(), **{e.name: e for e in (tide, sail, twice, fine)}}
-    refused = search._refused(model, candidates, runs)
+    refused = search._untestable_candidates(model, candidates, runs)
     assert [(u.effect.name, u.reason) for u in refused] == [
         ("tide", "tue/run lacks its input tide"),
         ("sail", f"it needs the signal 'sail_area', which model {model.name} does not have"),
@@ -450,7 +451,7 @@ def test_payload_has_no_kilograms_if_the_thrust_is_unknown() -> None:
     found = Diagnosis(blank(), after, (), (), (), mismatches=(ValidationMismatch("tue/run", "r", 2.0, shift),))
     answer = diagnosis_answer(found, None, 10.0)
     assert "The best explanation is m_payload/T = 0.2 ± 0.01 kg/N in that run, instead of 0." in answer
-    (row,) = map(_mismatch, reported_mismatches(found))
+    (row,) = map(_mismatch_row, reported_mismatches(found))
     assert (row.parameter, row.unit) == ("m_payload/T", "kg/N")
     assert (row.fitted, row.value, row.se) == pytest.approx((0.0, 0.2, 0.01))
 
@@ -471,8 +472,8 @@ def test_effect_with_support_but_no_influence_on_the_prediction_is_named() -> No
         removed=(gone,),
     )
     assert "lag of filtered velocities" in diagnosis_answer(found, None, 10.0)
-    assert not replace(gone, t=1.0).immaterial
-    assert not replace(gone, prediction=ROSE).immaterial
+    assert not is_immaterial(replace(gone, t=1.0))
+    assert not is_immaterial(replace(gone, prediction=ROSE))
 
 
 # -- on missions of simulated boats

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 import pytest
 
 from seatrial.ident.data.record import make_record
-from seatrial.ident.diagnosis.results import Diagnosis
+from seatrial.ident.diagnosis.findings import Diagnosis
 from seatrial.ident.diagnosis.score_test import Score
 from seatrial.ident.diagnosis.search import diagnose, score_all
 from seatrial.ident.effects.registry import catalogue

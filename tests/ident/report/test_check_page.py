@@ -16,7 +16,7 @@ from seatrial.daq.log import open_log
 from seatrial.ident.checks.log_checks import CheckEvidence, log_evidence, push, sides_of
 from seatrial.ident.checks.motion import YAW_LAGS, delayed_forces
 from seatrial.ident.data import channels
-from seatrial.ident.report.check_page import _held, check_answer, write_check_page
+from seatrial.ident.report.check_page import _staircase, check_answer, write_check_page
 from tests.bench.check_cases import CASES, logged
 from tests.ident import page_examples
 from tests.ident.pages import HOSTILE, Page, numbers
@@ -68,7 +68,7 @@ def test_command_is_drawn_as_held() -> None:
     t = np.concatenate([[0.0], 50.0 + 0.02 * np.arange(2000)])
     n = np.concatenate([[0.8], np.sin(0.5 * t[1:])])
     for limit in (600, 10_000):
-        x, y = _held(t, n, 95.0, limit)
+        x, y = _staircase(t, n, 95.0, limit)
         assert x.size <= limit
         assert np.interp([10.0, 49.8, 94.0], x, y) == pytest.approx([0.8, 0.8, n[-1]])
         assert np.interp(t[101::100] + 0.01, x, y) == pytest.approx(n[101::100], abs=0.12)

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from seatrial.daq.errors import SeatrialError
-from seatrial.ident.results.parts import FrameOrigin, InputTrace, LogSummary, ParameterRow
+from seatrial.ident.data.loading import FrameOrigin
+from seatrial.ident.results.parts import InputTrace, LogSummary, ParameterRow
 from seatrial.ident.results.result_file import from_json, read_result, to_json, write_result
 from tests.ident import report_example, report_example_bench
 from tests.ident.pages import shortened

@@ -32,13 +32,13 @@ from seatrial.ident.results.answers import (
     vehicle_answer,
 )
 from seatrial.ident.results.parts import (
-    CrossCorrelation,
+    CrossCorrelationRow,
     ErrorComparison,
     Errors,
     ErrorTable,
     LogFinding,
     LogSummary,
-    PredictionChange,
+    PredictionChangeRow,
     PredictionFit,
     Provenance,
     ResidualTests,
@@ -128,7 +128,7 @@ def said(
         for p in residuals
     ]
     with_inputs = [
-        CrossCorrelation(record="r", channel="x", input=name, lags=none, z=none, p=p, largest=largest)
+        CrossCorrelationRow(record="r", channel="x", input=name, lags=none, z=none, p=p, largest=largest)
         for (name, p), largest in zip(cross, correlations or [None] * len(cross), strict=True)
     ]
     one_step = dict.fromkeys(channels, ErrorComparison(after=1.0, unit="m"))
@@ -175,7 +175,7 @@ def test_sentence_reports_a_change_only_beyond_its_interval(
 
 
 def test_change_is_reported_with_its_interval_and_channels() -> None:
-    change = PredictionChange(
+    change = PredictionChangeRow(
         role="validation", ratio=0.58, low=0.54, high=0.63, verdict="fell", better=("psi", "x"), worse=("ax",)
     )
     assert change_sentence(change, 10.0) == (

@@ -1,0 +1,395 @@
+"""Findings of a diagnosis: rounds of the search, refits, attribution and importance of the selected effects.
+
+The classes hold data only. Whether an effect is accepted is decided in ``seatrial.ident.diagnosis.acceptance``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Literal
+
+from seatrial.ident.diagnosis.policy import DEFAULT_POLICY, SearchPolicy
+from seatrial.ident.diagnosis.score_test import Score
+from seatrial.ident.effects import NonparametricForce
+from seatrial.ident.estimation import FailedRun, FittedModel, ParameterShift
+from seatrial.ident.model import Effect
+from seatrial.ident.validation import PredictionChange
+
+Attribution = Literal["identified", "ambiguous", "nonparametric"]
+
+
+class Outcome(StrEnum):
+    """Outcome of a refit, or of a round of the search.
+
+    Attributes
+    ----------
+    ADDED
+        The effect was added to the model.
+    OUTRANKED
+        The refit is accepted, but another effect of the round explains more. This is also the value before the choice.
+    SMALL
+        The refit is accepted, but its gain is small compared with the effects added before, and the prediction is not
+        better enough.
+    NOT_SUPPORTED
+        The gain on the estimation data is not above the penalty of the added parameters.
+    NOT_VALIDATED
+        The gain on the validation data is not positive, or its t statistic is too small.
+    WORSE_PREDICTION
+        The prediction is significantly worse than without the effect, or than that of the nominal model.
+    NO_BETTER_PREDICTION
+        The effect is nonparametric, and the prediction with it is not better.
+    UNTESTED
+        Only of a round: there is no refit, because every fit failed.
+    """
+
+    ADDED = "added"
+    OUTRANKED = "outranked"
+    SMALL = "small"
+    NOT_SUPPORTED = "not-supported"
+    NOT_VALIDATED = "not-validated"
+    WORSE_PREDICTION = "worse-prediction"
+    NO_BETTER_PREDICTION = "no-better-prediction"
+    UNTESTED = "untested"
+
+
+@dataclass(frozen=True)
+class Refit:
+    """Fit of the model of a round with one more effect, all parameters free.
+
+    Attributes
+    ----------
+    effect
+        The added effect.
+    fitted
+        The fitted model. It is the result of a rough search, or of an exact fit if the refit was validated.
+    gain
+        Gain 2 d ln L of the rough search on the estimation data, with the priors of the parameters.
+    df
+        Number of added parameters.
+    criterion
+        ``gain - df ln n``, with n rows of estimation data (Delta BIC); larger is better.
+    validation_gain
+        Gain d ln L in log-likelihood on all validation data; 0 without validation data.
+    t
+        t statistic of ``validation_gain`` over blocks of time, as the normal deviate of the same probability.
+    prediction
+        Change of the prediction errors over the horizon on the validation data, from the model without the effect to
+        that with it. None before the exact fit.
+    outcome
+        Outcome of the refit in its round.
+    total
+        Like ``prediction``, from the nominal model (without any added effect) to this model.
+    by_inputs
+        Change of the prediction errors three seconds ahead (1.2 s on the bench) by inputs alone. None for a parametric
+        effect, or before the exact fit.
+    """
+
+    effect: Effect
+    fitted: FittedModel
+    gain: float
+    df: int
+    criterion: float
+    validation_gain: float
+    t: float
+    prediction: PredictionChange | None = None
+    outcome: Outcome = Outcome.OUTRANKED
+    total: PredictionChange | None = None
+    by_inputs: PredictionChange | None = None
+
+    @property
+    def nonparametric(self) -> bool:
+        """Return whether the effect is nonparametric: a curve, or a lagged or resonant response, without a formula."""
+        return self.effect.kind.nonparametric
+
+
+@dataclass(frozen=True)
+class UntestedCandidate:
+    """Candidate that could not be tested.
+
+    Either the candidate passed the score test and could not be fitted from any initial values, or it could not have a
+    score test. The latter is reported for user-defined effects and for effects at a fixed point only.
+
+    Attributes
+    ----------
+    effect
+        The candidate.
+    reason
+        Reason as a text for reports, without a full stop.
+    """
+
+    effect: Effect
+    reason: str
+
+
+@dataclass(frozen=True)
+class Round:
+    """Round of the search: the score tests on one model, the refits, and the choice.
+
+    Attributes
+    ----------
+    scores
+        Scores of all candidates on the model before the round, best first.
+    passed
+        Names of the candidates that pass the score test. After a nonparametric effect was added, only the parametric
+        ones with a large score.
+    refits
+        Refits of the best candidates, the largest criterion first.
+    chosen
+        The refit that was added, None if no refit was added.
+    untested
+        Candidates that passed and could not be fitted.
+    """
+
+    scores: tuple[Score, ...]
+    passed: tuple[str, ...]
+    refits: tuple[Refit, ...]
+    chosen: Refit | None
+    untested: tuple[UntestedCandidate, ...] = ()
+
+    @property
+    def outcome(self) -> Outcome:
+        """Outcome of the refit that came closest to being added; ``UNTESTED`` if there is no refit."""
+        if self.chosen is not None:
+            return Outcome.ADDED
+        found = {r.outcome for r in self.refits}
+        order = (
+            Outcome.SMALL,
+            Outcome.WORSE_PREDICTION,
+            Outcome.NO_BETTER_PREDICTION,
+            Outcome.NOT_VALIDATED,
+            Outcome.NOT_SUPPORTED,
+        )
+        return next((o for o in order if o in found), Outcome.UNTESTED)
+
+    @property
+    def explanation(self) -> str:
+        """Clause for reports: why an effect was added, or why no effect was added."""
+        if self.chosen is not None:
+            gain, t = self.chosen.validation_gain, self.chosen.t
+            return f"the log-likelihood of the validation data rises by {gain:.0f} (t = {t:.1f})"
+        # the refits are sorted, so this is the best of the refits with this outcome
+        best = next((r for r in self.refits if r.outcome is self.outcome), None)
+        if best is None:
+            return "no candidate that passed could be fitted"
+        match self.outcome:
+            case Outcome.SMALL:
+                return f"the rest is small compared with the effects found: {best.effect.title} gains {best.gain:.0f}"
+            case Outcome.WORSE_PREDICTION:
+                return f"{best.effect.title} makes the prediction worse"
+            case Outcome.NO_BETTER_PREDICTION:
+                return f"the prediction is no better with {best.effect.title}"
+            case _:
+                return "no candidate predicts the validation data significantly better"
+
+
+@dataclass(frozen=True)
+class RemovedEffect:
+    """Effect that the search added and backward elimination removed.
+
+    The validation data did not support the effect beside the others, or the prediction was as good without it.
+
+    Attributes
+    ----------
+    effect
+        The effect.
+    validation_gain
+        Gain d ln L in log-likelihood on the validation data by adding the effect to the other effects.
+    t
+        t statistic of ``validation_gain`` over blocks of time.
+    prediction
+        Change of the prediction errors over the horizon by adding the effect to the other effects.
+    """
+
+    effect: Effect
+    validation_gain: float
+    t: float
+    prediction: PredictionChange
+
+
+@dataclass(frozen=True)
+class EffectAttribution:
+    """Attribution of a selected effect: whether the data determine which effect it is.
+
+    Attributes
+    ----------
+    effect
+        Name of the effect.
+    attribution
+        ``identified``: the effect explains what the model lacked, and no competing model does. ``ambiguous``: the
+        effect leaves a residual that it should explain, or a competing model comes close. ``nonparametric``: a curve
+        without a formula.
+    reasons
+        Reasons for an ambiguous attribution, as clauses for reports; empty for the other attributions.
+    not_excluded
+        Names of the competing models that the data do not exclude, closest first, then declared alternatives that could
+        not be tested.
+    """
+
+    effect: str
+    attribution: Attribution
+    reasons: tuple[str, ...] = ()
+    not_excluded: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class EffectImportance:
+    """Importance of a selected effect: what is lost if only this effect is left out and the model is fitted again.
+
+    Attributes
+    ----------
+    effect
+        Name of the effect.
+    gain
+        Gain 2 d ln L on the estimation data if the effect is added last, with priors. NaN if unknown.
+    error_ratio
+        Ratio of the RMS prediction error three seconds ahead (1.2 s on the bench) by inputs alone, without the effect
+        over with it; above 1 if the effect helps. It is the geometric mean over the channels of the validation data, or
+        of the estimation data if there are no validation data. NaN if unknown.
+    validation_gain
+        Gain d ln L on the validation data by adding the effect to the others; NaN if unknown.
+    t
+        t statistic of ``validation_gain`` over blocks of time; NaN if unknown.
+    prediction
+        Change of the prediction errors over the horizon by adding the effect to the others, None if unknown.
+    untested
+        Reason why the importance is unknown: the model without the effect could not be fitted or compared. None if the
+        importance is known.
+    """
+
+    effect: str
+    gain: float
+    error_ratio: float
+    validation_gain: float = float("nan")
+    t: float = float("nan")
+    prediction: PredictionChange | None = None
+    untested: str | None = None
+
+
+@dataclass(frozen=True)
+class ValidationMismatch:
+    """Validation run whose one-step prediction errors are larger than the model claims.
+
+    Attributes
+    ----------
+    record
+        Name of the run's record.
+    channel
+        Name of the measured channel whose errors exceed the claimed errors most.
+    scale
+        RMS of one-step error over claimed standard deviation of this channel; larger than 1.
+    shift
+        Change of one parameter in this run that would explain the errors best, None if no parameter would.
+    """
+
+    record: str
+    channel: str
+    scale: float
+    shift: ParameterShift | None
+
+
+@dataclass(frozen=True)
+class ShortData:
+    """Estimation data that are too short for some score tests.
+
+    The block-robust statistic cannot exceed the number of blocks of time. With few blocks, a candidate with many
+    parameters cannot pass for any size of the effect.
+
+    Attributes
+    ----------
+    seconds
+        Length of the estimation data [s].
+    needed
+        Length with which all candidates could pass [s].
+    untestable
+        Number of candidates that cannot pass.
+    candidates
+        Number of all candidates.
+    """
+
+    seconds: float
+    needed: float
+    untestable: int
+    candidates: int
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """Findings of a diagnosis: models, rounds of the search, and judgement of the selected effects.
+
+    A *selected* effect was added in a round and was not removed by the backward elimination.
+
+    Attributes
+    ----------
+    before, after
+        Fitted model without added effects, and with the selected effects. Equal if no effect is selected.
+    rounds
+        Rounds of the search, in their order; empty if no candidate passed.
+    remaining
+        Scores that pass the score test on ``after``, best first.
+    curves
+        Curves of the nonparametric effects, and of the residual in place of the first ambiguous effect.
+    attributions
+        Attribution of each selected effect, the most important first.
+    importances
+        Importance of each selected effect, the most important first.
+    removed
+        Effects that were added and removed again.
+    failed_runs
+        Validation runs that could not be evaluated.
+    mismatches
+        Validation runs with larger one-step errors than the model claims.
+    short_data
+        Number of candidates that could not pass because the data are short, None if all could.
+    curve_failure
+        Title of the first ambiguous effect and the reason why no curve could be fitted in its place, None if there is
+        no such failure.
+    untestable
+        User-defined candidates and candidates at a fixed point that could not have a score test.
+    scores
+        Scores of all candidates on the last model that was tested, best first.
+    untried_scores
+        Scores that passed and were not tried, because the largest number of effects had been added. Empty otherwise.
+    policy
+        Thresholds that the diagnosis was made with.
+    """
+
+    before: FittedModel
+    after: FittedModel
+    rounds: tuple[Round, ...]
+    remaining: tuple[Score, ...]
+    curves: tuple[NonparametricForce, ...]
+    attributions: tuple[EffectAttribution, ...] = ()
+    importances: tuple[EffectImportance, ...] = ()
+    removed: tuple[RemovedEffect, ...] = ()
+    failed_runs: tuple[FailedRun, ...] = ()
+    mismatches: tuple[ValidationMismatch, ...] = ()
+    short_data: ShortData | None = None
+    curve_failure: str | None = None
+    untestable: tuple[UntestedCandidate, ...] = ()
+    scores: tuple[Score, ...] = ()
+    untried_scores: tuple[Score, ...] = ()
+    policy: SearchPolicy = DEFAULT_POLICY
+
+    @property
+    def effects(self) -> tuple[Refit, ...]:
+        """Refits of the selected effects, the most important first."""
+        chosen = {r.chosen.effect.name: r.chosen for r in self.rounds if r.chosen is not None}
+        return tuple(chosen[w.effect] for w in self.importances)
+
+    @property
+    def untested(self) -> tuple[UntestedCandidate, ...]:
+        """Candidates that passed a score test and could not be fitted in any round, each once with its last reason."""
+        tested = {q.effect.name for r in self.rounds for q in r.refits}
+        failed = {u.effect.name: u for r in self.rounds for u in r.untested}
+        return tuple(u for name, u in failed.items() if name not in tested)
+
+    @property
+    def cross_validated(self) -> bool:
+        """Return whether blocks in time of the estimation runs took the place of missing validation runs."""
+        return self.after.cross_validated
+
+    @property
+    def converged(self) -> bool:
+        """Return whether the fit of the last model (``after``) converged. The fit of ``before`` is not considered."""
+        return self.after.fit.converged

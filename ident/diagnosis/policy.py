@@ -1,0 +1,152 @@
+"""Thresholds of a diagnosis: score tests, search, acceptance, attribution and reported mismatches."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class SearchPolicy:
+    """Thresholds with which a diagnosis searches, accepts, removes and attributes effects.
+
+    A *block* is the block of time of the model: 5 s for a boat, 2 s for a thruster on the bench. A *criterion* is a
+    gain in 2 ln L less the penalty ``df ln n`` of the added parameters (Delta BIC, no unit). An *error ratio* is the
+    ratio of two RMS prediction errors (no unit).
+
+    Attributes
+    ----------
+    false_alarm_probability
+        Probability that any score test of one model passes without a missing effect. One half is for the parametric
+        candidates and one half for the nonparametric ones. 5 % is the usual level; the validation data decide later.
+    block_level
+        Significance level (p value) of the block-robust score test, a second condition beside the critical value of the
+        statistic. It is the usual 1 %.
+    overwhelming_p, overwhelming_block_level
+        A score test with a p value below the first passes with the second as its block-robust level. Few blocks limit
+        the block-robust statistic even for a large effect. The validation data decide later.
+    max_peak_p
+        Largest p value, times the number of peaks, of a spectral peak that is tested as waves. Coloured innovations
+        without waves have larger p values (tests/ident/diagnosis/test_spectral_peak.py).
+    max_wave_sample_interval
+        Longest sample interval [s] of a channel that is searched for waves. Slower channels do not resolve waves.
+    n_refits
+        Number of parametric candidates in one batch of refits. Each refit is a complete fit, so the number limits the
+        computing time.
+    n_batches
+        Number of batches in a round. The next batch is fitted only if no refit of the earlier batches is accepted.
+    n_nonparametric
+        Number of nonparametric candidates that are refitted in a round, also to limit the computing time.
+    min_score_ratio
+        A parametric candidate is refitted only if the criterion of its score exceeds this share of the best one. A
+        refit gains up to ten times its score, not twenty times.
+    nonparametric_score_share, nonparametric_score_distance
+        A nonparametric candidate is refitted if the criterion of its score exceeds both the first as a share of the
+        best accepted parametric criterion and that criterion less the second. It needs no such score if the best
+        parametric effect is one form of the same curve. A curve without a formula has to explain about as much.
+    max_loss
+        Largest loss in 2 ln L that a larger model may have against the model that it contains. The loss is a rounding
+        of the search. A larger loss means that the search stopped early, and other initial values are tried.
+    indistinguishable
+        Criteria that differ by less than this are equal, and the prediction decides. A difference below 2 in BIC is
+        "not worth more than a bare mention" (Kass and Raftery 1995).
+    min_gain_ratio
+        Smallest criterion of an added effect as a share of the largest criterion of the effects added before. The
+        difference between the true form of an effect and that of the catalogue resembles other, much smaller effects.
+    max_small_error_ratio
+        An effect below ``min_gain_ratio`` is still added if the prediction errors with it fall significantly and their
+        ratio to those without it is below this value.
+    min_gain_ratio_after_curve
+        Like ``min_gain_ratio``, for the score of a parametric effect after a nonparametric curve was added. The
+        difference between a true curve and its spline gains up to a fifteenth of the curve. Most other missing effects
+        gain a third or more.
+    min_t
+        The t statistic of the gain on the validation data has to exceed this value. A useless effect exceeds two
+        standard errors with a probability of 2.3 %.
+    min_t_if_predicting
+        Replaces ``min_t`` in the backward elimination for an effect that improves the prediction, which is further
+        evidence.
+    min_error_ratio
+        Error ratio, without the effect over with it, above which a change of the prediction without a significant
+        interval counts as an improvement. In the recovery study one of 153 correct effects and all wrong effects are
+        below 1.011.
+    material_error_ratio
+        Error ratio, without the effect over with it, up to which the prediction is as good without the effect.
+    input_horizon
+        Horizon, in blocks, of the prediction by inputs alone: 3 s for a boat, 1.2 s on the bench. In about that time
+        the speed follows the thrust.
+    min_double_blocks
+        If the validation data have fewer blocks of double length than this, the gain is summed over single blocks. A
+        t statistic over a few blocks has too few degrees of freedom.
+    min_mismatch
+        A validation run is reported if the lower end of the 95 % interval of the ratio of actual to claimed one-step
+        errors (no unit) exceeds this value. Smaller excesses are in the calibration table of the report.
+    min_estimation_blocks
+        Number of blocks of estimation data below which no effect is identified (100 s for a boat).
+    min_validation_blocks
+        Number of blocks of validation data below which no effect is identified (40 s for a boat). Two of these blocks
+        are one block of the gain; with fewer, t > 2 is often chance.
+    max_remaining_criterion, max_remaining_share
+        Largest criterion of a score test that remains beside an identified effect: the absolute value, and the share of
+        the criteria of all added effects. The larger one holds. The true form of an effect is not exactly that of the
+        catalogue (tests/recovery: leave-one-out against the full catalogue).
+    max_remaining_tests
+        Largest number of score tests that still pass beside an identified effect. A small difference of form makes a
+        few of them pass.
+    max_distance, max_distance_share
+        A competing model is not excluded if its criterion is lower than that of the chosen effect by less than this:
+        the absolute value, and the share of the criterion of the chosen effect. The larger one holds.
+    min_significance
+        Smallest distance of an identified effect from zero, in standard errors. Right effects exceed it even at half
+        their size.
+    position_reach
+        The position of an effect is unknown if this many standard errors are not less than its distance from the boat.
+    min_tolerance
+        Share of the information of a score below which the estimated parameters explain the effect. If the thrust is
+        estimated, its asymmetry explains a loss in reverse except 0.005 to 0.04 %. Other effects keep 0.3 % and more
+        (tests/recovery).
+    form_share
+        An effect whose criterion is below this share of that of a declared alternative may only correct the form of
+        that alternative.
+    """
+
+    false_alarm_probability: float = 0.05
+    block_level: float = 0.01
+    overwhelming_p: float = 1e-12
+    overwhelming_block_level: float = 0.1
+    max_peak_p: float = 1e-6
+    max_wave_sample_interval: float = 0.25
+
+    n_refits: int = 4
+    n_batches: int = 2
+    n_nonparametric: int = 2
+    min_score_ratio: float = 0.05
+    nonparametric_score_share: float = 0.5
+    nonparametric_score_distance: float = 50.0
+    max_loss: float = 1.0
+    indistinguishable: float = 2.0
+    min_gain_ratio: float = 0.02
+    max_small_error_ratio: float = 0.98
+    min_gain_ratio_after_curve: float = 0.1
+
+    min_t: float = 2.0
+    min_t_if_predicting: float = 1.0
+    min_error_ratio: float = 1.015
+    material_error_ratio: float = 1.005
+    input_horizon: float = 0.6
+    min_double_blocks: int = 12
+    min_mismatch: float = 1.3
+
+    min_estimation_blocks: int = 20
+    min_validation_blocks: int = 8
+    max_remaining_criterion: float = 20.0
+    max_remaining_share: float = 0.03
+    max_remaining_tests: int = 8
+    max_distance: float = 10.0
+    max_distance_share: float = 0.05
+    min_significance: float = 4.0
+    position_reach: float = 3.0
+    min_tolerance: float = 1e-3
+    form_share: float = 0.1
+
+
+DEFAULT_POLICY = SearchPolicy()
