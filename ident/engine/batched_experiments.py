@@ -344,7 +344,9 @@ class DiscriminationBatch:
         if [(s.name, [o.name for o in s.outputs]) for s in model.sensors] != [
             (s.name, [o.name for o in s.outputs]) for s in truth.sensors
         ]:
-            raise ValueError(f"models {model.name} and {truth.name} have different sensors")
+            raise ValueError(
+                f"models {model.name} and {truth.name} have different sensors; use models with the same sensors"
+            )
         self.model, self.free, self.truth, self.covariance = model, tuple(free), truth, covariance
 
     @cached_property

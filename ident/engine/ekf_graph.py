@@ -189,7 +189,10 @@ class EkfGraphs:
     def __init__(self, model: Model, *, covariance: bool = True, joseph: bool = False) -> None:
         """Trace the functions of the model with symbols."""
         if len(model.sensors) > MAX_BITS:
-            raise ValueError(f"model {model.name} has {len(model.sensors)} sensors; the engine takes {MAX_BITS}")
+            raise ValueError(
+                f"model {model.name} has {len(model.sensors)} sensors, more than the limit of {MAX_BITS}; "
+                "combine outputs that are sampled together in one sensor"
+            )
         self.model, self.covariance, self.joseph = model, covariance, joseph
         self.n = len(model.states)
         n_s = self.n + self.n * (self.n + 1) // 2 if covariance else self.n
@@ -467,7 +470,9 @@ def _scalar_column(model: Model, values: Mapping[str, Any], names: list[str], ro
             raise ValueError(f"model {model.name} gives no {role} {name}; it gives {', '.join(values) or 'none'}")
         value = ca.SX(values[name])
         if value.numel() != 1:
-            raise ValueError(f"model {model.name}: the {role} {name} is not a scalar")
+            raise ValueError(
+                f"model {model.name}: the {role} {name} is not a scalar; return one number for each state and output"
+            )
         if _contains_nan(value):
             raise ValueError(
                 f"model {model.name}: the {role} {name} has lost its symbols (math.sin, float() and assignment "

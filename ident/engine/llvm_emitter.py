@@ -434,7 +434,7 @@ class LlvmEmitter:
             return self._write_select("une", a[0], ZERO, a[1])
         if code in LIBRARY:
             return self._write_library_call(LIBRARY[code], *a)
-        raise NotImplementedError(f"the engine does not support CasADi's operation {code}")
+        raise NotImplementedError(f"CasADi's operation {code} in the model cannot be compiled; use another function")
 
     def _write_instruction(
         self, template: str, *args: Value, vector: bool = False, constant: bool = True, again: bool = False

@@ -117,7 +117,10 @@ def leave_one_block_out(
     for b, (row, own) in enumerate(zip(rows, coordinates, strict=True)):
         score = likelihood.scores(row, values[blocks.record_indices[b]], [parameters[k].name for k in own])
         if not (np.isfinite(score.value) and np.isfinite(score.information).all()):
-            raise ValueError(f"{row.name}: the likelihood of model {model.name} cannot be evaluated")
+            raise ValueError(
+                f"{row.name}: the likelihood of model {model.name} is not finite for the estimated parameters on this "
+                "part of the record"
+            )
         gradients[b, own] = slope[own] * score.gradient
         informations[b][np.ix_(own, own)] = np.outer(slope[own], slope[own]) * score.information
 

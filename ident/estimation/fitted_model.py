@@ -391,7 +391,10 @@ def _evaluate_validation_records(
         views = [_evaluation_of(model, r, full_fit.record_values[0]) for r in validation_data]
         for v in views:
             if not np.isfinite(v.ll).all():
-                raise ValueError(f"record {v.record.name}: the likelihood of model {model.name} cannot be evaluated")
+                raise ValueError(
+                    f"record {v.record.name}: the likelihood of model {model.name} is not finite for the estimated "
+                    "parameters"
+                )
         return views, []
     except FIT_ERRORS as problem:
         if len(validation_data) == 1:

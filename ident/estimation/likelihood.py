@@ -307,7 +307,10 @@ class Likelihood:
             If the likelihood has no process noise (output error).
         """
         if not self.process_noise:
-            raise ValueError("output error has no filter; simulate with seatrial.ident.estimation.output_error")
+            raise ValueError(
+                "output error has no filter, because it has no process noise; simulate the model with "
+                "seatrial.ident.estimation.output_error instead"
+            )
         data, start = self._prepare_with_initial_state(record, values)
         kernel, n, n_rows, p = self._kernels.filter, len(self.model.states), data.n_rows, _contiguous_doubles(values)
         outputs, pieces = len(self.model.outputs), _row_pieces(data.n_rows)
@@ -390,7 +393,10 @@ class Likelihood:
     def _prepare_with_initial_state(self, record: Record, values: Array) -> tuple[Prepared, InitialCondition]:
         """Return the prepared record and its initial state. Raise ValueError if ``values`` has the wrong shape."""
         if np.shape(values) != (len(self._index),):
-            raise ValueError(f"model {self.model.name} has {len(self._index)} parameters, got {np.shape(values)}")
+            raise ValueError(
+                f"model {self.model.name} has {len(self._index)} parameters, but the array of their values has the "
+                f"shape {np.shape(values)}"
+            )
         data = self._prepare(record)
         return data, initial_condition(self.model, values, data, self.process_noise)
 

@@ -67,7 +67,7 @@ class EstimationOptions:
 
     def __post_init__(self) -> None:
         if self.method not in ("prediction-error", "output-error"):
-            raise ValueError(f"no method {self.method!r}: prediction-error or output-error")
+            raise ValueError(f"there is no estimation method {self.method!r}; use prediction-error or output-error")
 
     @property
     def process_noise(self) -> bool:
@@ -114,7 +114,7 @@ class SearchSettings:
 
     def __post_init__(self) -> None:
         if self.initial_state not in ("free", "given"):
-            raise ValueError(f"no initial state {self.initial_state!r}: free or given")
+            raise ValueError(f"initial_state is {self.initial_state!r}; use free or given")
 
 
 # For the fits of candidates in a diagnosis. The model that is kept is fitted again with the default settings.
@@ -277,7 +277,7 @@ def fit(
     began = time.process_time()
     options, settings = options or EstimationOptions(), settings or SearchSettings()
     if not records:
-        raise ValueError("no records to estimate from")
+        raise ValueError("there is no record to estimate the parameters from; give at least one")
     model, begin = options.with_mean_order(model), dict[str, float]()
     if not options.process_noise and settings.initial_state == "free":
         model, begin = with_free_initial_states(model, records)
@@ -316,7 +316,7 @@ def _check_data(problem: Problem) -> None:
     The model must have a free parameter, and at least as many measured values as free parameters without a prior.
     """
     if not problem.names:
-        raise ValueError(f"model {problem.model.name} has no free parameters")
+        raise ValueError(f"model {problem.model.name} has no free parameters to estimate; free at least one of them")
     n_measured = sum(problem.likelihood.measured(record) for record in problem.records)
     n_unknown = int(np.sum(problem.prior[1] == 0))
     if n_measured < n_unknown:

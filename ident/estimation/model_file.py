@@ -140,7 +140,7 @@ def save_model(
 ) -> None:
     """Write the model of a fit to a model.toml, and beside it a copy of each user-defined Python file that it needs.
 
-    An existing model.toml is replaced. The copies are marked as trusted, so that `load_model` may run them.
+    An existing model.toml is replaced. The copies are recorded as run before, so that `load_model` may run them.
 
     Parameters
     ----------

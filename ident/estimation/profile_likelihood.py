@@ -143,8 +143,8 @@ def _problem_of_fit(fit: Fit, records: Sequence[Record], threads: int) -> Proble
     problem = Problem(likelihood, [r.for_model(fit.model) for r in records], free, threads)
     if problem.names != fit.names:
         raise ValueError(
-            f"the fit estimated {len(fit.names)} parameters, these records have "
-            f"{len(problem.names)}: give the records of the fit"
+            f"the fit estimated {len(fit.names)} parameters, but a fit to these records would estimate "
+            f"{len(problem.names)}; give the records to which the model was fitted"
         )
     return problem
 
