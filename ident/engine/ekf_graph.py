@@ -166,7 +166,8 @@ class EkfGraphs:
     Attributes
     ----------
     s, p : SX
-        Symbols of the filter state (n_s, 1), see the module, and of the parameters (n_parameters, 1).
+        Symbols of the filter state (n_s, 1), which holds the mean and the upper triangle of the covariance, and of the
+        parameters (n_parameters, 1).
     h : SX
         Symbol of the length of the interval to the next row [s].
     u, u_next : SX (n_inputs, 1)
@@ -412,8 +413,20 @@ class EkfGraphs:
     def _updated_covariance(self, sample: Sample, P: Any, PH: Any, S: Any, inverse_variance: Any) -> Any:
         """Return the covariance (n, n) after the update by one scalar measurement, in Joseph's form if that is chosen.
 
-        P is the covariance before the update; the other parameters are those of `ScalarUpdate`. If outliers are
-        allowed, the reduction of the covariance is multiplied by ``inverse_variance S``.
+        If outliers are allowed, the reduction of the covariance is multiplied by ``inverse_variance S``.
+
+        Parameters
+        ----------
+        sample : Sample
+            Scalar measurement.
+        P : SX (n, n)
+            Covariance before the update.
+        PH : SX (n, 1)
+            P times the transposed derivative of the predicted value by the model states.
+        S : SX
+            Variance of the innovation.
+        inverse_variance : SX
+            1 / S, or less if outliers are allowed.
         """
         if not self.joseph:
             return P - (PH * inverse_variance) @ PH.T

@@ -87,6 +87,7 @@ def simplified(expression: Any) -> Any:
     f = ca.Function("f", [symbols], [ca.densify(ca.cse(expression))])
 
     def apply(code: int, *x: Any) -> Any:
+        """Return the expression of one operation; products are simplified."""
         return _simplified_product(*x) if code == ca.OP_MUL else operation(code, *x)
 
     return ca.vertcat(ca.SX(0, 1), *evaluate_instructions(f, lambda _, j: symbols[j], ca.SX, apply)[0])

@@ -136,6 +136,7 @@ class FilterKernels:
         with _lock:
 
             def plan() -> Plan:
+                """Build the plan of the kernel with this name."""
                 with _lock:
                     made: Any = getattr(self._plans, name)()
                     return made  # type: ignore[no-any-return]

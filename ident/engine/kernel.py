@@ -334,6 +334,7 @@ class Kernel:
         )(address)
 
         def run(n_rows: int, groups: int, mask: Mask, arrays: Mapping[str, Array], per_row: AbstractSet[str]) -> None:
+            """Run the machine code over all rows. The results are written into ``arrays``."""
             assert library is not None  # the code lives as long as its library
             entry(
                 n_rows,

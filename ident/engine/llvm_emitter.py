@@ -245,6 +245,7 @@ class LlvmEmitter:
         late: list[tuple[str, int, Value]] = []
 
         def done(i: int, j: int, value: Value) -> None:
+            """Store entry j of result i at once, or keep it in ``late`` if the stage may still read the array."""
             if names[i] in arguments or names[i] in self.plan.summed:
                 late.append((names[i], j, value))  # the stage may still have to read the old value
             else:

@@ -30,7 +30,14 @@ def padded(n_columns: int) -> int:
 
 
 def apply_rows(
-    operators: Array, drive: Array, columns: Index, ahead: Array, rows: Index, begin: Array, at: Index, out: Array
+    operators: Array,
+    drive: Array,
+    drive_columns: Index,
+    next_drive_factors: Array,
+    driven_states: Index,
+    initial_states: Array,
+    output_rows: Index,
+    out: Array,
 ) -> Array:
     """Run the recursion ``[x_k+1; y_k] = B_k [x_k; d_k] + [a_k d_k+1; 0]`` over the rows k, and write y to ``out``.
 
@@ -44,19 +51,19 @@ def apply_rows(
         Matrices B of the n rows. The first s columns belong to x; the other t columns are available for d.
     drive : Array (n + 1, p, w)
         d of each row, and d at the end of the last row.
-    columns : Index (p,)
+    drive_columns : Index (p,)
         Column of B, counted from zero among the t columns for d, by which each entry of d is multiplied. Entries that
         drive rates come first.
-    ahead : Array (n,)
+    next_drive_factors : Array (n,)
         Factors a, by which the drive of the next row is multiplied.
-    rows : Index (r,)
+    driven_states : Index (r,)
         Entries of x to which the first r entries of ``a_k d_k+1`` are added.
-    begin : Array (s, w)
+    initial_states : Array (s, w)
         x of the first row. It is not changed.
-    at : Index (n, m)
+    output_rows : Index (n, m)
         Row of ``out`` into which each entry of y is written. An entry with NOWHERE (-1) is not computed.
     out : Array (n_out, w)
-        Outputs y, written in place. Rows that no entry of ``at`` names keep their values.
+        Outputs y, written in place. Rows that no entry of ``output_rows`` names keep their values.
 
     Returns
     -------
@@ -68,23 +75,23 @@ def apply_rows(
     AssertionError
         If llvmlite is installed and an array is not contiguous.
     """
-    n, s = len(operators), len(begin)
-    x: Array = np.zeros((2, *begin.shape))
-    x[0] = begin
-    where = np.append(np.arange(s), s + columns)
+    n, s = len(operators), len(initial_states)
+    x: Array = np.zeros((2, *initial_states.shape))
+    x[0] = initial_states
+    where = np.append(np.arange(s), s + drive_columns)
     if jit.AVAILABLE:
-        sizes = (n, s, at.shape[1], operators.shape[2], drive.shape[1], drive.shape[2], rows.size)
-        arrays = (operators, where, x, drive, ahead, np.ascontiguousarray(rows), at, out)
+        sizes = (n, s, output_rows.shape[1], operators.shape[2], drive.shape[1], drive.shape[2], driven_states.size)
+        arrays = (operators, where, x, drive, next_drive_factors, np.ascontiguousarray(driven_states), output_rows, out)
         assert all(a.flags.c_contiguous for a in arrays)
         _compiled_recursion()(*sizes, *(a.ctypes.data for a in arrays))
         return np.asarray(x[n % 2])
     now = x[0]
     for k in range(n):
         products = operators[k][:, where] @ np.concatenate([now, drive[k]])
-        stored = at[k] != NOWHERE
-        out[at[k][stored]] = products[s:][stored]
+        stored = output_rows[k] != NOWHERE
+        out[output_rows[k][stored]] = products[s:][stored]
         now = products[:s]
-        now[rows] += ahead[k] * drive[k + 1, : rows.size]
+        now[driven_states] += next_drive_factors[k] * drive[k + 1, : driven_states.size]
     return np.asarray(now)
 
 
@@ -99,6 +106,7 @@ def _compiled_recursion() -> Callable[..., None]:
     entry = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 7, *[ctypes.c_void_p] * 8)(address)
 
     def run(*arguments: Any) -> None:
+        """Call the machine code with sizes and addresses."""
         assert library is not None  # the code lives as long as its library
         entry(*arguments)
 
@@ -177,7 +185,8 @@ class _IrWriter:
 def _recursion_ir() -> str:
     """Return the LLVM IR of the recursion: the function ``rows(n, s, m, t, p, w, r, B, where, x, d, a, to, at, out)``.
 
-    The names are those of `apply_rows`: B is ``operators``, d is ``drive``, a is ``ahead`` and to is ``rows``.
+    The names are those of `apply_rows`: B is ``operators``, d is ``drive``, a is
+    ``next_drive_factors``, to is ``driven_states`` and at is ``output_rows``.
     ``where`` (s + p,) holds the columns of B for all entries of [x; d]. ``x`` (2, s, w) holds the states of two
     successive rows in turn.
     """
@@ -187,10 +196,12 @@ def _recursion_ir() -> str:
     text.lines = ["entry:", *(f"  {name} = alloca {vector}" for name in sums)]
 
     def splat(number: str) -> str:
+        """Write the instructions that repeat a scalar in a vector. Return the name of the vector."""
         first = text.instruction(f"insertelement {vector} poison, double {number}, i32 0")
         return text.instruction(f"shufflevector {vector} {first}, {vector} poison, <{width} x i32> zeroinitializer")
 
     def vector_addresses(place: str) -> list[str]:
+        """Return the names of the addresses of four neighbouring vectors, the first at the address ``place``."""
         return [text.instruction(f"getelementptr double, ptr {place}, i64 {k * width}") for k in range(VECTORS)]
 
     def add_product(row: str, column: str, item: str) -> None:
@@ -219,6 +230,7 @@ def _recursion_ir() -> str:
                 text.loop("%s", lambda j: add_product(row, j, text.address("%x", ("", now), ("%s", j), ("%w", c))))
 
                 def add_drive_product(j: str) -> None:
+                    """Add the product of row i of B with entry j of the drive to the sums."""
                     index = text.instruction(f"add i64 %s, {j}")
                     source = text.instruction(f"load i64, ptr {text.address('%where', ('', index))}")
                     add_product(row, source, text.address("%d", ("", k), ("%p", j), ("%w", c)))

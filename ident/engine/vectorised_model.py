@@ -61,7 +61,8 @@ class VectorisedModel:
     def columns(self, x: Array, u: Array, values: Array) -> list[Array]:
         """Return the rates, followed by the outputs, as a list of n_states + n_outputs arrays (n_rows,).
 
-        The parameters are those of `__call__`. A rate or output that does not depend on the row is repeated.
+        The arguments are states x (n_rows, n_states), inputs u (n_rows, n_inputs) and parameters (n_parameters,). A
+        rate or output that does not depend on the row is repeated.
         """
         with np.errstate(all="ignore"):
             try:
@@ -74,14 +75,14 @@ class VectorisedModel:
     def output_jacobian(self, x: Array, u: Array, values: Array) -> Array:
         """Return the derivatives of the outputs by the states, shape (n_rows, n_outputs, n_states).
 
-        The parameters are those of `__call__`.
+        The arguments are states x (n_rows, n_states), inputs u (n_rows, n_inputs) and parameters (n_parameters,).
         """
         return self._evaluate_jacobian(self._output_jacobian, self.n_outputs, x, u, values)
 
     def rate_jacobian(self, x: Array, u: Array, values: Array) -> Array:
         """Return the derivatives of the rates (second axis) by the states, shape (n_rows, n_states, n_states).
 
-        The parameters are those of `__call__`.
+        The arguments are states x (n_rows, n_states), inputs u (n_rows, n_inputs) and parameters (n_parameters,).
         """
         return self._evaluate_jacobian(self._rate_jacobian, self.n_states, x, u, values)
 

@@ -365,6 +365,7 @@ def refine_lbfgsb(
     size = np.sqrt(np.maximum(np.diag(start.at.hessian), 1e-12))
 
     def negative_objective(w: Array) -> tuple[float, Array]:
+        """Return the negative objective and its gradient at scaled coordinates w (n,); 1e30 if it is not finite."""
         value, gradient = value_and_gradient(bounds.clip(w / size))
         finite = np.isfinite(value) and bool(np.isfinite(gradient).all())
         return (-value, -gradient / size) if finite else (1e30, np.zeros(size.size))
@@ -533,6 +534,7 @@ class Problem:
         total = np.diag(self.prior[1])
 
         def chosen(i: int) -> list[int]:
+            """Return the indices in ``free`` of the selected coordinates of record i."""
             return [k for k in range(n) if self.coordinates[i][k] in selected]
 
         rows = self._for_each_record(

@@ -299,6 +299,7 @@ def fit_and_evaluate(
     initial, rows = reset_collapsed_noise(model, records), [r.for_model(model) for r in records]
 
     def fitted_from(start: Mapping[str, float]) -> Fit:
+        """Return the fit from the model's initial values, of which ``start`` replaces some."""
         return fit(initial, rows, options, settings, start=start)
 
     full_fit = fitted_from({})

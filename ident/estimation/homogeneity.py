@@ -276,6 +276,7 @@ def between_runs_effect(model: Model, target: str) -> Effect:
     if target == PAYLOAD:
 
         def load(s: Signals) -> None:
+            """Add the payload to the masses in surge and sway."""
             s.p.m_u, s.p.m_v = s.p.m_u + s.p.m_payload, s.p.m_v + s.p.m_payload
 
         sd = PAYLOAD_SHARE * model.values["m_u"]
@@ -295,6 +296,7 @@ def between_runs_effect(model: Model, target: str) -> Effect:
     meaning = "the thrust" if target == THRUST else f"{target} ({model.parameter(target).meaning})"
 
     def change(s: Signals) -> None:
+        """Multiply the parameters by the factor of the record."""
         factor = 1.0 + getattr(s.p, f"k_{target}")
         for name in names:
             if hasattr(s.p, name):

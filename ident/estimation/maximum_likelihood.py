@@ -416,8 +416,12 @@ def _with_outlier_model_and_start(
 
     Parameters
     ----------
-    model, records, options, settings
-        As in `fit`. The initial states of output error are already parameters of the model.
+    model
+        Model without the outlier model. The initial states of output error are already parameters of the model.
+    records
+        Records of the fit.
+    options, settings
+        Options and settings of the fit with the outlier model. The fit without it has the same method and search.
     begin
         Initial values of per-record parameters: ``V_x@0``.
 

@@ -451,6 +451,7 @@ def _with_bounds_around_values(effect: Effect, rows: Sequence[Mapping[str, Any]]
     values = {row["name"]: float(row["value"]) for row in rows}
 
     def wide(p: Parameter) -> Parameter:
+        """Return the parameter with bounds that include its value in the file."""
         value, (low, high) = values.get(p.name, p.value), p.bounds
         # a bound of zero does not depend on the size: it stays
         return replace(p, bounds=(low and min(low, value), high and max(high, value)))

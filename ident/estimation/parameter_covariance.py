@@ -127,6 +127,7 @@ def prediction_variance(
     preparer = Preparer(model)
 
     def outputs(v: Array) -> Array:
+        """Return the predicted outputs after the known rows (n_rows - known, n_outputs), for parameter values v."""
         return simulate(model, tail, v, likelihood.filter(head, v).x_filt[-1], preparer).y[1:]
 
     total = np.zeros((record.n_rows, len(model.outputs)))

@@ -174,6 +174,7 @@ def _profile_in_own_unit(
     p, centre = objective.parameter, float(objective.z[objective.coordinate])
 
     def own(z: float) -> float:
+        """Return a value of the coordinate in the parameter's own unit; NaN if it is not finite."""
         return float(np.clip(p.from_free(z), *p.bounds)) if np.isfinite(z) else float("nan")
 
     below, above = (side.plotted_points for side in sides)
@@ -517,9 +518,11 @@ class ConstrainedObjective:
         """
 
         def whole(rest: Array) -> Array:
+            """Return all coordinates (n,) from those that are not held (n - 1,)."""
             return np.insert(rest, self.coordinate, z_k)
 
         def evaluate(rest: Array) -> Evaluation:
+            """Return the evaluation as a function of the coordinates that are not held (n - 1,)."""
             at, o = self._evaluate_with_flat_information(whole(rest)), self.others
             return Evaluation(at.value, at.gradient[o], at.information[np.ix_(o, o)], at.curvature[o])
 

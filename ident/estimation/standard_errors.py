@@ -175,8 +175,14 @@ def _covariance_from_bounds(
 
     Parameters
     ----------
-    at, z, bounds, names
-        As in `assess`.
+    at
+        Objective, gradient and information at the optimum.
+    z : Array (n,)
+        Estimator's coordinates of the optimum.
+    bounds
+        Bounds of the coordinates.
+    names
+        Names of the parameters, for the flags.
     P : Array (n, n)
         Covariance of the coordinates, with those at a bound held there. NaN for coordinates without an error.
 
@@ -334,7 +340,7 @@ def sandwich(known: Uncertainty, rows: Sequence[tuple[list[int], Array]], slopes
     Returns
     -------
     Sandwich
-        Robust standard errors. They include what parameters at their bounds and considered parameters add.
+        Robust standard errors. They include the variance that parameters at their bounds and considered parameters add.
 
     Notes
     -----
@@ -499,6 +505,7 @@ def _drop_test(value: Callable[[Array], float], z: Array, i: int) -> DropTest:
     top = value(z)
 
     def fallen(x: float) -> bool | None:
+        """Return whether the log-likelihood has fallen by 1.92 at x; None if it is not finite."""
         moved = z.copy()
         moved[i] = x
         there = value(moved)
