@@ -79,7 +79,7 @@ class FilterKernels:
 
     @cached_property
     def graphs(self) -> EkfGraphs:
-        """CasADi graphs of the filter, built on first use."""
+        """CasADi expressions of the filter, built on first use."""
         from seatrial.ident.engine.ekf_graph import EkfGraphs
 
         return EkfGraphs(self._model, covariance=self._covariance, joseph=self._joseph)

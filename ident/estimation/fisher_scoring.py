@@ -157,7 +157,7 @@ class BfgsCorrection:
     largest: Array
     pairs: list[tuple[Array, Array]] = field(default_factory=list)
 
-    def add(self, step: Array, before: Evaluation, after: Evaluation) -> None:
+    def add_step(self, step: Array, before: Evaluation, after: Evaluation) -> None:
         """Add a step between two evaluated points, and update ``largest``.
 
         If the step gained more than 3 in log-likelihood, the objective is not quadratic yet: all pairs are deleted
@@ -315,7 +315,7 @@ def maximise(
             if gained > max(1e-4 * expected, 0.0):
                 ratio = min(gained / max(expected, 1e-300), 1.0)
                 damping, growth = max(damping * max(1 / 10, 1 - (2 * ratio - 1) ** 3), 1e-12), 2.0
-                correction.add(bounds.clip(z + step) - z, at, trial)
+                correction.add_step(bounds.clip(z + step) - z, at, trial)
                 z, at = bounds.clip(z + step), trial
                 break
             damping, growth = damping * growth, growth * 2
@@ -463,8 +463,8 @@ class Problem:
         return Bounds(low, high, np.array([p.transform == "log" for p in self.parameters], dtype=bool))
 
     @property
-    def start(self) -> Array:
-        """Initial coordinates (n,)."""
+    def initial_coordinates(self) -> Array:
+        """Coordinates (n,) of the initial values of the parameters, not clipped to the bounds."""
         own = zip(self.names, self.parameters, strict=True)
         return np.array([p.to_free(self.initial_values.get(name, p.value)) for name, p in own])
 

@@ -226,7 +226,7 @@ class Likelihood:
         fixed_arrays = {"p": p, "g": np.zeros(p.size), "bar": np.zeros(state.size)}
 
         def forward(piece: slice, s: Array, total: Array) -> dict[str, Array]:
-            """Run the forward pass over a piece. Update the filter state ``s`` and the sum ``total`` of ln L in place."""
+            """Run the forward pass over a piece. Update the filter state ``s`` and the sum ``total`` in place."""
             rows = {**_kernel_inputs(forward_kernel, data, piece), "p": p, "s": s, "ll": total}
             return forward_kernel(piece.stop - piece.start, data.mask[piece], rows, arena=arena)
 

@@ -387,7 +387,7 @@ def considered_information(problem: Problem, z: Array) -> Array:
     both = Problem(problem.likelihood, problem.records, (*problem.free, *names), problem.threads, begin)
     at = {name: i for i, name in enumerate(both.names)}
     own, other = [at[n] for n in problem.names], [at[n] for n in names]
-    return both.evaluate(both.start).information[np.ix_(own, other)] / np.sqrt(both.prior[1][other])
+    return both.evaluate(both.initial_coordinates).information[np.ix_(own, other)] / np.sqrt(both.prior[1][other])
 
 
 def _residuals_are_coloured(problem: Problem, robust: Sandwich) -> bool:
@@ -465,7 +465,7 @@ def _search_maximum(problem: Problem, settings: SearchSettings, progress: Iterat
     ValueError is raised if a record cannot be evaluated at the initial values; the message names it.
     """
     tolerance, max_iterations = settings.tolerance, settings.max_iterations
-    z = problem.bounds.clip(problem.start)
+    z = problem.bounds.clip(problem.initial_coordinates)
     if not problem.evaluate(z).finite:
         problem.check(z)
     optimum = maximise(

@@ -45,7 +45,7 @@ class ParameterUncertainty:
     columns: tuple[int, ...]
     root: Array
 
-    def around(self, model: Model, values: Array) -> Iterator[tuple[Array, Array]]:
+    def values_one_deviation_away(self, model: Model, values: Array) -> Iterator[tuple[Array, Array]]:
         """Yield for each direction two copies of ``values``, moved by plus and by minus one standard deviation.
 
         Parameters
@@ -131,7 +131,7 @@ def prediction_variance(
         return simulate(model, tail, v, likelihood.filter(head, v).x_filt[-1], preparer).y[1:]
 
     total = np.zeros((record.n_rows, len(model.outputs)))
-    for plus, minus in uncertainty.around(model, values):
+    for plus, minus in uncertainty.values_one_deviation_away(model, values):
         with np.errstate(over="ignore", invalid="ignore"):  # a prediction may diverge
             total[known:] += ((outputs(plus) - outputs(minus)) / 2) ** 2
     return np.nan_to_num(total, nan=np.inf, posinf=np.inf)

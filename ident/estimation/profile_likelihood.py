@@ -235,7 +235,7 @@ def trace_profile(objective: ConstrainedObjective, sign: int) -> ProfileBranch:
         point, before = objective.best_point(s, sign, side), side.last_inside
         if point.s > before.s and point.drop < before.drop - MIN_DROP:
             objective.release(point.z)  # the likelihood rises again: search for another maximum from here
-        side.add(point)
+        side.add_point(point)
     _set_limit_and_note(objective, sign, side, room)
     return side
 
@@ -345,7 +345,7 @@ class ProfileBranch:
         """Points to be plotted: those inside except the estimate, and the first one outside if its drop is finite."""
         return [*self.points_inside[1:], *[p for p in [self.first_outside] if p is not None and np.isfinite(p.drop)]]
 
-    def add(self, point: ProfilePoint) -> None:
+    def add_point(self, point: ProfilePoint) -> None:
         """Insert a point into ``points`` in order of distance from the estimate."""
         self.points = sorted([*self.points, point], key=lambda p: p.s)
 
