@@ -253,7 +253,7 @@ def test_record_that_cannot_be_evaluated_is_named() -> None:
         fit(model, records(2), start={"m": 1e-7})
     with pytest.raises(ValueError, match="odd: no signal for the input 'N'"):
         fit(model, [records(1)[0], replace(records(1)[0], name="odd", inputs=("M",))])
-    with pytest.raises(ValueError, match="no records"):
+    with pytest.raises(ValueError, match="there is no record"):
         fit(model, [])
     with pytest.raises(ValueError, match=r"^run 0: \d measured samples for 7 free parameters of model turning without"):
         fit(model, [turning_record(0, 2, "run 0")])
