@@ -26,7 +26,8 @@ def noise_part(rest: Mapping[str, Rest]) -> Part:
                 "Figure 4.1: accelerometer at rest",
                 "Hz",
                 [_density(rest[n]) for n in ("ax", "ay")],
-                "Welch's periodogram, the identified model (white noise plus random walk) and the true density.",
+                "The curves are Welch's periodogram, the identified model (white noise plus random walk) and the true "
+                "density.",
             ),
             Drawing("Figure 4.2: magnetometer at rest", "Hz", [_density(rest[n]) for n in ("mx", "my", "mz")]),
         ],
@@ -79,7 +80,7 @@ def bench_part(both: Both) -> Part:
                 "Figure 4.3, left: response to the steps and chirps",
                 "s",
                 whole,
-                "The model predicts from the command alone.",
+                "The model predicts shaft speed and force from the command alone.",
             ),
             Drawing("Figure 4.3, right: the last steps", "s", charts(late, [(1, "force [N]")])),
         ],
@@ -103,7 +104,7 @@ def predictor_part(turn: Both, run: Both) -> Part:
                 ],
             ),
             Chart(
-                "measured less predicted [rad/s]",
+                "measured minus predicted [rad/s]",
                 [
                     Curve("OE: from the moment alone", t, r - turn.simulated.y[:, 0], "other"),
                     Curve("PE: one sample ahead", t, r - ahead),
@@ -133,7 +134,7 @@ def predictor_part(turn: Both, run: Both) -> Part:
                 ],
             ),
             Chart(
-                "measured less predicted [m]",
+                "measured minus predicted [m]",
                 [Curve("OE", t, x - oe, "other"), Curve("PE: one sample ahead", t, x - pe)],
             ),
             Chart("first differences [m/s]", speed),
@@ -196,4 +197,4 @@ def correlations(three: Plane, six: Plane) -> Drawing:
                 half = np.full(40, Z95 / np.sqrt(z.size))
                 curves.append(Curve("95 % of white noise", lags, -half, "band", half))
         charts.append(Chart(f"autocorrelation of {name}", curves))
-    return Drawing("Autocorrelation of the innovations", "lag, s", charts, "Not in the paper.")
+    return Drawing("Autocorrelation of the innovations", "lag, s", charts, "This figure is not in the paper.")

@@ -37,9 +37,10 @@ OPENING = """\
 The experiments have 600 s for the nine parameters of the horizontal model at the nominal values of Table 1. AHRS and
 GNSS run at 10 Hz, there is no current, and the shaft speeds lag behind the commands as in Table 2. D-optimal steps are
 compared with the best of 20 PRBS and of 20 RGS, each with the bandwidth and amplitude that suit the nominal values. The
-numbers are log det of the Fisher information (in characteristic steps of the parameters). The shares are those of 1000
-parameter samples within 0.75 to 1.25 of the nominal values in which the design is better than both baselines, and
-better by at least 3. Times are CPU seconds.
+numbers are log det of the Fisher information (in characteristic steps of the parameters). "at nominal" is the design
+minus the best baseline at the nominal values. For "better in" and "by 3 in", 1000 samples of the parameters were drawn
+within 0.75 to 1.25 of the nominal values. The columns have the shares of the samples in which the design is better than
+both baselines, and better by at least 3. Times are CPU seconds.
 
 | information | design | best baselines | at nominal | better in | by 3 in | search | 1000 samples |
 |---|---|---|---|---|---|---|---|"""
@@ -132,7 +133,7 @@ def bound_words(pe: Experiment, bound: Bound) -> list[str]:
     """Return the paragraph on the upper bound of the information by prediction error."""
     best = max(pe.found.values(), key=lambda r: r.value)
     return [
-        "Upper bound: log det is concave, which limits it for all inputs "
+        "Because log det is concave, it has an upper bound for all inputs "
         "(`benchmarks/thesis/design_bound.py`). By prediction",
         f"error, no input of these 600 s has more than {bound.value:.1f}, which is {bound.value - pe.value:.1f} above",
         f"this design and {bound.value - best.value:.1f} above its best baseline.",
@@ -173,8 +174,9 @@ def _errors(oe: Experiment, pe: Experiment) -> list[str]:
     ]
     rows = [f"| `{n}` | {' | '.join(f'{c[n]:.2g}' for c in columns)} |" for n in names]
     return [
-        "Predicted standard errors. The first column is predicted by output error for its own design. The other",
-        "columns are predicted by prediction error for the same design, for its own design, and for its best baseline.",
+        "The table has predicted standard errors. The first column is predicted by output error for its own design.",
+        "The other columns are predicted by prediction error for the same design, for its own design, and for its",
+        "best baseline.",
         "",
         f"| | OE design, by OE | OE design | PE design | {best.kind} |",
         "|---|---|---|---|---|",
@@ -192,9 +194,10 @@ def _delivered(found: list[RepeatStatistics], n: int) -> list[str]:
     ]
     mean = float(np.mean([d.ratio for d in found]))
     return [
-        f"{n} simulated repeats of the PE design, each fitted with free noise parameters and unbounded damping. The",
-        "table has the spread of the estimates over the predicted standard error, its 95 % interval, and the share of",
-        f"estimates within 1.96 predicted standard errors. The mean ratio is {mean:.2f}.",
+        f"{n} simulated repeats of the PE design were fitted with free noise parameters and unbounded damping. The",
+        "table has the standard deviation of the estimates divided by the predicted standard error, the 95 % interval",
+        "of this ratio, and the share of estimates within 1.96 predicted standard errors.",
+        f"The mean ratio is {mean:.2f}.",
         '"Stuck" fits ended in another optimum, more than 8 standard errors away.',
         "",
         "| | predicted | spread/predicted | 95 % | coverage | stuck |",
@@ -212,10 +215,10 @@ def _part(oe: Experiment, pe: Experiment) -> Part:
         [
             _inputs("Figure 5.1: parametrisation, levels and durations of steps", pe, SHOWN),
             _inputs("Figure 5.2: designed input, output error", oe, SECONDS),
-            _inputs("Figure 5.2, prediction error", pe, SECONDS),
+            _inputs("Figure 5.2: designed input, prediction error", pe, SECONDS),
             _track(pe),
-            _histogram("Figure 5.3: log det in 1000 samples of the box, output error", oe),
-            _histogram("Figure 5.3, prediction error", pe),
+            _histogram("Figure 5.3: log det of the information for 1000 parameter samples, output error", oe),
+            _histogram("Figure 5.3: log det of the information for 1000 parameter samples, prediction error", pe),
         ],
     )
 
@@ -262,7 +265,7 @@ def _track(designed: Experiment) -> Drawing:
             ("east", track.y, track.others[:, :, 1]),
         )
     ]
-    caption = "Not in the paper. Without a steering controller the parameter errors add up along the track."
+    caption = "This figure is not in the paper. Without a steering controller, parameter errors add up along the track."
     return Drawing("Predicted track", "s", charts, caption)
 
 

@@ -31,12 +31,13 @@ INTRODUCTION = """\
 The data of the paper (*Nonlinear system identification of autonomous marine vehicles*, MSc thesis, IST) are not
 public. Here the estimates of the paper are the true parameters. Missions are simulated by the models with process noise
 (in plain numpy, `ident/estimation/stochastic_simulation.py`), and the parameters are estimated from the simulated data.
-The columns "paper" and "truth" describe the boat. The other columns show whether the estimators find it. The tables are
+The columns "paper" and "truth" describe the boat. The other columns show whether the estimators find these values. The
+estimators are output error (OE) and prediction error (PE), which the [glossary](glossary.md) defines. The tables are
 one realisation of one seed; [study.md](study.md) has bias and coverage. ± is one standard error.
 
 The figures are in [thesis.html](thesis.html), which opens without a network: 4.1 and 4.2 (accelerometer and
 magnetometer at rest), 4.3 (the thruster's response), 5.1 to 5.3 (designed experiments), 6.1 (yaw rate), 6.2 (position
-and its differences), 6.3 to 6.6 (innovations of acceleration and position, 3DOF and 6DOF K).
+and its differences), 6.3 to 6.6 (innovations of acceleration and position of the models 3DOF and 6DOF K).
 """
 
 
@@ -87,7 +88,8 @@ def write(out: Path, seed: int, bench: Path | None, say: Say, *, evaluations: in
         "",
         *_errors_in_words(sailed.truth, {"3DOF": three.fit, "6DOF K": six.fit, "3DOF with forces": forces}),
         "",
-        "Innovations in the units of the channels (figures 6.3-6.6). Those of a correct model are white.",
+        "The table has the root mean square of the innovations in the units of the channels, and their first three",
+        "autocorrelations (figures 6.3-6.6). The innovations of a correct model are white.",
         "",
         *tables.innovations(three, six),
     ]
@@ -129,7 +131,12 @@ def _thruster_part(simulated: Both, bench: tuple[dict[str, tuple[float, float]],
     ]
     if bench is not None:
         found, log_name = bench
-        lines += [f"The thruster of the log {log_name}:", "", *tables.table_2({"PE": found}, None), ""]
+        lines += [
+            f"The thruster of the log {log_name} has these estimates:",
+            "",
+            *tables.table_2({"PE": found}, None),
+            "",
+        ]
     return lines
 
 
@@ -138,7 +145,7 @@ def _yaw_and_surge(turn: Both, run: Both) -> list[str]:
     return [
         "## Table 3: yaw",
         "",
-        "180 s of moments in steps, gyro at 20 Hz, process noise 0.02 rad/s/√s.",
+        "The record has 180 s of moments in steps and a gyro at 20 Hz. The process noise is 0.02 rad/s/√s.",
         "",
         *tables.tables_3_and_4(turn, printed.TABLE_3),
         "",
@@ -146,8 +153,9 @@ def _yaw_and_surge(turn: Both, run: Both) -> list[str]:
         "",
         "## Table 4: surge",
         "",
-        "180 s of thrust in steps, position at 5 Hz, process noise 0.02 m/s/√s. `d_u` is almost zero in the paper, and",
-        "therefore in the truth here. An estimate at its bound of zero has no standard error.",
+        "The record has 180 s of thrust in steps and the position at 5 Hz. The process noise is 0.02 m/s/√s. `d_u` is",
+        "almost zero in the paper, and therefore in the truth here. An estimate at its bound of zero has no standard",
+        "error.",
         "",
         *tables.tables_3_and_4(run, printed.TABLE_4),
         "",
@@ -162,7 +170,7 @@ def _errors_in_words(truth: Mapping[str, float], fits: Mapping[str, Fit]) -> lis
     for label, fit in fits.items():
         names = [n for n in fit.names if n in printed.UNITS]
         parts.append(f"{label} {tables.distance(fit, truth, names):.1f}")
-    lines = [f"Largest distance from the truth, in reported standard errors: {', '.join(parts)}."]
+    lines = [f"The largest distances from the truth, in reported standard errors, are: {', '.join(parts)}."]
     if any(
         flag == AUTOCORRELATED_TOO_LONG
         for fit in fits.values()

@@ -183,7 +183,13 @@ def call_path(module: str, function: str) -> list[Step]:
 
 def paths() -> list[str]:
     """Return one table for each workflow, with its calls from the log to the result."""
-    lines = ["", "### From log to result", "", "No file is entered twice (`tests/test_house.py`)."]
+    lines = [
+        "",
+        "### From log to result",
+        "",
+        "The tables list the files in the order in which the command calls them. No file is called again later "
+        "(`tests/test_house.py`).",
+    ]
     for command, (module, function) in WORKFLOWS.items():
         lines += [
             "",

@@ -1,4 +1,7 @@
-"""Layout of the arrays that a kernel reads and writes: their names, sizes and kinds."""
+"""Layout of the arrays that a kernel reads and writes: their names, sizes and kinds.
+
+A kernel runs over the rows of a record. A row holds the samples of one instant, and the inputs up to the next row.
+"""
 
 from __future__ import annotations
 
@@ -18,17 +21,19 @@ class Layout:
     sizes : Mapping[str, int]
         Number of entries of each array, in the order of the kernel's arguments.
     rows : frozenset[str]
-        Arrays with a separate entry vector for each row.
+        Names of the arrays with a separate vector of entries for each row.
     lanes : frozenset[str]
-        Arrays with `width` numbers for each entry, one per lane.
+        Names of the arrays with `width` numbers for each entry, one per lane. A lane is one element of the processor's
+        vectors. It holds, for example, the derivative by one parameter.
     carried : frozenset[str]
-        Arrays whose values pass from one row to the next.
+        Names of the arrays whose values pass from one row to the next, such as the state of a filter.
     summed : tuple[str, ...]
-        Results that are summed over all rows.
+        Names of the results that are summed over all rows, such as the log-likelihood.
     grams : frozenset[str]
-        Results of `loop_plan.Gram`: blocks of a matrix over all lanes.
+        Names of the results of `loop_plan.GramStage`: the matrix of inner products between all lanes, in blocks of
+        (width, width).
     width : int
-        Number of lanes in one group.
+        Number of lanes in one group, which is the number of doubles in a vector register (2, 4 or 8).
     """
 
     sizes: Mapping[str, int]
@@ -40,22 +45,23 @@ class Layout:
     width: int
 
     def shape(self, name: str, n_rows: int, groups: int, per_row: bool = False) -> tuple[int, ...]:
-        """Return the shape of an array.
+        """Return the shape of an array for a given number of rows and lanes.
 
         Parameters
         ----------
         name : str
-            Name of the array.
+            Name of the array. An unknown name raises KeyError.
         n_rows, groups : int
-            Number of rows, and number of groups of lanes.
+            Number of rows, and number of groups of `width` lanes.
         per_row : bool
-            Whether a summed result is kept for each row instead of being summed.
+            Whether the array is a summed result of which the value of each row is wanted, instead of the sum.
 
         Returns
         -------
         tuple[int, ...]
-            (n_rows if the array has rows, groups if it has lanes, entries, width if it has lanes).
-            For a Gram result: (groups, groups, width, width).
+            (n_rows, groups, entries, width). n_rows is absent if the array has no rows and ``per_row`` is False.
+            groups and width are absent if the array has no lanes. A result in `grams` has the shape
+            (groups, groups, width, width).
         """
         if name in self.grams:
             return (groups, groups, self.width, self.width)

@@ -24,23 +24,26 @@ import casadi as ca
 
 from seatrial.ident.engine.ekf_graph import EkfGraphs, pack
 from seatrial.ident.engine.kernel import Kernel
-from seatrial.ident.engine.loop_plan import LoopSegment, Plan, stage
+from seatrial.ident.engine.loop_plan import ExpressionStage, Plan, stage
 from seatrial.ident.model import Model, Sensor
 
+# by the keys of the filters' graphs and the names of the free parameters
 _batches: dict[tuple[Any, ...], ExperimentBatch] = {}
-_contests: dict[tuple[Any, ...], DiscriminationBatch] = {}
+_discrimination_batches: dict[tuple[Any, ...], DiscriminationBatch] = {}
 _lock = threading.RLock()  # CasADi and LLVM build one kernel at a time
 
 
 def batch_for(model: Model, free: Sequence[str], *, covariance: bool) -> ExperimentBatch:
-    """Return the information kernels of a model. Models that differ only in parameter values share them.
+    """Return the kernels that compute the Fisher information of many experiments with one model.
+
+    A repeated call returns the same object. Models that differ only in parameter values share it.
 
     Parameters
     ----------
     model : Model
         Model of the experiments.
     free : Sequence[str]
-        Names of the parameters to differentiate by.
+        Names of the parameters to differentiate by, in the order of the information matrix.
     covariance : bool
         True for prediction error (Kalman filter), False for output error.
 
@@ -57,7 +60,9 @@ def batch_for(model: Model, free: Sequence[str], *, covariance: bool) -> Experim
 def discrimination_batch_for(
     model: Model, free: Sequence[str], truth: Model, *, covariance: bool
 ) -> DiscriminationBatch:
-    """Return the kernel that fits one model to the data of another model, for T-optimal discrimination.
+    """Return the kernel that compares one model with the data of another model, for T-optimal discrimination.
+
+    A repeated call returns the same object. Models that differ only in parameter values share it.
 
     Parameters
     ----------
@@ -82,17 +87,41 @@ def discrimination_batch_for(
     """
     with _lock:
         key = (EkfGraphs(model, covariance=covariance).key, EkfGraphs(truth, covariance=False).key, *free)
-        return _contests.setdefault(key, DiscriminationBatch(model, free, truth, covariance))
+        return _discrimination_batches.setdefault(key, DiscriminationBatch(model, free, truth, covariance))
 
 
-class Filter:
-    """Symbols of a model and of its filter.
+class FilterSymbols:
+    """Expressions of a model's filter and of its sensitivities to the q free parameters, for one experiment.
 
-    ``s`` is the mean and covariance. ``X`` is the derivative of the mean by the free parameters, column by column.
+    Attributes
+    ----------
+    graphs : EkfGraphs
+        Expressions of the filter.
+    q : int
+        Number of free parameters.
+    X : SX (n q, 1)
+        Symbols of the sensitivities: derivatives of the n entries of the mean by the free parameters, one parameter
+        after the other.
+    columns : SX (n, q)
+        `X` as a matrix.
+    z : SX (n_outputs, 1)
+        Predicted outputs at the mean.
+    inputs : dict[str, SX]
+        Symbols by name: ``s`` (mean, then upper triangle of the covariance), ``X``, ``u``, ``u_next``, ``p``, ``h``.
     """
 
     def __init__(self, model: Model, free: Sequence[str], covariance: bool) -> None:
-        """Build the symbols of the model and the unit vectors of the free parameters."""
+        """Build the symbols and expressions.
+
+        Parameters
+        ----------
+        model : Model
+            Model of the experiment.
+        free : Sequence[str]
+            Names of the parameters to differentiate by; may be empty.
+        covariance : bool
+            True for prediction error (Kalman filter), False for output error.
+        """
         g = self.graphs = EkfGraphs(model, covariance=covariance)
         names = [p.name for p in model.parameters]
         self.q = len(free)
@@ -104,10 +133,11 @@ class Filter:
         self.z = g.output(g.mean, g.u, g.p)
         self.inputs = {"s": g.s, "X": self.X, "u": g.u, "u_next": g.u_next, "p": g.p, "h": g.h}
 
-    def slopes(self, expression: Any) -> Any:
-        """Return the derivative of an expression by the free parameters, shape (n, q).
+    def parameter_derivatives(self, expression: Any) -> Any:
+        """Return the total derivative of a column (m, 1) by the free parameters, shape (m, q).
 
-        The expression depends on the mean and on the parameters.
+        It includes the dependence of the mean on the parameters through the sensitivities ``X``. The expression may
+        depend on the mean, the parameters, the inputs and the interval.
         """
         g = self.graphs
         if not self.q:
@@ -115,36 +145,37 @@ class Filter:
         return ca.jtimes(expression, ca.vertcat(g.mean, g.p), ca.vertcat(self.columns, self._unit))
 
     @property
-    def stepped(self) -> dict[str, Any]:
-        """State and sensitivities at the end of the interval, by name."""
+    def end_of_interval(self) -> dict[str, Any]:
+        """Filter state ``s`` and sensitivities ``X`` at the end of the interval, by name; no ``X`` if q is 0."""
         g = self.graphs
         result = {"s": g.predict[0]}
-        return result | {"X": ca.vec(self.slopes(g.step(g.mean)[0]))} if self.q else result
+        return result | {"X": ca.vec(self.parameter_derivatives(g.step(g.mean)[0]))} if self.q else result
 
-    def sensors(self) -> list[tuple[int, Sensor, int]]:
-        """Return a tuple (bit of the mask, sensor, index of its first output) for each sensor."""
+    def sensor_stages(self) -> list[tuple[int, Sensor, int]]:
+        """Return a tuple (bit of the mask, sensor, index of its first output in the model) for each sensor."""
         sensors = self.graphs.model.sensors
         firsts = [sum(len(s.outputs) for s in sensors[:k]) for k in range(len(sensors))]
         return list(zip(range(len(sensors)), sensors, firsts, strict=True))
 
     def update(self, sensor: Sensor, first: int, y: Any = None) -> tuple[dict[str, Any], list[Any], list[Any]]:
-        """Update the state and its sensitivities by the sample of one sensor.
+        """Return the update of the filter state and its sensitivities by the sample of one sensor.
 
-        The outputs of the sensor are processed one after the other.
+        The outputs of the sensor are processed one after the other. Outliers are not taken into account. The derivative
+        of the Kalman gain is neglected, which is exact if all innovations are zero.
 
         Parameters
         ----------
         sensor : Sensor
             Sensor that is sampled.
         first : int
-            Index of its first output.
+            Index of its first output in the model.
         y : SX (n_outputs of the sensor, 1), optional
-            Sample. None: the sample equals its prediction.
+            Sample. None: the sample equals its prediction, so that all innovations are zero.
 
         Returns
         -------
         dict[str, SX]
-            State ``s`` and sensitivities ``X`` after the update. Empty without a covariance.
+            Filter state ``s`` and sensitivities ``X`` after the update; no ``X`` if q is 0. Empty without a covariance.
         list[SX]
             For each output, the sensitivities (1, q) of the innovation, divided by its standard deviation.
         list[SX]
@@ -154,12 +185,12 @@ class Filter:
         slopes, innovations = [], []
         H = ca.jacobian(self.z, g.mean) if g.covariance else None
         P = g.P if g.covariance else None
-        direct = self._direct()
+        direct = self._output_parameter_derivatives()
         for i, output in enumerate(sensor.outputs, start=first):
-            R = g._parameter(output.noise) ** 2
+            R = g.parameter_symbol(output.noise) ** 2
             e = ca.SX(0) if y is None else y[i - first] - self.z[i]
             if H is None or P is None:
-                S, de = R, self.slopes(self.z[i])
+                S, de = R, self.parameter_derivatives(self.z[i])
             else:
                 PH = P @ H[i, :].T
                 S, de = H[i, :] @ PH + R, H[i, :] @ X + direct[i, :]
@@ -176,12 +207,15 @@ class Filter:
         after = {"s": ca.vertcat(g.mean + dx, pack(P))}
         return after | {"X": ca.vec(X)} if self.q else after, slopes, innovations
 
-    def _direct(self) -> Any:
-        """Return the derivative of the outputs by the free parameters with the state held, shape (n_outputs, q)."""
+    def _output_parameter_derivatives(self) -> Any:
+        """Return the partial derivative of the outputs by the free parameters, with the mean held, (n_outputs, q)."""
         return ca.jtimes(self.z, self.graphs.p, self._unit) if self.q else ca.SX(self.z.numel(), 0)
 
-    def bounds(self) -> LoopSegment:
-        """Return the stage that carries the minimum ``low`` and maximum ``high`` of the quantities in `extremes`."""
+    def extremes_stage(self) -> ExpressionStage:
+        """Return the stage that updates the carried arrays ``low`` and ``high`` in each row.
+
+        They hold the least and the largest value so far of the quantities that `extremes` lists.
+        """
         model, mean = self.graphs.model, self.graphs.mean
         names = [v.name for v in model.states]
         speed = [sum(mean[names.index(n)] ** 2 for n in ("u", "v") if n in names)] if "u" in names else []
@@ -193,9 +227,10 @@ class Filter:
 
 
 def extremes(model: Model) -> tuple[str, ...]:
-    """Return the names of the quantities in the arrays ``low`` and ``high``.
+    """Return the names of the quantities whose least and largest values the arrays ``low`` and ``high`` hold.
 
-    The quantities are the states, then the squared speed ``speed2`` if the model has a surge speed.
+    The quantities are the states in the order of the model. If the model has the state ``u`` (surge speed), the squared
+    speed through the water ``speed2`` [m2/s2] follows, ``u^2 + v^2`` or ``u^2`` without a sway speed.
     """
     names = tuple(s.name for s in model.states)
     return (*names, "speed2") if "u" in names else names
@@ -205,6 +240,15 @@ class ExperimentBatch:
     """Kernels of one model with one experiment in each lane, compiled on first use.
 
     In each pair of kernels, the first has common inputs for all lanes. The second has separate inputs for each lane.
+
+    Attributes
+    ----------
+    model : Model
+        Model of the experiments.
+    free : tuple[str, ...]
+        Names of the q parameters to differentiate by.
+    covariance : bool
+        True for prediction error (Kalman filter), False for output error.
     """
 
     def __init__(self, model: Model, free: Sequence[str], covariance: bool) -> None:
@@ -215,28 +259,35 @@ class ExperimentBatch:
     def information(self) -> tuple[Kernel, Kernel]:
         """Pair of kernels of the Fisher information.
 
-        Results: ``fisher``, the upper triangle of the information (q (q + 1) / 2 entries), summed over the rows;
-        ``low`` and ``high``, the bounds of `extremes`.
+        Results for each lane: ``fisher``, the upper triangle of the information matrix of the free parameters, by
+        matrix rows (q (q + 1) / 2 entries), summed over the rows of the record; ``low`` and ``high``, the least and
+        largest values of the quantities that `extremes` lists.
         """
         with _lock:
-            f = Filter(self.model, self.free, self.covariance)
-            stages: list[LoopSegment] = []
-            for bit, sensor, first in f.sensors():
+            f = FilterSymbols(self.model, self.free, self.covariance)
+            stages: list[ExpressionStage] = []
+            for bit, sensor, first in f.sensor_stages():
                 after, slopes, _ = f.update(sensor, first)
-                stages.append(stage(f.inputs, after | {"fisher": _triangle(ca.vertcat(*slopes))}, bit))
-            stages += [f.bounds(), stage(f.inputs, f.stepped)]
-            return _pair(stages, frozenset({"s", "X", "p", "fisher", "low", "high"}))
+                stages.append(stage(f.inputs, after | {"fisher": _gram_upper_triangle(ca.vertcat(*slopes))}, bit))
+            stages += [f.extremes_stage(), stage(f.inputs, f.end_of_interval)]
+            return _kernel_pair(stages, frozenset({"s", "X", "p", "fisher", "low", "high"}))
 
     @cached_property
     def tracks(self) -> tuple[Kernel, Kernel]:
-        """Pair of kernels that simulate without an update. Results: only ``low`` and ``high``."""
+        """Pair of kernels that simulate the model without process noise and without measurements.
+
+        The results for each lane are ``low`` and ``high``, the least and largest values of the quantities that
+        `extremes` lists.
+        """
         with _lock:
-            f = Filter(self.model, (), covariance=False)
+            f = FilterSymbols(self.model, (), covariance=False)
             inputs = {n: v for n, v in f.inputs.items() if n != "X"}
-            return _pair([f.bounds(), stage(inputs, f.stepped)], frozenset({"s", "p", "low", "high"}))
+            return _kernel_pair(
+                [f.extremes_stage(), stage(inputs, f.end_of_interval)], frozenset({"s", "p", "low", "high"})
+            )
 
     def tracks_in_noise(self, n_common: int) -> Kernel:
-        """Return a kernel like ``tracks`` with common and separate inputs.
+        """Return a simulation kernel like ``tracks``, with common inputs for all lanes and separate inputs for each.
 
         Parameters
         ----------
@@ -251,22 +302,25 @@ class ExperimentBatch:
         """
         with _lock:
             if n_common not in self._tracks_in_noise:
-                f = Filter(self.model, (), covariance=False)
+                f = FilterSymbols(self.model, (), covariance=False)
                 ends, symbols = ("", "_next"), dict[str, Any]()
                 for end in ends:
                     symbols[f"u{end}"] = ca.SX.sym(f"u{end}", n_common)
                     symbols[f"w{end}"] = ca.SX.sym(f"w{end}", f.inputs["u"].numel() - n_common)
                 all_inputs = [ca.vertcat(symbols[f"u{end}"], symbols[f"w{end}"]) for end in ends]
-                (after,) = ca.substitute([f.stepped["s"]], [f.inputs["u"], f.inputs["u_next"]], all_inputs)
+                (after,) = ca.substitute([f.end_of_interval["s"]], [f.inputs["u"], f.inputs["u_next"]], all_inputs)
                 inputs = {name: f.inputs[name] for name in ("s", "p", "h")} | symbols
-                stages = (f.bounds(), stage(inputs, {"s": after}))
+                stages = (f.extremes_stage(), stage(inputs, {"s": after}))
                 rows, lanes = {*symbols, "h"}, {"s", "p", "low", "high", "w", "w_next"}
                 self._tracks_in_noise[n_common] = Kernel(Plan(stages, frozenset(rows), frozenset(lanes)))
             return self._tracks_in_noise[n_common]
 
 
-def _pair(stages: list[LoopSegment], lanes: frozenset[str]) -> tuple[Kernel, Kernel]:
-    """Return the kernels with common inputs for all lanes, and with separate inputs for each lane."""
+def _kernel_pair(stages: list[ExpressionStage], lanes: frozenset[str]) -> tuple[Kernel, Kernel]:
+    """Return two kernels with the same stages: inputs common to all lanes, and separate inputs for each lane.
+
+    ``lanes`` are the names of all other arrays with a separate value for each lane.
+    """
     rows = frozenset({"u", "u_next", "h"})
     return Kernel(Plan(tuple(stages), rows, lanes)), Kernel(Plan(tuple(stages), rows, lanes | {"u", "u_next"}))
 
@@ -275,40 +329,62 @@ class DiscriminationBatch:
     """Filter of one model on the noise-free data of another model, with one experiment in each lane.
 
     Its innovations are the part of the data that the model cannot explain.
+
+    Attributes
+    ----------
+    model, truth : Model
+        Model of the filter, and model that generates the data. ValueError is raised if their sensors differ.
+    free : tuple[str, ...]
+        Names of the q parameters of `model` to differentiate by.
+    covariance : bool
+        True for prediction error (Kalman filter), False for output error.
     """
 
     def __init__(self, model: Model, free: Sequence[str], truth: Model, covariance: bool) -> None:
         if [(s.name, [o.name for o in s.outputs]) for s in model.sensors] != [
             (s.name, [o.name for o in s.outputs]) for s in truth.sensors
         ]:
-            raise ValueError(f"models {model.name} and {truth.name} have different sensors")
+            raise ValueError(
+                f"models {model.name} and {truth.name} have different sensors; use models with the same sensors"
+            )
         self.model, self.free, self.truth, self.covariance = model, tuple(free), truth, covariance
 
     @cached_property
     def unexplained(self) -> Kernel:
         """Kernel of the innovations of the model on the data of the other model.
 
-        Results, summed over the rows: ``ee``, the sum of ``e' S^-1 e``; ``score`` (q,), the sum of ``de' S^-1 e``;
-        ``fisher``, as in `ExperimentBatch.information`. ``low`` and ``high`` are the bounds of the model's states.
-        The arrays of the model that generates the data end in ``_true``.
+        e are the innovations, S their variances and de their derivatives by the q free parameters. Results for each
+        lane, summed over the rows of the record: ``ee``, the sum of ``e' S^-1 e``; ``score`` (q,), the sum of
+        ``de' S^-1 e``; ``fisher``, the upper triangle of the sum of ``de' S^-1 de`` by matrix rows. ``low`` and
+        ``high`` are the least and largest values of the quantities that `extremes` lists for the model of the filter.
+        The names of the arrays of the model that generates the data end in ``_true``.
         """
         with _lock:
-            f, true = Filter(self.model, self.free, self.covariance), Filter(self.truth, (), covariance=False)
+            f, true = (
+                FilterSymbols(self.model, self.free, self.covariance),
+                FilterSymbols(self.truth, (), covariance=False),
+            )
             true_inputs = {f"{n}_true": v for n, v in true.inputs.items() if n not in ("X", "h")}
             inputs: Mapping[str, Any] = f.inputs | true_inputs
-            stages: list[LoopSegment] = []
-            for bit, sensor, first in f.sensors():
+            stages: list[ExpressionStage] = []
+            for bit, sensor, first in f.sensor_stages():
                 after, slopes, e = f.update(sensor, first, true.z[first : first + len(sensor.outputs)])
                 V, r = ca.vertcat(*slopes), ca.vertcat(*e)
-                stages.append(stage(inputs, after | {"fisher": _triangle(V), "score": V.T @ r, "ee": r.T @ r}, bit))
+                stages.append(
+                    stage(inputs, after | {"fisher": _gram_upper_triangle(V), "score": V.T @ r, "ee": r.T @ r}, bit)
+                )
             h = {"h": true.graphs.h}
-            stages += [f.bounds(), stage(f.inputs, f.stepped), stage(true_inputs | h, {"s_true": true.stepped["s"]})]
+            stages += [
+                f.extremes_stage(),
+                stage(f.inputs, f.end_of_interval),
+                stage(true_inputs | h, {"s_true": true.end_of_interval["s"]}),
+            ]
             rows = frozenset({"u", "u_next", "u_true", "u_next_true", "h"})
             lanes = frozenset({*inputs, "fisher", "score", "ee", "low", "high"}) - {"h"}
             return Kernel(Plan(tuple(stages), rows, lanes))
 
 
-def _triangle(v: Any) -> Any:
-    """Return the upper triangle of v'v by rows, as a column. v (n, q) has scaled rows."""
+def _gram_upper_triangle(v: Any) -> Any:
+    """Return the upper triangle of ``v' v`` for v (n, q), by matrix rows, as a column (q (q + 1) / 2, 1)."""
     q = v.shape[1]
     return ca.vertcat(*[ca.dot(v[:, i], v[:, j]) for i in range(q) for j in range(i, q)])

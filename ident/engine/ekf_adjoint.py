@@ -1,7 +1,10 @@
-"""Adjoint of the extended Kalman filter, stage by stage.
+"""Adjoint of the extended Kalman filter, stage by stage: the gradient of the log-likelihood in one backward pass.
 
-The adjoint of a stage starts from the derivatives of the log-likelihood by the state after the stage. It returns the
-derivatives by the state before the stage and by the parameters.
+A stage is the update by one sensor or the prediction to the next row. The adjoint of a stage starts from the
+derivatives ``bar`` of the log-likelihood by the filter state after the stage. It returns the derivatives by the filter
+state before the stage and by the parameters. The filter state holds the mean and the upper triangle of the covariance.
+
+The forward pass writes the values that the adjoint needs to arrays with one entry vector per row, the tape.
 
 The derivatives are formed matrix by matrix (Giles 2008). Differentiating the scalar expressions one by one would not
 use the symmetry of the covariance. Let L be twice the symmetric matrix of derivatives by the covariance after a stage.
@@ -29,65 +32,91 @@ import numpy as np
 from seatrial.ident.engine import jit
 from seatrial.ident.engine.ekf_graph import EkfGraphs, Update, pack, unpack
 from seatrial.ident.engine.expressions import reverse_mode
-from seatrial.ident.engine.loop_plan import Factor, LoopSegment, Product, stage, without_slow
+from seatrial.ident.engine.loop_plan import ExpressionStage, Factor, ProductStage, replace_slow_operations, stage
 
 
 @dataclass(frozen=True)
 class Adjoint:
-    """Adjoint of one stage.
+    """Adjoint of one stage of the filter, and the values that its forward pass stores for it.
 
     Attributes
     ----------
-    both : SX column
-        Derivatives by the state, followed by the derivatives by the parameters.
-        The column depends on the inputs of the stage except the state, on ``bar``, and on the symbols in `needs`.
-    needs : Mapping[str, SX]
-        Symbols of the values that the adjoint reads from the tape, by array.
-    keeps : Mapping[str, SX]
-        Expressions that the forward pass writes to the tape, by array.
-    before : tuple[Product, ...]
-        Matrix products that run before the adjoint.
+    derivatives : SX (n_s + n_parameters, 1)
+        Derivatives of the log-likelihood by the filter state before the stage, followed by those by the parameters.
+        The column depends on the inputs of the stage except the filter state, on ``bar``, and on `tape_symbols`.
+    tape_symbols : Mapping[str, SX]
+        Symbols of the values that the adjoint reads, by name of the array: values on the tape, and results of
+        `products`.
+    tape_values : Mapping[str, SX]
+        Expressions that the forward pass writes to the tape, by name of the array.
+    products : tuple[ProductStage, ...]
+        Matrix products that run before the derivatives are evaluated.
     """
 
-    both: Any
-    needs: Mapping[str, Any]
-    keeps: Mapping[str, Any]
-    before: tuple[Product, ...] = ()
+    derivatives: Any
+    tape_symbols: Mapping[str, Any]
+    tape_values: Mapping[str, Any]
+    products: tuple[ProductStage, ...] = ()
 
-    def stages(self, g: EkfGraphs, bar: Any, bit: int | None) -> tuple[Product | LoopSegment, ...]:
-        """Return the stages of the adjoint in the order in which they run."""
-        inputs = {name: v for name, v in g.inputs.items() if name != "s"} | dict(self.needs) | {"bar": bar}
-        results = {"bar": self.both[: bar.numel()], "g": self.both[bar.numel() :]}
-        return (*self.before, stage(inputs, results, bit))
+    def stages(self, g: EkfGraphs, bar: Any, bit: int | None) -> tuple[ProductStage | ExpressionStage, ...]:
+        """Return the stages of the backward pass, in the order in which they run.
+
+        They replace the carried array ``bar`` by the derivatives by the filter state before the stage. They also write
+        the derivatives by the parameters to the array ``g``, which is summed.
+
+        Parameters
+        ----------
+        g : EkfGraphs
+            Expressions of the filter.
+        bar : SX (n_s, 1)
+            Symbols of the derivatives by the filter state after the stage.
+        bit : int or None
+            The stages run only in rows whose mask has this bit (0 to 31) set. None: in every row.
+        """
+        inputs = {name: v for name, v in g.inputs.items() if name != "s"} | dict(self.tape_symbols) | {"bar": bar}
+        results = {"bar": self.derivatives[: bar.numel()], "g": self.derivatives[bar.numel() :]}
+        return (*self.products, stage(inputs, results, bit))
 
 
-def of_stage(g: EkfGraphs, effect: Mapping[str, Any], tape: str, bar: Any) -> Adjoint:
-    """Return the adjoint of any stage by differentiating its expressions.
+def adjoint_of_stage(g: EkfGraphs, effect: Mapping[str, Any], tape: str, bar: Any) -> Adjoint:
+    """Return the adjoint of any stage by differentiating its scalar expressions.
 
     Parameters
     ----------
     g : EkfGraphs
-        Graphs of the filter.
+        Expressions of the filter.
     effect : Mapping[str, SX]
-        Result of the stage: the state after it, and the log-likelihood ``ll`` if the stage is an update.
+        Results of the stage: the filter state ``s`` after it, then the log-likelihood ``ll`` if the stage is an update.
     tape : str
         Name of the array on the tape.
     bar : SX (n_s, 1)
-        Symbols of the derivatives by the state after the stage.
+        Symbols of the derivatives by the filter state after the stage.
     """
     weight = ca.vertcat(bar, *[1] * ("ll" in effect))
     both = reverse_mode(ca.vertcat(*effect.values()), ca.vertcat(g.s, g.p), weight)
-    both, needs, keeps = _taped(g, both, ca.SX(0, 1), bar)
+    both, needs, keeps = _replace_tape_values(g, both, ca.SX(0, 1), bar)
     return Adjoint(both, {tape: needs}, {tape: keeps})
 
 
-def of_update(g: EkfGraphs, update: Update, tape: str, bar: Any) -> Adjoint:
-    """Return the adjoint of the update by one sensor, from its last scalar to its first.
+def adjoint_of_update(g: EkfGraphs, update: Update, tape: str, bar: Any) -> Adjoint:
+    """Return the adjoint of the update by one sensor, from its last output to its first.
 
-    Without a covariance, or with Joseph's form, `of_stage` is used.
+    The derivatives by the covariance are formed as matrices. Without a covariance, or with Joseph's form, the scalar
+    expressions are differentiated instead (`adjoint_of_stage`).
+
+    Parameters
+    ----------
+    g : EkfGraphs
+        Expressions of the filter.
+    update : Update
+        Update by the sensor.
+    tape : str
+        Name of the array on the tape.
+    bar : SX (n_s, 1)
+        Symbols of the derivatives by the filter state after the update.
     """
     if not g.covariance or g.joseph:
-        return of_stage(g, {"s": update.s, "ll": update.ll}, tape, bar)
+        return adjoint_of_stage(g, {"s": update.s, "ll": update.ll}, tape, bar)
     n, n_s = g.n, g.s.numel()
     before = [ca.vertcat(0 * g.mean, pack(g.P)), *[ca.vertcat(c.dx, pack(c.P)) for c in update.corrections[:-1]]]
     # derivatives by dx and P, and derivatives by the mean and the parameters
@@ -95,46 +124,57 @@ def of_update(g: EkfGraphs, update: Update, tape: str, bar: Any) -> Adjoint:
     for correction, values in zip(update.corrections[::-1], before[::-1], strict=True):
         s = ca.SX.sym("s", n_s)  # symbols of dx and P before this scalar, which are replaced by their values below
         c = g.correct(correction.sample, s[:n], unpack(s[n:], n))
-        L_PH = _doubled(unpack(by_state[n:], n)) @ c.PH
+        L_PH = _doubled_diagonal(unpack(by_state[n:], n)) @ c.PH
         weight = ca.vertcat(by_state[:n], 1, -c.inverse_variance * L_PH, -ca.dot(c.PH, L_PH) / 2)
         slopes = reverse_mode(ca.vertcat(c.dx, c.ll, c.PH, c.inverse_variance), ca.vertcat(s, g.mean, g.p), weight)
         slopes = ca.substitute(slopes, s, values)
         by_state = ca.vertcat(slopes[:n], by_state[n:] + slopes[n:n_s])
         direct += slopes[n_s:]
     both = ca.vertcat(bar[:n] + direct[:n], by_state[n:], direct[n:])
-    both, needs, keeps = _taped(g, both, ca.SX(0, 1), bar)
+    both, needs, keeps = _replace_tape_values(g, both, ca.SX(0, 1), bar)
     return Adjoint(both, {tape: needs}, {tape: keeps})
 
 
-def of_prediction(g: EkfGraphs, tape: str, bar: Any) -> Adjoint:
-    """Return the adjoint of ``EkfGraphs.predict``.
+def adjoint_of_prediction(g: EkfGraphs, tape: str, bar: Any) -> Adjoint:
+    """Return the adjoint of the prediction to the next row, ``EkfGraphs.predict``.
 
-    `of_stage` is used if the filter is of second order, because its mean then depends on the covariance. `of_stage` is
-    also used if no column of Phi varies from row to row.
+    The derivatives by the covariance are formed as matrices. The scalar expressions are differentiated instead
+    (`adjoint_of_stage`) in three cases: without a covariance; in a second-order filter, because its mean depends on the
+    covariance; and if no column of Phi varies from row to row.
+
+    Parameters
+    ----------
+    g : EkfGraphs
+        Expressions of the filter.
+    tape : str
+        Name of the array on the tape for single values. Matrix columns are on the tape under the names ``moved`` and
+        ``spread``.
+    bar : SX (n_s, 1)
+        Symbols of the derivatives by the filter state after the prediction.
     """
     # columns of Phi that differ from the constant columns of an identity
-    moving = [k for k in range(g.n) if g.covariance and not _constant(g.transition.Phi[:, k])]
+    moving = [k for k in range(g.n) if g.covariance and not _is_constant(g.transition.Phi[:, k])]
     if not moving or g.model.second_order:
-        return of_stage(g, {"s": g.predict[0]}, tape, bar)
+        return adjoint_of_stage(g, {"s": g.predict[0]}, tape, bar)
     n, A, Q, upper = g.n, g.transition.A, g.transition.Q, unpack(bar[g.n :], g.n)
-    L, T = _doubled(upper), g.transition.T @ ca.diag([not _constant(Q[k, k]) for k in range(n)])
+    L, T = _doubled_diagonal(upper), g.transition.T @ ca.diag([not _is_constant(Q[k, k]) for k in range(n)])
     # moved: columns of Phi and T, to be multiplied by L; spread: columns of P + Q, to be multiplied by L Phi
-    moved = _Columns(
+    moved = _TapeColumns(
         "moved",
         {("Phi", k): g.transition.Phi[:, k] for k in moving}
-        | {("T", k): T[:, k] for k in range(n) if not _constant(T[:, k])},
+        | {("T", k): T[:, k] for k in range(n) if not _is_constant(T[:, k])},
     )
-    spread = _Columns("spread", {("P", k): (g.P + Q)[:, k] for k in moving})
-    Phi, LPhi = moved.read("Phi", g.transition.Phi), moved.turned("Phi", L)
-    T, LT = moved.read("T", T), moved.turned("T", L @ T)
+    spread = _TapeColumns("spread", {("P", k): (g.P + Q)[:, k] for k in moving})
+    Phi, LPhi = moved.with_tape_symbols("Phi", g.transition.Phi), moved.product_columns("Phi", L)
+    T, LT = moved.with_tape_symbols("T", T), moved.product_columns("T", L @ T)
     by_P = Phi.T @ LPhi  # twice the derivative by P, see the module
     by_Q = (ca.diag(by_P) + ca.diag(T.T @ LT)) / 2 + ca.diag(upper)
-    by_A = _of_series(A, _like(Phi, spread.turned("P", ca.SX(n, n))), LT @ Q)
-    effect = ca.vertcat(g.stepped[0], *A.nonzeros(), ca.diag(Q))
+    by_A = _adjoint_of_series(A, _restricted_to_pattern(Phi, spread.product_columns("P", ca.SX(n, n))), LT @ Q)
+    effect = ca.vertcat(g.mean_step[0], *A.nonzeros(), ca.diag(Q))
     slopes = reverse_mode(effect, ca.vertcat(g.mean, g.p), ca.vertcat(bar[:n], *by_A.nonzeros(), by_Q))
     both = ca.vertcat(slopes[:n], pack(by_P - ca.diag(ca.diag(by_P)) / 2), slopes[n:])
-    both, needs, keeps = _taped(g, both, moved.array, ca.vertcat(bar, moved.result, spread.result))
-    factors = _factors(n)
+    both, needs, keeps = _replace_tape_values(g, both, moved.array, ca.vertcat(bar, moved.result, spread.result))
+    factors = _covariance_derivative_factors(n)
     products = (
         moved.product(factors),
         spread.product(
@@ -142,64 +182,89 @@ def of_prediction(g: EkfGraphs, tape: str, bar: Any) -> Adjoint:
         ),
     )
     return Adjoint(
-        both, {tape: needs} | moved.symbols | spread.symbols, {tape: keeps} | moved.kept | spread.kept, products
+        both,
+        {tape: needs} | moved.symbols | spread.symbols,
+        {tape: keeps} | moved.tape_values | spread.tape_values,
+        products,
     )
 
 
-class _Columns:
-    """Columns stored side by side in an array (n, stride) by rows.
+class _TapeColumns:
+    """Matrix columns of the forward pass, stored side by side in an array (n, stride) on the tape, by matrix rows.
 
-    A second array of the same shape holds the product of a matrix, from the left, with these columns.
+    In the backward pass, a second array of the same shape receives the product of a matrix (n, n) with these columns.
     Unused columns of the first array are zero.
+
+    Attributes
+    ----------
+    array : SX (n stride, 1)
+        Symbols of the stored columns.
+    result : SX (n stride, 1)
+        Symbols of the product.
+    symbols : dict[str, SX]
+        `array` and `result` by name: the name of the object, and the same with ``_turned``.
+    tape_values : dict[str, SX]
+        Expressions that the forward pass stores, by name of the array.
     """
 
     def __init__(self, name: str, columns: Mapping[tuple[str, int], Any]) -> None:
-        """Store the columns; a key is (name of the matrix, index of the column)."""
+        """Place the columns side by side. ``name`` is the name of the array.
+
+        A key of ``columns`` is (name of the matrix, index of the column in this matrix), and a value is SX (n, 1).
+        """
         self._n = n = next(iter(columns.values())).numel()
         self._width = min(jit.WIDTH, max(2, 1 << (len(columns) - 1).bit_length()))
         self._stride = -(-len(columns) // self._width) * self._width
-        self._first = {column: j for j, column in enumerate(columns)}
+        self._column_of = {column: j for j, column in enumerate(columns)}
         self._names = name, f"{name}_turned"
         self.array, self.result = (ca.SX.sym(s, n * self._stride) for s in self._names)
         self.symbols = dict(zip(self._names, (self.array, self.result), strict=True))
         values = ca.SX.zeros(n * self._stride)
         for column, value in columns.items():
-            values[self._places(column)] = value
-        self.kept = {name: values}
+            values[self._column_entries(column)] = value
+        self.tape_values = {name: values}
 
-    def read(self, matrix: str, whole: Any) -> Any:
-        """Return the matrix with symbols in the place of entries that vary from row to row."""
+    def with_tape_symbols(self, matrix: str, whole: Any) -> Any:
+        """Return the matrix ``whole`` (n, n), with tape symbols for the varying entries of its stored columns.
+
+        ``matrix`` is its name in the keys. Entries that do not depend on a symbol keep their constant value.
+        """
         result = ca.SX(whole)
-        for name, k in self._first:
+        for name, k in self._column_of:
             for i in range(self._n):
-                if name == matrix and not _constant(result[i, k]):
-                    result[i, k] = self.array[self.factor((name, k), i).place]
+                if name == matrix and not _is_constant(result[i, k]):
+                    result[i, k] = self.array[self.factor((name, k), i).entry]
         return result
 
-    def turned(self, matrix: str, rest: Any) -> Any:
-        """Return the product with the matrix. ``rest`` is the product for columns that are not in the array."""
+    def product_columns(self, matrix: str, rest: Any) -> Any:
+        """Return the product of the left matrix with the matrix of the name ``matrix``, shape (n, n).
+
+        Stored columns are symbols of `result`. The other columns are those of ``rest``.
+        """
         result = ca.SX(rest)
-        for name, k in self._first:
+        for name, k in self._column_of:
             if name == matrix:
-                result[:, k] = self.result[self._places((name, k))]
+                result[:, k] = self.result[self._column_entries((name, k))]
         return result
 
-    def product(self, left: Sequence[Sequence[Factor]]) -> Product:
-        """Return the product of the matrix ``left`` with the stored columns."""
-        return Product(tuple(map(tuple, left)), *self._names, self._stride, self._width)
+    def product(self, left: Sequence[Sequence[Factor]]) -> ProductStage:
+        """Return the stage that multiplies the matrix ``left`` (n, n) by the stored columns."""
+        return ProductStage(tuple(map(tuple, left)), *self._names, self._stride, self._width)
 
     def factor(self, column: tuple[str, int], i: int) -> Factor:
-        """Return entry i of the product with one column."""
-        return Factor(self._names[1], i * self._stride + self._first[column])
+        """Return the reference to entry i of the product with one stored column, given by its key."""
+        return Factor(self._names[1], i * self._stride + self._column_of[column])
 
-    def _places(self, column: tuple[str, int]) -> slice:
-        return slice(self._first[column], None, self._stride)
+    def _column_entries(self, column: tuple[str, int]) -> slice:
+        """Return the slice of the array that holds one stored column, given by its key."""
+        return slice(self._column_of[column], None, self._stride)
 
 
-def _factors(n: int) -> list[list[Factor]]:
-    """Return the factors of L.
+def _covariance_derivative_factors(n: int) -> list[list[Factor]]:
+    """Return the matrix L (n, n) as references to entries of the array ``bar``.
 
-    In ``bar``, the derivatives by the upper triangle of the covariance follow those by the mean.
+    In ``bar``, the derivatives by the upper triangle of the covariance follow the n derivatives by the mean. Entries on
+    the diagonal of L are doubled.
     """
     place = np.zeros((n, n), int)
     above = np.triu_indices(n)
@@ -207,48 +272,68 @@ def _factors(n: int) -> list[list[Factor]]:
     return [[Factor("bar", int(place[i, j]), i == j) for j in range(n)] for i in range(n)]
 
 
-def _of_series(A: Any, Phi: Any, T: Any) -> Any:
-    """Return the adjoint of A from the adjoints of T = 2 + 2 A + A^2 and Phi = T - 1 + A^2 + 4/3 A^3."""
+def _adjoint_of_series(A: Any, Phi: Any, T: Any) -> Any:
+    """Return the derivatives of the log-likelihood by the matrix A, in the sparsity pattern of A.
+
+    Parameters
+    ----------
+    A : SX (n, n)
+        Matrix of which T and Phi are polynomials: T = 2 + 2 A + A^2 and Phi = T - 1 + A^2 + 4/3 A^3.
+    Phi, T : SX (n, n)
+        Derivatives of the log-likelihood by these two polynomials.
+    """
     A2, T = A @ A, T + Phi  # only the sparsity pattern of A2 is used
-    right, left = (_like(A2, 4 / 3 * product) for product in (Phi @ A.T, A.T @ Phi))
-    square = _like(A2, T + Phi)
-    return _like(A, 2 * T + (square + right) @ A.T + A.T @ (square + right + left))
+    right, left = (_restricted_to_pattern(A2, 4 / 3 * product) for product in (Phi @ A.T, A.T @ Phi))
+    square = _restricted_to_pattern(A2, T + Phi)
+    return _restricted_to_pattern(A, 2 * T + (square + right) @ A.T + A.T @ (square + right + left))
 
 
-def _taped(g: EkfGraphs, both: Any, early: Any, late: Any) -> tuple[Any, Any, Any]:
+def _replace_tape_values(g: EkfGraphs, both: Any, early: Any, late: Any) -> tuple[Any, Any, Any]:
     """Replace slow operations of an adjoint by symbols, and collect the values that it reads from the tape.
+
+    The values are the entries of the filter state that the adjoint contains, and the results of slow operations (such
+    as sin and exp) that the forward pass has computed already.
 
     Only the entries of the state on which the adjoint depends are stored. In a filter these are less than half of the
     entries. Storing all of them would make the forward pass a sixth slower by memory traffic alone.
 
     Parameters
     ----------
+    g : EkfGraphs
+        Expressions of the filter.
     both : SX column
-        Adjoint.
-    early, late : SX column
-        Symbols outside ``g.inputs``: known in the forward pass (early), and known only in the backward pass (late).
+        Derivatives by the filter state, followed by those by the parameters.
+    early : SX column
+        Symbols in ``both``, besides those of ``g.inputs``, that are known in the forward pass.
+    late : SX column
+        Symbols in ``both`` that are known only in the backward pass.
 
     Returns
     -------
     tuple[SX, SX, SX]
-        Adjoint with symbols; all symbols that it reads from the tape; the expressions of these symbols.
+        ``both`` with symbols for slow operations; all symbols that it reads from the tape; the expressions that the
+        forward pass stores for these symbols.
     """
     known_forward = ca.vertcat(*[v for name, v in g.inputs.items() if name != "p"], early)
-    both, symbols, values = without_slow(both, g.p, known_forward, late)
+    both, symbols, values = replace_slow_operations(both, g.p, known_forward, late)
     kept = [entry for entry, used in zip(ca.vertsplit(g.s), ca.which_depends(both, g.s), strict=True) if used]
     return both, *(ca.vertcat(ca.SX(0, 1), *kept, *more) for more in (symbols, values))
 
 
-def _doubled(upper: Any) -> Any:
-    """Return L, given the derivatives by the upper triangle of a covariance as a symmetric matrix."""
+def _doubled_diagonal(upper: Any) -> Any:
+    """Return the matrix with its diagonal doubled.
+
+    If ``upper`` holds the derivatives by the upper triangle of a covariance as a symmetric matrix, the result is the
+    matrix L of the module.
+    """
     return upper + ca.diag(ca.diag(upper))
 
 
-def _constant(matrix: Any) -> bool:
+def _is_constant(matrix: Any) -> bool:
     """Return whether no entry of the matrix depends on a symbol."""
     return all(entry.is_constant() for entry in matrix.nonzeros())
 
 
-def _like(pattern: Any, matrix: Any) -> Any:
-    """Return the matrix restricted to the sparsity of ``pattern``."""
+def _restricted_to_pattern(pattern: Any, matrix: Any) -> Any:
+    """Return the matrix with the entries outside the sparsity pattern of ``pattern`` removed."""
     return ca.project(matrix, pattern.sparsity())

@@ -1,7 +1,8 @@
-"""CasADi graphs of a model's extended Kalman filter: rates, outputs, prediction and measurement updates.
+"""CasADi expressions of a model's extended Kalman filter: rates, outputs, prediction and measurement updates.
 
-The state ``s`` passes from row to row. It holds the mean, followed by the upper triangle of the covariance by rows.
-Without a covariance (output error), it holds the mean alone.
+The filter state ``s`` passes from row to row. It holds the mean of the n model states, followed by the n (n + 1) / 2
+entries of the upper triangle of their covariance, one matrix row after the other. Without a covariance (output error),
+it holds the mean alone.
 """
 
 from __future__ import annotations
@@ -25,22 +26,24 @@ ca.GlobalOptions.setNumpyMode(-1)  # plain numpy functions on symbols stay symbo
 
 @dataclass(frozen=True)
 class Update:
-    """Update of the filter by the sample of one sensor.
+    """Expressions of the filter's update by the sample of one sensor, which has n_outputs outputs.
 
     Attributes
     ----------
     s : SX (n_s, 1)
-        State after the update.
+        Filter state after the update. Without a covariance, the mean is not changed.
     ll : SX
-        Log-likelihood of the sample.
+        Log-likelihood of the sample, with its constant. None if this object describes a prediction.
     e, S : SX (n_outputs, 1)
-        Innovations and their variances.
+        Innovations (measured minus predicted) and their variances, each given the outputs before it. None for a
+        prediction.
     slope : SX (n_outputs, 1)
-        -d ll / d e of each output: e / S, or less if outliers are allowed.
+        -d ll / d e of each output: e / S, or smaller in absolute value if outliers are allowed.
     information : DM (n_outputs, 2)
-        Information of a sample about its mean and about its scale, relative to normal noise.
+        Fisher information of a sample about its mean and about its scale, as ratios to those of normal noise: 1 and 1
+        without outliers, less if outliers are allowed.
     corrections : tuple[ScalarUpdate, ...]
-        The scalar updates, one for each output in order.
+        The updates by single outputs, in the order in which they are applied.
     """
 
     s: Any
@@ -54,14 +57,16 @@ class Update:
 
 @dataclass(frozen=True)
 class Sample:
-    """One scalar measurement of a sensor.
+    """Expressions of one scalar measurement, before any output of the same sensor has changed the filter state.
 
     Attributes
     ----------
+    output : Output
+        Output of the model that is measured.
     e : SX
-        Measured minus predicted.
+        Measured minus predicted value. An angle is not wrapped yet.
     H : SX (1, n) or None
-        Derivative of the prediction by the state; None without a covariance.
+        Derivative of the predicted value by the model states; None without a covariance.
     R : SX
         Variance of the measurement noise.
     """
@@ -74,20 +79,29 @@ class Sample:
 
 @dataclass(frozen=True)
 class ScalarUpdate:
-    """Update of the filter by one scalar measurement.
+    """Expressions of the filter's update by one scalar measurement.
+
+    The fields of type "or None" are None without a covariance (output error).
 
     Attributes
     ----------
-    e, S, slope, ll : SX
-        As in `Update`.
+    sample : Sample
+        The measurement.
+    e, S : SX
+        Innovation (measured minus predicted, given the measurements before) and its variance.
+    slope : SX
+        -d ll / d e: e / S, or smaller in absolute value if outliers are allowed.
+    ll : SX
+        Log-likelihood of the measurement, with its constant.
     dx : SX (n, 1) or None
-        Change of the mean since the prediction.
+        Change of the mean since the prediction, by this measurement and by those before.
     P : SX (n, n) or None
-        Covariance after the update: ``P - inverse_variance PH PH'``.
+        Covariance after the update: covariance before it minus ``inverse_variance PH PH'``.
     PH : SX (n, 1) or None
-        ``P H'``.
+        Covariance before the update times H'.
     inverse_variance : SX or None
-        1 / S, or less for an outlier.
+        1 / S if outliers are not allowed. Otherwise about 1 / S for a good sample, about 0 for an outlier, and negative
+        for a sample that may be either.
     """
 
     sample: Sample
@@ -103,18 +117,18 @@ class ScalarUpdate:
 
 @dataclass(frozen=True)
 class IntervalTransition:
-    """Matrices of the transition over one interval of length h.
+    """Matrices that propagate the covariance over one interval of length h [s] between two rows.
 
     Attributes
     ----------
     A : SX (n, n)
         h / 2 times the Jacobian of the rates at the midpoint.
     T : SX (n, n)
-        Twice the transition from the midpoint to the end, of second order in A.
+        Twice the transition matrix from the midpoint to the end, a Taylor polynomial of second order in A.
     Phi : SX (n, n)
-        Transition over the whole interval, of third order in A.
+        Transition matrix over the whole interval, a Taylor polynomial of third order in A.
     Q : SX (n, n)
-        A sixth of the covariance of the process noise.
+        Diagonal matrix: h / 6 times the squared diffusion of the process noise.
     """
 
     A: Any
@@ -124,13 +138,13 @@ class IntervalTransition:
 
 
 def pack(P: Any) -> Any:
-    """Return the upper triangle of a symmetric matrix by rows, as a column."""
+    """Return the upper triangle of a symmetric matrix P (n, n) as a column (n (n + 1) / 2, 1), by matrix rows."""
     n = P.shape[0]
     return ca.vertcat(*[P[i, j] for i in range(n) for j in range(i, n)])
 
 
 def unpack(p: Any, n: int) -> Any:
-    """Return the symmetric matrix (n, n) of an upper triangle."""
+    """Return the symmetric matrix (n, n) whose upper triangle is the column p, by matrix rows. It inverts `pack`."""
     P = ca.SX(n, n)
     for k, (i, j) in enumerate(zip(*np.triu_indices(n), strict=True)):
         P[int(i), int(j)] = P[int(j), int(i)] = p[k]
@@ -138,7 +152,7 @@ def unpack(p: Any, n: int) -> Any:
 
 
 class EkfGraphs:
-    """Graphs of a model's filter.
+    """CasADi expressions of a model's extended Kalman filter.
 
     Parameters
     ----------
@@ -149,16 +163,37 @@ class EkfGraphs:
     joseph : bool
         Whether to update the covariance in Joseph's form, which keeps it positive in spite of rounding.
 
+    Attributes
+    ----------
+    s, p : SX
+        Symbols of the filter state (n_s, 1), which holds the mean and the upper triangle of the covariance, and of the
+        parameters (n_parameters, 1).
+    h : SX
+        Symbol of the length of the interval to the next row [s].
+    u, u_next : SX (n_inputs, 1)
+        Symbols of the inputs at the start and at the end of the interval.
+    y : SX (n_outputs, 1)
+        Symbols of the samples at the start of the interval.
+    rate, output : casadi.Function
+        Rates (n, 1) and outputs (n_outputs, 1) of the model, as functions of (states, inputs, parameters).
+    inputs : dict[str, SX]
+        The symbols s, u, u_next, y, p and h, by these names.
+    n : int
+        Number of model states.
+
     Raises
     ------
     ValueError
-        If the model has too many sensors, or if its functions do not return one scalar for each rate and output.
+        If the model has more than 32 sensors, or if its functions do not return one scalar for each rate and output.
     """
 
     def __init__(self, model: Model, *, covariance: bool = True, joseph: bool = False) -> None:
         """Trace the functions of the model with symbols."""
         if len(model.sensors) > MAX_BITS:
-            raise ValueError(f"model {model.name} has {len(model.sensors)} sensors; the engine takes {MAX_BITS}")
+            raise ValueError(
+                f"model {model.name} has {len(model.sensors)} sensors, more than the limit of {MAX_BITS}; "
+                "combine outputs that are sampled together in one sensor"
+            )
         self.model, self.covariance, self.joseph = model, covariance, joseph
         self.n = len(model.states)
         n_s = self.n + self.n * (self.n + 1) // 2 if covariance else self.n
@@ -166,14 +201,14 @@ class EkfGraphs:
         self.s, self.p, self.h = sym("s", n_s), sym("p", len(model.parameters)), sym("h")
         self.u, self.u_next = sym("u", len(model.inputs)), sym("u_next", len(model.inputs))
         self.y = sym("y", len(model.outputs))
-        self.rate, self.output = _trace(model)
+        self.rate, self.output = _trace_model(model)
         self.inputs = {"s": self.s, "u": self.u, "u_next": self.u_next, "y": self.y, "p": self.p, "h": self.h}
 
     @cached_property
     def key(self) -> str:
-        """Hash of the graphs. Models with the same key have the same kernels.
+        """SHA-256 hash (hexadecimal) of the expressions. Models with the same key have the same kernels.
 
-        Values of parameters are not part of the key.
+        Names of parameters are part of the key, but not their values.
         """
         model = self.model
         noise = ([s.noise for s in model.states], [(s.name, s.outputs) for s in model.sensors])
@@ -191,19 +226,27 @@ class EkfGraphs:
 
     @property
     def mean(self) -> Any:
+        """Mean of the model states (n, 1): the first n symbols of ``s``."""
         return self.s[: self.n]
 
     @cached_property
     def P(self) -> Any:
+        """Covariance of the model states (n, n), made of the last symbols of ``s``. Only with a covariance."""
         return unpack(self.s[self.n :], self.n)
 
     def step(self, x: Any) -> tuple[Any, Any, Any]:
-        """Take one Runge-Kutta step of fourth order.
+        """Take one Runge-Kutta step of fourth order over the interval to the next row.
+
+        Parameters
+        ----------
+        x : SX (n, 1)
+            Model states at the start of the interval.
 
         Returns
         -------
         tuple[SX, SX, SX]
-            Mean at the end of the interval; state and inputs at its midpoint.
+            Model states (n, 1) at the end of the interval; model states and inputs at its midpoint. The inputs are
+            linear in time between ``u`` and ``u_next``.
         """
         h, end, middle = self.h, self.u_next, (self.u + self.u_next) / 2
         k1 = self.rate(x, self.u, self.p)
@@ -215,14 +258,16 @@ class EkfGraphs:
 
     @cached_property
     def predict(self) -> tuple[Any, Any]:
-        """State at the end of the interval, and the transition matrix Phi of the mean (None without a covariance).
+        """Filter state ``s`` at the end of the interval, and the transition matrix Phi (n, n) over the interval.
+
+        Without a covariance, the filter state is the mean, and Phi is None.
 
         Phi is the Taylor series of third order of the Jacobian at the midpoint of the interval. The process noise is
         integrated by Simpson's rule; a trapezoidal rule would change the estimates by a standard error. The
         second-order filter adds ``1/2 tr(P f_xx)`` at the midpoint to the mean (Jazwinski 1970). The reason: for an
         uncertain u, the mean of u |u| exceeds u |u| at the mean.
         """
-        end = self.stepped[0]
+        end = self.mean_step[0]
         if not self.covariance:
             return end, None
         t = self.transition
@@ -232,68 +277,96 @@ class EkfGraphs:
         return ca.vertcat(end, pack(P)), t.Phi
 
     @cached_property
-    def stepped(self) -> tuple[Any, Any, Any]:
-        """Step of the mean, computed once: a derivative through two copies of the step would process the step twice."""
+    def mean_step(self) -> tuple[Any, Any, Any]:
+        """Result of `step` from the mean: mean at the end of the interval, state and inputs at its midpoint.
+
+        It is computed once: a derivative through two copies of the step would process the step twice.
+        """
         return self.step(self.mean)
 
     @cached_property
     def transition(self) -> IntervalTransition:
-        """Transition of the covariance over the interval."""
-        A = self.h / 2 * self._at_midpoint(lambda slopes, _: slopes)
+        """Matrices that propagate the covariance over the interval, linearised at its midpoint."""
+        A = self.h / 2 * self._evaluate_at_midpoint(lambda slopes, _: slopes)
         identity, A2 = ca.SX.eye(self.n), A @ A
         T = 2 * identity + 2 * A + A2  # scaled so that few multiplications are needed; these dominate the run time
         Phi = T - identity + A2 + 4 / 3 * (A @ A2)
-        Q = self.h / 6 * ca.diag(self._diffusion)
+        Q = self.h / 6 * ca.diag(self._diffusion_squared)
         return IntervalTransition(A, T, Phi, Q)
 
     def _curvature_term(self, P: Any) -> Any:
-        """Return ``1/2 tr(P f_xx)``: the mean change of the rates for states with covariance P."""
-        return self._at_midpoint(
+        """Return ``1/2 tr(P f_xx)`` for each rate f, shape (n, 1), at the midpoint of the interval.
+
+        It is the amount by which the mean of the rates exceeds the rates at the mean, for states with covariance P.
+        """
+        return self._evaluate_at_midpoint(
             lambda slopes, x: ca.vertcat(
                 *[ca.sum1(ca.sum2(ca.jacobian(slopes[i, :].T, x) * P)) / 2 for i in range(self.n)]
             )
         )
 
-    def _at_midpoint(self, expression: Callable[[Any, Any], Any]) -> Any:
-        """Return ``expression(Jacobian of the rates, state x)`` at the midpoint of the interval."""
-        x, (_, x3, middle) = ca.SX.sym("x", self.n), self.stepped
+    def _evaluate_at_midpoint(self, expression: Callable[[Any, Any], Any]) -> Any:
+        """Return ``expression(J, x)`` at the midpoint of the interval.
+
+        J (n, n) is the Jacobian of the rates by the model states, and x (n, 1) are symbols of these states. After the
+        call of ``expression``, the symbols are replaced by the states at the midpoint.
+        """
+        x, (_, x3, middle) = ca.SX.sym("x", self.n), self.mean_step
         slopes: Any = ca.jacobian(self.rate(x, middle, self.p), x)
         slopes = ca.SX(slopes.sparsity(), simplified(ca.vertcat(ca.SX(0, 1), *slopes.nonzeros())))
         return ca.substitute(expression(slopes, x), x, x3)
 
     @property
-    def _diffusion(self) -> Any:
-        return ca.vertcat(*[self._parameter(s.noise) ** 2 for s in self.model.states])
+    def _diffusion_squared(self) -> Any:
+        """Squared diffusion of the process noise of each model state (n, 1) [unit^2/s]."""
+        return ca.vertcat(*[self.parameter_symbol(s.noise) ** 2 for s in self.model.states])
 
-    def _parameter(self, value: float | str) -> Any:
-        """Return the symbol of a named parameter, or a constant for a number."""
+    def parameter_symbol(self, value: float | str) -> Any:
+        """Return the symbol of the parameter with the name ``value``, or a constant expression if it is a number.
+
+        A name that the model lacks raises ValueError.
+        """
         if not isinstance(value, str):
             return ca.SX(float(value))
         return self.p[[p.name for p in self.model.parameters].index(value)]
 
     @property
     def residual(self) -> Any:
-        """Measured minus predicted for all outputs. Angles are wrapped to -pi to pi."""
+        """Measured minus predicted value of all outputs (n_outputs, 1), before any update. Angles are in -pi to pi."""
         e = self.y - self.output(self.mean, self.u, self.p)
-        return ca.vertcat(*[_wrap(e[i]) if o.angle else e[i] for i, o in enumerate(self.model.outputs)])
+        return ca.vertcat(*[_wrap_angle(e[i]) if o.angle else e[i] for i, o in enumerate(self.model.outputs)])
 
     @cached_property
     def updates(self) -> tuple[Update, ...]:
-        """Updates of the sensors, one for each sensor in order."""
+        """Update of the filter by each sensor, in the order of ``model.sensors``. Each starts from the state ``s``."""
         z = self.output(self.mean, self.u, self.p)
         H = ca.jacobian(z, self.mean) if self.covariance else None
         result, first = [], 0
         for sensor in self.model.sensors:
             rows = slice(first, first + len(sensor.outputs))
-            result.append(self._update(sensor, self.y[rows], z[rows], None if H is None else H[rows, :]))
+            result.append(self._sensor_update(sensor, self.y[rows], z[rows], None if H is None else H[rows, :]))
             first = rows.stop
         return tuple(result)
 
-    def _update(self, sensor: Sensor, y: Any, z: Any, H: Any) -> Update:
-        """Update by one scalar after the other, which is exact for independent noises. No matrix is inverted."""
+    def _sensor_update(self, sensor: Sensor, y: Any, z: Any, H: Any) -> Update:
+        """Return the update by the sample of one sensor.
+
+        The outputs are applied one after the other, which is exact for independent noises. No matrix is inverted.
+
+        Parameters
+        ----------
+        sensor : Sensor
+            Sensor that is sampled.
+        y, z : SX (n_outputs, 1)
+            Measured and predicted values of the outputs of this sensor.
+        H : SX (n_outputs, n) or None
+            Derivatives of the predicted values by the model states; None without a covariance.
+        """
         dx, P, ll, steps = 0 * self.mean, self.P if self.covariance else None, 0, []
         for i, output in enumerate(sensor.outputs):
-            sample = Sample(output, y[i] - z[i], None if H is None else H[i, :], self._parameter(output.noise) ** 2)
+            sample = Sample(
+                output, y[i] - z[i], None if H is None else H[i, :], self.parameter_symbol(output.noise) ** 2
+            )
             steps.append(self.correct(sample, dx, P))
             dx, P, ll = steps[-1].dx, steps[-1].P, ll + steps[-1].ll
         s = ca.vertcat(self.mean + dx, pack(P)) if H is not None else self.mean
@@ -302,18 +375,19 @@ class EkfGraphs:
         return Update(s, ll, e, S, slope, information, tuple(steps))
 
     def correct(self, sample: Sample, dx: Any, P: Any) -> ScalarUpdate:
-        """Update the filter by one scalar measurement.
+        """Return the update of the filter by one scalar measurement.
 
-        Without a covariance, only the innovation and the log-likelihood are computed.
+        Without a covariance, only the innovation, its variance and the log-likelihood are computed. The innovation of
+        an angle is wrapped to -pi to pi. If outliers are allowed, an outlier changes the mean only a little.
 
         Parameters
         ----------
         sample : Sample
             Scalar measurement.
         dx : SX (n, 1)
-            Change of the mean since the prediction, by the scalars before this one.
+            Change of the mean since the prediction, by the measurements before this one.
         P : SX (n, n) or None
-            Covariance before this scalar.
+            Covariance before this measurement; None without a covariance.
         """
         output, e, H, S = sample.output, sample.e, sample.H, sample.R
         PH = None
@@ -321,7 +395,7 @@ class EkfGraphs:
             e, PH = e - H @ dx, P @ H.T
             S = H @ PH + S
         if output.angle:
-            e = _wrap(e)
+            e = _wrap_angle(e)
         scaled, inverse_variance = e / ca.sqrt(S), 1 / S
         slope = outlier_density.score(scaled) / ca.sqrt(S) if output.robust else e / S
         ll = (
@@ -337,9 +411,22 @@ class EkfGraphs:
         return ScalarUpdate(sample, e, S, slope, ll, dx + PH * slope, P_after, PH, inverse_variance)
 
     def _updated_covariance(self, sample: Sample, P: Any, PH: Any, S: Any, inverse_variance: Any) -> Any:
-        """Return the covariance after the update by one scalar.
+        """Return the covariance (n, n) after the update by one scalar measurement, in Joseph's form if that is chosen.
 
-        If outliers are allowed, the reduction of the covariance is scaled by the weight of the sample.
+        If outliers are allowed, the reduction of the covariance is multiplied by ``inverse_variance S``.
+
+        Parameters
+        ----------
+        sample : Sample
+            Scalar measurement.
+        P : SX (n, n)
+            Covariance before the update.
+        PH : SX (n, 1)
+            P times the transposed derivative of the predicted value by the model states.
+        S : SX
+            Variance of the innovation.
+        inverse_variance : SX
+            1 / S, or less if outliers are allowed.
         """
         if not self.joseph:
             return P - (PH * inverse_variance) @ PH.T
@@ -349,35 +436,57 @@ class EkfGraphs:
         return P + inverse_variance * S * (full_update - P) if sample.output.robust else full_update
 
 
-def _wrap(angle: Any) -> Any:
+def _wrap_angle(angle: Any) -> Any:
     """Wrap an angle [rad] to -pi to pi."""
     return angle - 2 * math.pi * ca.floor(angle / (2 * math.pi) + 0.5)
 
 
-def _trace(model: Model) -> tuple[Any, Any]:
-    """Return the model's rates and outputs as CasADi functions of (x, u, p)."""
+def _trace_model(model: Model) -> tuple[Any, Any]:
+    """Call the model with symbols. Return its rates and its outputs as CasADi functions of (x, u, p).
+
+    The arguments are the states, the inputs and the parameters. ValueError is raised if a value is missing or unusable.
+    """
     x, u, p = (
         ca.SX.sym(name, len(of)) for name, of in (("x", model.states), ("u", model.inputs), ("p", model.parameters))
     )
     signals = model.signals(*[ca.vertsplit(v) if v.numel() else [] for v in (x, u, p)])
-    rates = _collect(model, signals.rate, [s.name for s in model.states], "rate of the state")
-    outputs = _collect(model, signals.y, [o.name for o in model.outputs], "value of the output")
+    rates = _scalar_column(model, signals.rate, [s.name for s in model.states], "rate of the state")
+    outputs = _scalar_column(model, signals.y, [o.name for o in model.outputs], "value of the output")
     return (
         ca.Function("rate", [x, u, p], [simplified(rates)]),
         ca.Function("output", [x, u, p], [simplified(outputs)]),
     )
 
 
-def _collect(model: Model, values: Mapping[str, Any], names: list[str], role: str) -> Any:
-    """Return the named values as a dense column. Raise ValueError if one of them is missing or is not a scalar."""
+def _scalar_column(model: Model, values: Mapping[str, Any], names: list[str], role: str) -> Any:
+    """Return the values with these names as a dense column (n, 1), in the order of ``names``.
+
+    Parameters
+    ----------
+    model : Model
+        Model that computed the values, for the messages.
+    values : Mapping[str, SX or float]
+        Expressions by name.
+    names : list[str]
+        Names of the wanted values.
+    role : str
+        What the values are, for the messages: "rate of the state", "value of the output".
+
+    Raises
+    ------
+    ValueError
+        If a value is missing, is not a scalar, or contains NaN (it has lost its symbols).
+    """
     column = []
     for name in names:
         if name not in values:
             raise ValueError(f"model {model.name} gives no {role} {name}; it gives {', '.join(values) or 'none'}")
         value = ca.SX(values[name])
         if value.numel() != 1:
-            raise ValueError(f"model {model.name}: the {role} {name} is not a scalar")
-        if _has_nan(value):
+            raise ValueError(
+                f"model {model.name}: the {role} {name} is not a scalar; return one number for each state and output"
+            )
+        if _contains_nan(value):
             raise ValueError(
                 f"model {model.name}: the {role} {name} has lost its symbols (math.sin, float() and assignment "
                 "into np.zeros convert symbols to numbers; use numpy's functions)"
@@ -386,7 +495,7 @@ def _collect(model: Model, values: Mapping[str, Any], names: list[str], role: st
     return ca.densify(ca.vertcat(*column))
 
 
-def _has_nan(expression: Any) -> bool:
+def _contains_nan(expression: Any) -> bool:
     """Return whether the expression contains the constant NaN. CasADi inserts NaN for a symbol that became a number."""
     f = ca.Function("f", ca.symvar(expression), [expression])
     return any(

@@ -12,32 +12,36 @@ LEAF = -1  # code of a node without an operation: a symbol or a number
 T = TypeVar("T")
 
 
-def instructions(
+def evaluate_instructions(
     f: Any,
     argument: Callable[[int, int], T],
     constant: Callable[[float], T],
     apply: Callable[..., T],
     done: Callable[[int, int, T], None] | None = None,
 ) -> list[list[T]]:
-    """Evaluate an SX function, instruction by instruction, in any algebra.
+    """Evaluate an SX function, instruction by instruction, with values of any type T.
+
+    The callbacks define what a number and an operation mean. For example, T can be a CasADi expression, a node of a
+    graph, or a line of generated code.
 
     Parameters
     ----------
     f : casadi.Function
-        Function of SX expressions.
+        Function of SX expressions. i and j below count its arguments, its results and their entries from zero.
     argument : Callable[[int, int], T]
         ``argument(i, j)`` returns entry j of argument i.
     constant : Callable[[float], T]
-        Returns the value of a number.
+        ``constant(x)`` returns the value that represents the number x.
     apply : Callable[..., T]
-        ``apply(code, *x)`` returns the result of an operation.
+        ``apply(code, *x)`` returns the result of the operation with CasADi's ``code`` (such as ``casadi.OP_ADD``) on
+        the one or two operands x.
     done : Callable[[int, int, T], None], optional
         ``done(i, j, x)`` is called as soon as entry j of result i has its value x.
 
     Returns
     -------
     list[list[T]]
-        Entries of each result. Entries that the function does not compute are zero.
+        Element [i][j] is entry j of result i. Entries that the function does not compute are ``constant(0.0)``.
     """
     work: dict[int, T] = {}
     results = [[constant(0.0)] * f.nnz_out(i) for i in range(f.n_out())]
@@ -57,12 +61,23 @@ def instructions(
 
 
 def operation(code: int, *x: Any) -> Any:
-    """Return the expression of one operation on one or two operands."""
+    """Return the CasADi expression of one operation.
+
+    Parameters
+    ----------
+    code : int
+        CasADi's code of the operation, such as ``casadi.OP_ADD``.
+    *x : SX
+        One operand or two operands.
+    """
     return (ca.SX.unary if len(x) == 1 else ca.SX.binary)(code, *x)
 
 
 def simplified(expression: Any) -> Any:
-    """Return the same column with ``x sign(x)`` as ``|x|`` and ``(a |x|) x`` as ``a (x |x|)``.
+    """Rewrite a column (n, 1) of SX expressions so that drag terms take few operations.
+
+    ``x sign(x)`` becomes ``|x|``, and ``(a |x|) x`` becomes ``a (x |x|)``. The value of the column does not change. The
+    result is dense, and equal subexpressions are computed once.
 
     Notes
     -----
@@ -72,20 +87,25 @@ def simplified(expression: Any) -> Any:
     f = ca.Function("f", [symbols], [ca.densify(ca.cse(expression))])
 
     def apply(code: int, *x: Any) -> Any:
-        return _product(*x) if code == ca.OP_MUL else operation(code, *x)
+        """Return the expression of one operation; products are simplified."""
+        return _simplified_product(*x) if code == ca.OP_MUL else operation(code, *x)
 
-    return ca.vertcat(ca.SX(0, 1), *instructions(f, lambda _, j: symbols[j], ca.SX, apply)[0])
+    return ca.vertcat(ca.SX(0, 1), *evaluate_instructions(f, lambda _, j: symbols[j], ca.SX, apply)[0])
 
 
-def _product(a: Any, b: Any) -> Any:
-    """Return the product a b. Combine x with |x| or sign(x), also if the latter is a factor of the other operand."""
+def _simplified_product(a: Any, b: Any) -> Any:
+    """Return the product a b of two scalar expressions, with a factor x moved beside a factor |x| or sign(x).
+
+    The factor |x| or sign(x) may be inside a product: ``(c |x|) x`` becomes ``c (x |x|)``. ``x sign(x)`` becomes |x|.
+    Other products are returned unchanged.
+    """
     for first, second in ((a, b), (b, a)):
         if _is_modulus_or_sign(first, second):
             return ca.fabs(second) if first.is_op(ca.OP_SIGN) else first * second
         if first.is_op(ca.OP_MUL):
             for factor, rest in ((first.dep(0), first.dep(1)), (first.dep(1), first.dep(0))):
                 if _is_modulus_or_sign(factor, second) or _is_modulus_or_sign(second, factor):
-                    return rest * _product(factor, second)
+                    return rest * _simplified_product(factor, second)
     return a * b
 
 
@@ -100,18 +120,21 @@ def reverse_mode(expression: Any, by: Any, weight: Any) -> Any:
     Parameters
     ----------
     expression : SX (n, 1)
-        Column to differentiate.
+        Column to differentiate. It may contain symbols outside ``by``, which count as constants.
     by : SX (m, 1)
-        Symbols.
+        Symbols to differentiate by.
     weight : SX (n, 1)
         Weights of the entries of the column.
 
     Returns
     -------
     SX (m, 1)
-        Derivatives.
+        Entry j is the sum over i of ``weight[i]`` times the derivative of entry i of the column by ``by[j]``. The
+        derivative is zero for a symbol that the column does not contain.
 
-    Notes ----- The result has fewer products than CasADi's own derivative. ``x / y`` is differentiated as ``x r`` with
+    Notes
+    -----
+    The result has fewer products than CasADi's own derivative. ``x / y`` is differentiated as ``x r`` with
     ``r = 1 / y``, which is how the kernels compute it. The derivatives by r of all quotients with the same y are added
     before they pass on to y. Each quotient then takes one product instead of two. The derivative of ``x |x|`` is
     ``2 |x|``.
@@ -119,74 +142,94 @@ def reverse_mode(expression: Any, by: Any, weight: Any) -> Any:
     other_symbols = [v for v in ca.symvar(expression) if not any(ca.which_depends(v, by))]
     arguments = (by, ca.vertcat(ca.SX(0, 1), *other_symbols))
     f = ca.Function("f", arguments, [ca.densify(ca.cse(expression))])
-    sweep = _Sweep()
-    leaves = [[sweep.leaf(v) for v in ca.vertsplit(part)] if part.numel() else [] for part in arguments]
-    (ends,) = instructions(f, lambda i, j: leaves[i][j], lambda x: sweep.leaf(ca.SX(x)), sweep.node)
-    for end, bar in zip(ends, ca.vertsplit(weight), strict=True):
-        sweep.add(end, bar)
-    sweep.back()
-    return ca.vertcat(*[sweep.bars[leaf] for leaf in leaves[0]])
+    sweep = _ReverseSweep()
+    leaves = [[sweep.add_leaf(v) for v in ca.vertsplit(part)] if part.numel() else [] for part in arguments]
+    (ends,) = evaluate_instructions(
+        f, lambda i, j: leaves[i][j], lambda x: sweep.add_leaf(ca.SX(x)), sweep.add_operation
+    )
+    for end, derivative in zip(ends, ca.vertsplit(weight), strict=True):
+        sweep.add_derivative(end, derivative)
+    sweep.propagate_backwards()
+    return ca.vertcat(*[sweep.derivatives[leaf] for leaf in leaves[0]])
 
 
-class _Sweep:
-    """Nodes of an expression in the order of evaluation, and the derivatives ``bars`` by them."""
+class _ReverseSweep:
+    """Graph of an expression for differentiation in reverse mode. A node is a symbol, a number or an operation.
+
+    Nodes are added in the order of evaluation, so that the operands of a node come before it. A node is identified by
+    its index in this order.
+
+    Attributes
+    ----------
+    values : list[SX]
+        Expression of each node.
+    derivatives : list[SX]
+        Derivative of the weighted result by each node; zero until `add_derivative` or `propagate_backwards` adds to it.
+    """
 
     def __init__(self) -> None:
         self.values: list[Any] = []
-        self.bars: list[Any] = []
-        self._made: list[tuple[int, tuple[int, ...]]] = []  # code and operands
-        self._inverses: dict[int, int] = {}
+        self.derivatives: list[Any] = []
+        # code of the operation and indices of the operands, for each node
+        self._operations: list[tuple[int, tuple[int, ...]]] = []
+        self._reciprocals: dict[int, int] = {}  # index of the node 1 / y, by the index of the node y
 
-    def leaf(self, value: Any) -> int:
-        """Append a symbol or a number. Return its index."""
+    def add_leaf(self, value: Any) -> int:
+        """Append a node for a symbol or a number. Return the index of the node."""
         return self._append(value, LEAF)
 
-    def node(self, code: int, *operands: int) -> int:
-        """Append an operation on nodes and return its index. Quotients are split into a product and a shared
-        reciprocal.
+    def add_operation(self, code: int, *operands: int) -> int:
+        """Append an operation on the nodes with the indices ``operands``. Return the index of the new node.
+
+        A quotient x / y becomes a product of x and the node 1 / y. All quotients by the same y share one node 1 / y, so
+        that the index of an earlier node is returned for a repeated reciprocal.
         """
         if code == ca.OP_DIV:
-            return self.node(ca.OP_MUL, operands[0], self.node(ca.OP_INV, operands[1]))
+            return self.add_operation(ca.OP_MUL, operands[0], self.add_operation(ca.OP_INV, operands[1]))
         if code == ca.OP_INV:
             y = operands[0]
-            if y not in self._inverses:
-                self._inverses[y] = self._append(1 / self.values[y], code, y)
-            return self._inverses[y]
+            if y not in self._reciprocals:
+                self._reciprocals[y] = self._append(1 / self.values[y], code, y)
+            return self._reciprocals[y]
         return self._append(operation(code, *[self.values[j] for j in operands]), code, *operands)
 
     def _append(self, value: Any, code: int, *operands: int) -> int:
+        """Append a node with this expression, operation code and operands. Return the index of the node."""
         self.values.append(value)
-        self.bars.append(ca.SX(0))
-        self._made.append((code, operands))
+        self.derivatives.append(ca.SX(0))
+        self._operations.append((code, operands))
         return len(self.values) - 1
 
-    def add(self, place: int, bar: Any) -> None:
-        """Add to the derivative by one node."""
-        self.bars[place] = self.bars[place] + bar
+    def add_derivative(self, node: int, derivative: Any) -> None:
+        """Add an SX expression to the derivative of the weighted result by the node with this index."""
+        self.derivatives[node] = self.derivatives[node] + derivative
 
-    def back(self) -> None:
-        """Propagate the derivatives from the last node to the first."""
-        for place in range(len(self.values) - 1, -1, -1):
-            bar = self.bars[place]
-            if self._made[place][0] != LEAF and not bar.is_zero():
-                for operand, slope in self._slopes(place):
-                    self.add(operand, bar * slope)
+    def propagate_backwards(self) -> None:
+        """Apply the chain rule from the last node to the first, which completes ``derivatives`` in place."""
+        for node in range(len(self.values) - 1, -1, -1):
+            derivative = self.derivatives[node]
+            if self._operations[node][0] != LEAF and not derivative.is_zero():
+                for operand, slope in self._operand_derivatives(node):
+                    self.add_derivative(operand, derivative * slope)
 
-    def _slopes(self, place: int) -> list[tuple[int, Any]]:
-        """Return the operands of a node and the derivatives of the node by them."""
-        code, operands = self._made[place]
-        x, value = [self.values[j] for j in operands], self.values[place]
+    def _operand_derivatives(self, node: int) -> list[tuple[int, Any]]:
+        """Return a pair (index of the operand, derivative of the node by this operand) for each operand of a node.
+
+        For ``x |x|``, the only pair is (x, 2 |x|), because |x| then needs no derivative of its own.
+        """
+        code, operands = self._operations[node]
+        x, value = [self.values[j] for j in operands], self.values[node]
         if code == ca.OP_INV:
             return [(operands[0], -value * value)]
         if code == ca.OP_MUL:
             for a, b in ((0, 1), (1, 0)):
-                if self._made[operands[a]] == (ca.OP_FABS, (operands[b],)):
+                if self._operations[operands[a]] == (ca.OP_FABS, (operands[b],)):
                     return [(operands[b], 2 * x[a])]
-        return list(zip(operands, _derivatives(code, len(x)).call(x), strict=True))
+        return list(zip(operands, _operation_derivatives(code, len(x)).call(x), strict=True))
 
 
 @cache
-def _derivatives(code: int, n: int) -> Any:
-    """Return the derivatives of an operation with n operands, as a function of the operands."""
+def _operation_derivatives(code: int, n: int) -> Any:
+    """Return a CasADi function that maps the n operands of an operation (1 or 2) to its n partial derivatives."""
     x = [ca.SX.sym(name) for name in "xy"[:n]]
     return ca.Function("slopes", x, [ca.densify(ca.jacobian(operation(code, *x), v)) for v in x])

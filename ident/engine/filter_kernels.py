@@ -29,6 +29,8 @@ _lock = threading.RLock()  # CasADi and LLVM build one kernel at a time
 def filter_kernels_for(model: Model, *, covariance: bool = True, joseph: bool = False) -> FilterKernels:
     """Return the kernels of a model. Models that differ only in parameter values share them.
 
+    The kernels of the 12 most recent calls stay in memory, so that a repeated call returns the same object.
+
     Parameters
     ----------
     model : Model
@@ -36,12 +38,12 @@ def filter_kernels_for(model: Model, *, covariance: bool = True, joseph: bool = 
     covariance : bool
         True for the extended Kalman filter, False for simulation (output error).
     joseph : bool
-        Whether to update the covariance in Joseph's form.
+        Whether to update the covariance in Joseph's form, which keeps it positive in spite of rounding.
 
     Returns
     -------
     FilterKernels
-        Kernels, compiled or loaded on first use.
+        Kernels, each compiled or loaded from the cache on disk on first use.
     """
     with _lock:
         at = id(model), covariance, joseph
@@ -58,7 +60,16 @@ def filter_kernels_for(model: Model, *, covariance: bool = True, joseph: bool = 
 
 
 class FilterKernels:
-    """Kernels of one model, by name. `filter_plans.Plans` describes what each kernel computes."""
+    """Kernels of one model: programs that run over all rows of a record. Each is compiled or loaded on first use.
+
+    `filter_plans.Plans` describes the arrays of each kernel.
+
+    Attributes
+    ----------
+    key : str
+        SHA-256 hash (hexadecimal) of everything that the kernels depend on. It identifies them in this process and in
+        the cache on disk.
+    """
 
     def __init__(self, model: Model, covariance: bool, joseph: bool) -> None:
         self._model, self._covariance, self._joseph = model, covariance, joseph
@@ -68,39 +79,46 @@ class FilterKernels:
 
     @cached_property
     def graphs(self) -> EkfGraphs:
-        """CasADi graphs of the filter, built on first use."""
+        """CasADi expressions of the filter, built on first use."""
         from seatrial.ident.engine.ekf_graph import EkfGraphs
 
         return EkfGraphs(self._model, covariance=self._covariance, joseph=self._joseph)
 
     @cached_property
     def _plans(self) -> Plans:
+        """Plans of the kernels, built on first use."""
         from seatrial.ident.engine.filter_plans import Plans
 
         return Plans(self.graphs)
 
     @cached_property
     def value(self) -> Kernel:
+        """Kernel of the log-likelihood."""
         return self._kernel("value")
 
     @cached_property
     def forward(self) -> Kernel:
+        """Kernel of the log-likelihood that also stores the values for `backward` (the tape)."""
         return self._kernel("forward")
 
     @cached_property
     def backward(self) -> Kernel:
+        """Kernel of the gradient of the log-likelihood by all parameters (adjoint filter). It runs after `forward`."""
         return self._kernel("backward")
 
     @cached_property
     def tangent(self) -> Kernel:
+        """Kernel of the log-likelihood, its score and its Fisher information by chosen parameters."""
         return self._kernel("tangent")
 
     @cached_property
     def filter(self) -> Kernel:
+        """Kernel of the filter output by row: predicted and filtered states, covariances, innovations."""
         return self._kernel("filter")
 
     @cached_property
     def simulate(self) -> Kernel:
+        """Kernel of the simulation without process noise. Only for kernels without a covariance."""
         return self._kernel("simulate")
 
     @property
@@ -110,10 +128,15 @@ class FilterKernels:
         return (layout.rows - ROWS).intersection(layout.sizes)
 
     def _kernel(self, name: str) -> Kernel:
-        """Return a kernel from the cache, or compile the kernel and store it in the cache."""
+        """Return the kernel with this name (``value``, ``forward``, ...) from the cache on disk.
+
+        If the cache lacks the kernel, it is compiled and stored in the cache. A model whose functions cannot be
+        recorded has no cache key: its kernels are compiled in each process.
+        """
         with _lock:
 
             def plan() -> Plan:
+                """Build the plan of the kernel with this name."""
                 with _lock:
                     made: Any = getattr(self._plans, name)()
                     return made  # type: ignore[no-any-return]

@@ -9,13 +9,24 @@ import casadi as ca
 import numpy as np
 
 from seatrial.ident.engine.array_layout import ROWS
-from seatrial.ident.engine.ekf_adjoint import Adjoint, of_prediction, of_update
+from seatrial.ident.engine.ekf_adjoint import Adjoint, adjoint_of_prediction, adjoint_of_update
 from seatrial.ident.engine.ekf_graph import EkfGraphs, Update
-from seatrial.ident.engine.loop_plan import Gram, LoopSegment, Plan, Product, split, stage
+from seatrial.ident.engine.loop_plan import ExpressionStage, GramStage, Plan, ProductStage, split_by_lanes, stage
 
 
 class Plans:
-    """Plans of the kernels of one filter. Each method builds one plan."""
+    """Plans of the kernels of one filter. Each method builds one plan.
+
+    Common arrays: in rows, the inputs ``u`` and ``u_next``, the samples ``y`` and the interval ``h`` [s]; the carried
+    filter state ``s``; the parameters ``p``.
+
+    Attributes
+    ----------
+    graphs : EkfGraphs
+        Expressions of the filter.
+    n_s, n_parameters : int
+        Number of entries of the filter state, and number of parameters of the model.
+    """
 
     def __init__(self, graphs: EkfGraphs) -> None:
         self.graphs = graphs
@@ -26,84 +37,95 @@ class Plans:
     def value(self) -> Plan:
         """Return the plan of the log-likelihood. ``s`` is carried, ``p`` is constant, ``ll`` is summed."""
         g = self.graphs
-        updates = [stage(g.inputs, self._effect(u), bit) for bit, u in enumerate(g.updates)]
+        updates = [stage(g.inputs, self._stage_results(u), bit) for bit, u in enumerate(g.updates)]
         return Plan((*updates, stage(g.inputs, {"s": g.predict[0]})), ROWS)
 
     def forward(self) -> Plan:
         """Return the plan of the forward pass of the adjoint.
 
-        The plan is like ``value``. In addition, the rows of tape0, tape1, ... and of other arrays store the values that
-        the adjoint of each stage reads.
+        The plan is like ``value``. In addition, the arrays ``tape0``, ``tape1``, ... (one for each stage), ``moved``
+        and ``spread`` store for each row the values that the adjoint of the stage reads. A stage is the update by one
+        sensor or the prediction.
         """
         stages = [
-            stage(self.graphs.inputs, self._effect(u) | dict(adjoint.keeps), bit)
-            for (_, u, bit), adjoint in zip(self._sweep(), self._adjoints, strict=True)
+            stage(self.graphs.inputs, self._stage_results(u) | dict(adjoint.tape_values), bit)
+            for (_, u, bit), adjoint in zip(self._forward_steps(), self._adjoints, strict=True)
         ]
         return Plan(tuple(stages), ROWS | self.tapes)
 
     def backward(self) -> Plan:
-        """Return the plan of the backward pass: the adjoints of the stages in reverse order.
+        """Return the plan of the backward pass: the adjoints of the stages in reverse order, from the last row.
 
-        Results: ``g``, the derivatives by the parameters, and ``bar``, the derivatives by the initial state.
+        Results: ``g``, the derivatives of the log-likelihood by the parameters (summed), and ``bar``, the derivatives
+        by the initial filter state (carried).
         """
-        stages: list[LoopSegment | Gram | Product] = []
-        for (_, _, bit), adjoint in zip(self._sweep(), self._adjoints, strict=True):
+        stages: list[ExpressionStage | GramStage | ProductStage] = []
+        for (_, _, bit), adjoint in zip(self._forward_steps(), self._adjoints, strict=True):
             stages = [*adjoint.stages(self.graphs, self._bar, bit), *stages]
         return Plan(tuple(stages), ROWS | self.tapes, backward=True)
 
     @cached_property
     def _adjoints(self) -> list[Adjoint]:
-        """Adjoints of the stages in order."""
+        """Adjoints of the stages in the order of the forward pass: one for each sensor, then that of the prediction."""
         g, bar = self.graphs, self._bar
         return [
-            of_prediction(g, tape, bar) if u.ll is None else of_update(g, u, tape, bar) for tape, u, _ in self._sweep()
+            adjoint_of_prediction(g, tape, bar) if u.ll is None else adjoint_of_update(g, u, tape, bar)
+            for tape, u, _ in self._forward_steps()
         ]
 
     def tangent(self) -> Plan:
         """Return the plan of the forward sensitivities, with one lane for each chosen parameter.
 
-        ``ds`` is carried and ``dp`` is constant. ``dll`` and ``fisher`` are summed.
+        Arrays in lanes: ``ds`` (carried), the derivatives of the filter state, which start from those of the initial
+        state; ``dp`` (constant), the unit vector of the chosen parameter; ``dll`` (summed), the derivative of the
+        log-likelihood. ``fisher`` (summed) is the expected Fisher information between all lanes. ``ll`` and ``s`` are
+        those of ``value``.
 
-        Notes ----- The Fisher information of Gaussian innovations is the sum of ``de de' / S + dS dS' / (2 S^2)``. If
-        outliers are allowed, both terms are reduced by a few per cent.
+        Notes
+        -----
+        The Fisher information of Gaussian innovations e with variance S is the sum of
+        ``de de' / S + dS dS' / (2 S^2)``. If outliers are allowed, both terms are reduced by a few per cent.
         """
         g, lanes = self.graphs, {"ds", "dp", "dll"}
-        stages: list[LoopSegment | Gram] = []
+        stages: list[ExpressionStage | GramStage] = []
         ds, dp = ca.SX.sym("ds", self.n_s), ca.SX.sym("dp", self.n_parameters)
-        for q, (_, u, bit) in enumerate(self._sweep()):
+        for q, (_, u, bit) in enumerate(self._forward_steps()):
             seeds = {"ds": ds, "dp": dp}
-            results = {"ds": _tangent(g, u.s, ds, dp)}
+            results = {"ds": _directional_derivative(g, u.s, ds, dp)}
             if u.e is not None:
-                de, dS = _tangent(g, u.e, ds, dp), _tangent(g, u.S, ds, dp)
+                de, dS = _directional_derivative(g, u.e, ds, dp), _directional_derivative(g, u.S, ds, dp)
                 results["dll"] = ca.sum1(0.5 * dS * (u.e * u.slope - 1) / u.S - u.slope * de)
                 part = ca.sqrt(u.information)
                 results[f"v{q}"] = ca.vertcat(part[:, 0] * de / ca.sqrt(u.S), np.sqrt(0.5) * part[:, 1] * dS / u.S)
                 lanes.add(f"v{q}")
-            stages += split(g.inputs, self._effect(u), seeds, results, bit, f"w{q}")
+            stages += split_by_lanes(g.inputs, self._stage_results(u), seeds, results, bit, f"w{q}")
             if u.e is not None:
-                stages.append(Gram(f"v{q}", "fisher", int(results[f"v{q}"].numel()), bit))
+                stages.append(GramStage(f"v{q}", "fisher", int(results[f"v{q}"].numel()), bit))
         return Plan(tuple(stages), ROWS, frozenset(lanes))
 
     def filter(self) -> Plan:
         """Return the plan of the filter output, row by row.
 
-        Rows: predicted and filtered state; Phi by columns; ``e``, the residuals of all outputs by the prediction. For
-        sensor k, ``e<k>`` and ``S<k>`` are the innovations and their variances, given the sensors before it. ``ll`` is
-        summed.
+        Results in rows: ``predicted`` and ``filtered``, the filter state before and after the samples of the row;
+        ``Phi``, the transition matrix to the next row, one matrix column after the other; ``e``, measured minus
+        predicted for all outputs. For sensor k (from zero), ``e<k>`` and ``S<k>`` are the innovations and their
+        variances, given the sensors before it. They are written only in rows in which the sensor has a sample. ``ll``
+        is summed.
         """
         g, rows = self.graphs, {"predicted", "filtered", "Phi", "e"}
         s, Phi = g.predict
         stages = [stage(g.inputs, {"predicted": g.s, "e": g.residual})]
         for bit, u in enumerate(g.updates):
-            stages.append(stage(g.inputs, self._effect(u) | {f"e{bit}": u.e, f"S{bit}": u.S}, bit))
+            stages.append(stage(g.inputs, self._stage_results(u) | {f"e{bit}": u.e, f"S{bit}": u.S}, bit))
             rows |= {f"e{bit}", f"S{bit}"}
         stages.append(stage(g.inputs, {"filtered": g.s, "s": s, "Phi": ca.vec(Phi)}))
         return Plan(tuple(stages), ROWS | rows)
 
     def simulate(self) -> Plan:
-        """Return the plan of a simulation. Rows: states ``x`` and outputs ``z``. ``s`` is carried.
+        """Return the plan of a simulation without process noise.
 
-        The graphs have no covariance.
+        Results in rows: states ``x`` and outputs ``z`` without noise. The carried state ``s`` is the model state. The
+        graphs must have no covariance; this is not checked.
         """
         g = self.graphs
         z = g.output(g.s, g.u, g.p)
@@ -112,24 +134,29 @@ class Plans:
 
     @property
     def tapes(self) -> frozenset[str]:
-        """Names of the arrays that the forward pass writes for the backward pass."""
-        return frozenset(name for adjoint in self._adjoints for name in adjoint.keeps)
+        """Names of the arrays in rows that the forward pass writes for the backward pass."""
+        return frozenset(name for adjoint in self._adjoints for name in adjoint.tape_values)
 
-    def _sweep(self) -> list[tuple[str, Update, int | None]]:
-        """Return a tuple (tape, update, bit of the mask or None) for each stage in order. The prediction has no bit."""
+    def _forward_steps(self) -> list[tuple[str, Update, int | None]]:
+        """Return a tuple (name of the tape array, update, bit of the mask) for each stage in forward order.
+
+        The updates by the sensors come first, with the index of the sensor as their bit. The prediction follows, as an
+        `Update` without a log-likelihood; its bit is None.
+        """
         g = self.graphs
         steps: list[tuple[Update, int | None]] = [(u, bit) for bit, u in enumerate(g.updates)]
         steps.append((Update(g.predict[0], None, None, None), None))
         return [(f"tape{q}", u, bit) for q, (u, bit) in enumerate(steps)]
 
     @staticmethod
-    def _effect(u: Update) -> dict[str, Any]:
-        """Return the results of a stage by name: the state, and the log-likelihood if the stage is an update."""
+    def _stage_results(u: Update) -> dict[str, Any]:
+        """Return the results of a stage by name: the filter state ``s``, and ``ll`` if the stage is an update."""
         return {"s": u.s} if u.ll is None else {"s": u.s, "ll": u.ll}
 
 
-def _tangent(g: EkfGraphs, expression: Any, ds: Any, dp: Any) -> Any:
-    """Return the directional derivative of an expression along ``ds`` and ``dp``.
+def _directional_derivative(g: EkfGraphs, expression: Any, ds: Any, dp: Any) -> Any:
+    """Return the directional derivative of an expression (n, 1), for changes ``ds`` of the filter state and ``dp`` of
+    the parameters.
 
     Subexpressions of inputs and parameters alone are differentiated by the parameters once for all lanes. For example,
     a delayed command has fifty copies, each with a weight that depends on two parameters.

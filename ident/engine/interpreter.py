@@ -11,7 +11,7 @@ from collections.abc import Set as AbstractSet
 import numpy as np
 from numpy.typing import NDArray
 
-from seatrial.ident.engine.loop_plan import Gram, LoopSegment, Plan, Product
+from seatrial.ident.engine.loop_plan import ExpressionStage, GramStage, Plan, ProductStage
 from seatrial.ident.numerics import Array
 
 Mask = NDArray[np.uint32]
@@ -20,66 +20,75 @@ Mask = NDArray[np.uint32]
 def interpret(
     plan: Plan, n_rows: int, groups: int, mask: Mask, arrays: Mapping[str, Array], per_row: AbstractSet[str]
 ) -> None:
-    """Run a plan in place, as the compiled kernel does.
+    """Run a plan with CasADi's own evaluation. The arrays then have the values that the compiled kernel computes.
 
     Parameters
     ----------
     plan : Plan
         Plan to run.
     n_rows, groups : int
-        Number of rows, and number of groups of lanes.
-    mask : Array (n_rows,)
-        Bits of the stages that run in each row.
+        Number of rows, and number of groups of ``plan.width`` lanes.
+    mask : Array (n_rows,) of uint32
+        Bits of the stages that run in each row. A stage with ``bit`` None runs in every row.
     arrays : Mapping[str, Array]
-        Arguments and results by name; results are overwritten.
+        Contiguous arrays of all arguments and results by name, with the number of items of ``plan.shape``. Results are
+        written in place: sums are added to the present values, other results are overwritten.
     per_row : Set[str]
-        Summed results that are kept for each row.
+        Names of summed results that are kept for each row.
     """
     shaped = {name: a.reshape(plan.shape(name, n_rows, groups, name in per_row)) for name, a in arrays.items()}
     order = range(n_rows - 1, -1, -1) if plan.backward else range(n_rows)
     for row in order:
         now = {name: a[row] if name in plan.rows or name in per_row else a for name, a in shaped.items()}
-        for part in plan.stages:
-            if part.bit is not None and not int(mask[row]) >> part.bit & 1:
+        for stage in plan.stages:
+            if stage.bit is not None and not int(mask[row]) >> stage.bit & 1:
                 continue
-            if isinstance(part, Gram):
-                _gram(part, now, groups)
-            elif isinstance(part, Product):
-                _product(part, now)
+            if isinstance(stage, GramStage):
+                _run_gram_stage(stage, now, groups)
+            elif isinstance(stage, ProductStage):
+                _run_product_stage(stage, now)
             else:
-                _stage(plan, part, now, groups)
+                _run_expression_stage(plan, stage, now, groups)
 
 
-def _stage(plan: Plan, part: LoopSegment, now: Mapping[str, Array], groups: int) -> None:
-    """Evaluate one stage in one row: once, or for each lane if the stage has arrays in lanes."""
-    f = part.function
+def _run_expression_stage(plan: Plan, stage: ExpressionStage, now: Mapping[str, Array], groups: int) -> None:
+    """Evaluate one stage in one row and write its results into the arrays ``now`` of this row.
+
+    The stage is evaluated once, or for each lane of all groups if it has arrays in lanes.
+    """
+    f = stage.function
     names_in, names_out = f.name_in(), f.name_out()
     if plan.lanes.isdisjoint([*names_in, *names_out]):
         for name, value in zip(names_out, f.call([now[name] for name in names_in]), strict=True):
-            _store(plan, name, now[name], np.array(value).ravel())
+            _store_result(plan, name, now[name], np.array(value).ravel())
         return
     for group in range(groups):
         for lane in range(plan.width):
-            spot = {name: now[name][group, :, lane] if name in plan.lanes else now[name] for name in now}
-            for name, value in zip(names_out, f.call([spot[name] for name in names_in]), strict=True):
-                _store(plan, name, spot[name], np.array(value).ravel())
+            lane_arrays = {name: now[name][group, :, lane] if name in plan.lanes else now[name] for name in now}
+            for name, value in zip(names_out, f.call([lane_arrays[name] for name in names_in]), strict=True):
+                _store_result(plan, name, lane_arrays[name], np.array(value).ravel())
 
 
-def _store(plan: Plan, name: str, target: Array, value: Array) -> None:
+def _store_result(plan: Plan, name: str, target: Array, value: Array) -> None:
+    """Add ``value`` to ``target`` in place if the result ``name`` is summed; otherwise overwrite ``target``."""
     if name in plan.summed:
         target += value
     else:
         target[...] = value
 
 
-def _gram(part: Gram, now: Mapping[str, Array], groups: int) -> None:
-    """Add the products of all pairs of lanes to the blocks on and above the diagonal."""
-    v = now[part.source]
+def _run_gram_stage(stage: GramStage, now: Mapping[str, Array], groups: int) -> None:
+    """Add the inner products of all pairs of lanes in one row to the result of a Gram stage, in place.
+
+    Only blocks of groups on and above the diagonal are written.
+    """
+    v = now[stage.source]
     for first in range(groups):
         for second in range(first, groups):
-            now[part.result][first, second] += v[first].T @ v[second]
+            now[stage.result][first, second] += v[first].T @ v[second]
 
 
-def _product(part: Product, now: Mapping[str, Array]) -> None:
-    left = [[(1 + factor.twice) * now[factor.array][factor.place] for factor in line] for line in part.left]
-    now[part.result][:] = (np.array(left) @ now[part.right].reshape(-1, part.stride)).ravel()
+def _run_product_stage(stage: ProductStage, now: Mapping[str, Array]) -> None:
+    """Compute the matrix product of a stage in one row and write it into the result array of ``now``."""
+    left = [[(1 + factor.twice) * now[factor.array][factor.entry] for factor in row] for row in stage.left]
+    now[stage.result][:] = (np.array(left) @ now[stage.right].reshape(-1, stage.stride)).ravel()

@@ -39,8 +39,11 @@ COUNT_SHARE = 0.01
 _written: dict[Path, int] = {}  # bytes since the last scan, by folder; the first file of a process starts a scan
 
 
-def _host() -> tuple[str, str, int]:
-    """Return the processor, its features, and the number of doubles in a vector register."""
+def _host_processor() -> tuple[str, str, int]:
+    """Prepare LLVM for this machine. Return the processor's name, its features, and its number of doubles in a vector.
+
+    Without llvmlite, the result is ("", "", 8).
+    """
     if not AVAILABLE:
         return "", "", 8
     if ORDER:
@@ -53,16 +56,20 @@ def _host() -> tuple[str, str, int]:
     return llvm.get_host_cpu_name(), features, width
 
 
-CPU, FEATURES, WIDTH = _host()
+CPU, FEATURES, WIDTH = _host_processor()
 
 
 def cache_folder() -> Path:
-    """Return the folder of cached machine code: ``SEATRIAL_CACHE``, or the user's cache folder of this system."""
+    """Return the folder of cached machine code. It may not exist yet.
+
+    It is the value of the environment variable ``SEATRIAL_CACHE`` if that is set and not empty. Otherwise it is
+    ``seatrial/kernels`` in the user's cache folder of the operating system.
+    """
     chosen = os.environ.get("SEATRIAL_CACHE")
     return Path(chosen) if chosen else Path(user_cache_dir("seatrial")) / "kernels"
 
 
-_quickly: list[object] = []
+_quick_contexts: list[object] = []
 
 
 @contextmanager
@@ -80,30 +87,37 @@ def quick_compilation(n_rows: int) -> Iterator[None]:
         yield
         return
     token = object()
-    _quickly.append(token)
+    _quick_contexts.append(token)
     try:
         yield
     finally:
-        _quickly.remove(token)
+        _quick_contexts.remove(token)
 
 
-def _levels() -> tuple[int, int]:
-    """Return the optimisation levels of the IR passes and of the code generation."""
-    return (QUICK, QUICK) if _quickly else (OPTIMISE, CODEGEN)
+def _optimisation_levels() -> tuple[int, int]:
+    """Return the optimisation levels (0 to 3) of the IR passes and of the code generation. Both are 0 in
+    `quick_compilation`.
+    """
+    return (QUICK, QUICK) if _quick_contexts else (OPTIMISE, CODEGEN)
 
 
 def target() -> tuple[Any, ...]:
-    """Return what the machine code depends on, besides the IR: LLVM's version, processor and options."""
+    """Return what the machine code depends on, besides the IR: version of LLVM (None without llvmlite), name and
+    features of the processor, default optimisation levels, scheduler option.
+    """
     return (llvm.llvm_version_info if AVAILABLE else None, CPU, FEATURES, OPTIMISE, CODEGEN, ORDER)
 
 
 def machine_code_key(ir: str) -> str:
-    """Return the hash that names the machine code of ``ir`` in the cache."""
-    return hashlib.sha256(repr((*target(), _levels(), ir)).encode()).hexdigest()
+    """Return the SHA-256 hash (hexadecimal) that names the machine code of ``ir`` in the cache.
+
+    It depends on the IR, on `target` and on the optimisation levels that hold at the time of the call.
+    """
+    return hashlib.sha256(repr((*target(), _optimisation_levels(), ir)).encode()).hexdigest()
 
 
 def load_machine_code(ir: str, symbol: str) -> tuple[Any, int]:
-    """Load or compile the machine code of ``ir``.
+    """Load the machine code of ``ir`` from the cache on disk. If the cache lacks it, compile and store it.
 
     Parameters
     ----------
@@ -127,49 +141,71 @@ def load_machine_code(ir: str, symbol: str) -> tuple[Any, int]:
     if not AVAILABLE:
         raise RuntimeError("llvmlite is not installed, so kernels cannot be compiled; install llvmlite")
     key = machine_code_key(ir)
-    cached = load_known(key, symbol)
+    cached = load_cached_machine_code(key, symbol)
     if cached is not None:
         return cached
     machine_code = _compile(ir)
     write_cache(f"{key}.o", machine_code)
-    return _link(machine_code, key, symbol)
+    return _link_object_file(machine_code, key, symbol)
 
 
-def load_known(key: str, symbol: str) -> tuple[Any, int] | None:
-    """Load machine code from the cache by its key. Return the library and the address of ``symbol``, or None if not
-    cached.
+def load_cached_machine_code(key: str, symbol: str) -> tuple[Any, int] | None:
+    """Load machine code from the cache on disk.
+
+    Parameters
+    ----------
+    key : str
+        Result of `machine_code_key`.
+    symbol : str
+        Name of a function in the machine code.
+
+    Returns
+    -------
+    tuple[object, int] or None
+        Linked library and address of the function, as from `load_machine_code`. None if the machine code is not in the
+        cache, or if llvmlite is not installed.
     """
     machine_code = read_cache(f"{key}.o") if AVAILABLE else None
-    return None if machine_code is None else _link(machine_code, key, symbol)
+    return None if machine_code is None else _link_object_file(machine_code, key, symbol)
 
 
-def _link(machine_code: bytes, key: str, symbol: str) -> tuple[Any, int]:
+def _link_object_file(machine_code: bytes, key: str, symbol: str) -> tuple[Any, int]:
+    """Link an object file under the name ``key``. Return the library and the address of the function ``symbol``."""
     builder = llvm.JITLibraryBuilder().add_object_img(machine_code).add_current_process().export_symbol(symbol)
-    library = builder.link(llvm.create_lljit_compiler(_machine()), key)
+    library = builder.link(llvm.create_lljit_compiler(_target_machine()), key)
     return library, int(library[symbol])
 
 
-def _machine() -> Any:
-    return llvm.Target.from_default_triple().create_target_machine(CPU, FEATURES, _levels()[1], jit=True)
+def _target_machine() -> Any:
+    """Return LLVM's code generator for this processor, with the optimisation level that holds now."""
+    return llvm.Target.from_default_triple().create_target_machine(CPU, FEATURES, _optimisation_levels()[1], jit=True)
 
 
 def _compile(ir: str) -> bytes:
-    """Return the object file of ``ir``."""
-    machine = _machine()
+    """Check, optimise and compile the IR of a module. Return the object file."""
+    machine = _target_machine()
     module = llvm.parse_assembly(ir)
     module.verify()
-    passes = llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=_levels()[0]))
+    passes = llvm.create_pass_builder(
+        machine, llvm.create_pipeline_tuning_options(speed_level=_optimisation_levels()[0])
+    )
     passes.getModulePassManager().run(module, passes)
     return bytes(machine.emit_object(module))
 
 
 def read_cache(name: str) -> bytes | None:
-    """Return the content of a file of the cache.
+    """Return the content of a file of the cache, and mark the file as used by setting its time of change to now.
+
+    Parameters
+    ----------
+    name : str
+        Name of the file in `cache_folder`.
 
     Returns
     -------
     bytes or None
-        None if the file is missing or damaged, or if another user may write to it or to its folder.
+        None if the file is missing or damaged, or if another user may write to it or to its folder. Errors of the
+        operating system are not raised.
 
     Notes
     -----
@@ -177,24 +213,31 @@ def read_cache(name: str) -> bytes | None:
     """
     try:
         path = cache_folder() / name
-        if not (_is_ours(path) and _is_ours(path.parent)):
+        if not (_only_we_can_write(path) and _only_we_can_write(path.parent)):
             return None
         content = path.read_bytes()
-        os.utime(path)  # `_prune` deletes the least recently used files
+        os.utime(path)  # `_delete_least_recently_used` deletes the least recently used files
     except (OSError, RuntimeError):  # RuntimeError: the user has no home folder
         return None
     digest, data = content[:DIGEST_BYTES], content[DIGEST_BYTES:]
     return data if hashlib.sha256(data).digest() == digest else None
 
 
-def _is_ours(path: Path) -> bool:
-    """Return whether only this user or the administrator can have written to the path."""
+def _only_we_can_write(path: Path) -> bool:
+    """Return whether only this user or the administrator can have written to the path.
+
+    The owner must be one of the two, and neither the group nor others may have the permission to write.
+    """
     about = path.stat()
     return about.st_uid in (os.geteuid(), 0) and not about.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
 
 
 def write_cache(name: str, content: bytes) -> None:
-    """Store a file in the cache for later processes. A cache that cannot be written is not an error."""
+    """Store a file with this name and content in the cache on disk, for later processes.
+
+    If the cache exceeds 400 MB, its least recently used files are deleted. The size is checked at the first file of a
+    process and then after every 4 MB. A cache that cannot be written is not an error.
+    """
     try:
         folder = cache_folder()
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -205,13 +248,15 @@ def write_cache(name: str, content: bytes) -> None:
         _written[folder] = _written.get(folder, LARGEST_CACHE) + len(content)
         if _written[folder] > COUNT_SHARE * LARGEST_CACHE:
             _written[folder] = 0
-            _prune(folder)
+            _delete_least_recently_used(folder)
     except (OSError, RuntimeError):
         return
 
 
-def _prune(folder: Path) -> None:
-    """Delete the least recently used files if the cache exceeds `LARGEST_CACHE`.
+def _delete_least_recently_used(folder: Path) -> None:
+    """Delete the least recently used files of the folder until 70 % of `LARGEST_CACHE` remain.
+
+    Nothing is deleted if the cache does not exceed `LARGEST_CACHE`.
 
     Nonparametric effects and user models are compiled anew each time. Without a limit they would fill the disk.
     """

@@ -28,31 +28,43 @@ if TYPE_CHECKING:
     from seatrial.ident.engine.loop_plan import Plan
 
 Mask = NDArray[np.uint32]
-LINE = 8  # doubles in a cache line
+CACHE_LINE = 8  # doubles in a cache line
 ALL_BITS = 0xFFFFFFFF  # mask of a row in which all sensors have a sample
 MAX_BITS = 32  # bits of a mask, one for each sensor
 
 
 def allocate(shape: Sequence[int], zero: bool = True) -> Array:
-    """Return an array of the given shape that starts at a cache line."""
+    """Return a new float64 array of the given shape whose memory starts at a cache line of the processor.
+
+    The values are zero if ``zero``; otherwise they are arbitrary.
+    """
     size = math.prod(shape)
-    a = (np.zeros if zero else np.empty)(size + LINE)
-    first = -a.ctypes.data // 8 % LINE
+    a = (np.zeros if zero else np.empty)(size + CACHE_LINE)
+    first = -a.ctypes.data // 8 % CACHE_LINE
     return a[first : first + size].reshape(tuple(shape))
 
 
 @dataclass
 class Arena:
-    """Arrays that are reused from call to call, so that the operating system maps their pages only once."""
+    """Memory of arrays that is reused from call to call, so that the operating system maps its pages only once.
 
-    kept: dict[str, Array] = field(default_factory=dict)
+    Attributes
+    ----------
+    arrays : dict[str, Array]
+        Memory by name of the array. It grows if a larger array of the same name is taken.
+    """
+
+    arrays: dict[str, Array] = field(default_factory=dict)
 
     def take(self, name: str, shape: Sequence[int], zero: bool = True) -> Array:
-        """Return the array of this name. The array is set to zero if `zero`; otherwise it has arbitrary values."""
+        """Return the array of this name in a given shape. The next call with the same name returns the same memory.
+
+        The array is set to zero if ``zero``; otherwise it has arbitrary values.
+        """
         size = math.prod(shape)
-        if name not in self.kept or self.kept[name].size < size:
-            self.kept[name] = allocate((size,), zero=False)
-        a = self.kept[name][:size].reshape(tuple(shape))
+        if name not in self.arrays or self.arrays[name].size < size:
+            self.arrays[name] = allocate((size,), zero=False)
+        a = self.arrays[name][:size].reshape(tuple(shape))
         if zero:
             a[...] = 0.0
         return a
@@ -67,7 +79,7 @@ class ArenaPool:
 
     @contextmanager
     def borrow(self) -> Iterator[Arena]:
-        """Lend an arena to the caller for the duration of the context."""
+        """Lend an arena that no other caller has, until the context ends. Create one if all are lent."""
         with self._lock:
             arena = self._free.pop() if self._free else Arena()
         try:
@@ -82,12 +94,12 @@ _warned: list[str] = []  # not empty after the warning that llvmlite is missing:
 
 
 class Kernel:
-    """Executable plan.
+    """Program that runs over all rows of a record, such as a filter or its adjoint.
 
     Parameters
     ----------
     plan : Plan
-        Plan to run.
+        Computation of each row, and the arrays that it reads and writes.
     compiled : bool, optional
         False: interpret the plan, which is slow (reference of the tests). None: compile if llvmlite is installed.
 
@@ -102,9 +114,9 @@ class Kernel:
     _entry: Callable[..., None] | None = None  # entry point of the machine code; None if the plan is interpreted
 
     def __init__(self, plan: Plan, compiled: bool | None = None) -> None:
-        """Compile or interpret the plan."""
+        """Compile the plan, or prepare its interpretation. Without llvmlite, a warning is shown once per process."""
         self.layout, self.code = plan.layout, ""
-        self._make: Callable[[], Plan] = lambda: plan
+        self._build_plan: Callable[[], Plan] = lambda: plan
         if compiled is None:
             compiled = jit.AVAILABLE
             if not compiled and not _warned:
@@ -114,76 +126,80 @@ class Kernel:
                     SeatrialWarning,
                     stacklevel=2,
                 )
-        self._loop: Loop = self._compile() if compiled else self._interpret()
+        self._loop: Loop = self._compile_loop() if compiled else self._interpreting_loop()
 
     @classmethod
-    def from_cache(cls, layout: Layout, code: str, make: Callable[[], Plan]) -> Kernel | None:
-        """Return a kernel with cached machine code.
+    def from_cache(cls, layout: Layout, code: str, build_plan: Callable[[], Plan]) -> Kernel | None:
+        """Return a kernel with machine code from the cache on disk.
 
         Parameters
         ----------
         layout : Layout
             Layout of the arrays.
         code : str
-            Key of the machine code.
-        make : Callable[[], Plan]
-            Builds the plan, if the plan is needed later.
+            Key of the machine code, a result of `jit.machine_code_key`.
+        build_plan : Callable[[], Plan]
+            Builds the plan. It is called only if `plan` is used.
 
         Returns
         -------
         Kernel or None
             None if the machine code is not in the cache.
         """
-        loaded = jit.load_known(code, "kernel")
+        loaded = jit.load_cached_machine_code(code, "kernel")
         if loaded is None:
             return None
         self = cls.__new__(cls)
-        self.layout, self._make, self.code = layout, make, code
-        self._loop = self._linked(*loaded)
+        self.layout, self._build_plan, self.code = layout, build_plan, code
+        self._loop = self._loop_at_address(*loaded)
         return self
 
     @cached_property
     def plan(self) -> Plan:
         """Plan of the kernel, built on first use."""
-        return self._make()
+        return self._build_plan()
 
     def __call__(
         self,
         n_rows: int,
         mask: Mask | None,
-        given: Mapping[str, Array],
+        arguments: Mapping[str, Array],
         *,
         groups: int = 1,
         per_row: AbstractSet[str] = frozenset(),
         arena: Arena | None = None,
     ) -> dict[str, Array]:
-        """Run the kernel over ``n_rows`` rows and return all arrays by name.
+        """Run the kernel over ``n_rows`` rows of a record and return all of its arrays by name.
 
         Parameters
         ----------
         n_rows : int
             Number of rows, at least 1.
         mask : Array (n_rows,) of uint32, optional
-            Bits of the stages that run in each row. None: all bits are set.
-        given : Mapping[str, Array]
-            Contiguous arrays by name, of the shapes of ``Layout.shape``. Results among them are written in place.
-            Other arrays start from zero, except arrays in rows: their rows are undefined until a stage writes them.
+            Bits of the stages that run in each row. In a filter, bit k is set if sensor k has a sample. None: all bits
+            are set.
+        arguments : Mapping[str, Array]
+            Contiguous float64 arrays by name, with the number of items of ``Layout.shape``. Carried arrays and results
+            among them are written in place; sums are added to their present values. Names that the kernel does not use
+            are ignored. Arrays that are missing start from zero, except arrays in rows: their rows are undefined until
+            a stage writes them.
         groups : int
-            Number of groups of lanes.
+            Number of groups of ``layout.width`` lanes.
         per_row : Set[str]
-            Summed results that are kept for each row instead.
+            Names of summed results that are kept for each row instead.
         arena : Arena, optional
-            Memory for the arrays that are not given. These arrays are valid until the next use of the arena.
+            Memory for the arrays that are not in ``arguments``. These arrays are valid until the next use of the arena.
+            None: new memory.
 
         Returns
         -------
         dict[str, Array]
-            All arguments and results.
+            All arrays of the kernel by name, including those of ``arguments``.
 
         Raises
         ------
         ValueError
-            If the mask or an array has the wrong type, shape or memory order.
+            If ``n_rows`` is less than 1, or if the mask or an array has the wrong type, size or memory order.
         """
         layout, take = self.layout, (arena or Arena()).take
         mask = np.full(n_rows, ALL_BITS, np.uint32) if mask is None else mask
@@ -192,7 +208,7 @@ class Kernel:
         arrays: dict[str, Array] = {}
         for name in layout.sizes:
             shape = layout.shape(name, n_rows, groups, name in per_row)
-            a = given[name] if name in given else take(name, shape, name not in layout.rows)
+            a = arguments[name] if name in arguments else take(name, shape, name not in layout.rows)
             if a.dtype != np.float64 or a.size != math.prod(shape) or not a.flags.c_contiguous:
                 raise ValueError(f"{name}: expected contiguous doubles of shape {shape}, got {a.dtype} {a.shape}")
             arrays[name] = a
@@ -200,65 +216,76 @@ class Kernel:
         return arrays
 
     def segments(
-        self, start: Sequence[int], stop: Sequence[int], given: Mapping[str, Array], begin: Array, wanted: Sequence[str]
+        self,
+        start: Sequence[int],
+        stop: Sequence[int],
+        arguments: Mapping[str, Array],
+        initial_values: Array,
+        wanted: Sequence[str],
     ) -> dict[str, Array]:
-        """Run over many segments of the same rows, with all sensors, and return the last row of each segment.
+        """Run over many intervals of one record, each with its own initial state, and return the last row of each.
+
+        All stages run in all rows, as with a mask of all bits. The kernel has exactly one carried array.
 
         Parameters
         ----------
         start, stop : Sequence[int] (n,)
-            Rows [start, stop) of each segment.
-        given : Mapping[str, Array]
-            Arrays in rows for all rows, and the arrays that all segments share.
-        begin : Array (n, size)
-            Initial value of the carried array for each segment.
+            Each interval (segment) consists of the rows from ``start`` to ``stop - 1``. Intervals may overlap.
+        arguments : Mapping[str, Array]
+            Contiguous float64 arrays by name: arrays in rows for all rows of the record, and arrays that all intervals
+            share.
+        initial_values : Array (n, size)
+            Initial value of the carried array for each interval. It is not changed.
         wanted : Sequence[str]
             Names of the arrays in rows to return.
 
         Returns
         -------
         dict[str, Array (n, size)]
-            Last row of each segment, by name.
+            Last row of each interval, by name.
 
         Raises
         ------
         ValueError
-            If a segment is empty or outside the given rows, or if an array has the wrong type, shape or memory order.
+            If an interval is empty or outside the record, if their number differs from that of the initial values, or
+            if an array has the wrong type, size or memory order.
 
         Notes
         -----
-        For short segments, separate calls of the kernel would spend most of their time on the preparation of arrays.
+        For short intervals, separate calls of the kernel would spend most of their time on the preparation of arrays.
         """
         layout, lengths = self.layout, [b - a for a, b in zip(start, stop, strict=True)]
         (carried,) = layout.carried
-        rows_given = min(
+        n_available = min(
             (
-                given[name].size // size
+                arguments[name].size // size
                 for name, size in layout.sizes.items()
-                if size and name in layout.rows and name in given
+                if size and name in layout.rows and name in arguments
             ),
             default=0,
         )
-        if len(begin) != len(lengths) or min(lengths, default=1) < 1 or min(start, default=0) < 0 or (
-                max(stop, default=0) > rows_given):  # fmt: skip
-            raise ValueError(f"segments: each needs a start value and at least one of the {rows_given} given rows")
+        if len(initial_values) != len(lengths) or min(lengths, default=1) < 1 or min(start, default=0) < 0 or (
+                max(stop, default=0) > n_available):  # fmt: skip
+            raise ValueError(
+                f"segments: each needs an initial value and at least one of the {n_available} rows of the arrays"
+            )
         longest = max(lengths, default=0)
         last_rows = {name: np.empty((len(start), layout.sizes[name])) for name in wanted}
-        state, mask = np.array(begin, dtype=np.float64, order="C"), np.full(longest, ALL_BITS, np.uint32)
+        state, mask = np.array(initial_values, dtype=np.float64, order="C"), np.full(longest, ALL_BITS, np.uint32)
         arrays, moves = {}, []
         for name, size in layout.sizes.items():
-            own = state if name == carried else given.get(name)
+            own = state if name == carried else arguments.get(name)
             a = allocate(layout.shape(name, longest, 1)) if own is None else own
             if a.dtype != np.float64 or (a.size % size if size else a.size) or not a.flags.c_contiguous:
                 raise ValueError(f"{name}: expected contiguous doubles, {size} in each row, got {a.dtype} {a.shape}")
             arrays[name] = a
-            along_rows, along_segments = name in layout.rows and name in given, name == carried
+            along_rows, along_segments = name in layout.rows and name in arguments, name == carried
             moves.append((a.ctypes.data, 8 * size * along_rows, 8 * size * along_segments))
         flags = [0] * len(layout.summed)
         for k, (first, last) in enumerate(zip(start, stop, strict=True)):
             if self._entry is None:
                 own_rows = {
-                    name: a[first:last] if name in given else a[: last - first]
+                    name: a[first:last] if name in arguments else a[: last - first]
                     for name, a in arrays.items()
                     if name in layout.rows
                 }
@@ -271,7 +298,11 @@ class Kernel:
         return last_rows
 
     def seeds(self, size: int, chosen: Sequence[int], groups: int | None = None) -> Array:
-        """Return unit vectors (groups, size, width): lane j has a one at entry ``chosen[j]``."""
+        """Return one unit vector of ``size`` entries for each lane, as an array (groups, size, width).
+
+        Lane j, which is lane j % width of group j // width, has a one at entry ``chosen[j]``. Unused lanes are zero.
+        ``groups`` None is the least number of groups for all of ``chosen``.
+        """
         width = self.layout.width
         groups = groups or self.groups(len(chosen))
         unit = np.zeros((groups, size, width))
@@ -280,18 +311,22 @@ class Kernel:
         return unit
 
     def groups(self, n_lanes: int) -> int:
-        """Return the number of groups for this number of lanes."""
+        """Return the number of groups of ``layout.width`` lanes that hold ``n_lanes`` lanes, at least 1."""
         return max(1, -(-n_lanes // self.layout.width))
 
-    def _compile(self) -> Loop:
+    def _compile_loop(self) -> Loop:
+        """Compile the plan, or load its machine code from the cache on disk. Set `code` and return the loop."""
         from seatrial.ident.engine.llvm_emitter import LlvmEmitter
 
         ir = LlvmEmitter(self.plan).ir()
         self.code = jit.machine_code_key(ir)
-        return self._linked(*jit.load_machine_code(ir, "kernel"))
+        return self._loop_at_address(*jit.load_machine_code(ir, "kernel"))
 
-    def _linked(self, library: Any, address: int) -> Loop:
-        """Return the loop that calls the machine code at this address."""
+    def _loop_at_address(self, library: Any, address: int) -> Loop:
+        """Return a function that runs the machine code at this address, and keep the entry point for `segments`.
+
+        The function holds a reference to ``library``, because the machine code is freed with the library.
+        """
         summed, n_arrays = self.layout.summed, len(self.layout.sizes)
         pointers = [ctypes.c_void_p] * (1 + n_arrays)
         entry = self._entry = ctypes.CFUNCTYPE(
@@ -299,6 +334,7 @@ class Kernel:
         )(address)
 
         def run(n_rows: int, groups: int, mask: Mask, arrays: Mapping[str, Array], per_row: AbstractSet[str]) -> None:
+            """Run the machine code over all rows. The results are written into ``arrays``."""
             assert library is not None  # the code lives as long as its library
             entry(
                 n_rows,
@@ -310,7 +346,8 @@ class Kernel:
 
         return run
 
-    def _interpret(self) -> Loop:
+    def _interpreting_loop(self) -> Loop:
+        """Return a function that interprets the plan."""
         from seatrial.ident.engine.interpreter import interpret
 
         plan = self.plan

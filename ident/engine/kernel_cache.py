@@ -26,119 +26,131 @@ from seatrial.ident.model import Model
 
 
 class TracedNumber:
-    """Number without a value that records the operations on it.
+    """Number without a value that records the operations on it as text.
+
+    An operation with a traced number appends a line to ``lines`` and returns a new traced number. numpy's elementwise
+    functions are recorded under their names. A truth value, a reduction or an operand that is no number raises
+    TypeError.
 
     Attributes
     ----------
     lines : list[str]
-        All operations recorded so far.
-    place : int
+        All operations recorded so far, shared by all numbers of one model.
+    index : int
         Index of the line that defines this number.
     """
 
-    __slots__ = ("lines", "place")
+    __slots__ = ("index", "lines")
 
     def __init__(self, lines: list[str], line: str) -> None:
-        self.lines, self.place = lines, len(lines)
+        """Append ``line``, which defines this number, to ``lines``."""
+        self.lines, self.index = lines, len(lines)
         lines.append(line)
 
-    def _then(self, name: str, *operands: Any) -> TracedNumber:
-        return TracedNumber(self.lines, f"{name} {' '.join(_name(o) for o in operands)}")
+    def _record_operation(self, name: str, *operands: Any) -> TracedNumber:
+        """Append the line "name operand ..." and return the number that it defines."""
+        return TracedNumber(self.lines, f"{name} {' '.join(_operand_text(o) for o in operands)}")
 
     def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, **options: Any) -> TracedNumber:
+        """Record the call of an elementwise numpy function. Raise TypeError for reductions and calls with options."""
         if method != "__call__" or options:
             raise TypeError(f"{ufunc.__name__}.{method} cannot be recorded")
-        return self._then(ufunc.__name__, *inputs)
+        return self._record_operation(ufunc.__name__, *inputs)
 
     def __bool__(self) -> bool:
+        """Raise TypeError: the operations of both branches of a condition are not known."""
         raise TypeError("a condition cannot be recorded")
 
     def __add__(self, other: Any) -> TracedNumber:
-        return self._then("add", self, other)
+        return self._record_operation("add", self, other)
 
     def __radd__(self, other: Any) -> TracedNumber:
-        return self._then("add", other, self)
+        return self._record_operation("add", other, self)
 
     def __sub__(self, other: Any) -> TracedNumber:
-        return self._then("subtract", self, other)
+        return self._record_operation("subtract", self, other)
 
     def __rsub__(self, other: Any) -> TracedNumber:
-        return self._then("subtract", other, self)
+        return self._record_operation("subtract", other, self)
 
     def __mul__(self, other: Any) -> TracedNumber:
-        return self._then("multiply", self, other)
+        return self._record_operation("multiply", self, other)
 
     def __rmul__(self, other: Any) -> TracedNumber:
-        return self._then("multiply", other, self)
+        return self._record_operation("multiply", other, self)
 
     def __truediv__(self, other: Any) -> TracedNumber:
-        return self._then("divide", self, other)
+        return self._record_operation("divide", self, other)
 
     def __rtruediv__(self, other: Any) -> TracedNumber:
-        return self._then("divide", other, self)
+        return self._record_operation("divide", other, self)
 
     def __pow__(self, other: Any) -> TracedNumber:
-        return self._then("power", self, other)
+        return self._record_operation("power", self, other)
 
     def __rpow__(self, other: Any) -> TracedNumber:
-        return self._then("power", other, self)
+        return self._record_operation("power", other, self)
 
     def __neg__(self) -> TracedNumber:
-        return self._then("negative", self)
+        return self._record_operation("negative", self)
 
     def __pos__(self) -> TracedNumber:
         return self
 
     def __abs__(self) -> TracedNumber:
-        return self._then("absolute", self)
+        return self._record_operation("absolute", self)
 
     def __lt__(self, other: Any) -> TracedNumber:
-        return self._then("less", self, other)
+        return self._record_operation("less", self, other)
 
     def __le__(self, other: Any) -> TracedNumber:
-        return self._then("less_equal", self, other)
+        return self._record_operation("less_equal", self, other)
 
     def __gt__(self, other: Any) -> TracedNumber:
-        return self._then("greater", self, other)
+        return self._record_operation("greater", self, other)
 
     def __ge__(self, other: Any) -> TracedNumber:
-        return self._then("greater_equal", self, other)
+        return self._record_operation("greater_equal", self, other)
 
     def __eq__(self, other: object) -> TracedNumber:  # type: ignore[override]
-        return self._then("equal", self, other)
+        return self._record_operation("equal", self, other)
 
     def __ne__(self, other: object) -> TracedNumber:  # type: ignore[override]
-        return self._then("not_equal", self, other)
+        return self._record_operation("not_equal", self, other)
 
 
-def _name(operand: Any) -> str:
-    """Return the text of an operand of a recorded expression.
+def _operand_text(operand: Any) -> str:
+    """Return the text of an operand of a recorded operation.
 
-    A number that was computed before is written as ``#`` and its index, a constant as ``float.hex``.
+    A traced number is written as ``#`` and the index of its line, a constant as ``float.hex`` writes it. TypeError is
+    raised for any other type.
     """
     if isinstance(operand, TracedNumber):
-        return f"#{operand.place}"
+        return f"#{operand.index}"
     if isinstance(operand, (int, float, np.integer, np.floating)):
         return float(operand).hex()
     raise TypeError(f"{type(operand).__name__} cannot be recorded")
 
 
 def kernel_key(model: Model, covariance: bool, joseph: bool) -> str | None:
-    """Return the cache key of a model's kernels.
+    """Return the cache key of a model's kernels, without CasADi.
 
-    Two models have the same key only if they have the same kernels.
+    Two models have the same key only if they have the same kernels. The values of the parameters are not part of the
+    key.
 
     Parameters
     ----------
     model : Model
-        Model to trace.
-    covariance, joseph : bool
-        As in `EkfGraphs`.
+        Model whose functions are recorded.
+    covariance : bool
+        True for the extended Kalman filter, False for simulation (output error).
+    joseph : bool
+        Whether the covariance is updated in Joseph's form.
 
     Returns
     -------
     str or None
-        None if a function of the model cannot be recorded.
+        SHA-256 hash (hexadecimal). None if a function of the model cannot be recorded or raises an error.
     """
     lines: list[str] = []
     try:
@@ -147,19 +159,21 @@ def kernel_key(model: Model, covariance: bool, joseph: bool) -> str | None:
             for kind, of in (("x", model.states), ("u", model.inputs), ("p", model.parameters))
         )
         s = model.signals(x, u, p)
-        lines += [f"rate {_name(s.rate[v.name])}" for v in model.states]
-        lines += [f"output {_name(s.y[o.name])}" for o in model.outputs]
+        lines += [f"rate {_operand_text(s.rate[v.name])}" for v in model.states]
+        lines += [f"output {_operand_text(s.y[o.name])}" for o in model.outputs]
     except Exception:  # an error of the model occurs again in `EkfGraphs`, which reports it
         return None
     noise = ([s.noise for s in model.states], [(s.name, s.outputs) for s in model.sensors])
     names = [p.name for p in model.parameters]
-    content = (lines, noise, names, covariance, joseph, model.second_order, _code())
+    content = (lines, noise, names, covariance, joseph, model.second_order, _builder_hash())
     return hashlib.sha256(repr(content).encode()).hexdigest()
 
 
 @cache
-def _code() -> str:
-    """Return a hash of the source code that builds kernels, and of the target machine."""
+def _builder_hash() -> str:
+    """Return a SHA-256 hash of the source code that builds kernels (``ident/engine``, ``ident/model``), and of the
+    processor and the version of LLVM.
+    """
     folder = Path(__file__).parent
     digest = hashlib.sha256(repr(jit.target()).encode())
     for path in sorted([*folder.glob("*.py"), *(folder.parent / "model").glob("*.py")]):
@@ -168,8 +182,19 @@ def _code() -> str:
 
 
 def load_kernel(key: str, name: str) -> tuple[Layout, str] | None:
-    """Return the layout and the key of the machine code of the kernel ``name``. Return None if the cache lacks the
-    kernel.
+    """Read the layout of the arrays and the key of the machine code of a kernel from the cache on disk.
+
+    Parameters
+    ----------
+    key : str
+        Result of `kernel_key`.
+    name : str
+        Name of the kernel, such as ``value``.
+
+    Returns
+    -------
+    tuple[Layout, str] or None
+        Layout, and key for `jit.load_cached_machine_code`. None if the cache lacks the kernel.
     """
     content = jit.read_cache(f"{key}.{name}.json")
     if content is None:
@@ -181,6 +206,9 @@ def load_kernel(key: str, name: str) -> tuple[Layout, str] | None:
 
 
 def store_kernel(key: str, name: str, layout: Layout, code: str) -> None:
-    """Store the layout and the key of the machine code of a kernel in the cache."""
+    """Write the layout of the arrays and the key of the machine code of a kernel to the cache on disk.
+
+    The file is ``<key>.<name>.json``. A cache that cannot be written is not an error.
+    """
     table = {field: sorted(v) if isinstance(v, frozenset) else v for field, v in asdict(layout).items()}
     jit.write_cache(f"{key}.{name}.json", json.dumps(table | {"code": code}).encode())

@@ -1,4 +1,6 @@
-"""LLVM IR of a plan: a loop over rows that contains the instructions of all stages.
+"""LLVM IR (intermediate code of the compiler) of a plan: a loop over rows with the instructions of all stages.
+
+A stage is one step of the loop body. It runs in rows whose mask has the bit of the stage set.
 
 Values that depend on constants only are computed before the loop. A stage with arrays in lanes becomes a separate
 function, called for each group of lanes. In this function, values that depend on lanes are vectors, and all other
@@ -16,7 +18,7 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
-from seatrial.ident.engine.expressions import instructions
+from seatrial.ident.engine.expressions import evaluate_instructions
 from seatrial.ident.engine.llvm_operations import (
     COMPARISONS,
     FAST,
@@ -26,22 +28,22 @@ from seatrial.ident.engine.llvm_operations import (
     TEMPLATES,
     rewritten,
 )
-from seatrial.ident.engine.loop_plan import Gram, LoopSegment, Plan, Product
+from seatrial.ident.engine.loop_plan import ExpressionStage, GramStage, Plan, ProductStage
 
 FRAME = '"frame-pointer"="all"'  # function attribute with which LLVM can align the stack for spilled vectors
 
 
 class Value(NamedTuple):
-    """Number in the generated program.
+    """Number in the generated program: a scalar, or a vector with one value for each lane.
 
     Attributes
     ----------
     text : str
-        Name or literal in the IR.
+        Name (such as ``%.12``) or literal in the IR.
     vector : bool
-        Whether the number has one value for each lane.
+        Whether the number is a vector.
     constant : bool
-        Whether the number is the same in all rows.
+        Whether the number is the same in all rows, so that it is computed before the loop.
     """
 
     text: str
@@ -49,80 +51,108 @@ class Value(NamedTuple):
     constant: bool
 
 
-def _literal(x: float) -> Value:
-    """Return a number as a hexadecimal literal of LLVM."""
+def _hexadecimal_literal(x: float) -> Value:
+    """Return the number x as a constant scalar, written as a hexadecimal literal of LLVM."""
     return Value(f"0x{struct.unpack('<Q', struct.pack('<d', float(x)))[0]:016X}", False, True)
 
 
-ZERO, ONE = _literal(0.0), _literal(1.0)
+ZERO, ONE = _hexadecimal_literal(0.0), _hexadecimal_literal(1.0)
 
 
-def _pointers(names: Iterable[str], attribute: str = "") -> str:
-    """Return the pointer arguments of these arrays, separated by commas."""
+def _pointer_arguments(names: Iterable[str], attribute: str = "") -> str:
+    """Return the arguments ``ptr %name`` for arrays with these names, separated by commas.
+
+    ``attribute`` is an attribute of each argument in a declaration, such as ``noalias``.
+    """
     return ", ".join(f"ptr {attribute} %{name}" for name in names)
 
 
 class LlvmEmitter:
-    """Writer of the LLVM IR of one plan.
+    """Writer of the LLVM IR of one plan. It is used once: `ir` writes the module.
 
     Attributes
     ----------
-    entry : list[str]
-        Lines before the loop.
-    body : list[str]
-        Lines in the loop.
-    functions : list[str]
+    plan : Plan
+        Plan of the kernel.
+    entry_lines : list[str]
+        Lines of IR before the loop over the rows.
+    loop_lines : list[str]
+        Lines in the loop; while a stage with arrays in lanes is written, lines of its function.
+    function_lines : list[str]
         Lines of the functions that the loop calls.
+    declarations : set[str]
+        Declarations of the functions of the C library that are called.
+    values_by_instruction : dict[Any, Value]
+        Result of each instruction that was written. Equal instructions are written once: if they are constant, once in
+        the module, otherwise once in a stage.
+    n_values : int
+        Number of named values so far.
+    flags : str
+        Floating-point flags of the next instructions.
+    stage_index : int
+        Index of the current stage in the plan.
+    in_lane_function : bool
+        Whether the current stage is written as a separate function.
+    width : int
+        Number of doubles in the current vectors.
+    register_values : dict[str, list[Value]]
+        Present value of each entry of the carried arrays that are kept in registers, by name of the array.
+    new_values : dict[tuple[str, int], Value]
+        Values that the current stage has computed for such entries, by name of the array and index of the entry.
     """
 
     def __init__(self, plan: Plan) -> None:
         """Prepare the writer; `ir` writes the module."""
         self.plan = plan
-        self.entry: list[str] = []
-        self.body: list[str] = []
-        self.functions: list[str] = []
-        self.declared: set[str] = set()  # functions of the C library
-        self.memo: dict[Any, Value] = {}  # values by the instruction that computes them
-        self.count = 0  # number of named values so far
+        self.entry_lines: list[str] = []
+        self.loop_lines: list[str] = []
+        self.function_lines: list[str] = []
+        self.declarations: set[str] = set()
+        self.values_by_instruction: dict[Any, Value] = {}
+        self.n_values = 0
         self.flags = FAST
-        self.number = 0  # index of the current stage
-        self.grouped = False  # whether the current stage is a separate function
-        self.width = plan.width  # width of the current vectors
-        # values of the arrays in registers, and the new values that the current stage computes
-        self.held = {
+        self.stage_index = 0
+        self.in_lane_function = False
+        self.width = plan.width
+        self.register_values = {
             name: [Value(f"%held.{name}.{j}", False, False) for j in range(plan.sizes[name])]
             for name in plan.sizes
             if name in plan.carried and not self._in_memory(name)
         }
-        self.fresh: dict[tuple[str, int], Value] = {}
+        self.new_values: dict[tuple[str, int], Value] = {}
 
     def ir(self) -> str:
-        """Return the text of the module, which defines one public function, ``kernel``."""
-        for number, part in enumerate(self.plan.stages):
-            self.number = number
-            self._part(part)
+        """Return the text of the module, which defines one public function, ``kernel``.
+
+        Its arguments are the number of rows, the number of groups, the address of the mask, the addresses of all arrays
+        in the order of ``plan.sizes``, and for each summed result 0 (sum) or 1 (separate results in each row).
+        """
+        for number, stage in enumerate(self.plan.stages):
+            self.stage_index = number
+            self._write_stage(stage)
         steps = "".join(f", i64 %step.{name}" for name in self.plan.summed)
         row = "%last, %i" if self.plan.backward else "%i, 0"
-        fetched, held, kept = self._ends()
+        fetched, held, kept = self._register_array_lines()
         return "\n".join(
             [
                 *FLUSH_TO_ZERO.declared,
-                *sorted(self.declared),
-                *self.functions,
-                f"define void @kernel(i64 %n, i64 %groups, ptr %mask, {_pointers(self.plan.sizes)}{steps}) {FRAME} {{",
+                *sorted(self.declarations),
+                *self.function_lines,
+                f"define void @kernel(i64 %n, i64 %groups, ptr %mask, "
+                f"{_pointer_arguments(self.plan.sizes)}{steps}) {FRAME} {{",
                 "entry:",
                 *FLUSH_TO_ZERO.first,
-                *self.entry,
+                *self.entry_lines,
                 *fetched,
                 "%last = sub i64 %n, 1",
                 "br label %loop",
                 "loop:",
-                f"%i = phi i64 [0, %entry], [%i.next, %end{self.number}]",
+                f"%i = phi i64 [0, %entry], [%i.next, %end{self.stage_index}]",
                 *held,
                 f"%k = sub i64 {row}",
                 "%mask.p = getelementptr i32, ptr %mask, i64 %k",
                 "%mask.k = load i32, ptr %mask.p",
-                *self.body,
+                *self.loop_lines,
                 "%i.next = add i64 %i, 1",
                 "%more = icmp slt i64 %i.next, %n",
                 "br i1 %more, label %loop, label %exit",
@@ -136,118 +166,141 @@ class LlvmEmitter:
         )
 
     def _in_memory(self, name: str) -> bool:
-        """Return whether a carried array needs an address, for a function or for vectors of several entries."""
-        for part in self.plan.stages:
-            if isinstance(part, Product) and name in (part.right, part.result):
+        """Return whether a carried array stays in memory instead of registers.
+
+        It does if it has lanes, if a stage that is a separate function uses it, or if it is the right matrix or the
+        result of a matrix product.
+        """
+        for stage in self.plan.stages:
+            if isinstance(stage, ProductStage) and name in (stage.right, stage.result):
                 return True
-            if isinstance(part, LoopSegment):
-                names = {*part.function.name_in(), *part.function.name_out()}
+            if isinstance(stage, ExpressionStage):
+                names = {*stage.function.name_in(), *stage.function.name_out()}
                 if name in names and names & self.plan.lanes:
                     return True
         return name in self.plan.lanes
 
-    def _ends(self) -> tuple[list[str], list[str], list[str]]:
-        """Return the lines that move arrays in registers: load before the loop, pass to the next row, store after the
-        loop.
+    def _register_array_lines(self) -> tuple[list[str], list[str], list[str]]:
+        """Return the lines for carried arrays in registers.
+
+        Returns
+        -------
+        tuple[list[str], list[str], list[str]]
+            Lines that load the arrays before the loop, pass them to the next row, and store them after the loop.
         """
         fetched, held, kept = [], [], []
-        for name, values in self.held.items():
+        for name, values in self.register_values.items():
             for j, value in enumerate(values):
                 at, first = f"%held.{name}.{j}.p", f"%held.{name}.{j}.first"
                 fetched += [f"{at} = getelementptr double, ptr %{name}, i64 {j}", f"{first} = load double, ptr {at}"]
-                held.append(f"%held.{name}.{j} = phi double [{first}, %entry], [{value.text}, %end{self.number}]")
+                held.append(f"%held.{name}.{j} = phi double [{first}, %entry], [{value.text}, %end{self.stage_index}]")
                 kept.append(f"store double {value.text}, ptr {at}")
         return fetched, held, kept
 
     # Stages
 
-    def _part(self, part: LoopSegment | Gram | Product) -> None:
-        """Write one stage. Skip the stage in rows whose mask lacks its bit."""
-        q = self.number
-        if part.bit is None:
-            self._write(f"br label %do{q}")
+    def _write_stage(self, stage: ExpressionStage | GramStage | ProductStage) -> None:
+        """Write one stage, with a branch that skips the stage in rows whose mask lacks its bit."""
+        q = self.stage_index
+        if stage.bit is None:
+            self._append_lines(f"br label %do{q}")
         else:
-            self._write(
-                f"%bit{q} = and i32 %mask.k, {1 << part.bit}",
+            self._append_lines(
+                f"%bit{q} = and i32 %mask.k, {1 << stage.bit}",
                 f"%on{q} = icmp ne i32 %bit{q}, 0",
                 f"br i1 %on{q}, label %do{q}, label %end{q}",
             )
-        self._write(f"do{q}:")
-        if isinstance(part, Gram):
-            self._gram(part)
-        elif isinstance(part, Product):
-            self._product(part)
-            self._write(f"br label %end{q}")
-        elif self.plan.lanes.isdisjoint([*part.function.name_in(), *part.function.name_out()]):
-            self._instructions(part)
-            self._write(f"br label %end{q}")
+        self._append_lines(f"do{q}:")
+        if isinstance(stage, GramStage):
+            self._write_gram(stage)
+        elif isinstance(stage, ProductStage):
+            self._write_product(stage)
+            self._append_lines(f"br label %end{q}")
+        elif self.plan.lanes.isdisjoint([*stage.function.name_in(), *stage.function.name_out()]):
+            self._write_instructions(stage)
+            self._append_lines(f"br label %end{q}")
         else:
-            self._lanes(part)
-        self._write(f"end{q}:")
-        self._settle(part.bit is not None)
+            self._write_lane_function(stage)
+        self._append_lines(f"end{q}:")
+        self._assign_new_values(stage.bit is not None)
 
-    def _settle(self, sometimes: bool) -> None:
-        """Assign the new values of the current stage to the arrays in registers.
+    def _assign_new_values(self, sometimes: bool) -> None:
+        """Assign the new values of the current stage to the carried arrays in registers, and clear ``new_values``.
 
-        ``sometimes``: the stage is skipped in some rows, where the arrays keep their old values.
+        ``sometimes``: whether the stage is skipped in some rows, where the arrays keep their old values.
         """
-        q, before = self.number, f"%end{self.number - 1}" if self.number else "%loop"
-        for (name, j), value in self.fresh.items():
-            old = self.held[name][j]
+        q, before = self.stage_index, f"%end{self.stage_index - 1}" if self.stage_index else "%loop"
+        for (name, j), value in self.new_values.items():
+            old = self.register_values[name][j]
             if sometimes:
-                self._write(f"%held.{name}.{j}.{q} = phi double [{value.text}, %do{q}], [{old.text}, {before}]")
+                self._append_lines(f"%held.{name}.{j}.{q} = phi double [{value.text}, %do{q}], [{old.text}, {before}]")
                 value = Value(f"%held.{name}.{j}.{q}", False, False)
-            self.held[name][j] = value
-        self.fresh = {}
+            self.register_values[name][j] = value
+        self.new_values = {}
 
-    def _instructions(self, part: LoopSegment) -> None:
-        """Write the instructions of one stage."""
-        f = part.function
+    def _write_instructions(self, stage: ExpressionStage) -> None:
+        """Write the instructions of a stage of CasADi expressions. Results that are also arguments are stored last."""
+        f = stage.function
         arguments, names = f.name_in(), f.name_out()
         late: list[tuple[str, int, Value]] = []
 
         def done(i: int, j: int, value: Value) -> None:
+            """Store entry j of result i at once, or keep it in ``late`` if the stage may still read the array."""
             if names[i] in arguments or names[i] in self.plan.summed:
                 late.append((names[i], j, value))  # the stage may still have to read the old value
             else:
-                self._store(names[i], j, value)  # a value stored at once needs no register any more
+                self._store_entry(names[i], j, value)  # a value stored at once needs no register any more
 
-        instructions(f, lambda i, j: self._load(arguments[i], j), self._constant, self._apply, done)
+        evaluate_instructions(
+            f, lambda i, j: self._load_entry(arguments[i], j), self._constant_literal, self._write_operation, done
+        )
         for result in late:
-            self._store(*result)
+            self._store_entry(*result)
 
-    def _lanes(self, part: LoopSegment) -> None:
+    def _write_lane_function(self, stage: ExpressionStage) -> None:
         """Write a stage with arrays in lanes as a function, and its call for each group of lanes."""
-        q, f = self.number, part.function
+        q, f = self.stage_index, stage.function
         used = list(dict.fromkeys([*f.name_in(), *f.name_out()]))
         steps = [name for name in used if name in self.plan.summed]
-        outer, self.body, self.grouped = self.body, [], True
-        self._instructions(part)
+        outer, self.loop_lines, self.in_lane_function = self.loop_lines, [], True
+        self._write_instructions(stage)
         declared = "".join(f", i64 %step.{name}" for name in steps)
-        self.functions += [
-            f"define internal void @stage{q}(i64 %k, i64 %g, i64 %groups, {_pointers(used, 'noalias')}{declared}) "
-            f"noinline {FRAME} {{",
-            *self.body,
+        self.function_lines += [
+            f"define internal void @stage{q}(i64 %k, i64 %g, i64 %groups, "
+            f"{_pointer_arguments(used, 'noalias')}{declared}) noinline {FRAME} {{",
+            *self.loop_lines,
             "ret void",
             "}",
         ]
-        self.body, self.grouped = outer, False
-        self._group_loop(
+        self.loop_lines, self.in_lane_function = outer, False
+        self._write_group_loop(
             f"do{q}",
             f"g{q}",
             "0",
-            [f"call void @stage{q}(i64 %k, i64 %g{q}, i64 %groups, {_pointers(used)}{declared})"],
+            [f"call void @stage{q}(i64 %k, i64 %g{q}, i64 %groups, {_pointer_arguments(used)}{declared})"],
             f"end{q}",
         )
 
-    def _group_loop(self, origin: str, index: str, first: str, body: list[str], end: str, tail: str = "") -> None:
-        """Write a loop of ``index`` from ``first`` to the last group.
+    def _write_group_loop(self, origin: str, index: str, first: str, body: list[str], end: str, tail: str = "") -> None:
+        """Write a loop over groups of lanes, with an index from ``first`` to the last group.
 
-        ``origin`` is the block before the loop, ``end`` the block after it. ``tail`` is the last block of the body, if
-        the body has several blocks.
+        Parameters
+        ----------
+        origin : str
+            Label of the basic block before the loop.
+        index : str
+            Name of the index, without the percent sign.
+        first : str
+            First value of the index: a literal or a name.
+        body : list[str]
+            Lines of the loop body.
+        end : str
+            Label of the basic block after the loop.
+        tail : str
+            Label of the last basic block of the body, if the body has several. Empty if it has one.
         """
         block = f"loop.{index}"
-        self._write(
+        self._append_lines(
             f"br label %{block}",
             f"{block}:",
             f"%{index} = phi i64 [{first}, %{origin}], [%{index}.next, %{tail or block}]",
@@ -257,30 +310,33 @@ class LlvmEmitter:
             f"br i1 %more.{index}, label %{block}, label %{end}",
         )
 
-    def _gram(self, part: Gram) -> None:
-        """Write the loops over all pairs of groups on and above the diagonal."""
-        q = self.number
-        self._gram_function(part)
-        call = f"call void @stage{q}(i64 %a{q}, i64 %b{q}, i64 %groups, {_pointers([part.source, part.result])})"
-        outer, self.body = self.body, []
-        self._group_loop(f"loop.a{q}", f"b{q}", f"%a{q}", [call], f"tail{q}")
-        inner, self.body = self.body, outer
-        self._group_loop(f"do{q}", f"a{q}", "0", [*inner, f"tail{q}:"], f"end{q}", tail=f"tail{q}")
+    def _write_gram(self, stage: GramStage) -> None:
+        """Write a Gram stage: a function, and its call for all pairs of groups on and above the diagonal."""
+        q = self.stage_index
+        self._write_gram_function(stage)
+        call = (
+            f"call void @stage{q}(i64 %a{q}, i64 %b{q}, i64 %groups, "
+            f"{_pointer_arguments([stage.source, stage.result])})"
+        )
+        outer, self.loop_lines = self.loop_lines, []
+        self._write_group_loop(f"loop.a{q}", f"b{q}", f"%a{q}", [call], f"tail{q}")
+        inner, self.loop_lines = self.loop_lines, outer
+        self._write_group_loop(f"do{q}", f"a{q}", "0", [*inner, f"tail{q}:"], f"end{q}", tail=f"tail{q}")
 
-    def _gram_function(self, part: Gram) -> None:
-        """Write the function that adds the products of all lanes of two groups."""
-        width, vector = self.plan.width, self._type(True)
+    def _write_gram_function(self, stage: GramStage) -> None:
+        """Write the function of a Gram stage: it adds the inner products between all lanes of the groups a and b."""
+        width, vector = self.plan.width, self._type_text(True)
         lines = [
-            f"%left = mul i64 %a, {part.entries * width}",
-            f"%right = mul i64 %b, {part.entries}",
+            f"%left = mul i64 %a, {stage.entries * width}",
+            f"%right = mul i64 %b, {stage.entries}",
             "%line = mul i64 %a, %groups",
             "%block = add i64 %line, %b",
             f"%first = mul i64 %block, {width}",
-            f"%scalars = getelementptr double, ptr %{part.source}, i64 %left",
-            f"%vectors = getelementptr {vector}, ptr %{part.source}, i64 %right",
-            f"%sums = getelementptr {vector}, ptr %{part.result}, i64 %first",
+            f"%scalars = getelementptr double, ptr %{stage.source}, i64 %left",
+            f"%vectors = getelementptr {vector}, ptr %{stage.source}, i64 %right",
+            f"%sums = getelementptr {vector}, ptr %{stage.result}, i64 %first",
         ]
-        for e in range(part.entries):
+        for e in range(stage.entries):
             lines += [
                 f"%b{e}.p = getelementptr {vector}, ptr %vectors, i64 {e}",
                 f"%b{e} = load {vector}, ptr %b{e}.p, align 8",
@@ -290,7 +346,7 @@ class LlvmEmitter:
                 f"%s{i}.p = getelementptr {vector}, ptr %sums, i64 {i}",
                 f"%s{i}.0 = load {vector}, ptr %s{i}.p, align 8",
             ]
-            for e in range(part.entries):
+            for e in range(stage.entries):
                 t = f"{i}.{e}"
                 lines += [
                     f"%a{t}.p = getelementptr double, ptr %scalars, i64 {e * width + i}",
@@ -300,174 +356,218 @@ class LlvmEmitter:
                     f"%m{t} = fmul {FAST} {vector} %v{t}, %b{e}",
                     f"%s{i}.{e + 1} = fadd {FAST} {vector} %s{i}.{e}, %m{t}",
                 ]
-            lines.append(f"store {vector} %s{i}.{part.entries}, ptr %s{i}.p, align 8")
-        arguments = _pointers([part.source, part.result], "noalias")
-        self.functions += [
-            f"define internal void @stage{self.number}(i64 %a, i64 %b, i64 %groups, {arguments}) noinline {FRAME} {{",
+            lines.append(f"store {vector} %s{i}.{stage.entries}, ptr %s{i}.p, align 8")
+        arguments = _pointer_arguments([stage.source, stage.result], "noalias")
+        self.function_lines += [
+            f"define internal void @stage{self.stage_index}(i64 %a, i64 %b, i64 %groups, "
+            f"{arguments}) noinline {FRAME} {{",
             *lines,
             "ret void",
             "}",
         ]
 
-    def _product(self, part: Product) -> None:
-        """Write a matrix product with vectors along the rows of the right matrix."""
-        self.width = part.width
-        for i, line in enumerate(part.left):
-            factors = [self._load(factor.array, factor.place) for factor in line]
+    def _write_product(self, stage: ProductStage) -> None:
+        """Write a matrix product. A vector holds ``stage.width`` neighbouring numbers of a row of the right matrix."""
+        self.width = stage.width
+        for i, line in enumerate(stage.left):
+            factors = [self._load_entry(factor.array, factor.entry) for factor in line]
             factors = [
-                self._op("fadd {F} {T} {0}, {0}", value) if factor.twice else value
+                self._write_instruction("fadd {F} {T} {0}, {0}", value) if factor.twice else value
                 for factor, value in zip(line, factors, strict=True)
             ]
-            for first in range(0, part.stride, part.width):
+            for first in range(0, stage.stride, stage.width):
                 terms = []
                 for j, value in enumerate(factors):
-                    at = self._address(part.right, j * part.stride + first)
-                    right = self._op(f"load {{T}}, ptr {at}, align 8", vector=True, constant=False)
-                    terms.append(self._op("fmul {F} {T} {0}, {1}", value, right))
-                at = self._address(part.result, i * part.stride + first)
-                self._write(f"store {self._type(True)} {self._sum(terms).text}, ptr {at}, align 8")
+                    at = self._write_address(stage.right, j * stage.stride + first)
+                    right = self._write_instruction(f"load {{T}}, ptr {at}, align 8", vector=True, constant=False)
+                    terms.append(self._write_instruction("fmul {F} {T} {0}, {1}", value, right))
+                at = self._write_address(stage.result, i * stage.stride + first)
+                self._append_lines(f"store {self._type_text(True)} {self._write_sum(terms).text}, ptr {at}, align 8")
         self.width = self.plan.width
 
-    def _sum(self, terms: list[Value]) -> Value:
-        """Add the terms in two independent halves, which the processor can compute at the same time."""
+    def _write_sum(self, terms: list[Value]) -> Value:
+        """Write the sum of the terms and return it.
+
+        The two halves of the terms are added independently, so that the processor can compute them at the same time.
+        """
         self.flags = STRICT  # with FAST, LLVM would reorder the additions into one chain
         half = (len(terms) + 1) // 2
         first, *more = [
-            reduce(partial(self._op, "fadd {F} {T} {0}, {1}"), part) for part in (terms[:half], terms[half:]) if part
+            reduce(partial(self._write_instruction, "fadd {F} {T} {0}, {1}"), part)
+            for part in (terms[:half], terms[half:])
+            if part
         ]
-        total = self._op("fadd {F} {T} {0}, {1}", first, *more) if more else first
+        total = self._write_instruction("fadd {F} {T} {0}, {1}", first, *more) if more else first
         self.flags = FAST
         return total
 
     # Instructions
 
-    def _constant(self, x: float) -> Value:
-        """Return the literal of a number. Raise ValueError for NaN, which CasADi inserts for a lost symbol."""
+    def _constant_literal(self, x: float) -> Value:
+        """Return the number x as a literal. Raise ValueError for NaN, which CasADi inserts for a lost symbol."""
         if math.isnan(x):
             raise ValueError(
                 "the model converts its symbols to numbers (math.sin, float(), np.zeros); use numpy's functions"
             )
-        return _literal(x)
+        return _hexadecimal_literal(x)
 
-    def _apply(self, code: int, *a: Value) -> Value:
-        """Write one CasADi operation."""
+    def _write_operation(self, code: int, *a: Value) -> Value:
+        """Write one CasADi operation on one or two operands and return its result.
+
+        ``code`` is CasADi's code of the operation, such as ``casadi.OP_ADD``. NotImplementedError is raised for an
+        operation that LLVM and the C library do not have.
+        """
         if code in TEMPLATES:
-            return self._op(TEMPLATES[code], *a)
+            return self._write_instruction(TEMPLATES[code], *a)
         if code in (ca.OP_DIV, ca.OP_INV):  # the reciprocal is shared, and moves before the loop if it is constant
-            r = self._op("fdiv {F} {T} {0}, {1}", ONE, a[-1])
-            return self._apply(ca.OP_MUL, a[0], r) if code == ca.OP_DIV else r
+            r = self._write_instruction("fdiv {F} {T} {0}, {1}", ONE, a[-1])
+            return self._write_operation(ca.OP_MUL, a[0], r) if code == ca.OP_DIV else r
         if code in rewritten():
             self.flags = STRICT  # the range reduction of sin and cos relies on the order of its operations
-            result = instructions(rewritten()[code], lambda i, j: a[i], self._constant, self._apply)[0][0]
+            result = evaluate_instructions(
+                rewritten()[code], lambda i, j: a[i], self._constant_literal, self._write_operation
+            )[0][0]
             self.flags = FAST
             return result
         if code in COMPARISONS:
-            return self._select(COMPARISONS[code], a[0], a[1], ONE)
+            return self._write_select(COMPARISONS[code], a[0], a[1], ONE)
         if code == ca.OP_IF_ELSE_ZERO:
-            return self._select("une", a[0], ZERO, a[1])
+            return self._write_select("une", a[0], ZERO, a[1])
         if code in LIBRARY:
-            return self._call(LIBRARY[code], *a)
-        raise NotImplementedError(f"the engine does not support CasADi's operation {code}")
+            return self._write_library_call(LIBRARY[code], *a)
+        raise NotImplementedError(f"CasADi's operation {code} in the model cannot be compiled; use another function")
 
-    def _op(
+    def _write_instruction(
         self, template: str, *args: Value, vector: bool = False, constant: bool = True, again: bool = False
     ) -> Value:
-        """Write an instruction, unless it was written before. Return its value.
+        """Write an instruction, unless the same instruction was written before. Return its value.
 
-        In the template, ``{T}`` is the type, ``{S}`` its name in intrinsics, ``{F}`` the floating-point flags.
-        ``again``: write the instruction in any case.
+        Parameters
+        ----------
+        template : str
+            Instruction, in which ``{0}`` and ``{1}`` are the operands, ``{T}`` is the type, ``{S}`` the type's name in
+            intrinsics and ``{F}`` the floating-point flags.
+        *args : Value
+            Operands. Scalars are repeated in all lanes if another operand is a vector.
+        vector : bool
+            Whether the result is a vector although no operand is.
+        constant : bool
+            False: the result varies from row to row although its operands do not.
+        again : bool
+            Whether to write the instruction even if it was written before.
         """
         vector = vector or any(a.vector for a in args)
-        constant = constant and not self.grouped and all(a.constant for a in args)
-        operands = [self._splat(a) if vector else a.text for a in args]
+        constant = constant and not self.in_lane_function and all(a.constant for a in args)
+        operands = [self._vector_text(a) if vector else a.text for a in args]
         code = template.format(
-            *operands, T=self._type(vector), S=f"v{self.width}f64" if vector else "f64", F=self.flags
+            *operands, T=self._type_text(vector), S=f"v{self.width}f64" if vector else "f64", F=self.flags
         )
-        key = code if constant else (code, self.number)
-        if again or key not in self.memo:
-            self.count += 1
-            self.memo[key] = Value(f"%.{self.count}", vector, constant)
-            self._write(f"%.{self.count} = {code}", constant=constant)
-        return self.memo[key]
+        key = code if constant else (code, self.stage_index)
+        if again or key not in self.values_by_instruction:
+            self.n_values += 1
+            self.values_by_instruction[key] = Value(f"%.{self.n_values}", vector, constant)
+            self._append_lines(f"%.{self.n_values} = {code}", constant=constant)
+        return self.values_by_instruction[key]
 
-    def _select(self, comparison: str, x: Value, y: Value, result: Value) -> Value:
-        """Return ``result`` if the comparison holds, otherwise zero."""
-        c = self._op(f"fcmp {comparison} {{T}} {{0}}, {{1}}", x, y)
+    def _write_select(self, comparison: str, x: Value, y: Value, result: Value) -> Value:
+        """Write the expression "``result`` if x and y compare as ``comparison``, otherwise zero" and return its value.
+
+        ``comparison`` is LLVM's name of a floating-point comparison: ``olt``, ``ole``, ``oeq`` or ``une``.
+        """
+        c = self._write_instruction(f"fcmp {comparison} {{T}} {{0}}, {{1}}", x, y)
         test = f"<{self.plan.width} x i1>" if c.vector else "i1"
-        return self._op(
+        return self._write_instruction(
             f"select {test} {c.text}, {{T}} {{0}}, {{T}} {{1}}", result, ZERO, vector=c.vector, constant=c.constant
         )
 
-    def _call(self, name: str, *a: Value) -> Value:
-        """Call a function of the C library, for each lane separately."""
+    def _write_library_call(self, name: str, *a: Value) -> Value:
+        """Write the call of the function ``name`` of the C library, for each lane separately. Return the result."""
         if not any(x.vector for x in a):
-            self.declared.add(f"declare double @{name}({', '.join(['double'] * len(a))}) memory(none)")
-            return self._op(f"call double @{name}({', '.join(f'double {{{i}}}' for i in range(len(a)))})", *a)
+            self.declarations.add(f"declare double @{name}({', '.join(['double'] * len(a))}) memory(none)")
+            return self._write_instruction(
+                f"call double @{name}({', '.join(f'double {{{i}}}' for i in range(len(a)))})", *a
+            )
         result = Value("poison", True, True)
         for i in range(self.plan.width):
             parts = [
-                self._op(f"extractelement {{T}} {{0}}, i32 {i}", x)._replace(vector=False) if x.vector else x for x in a
+                self._write_instruction(f"extractelement {{T}} {{0}}, i32 {i}", x)._replace(vector=False)
+                if x.vector
+                else x
+                for x in a
             ]
-            part = self._call(name, *parts)
-            result = self._op(f"insertelement {{T}} {{0}}, double {part.text}, i32 {i}", result, constant=part.constant)
+            part = self._write_library_call(name, *parts)
+            result = self._write_instruction(
+                f"insertelement {{T}} {{0}}, double {part.text}, i32 {i}", result, constant=part.constant
+            )
         return result
 
-    def _splat(self, a: Value) -> str:
-        """Return the text of a value as a vector, with scalars repeated in all lanes."""
+    def _vector_text(self, a: Value) -> str:
+        """Return the text of a value as a vector. A scalar is repeated in all lanes."""
         if a.vector:
             return a.text
         if a.text[0] != "%":
             return f"splat (double {a.text})"
-        first = self._op(f"insertelement {{T}} poison, double {a.text}, i32 0", vector=True, constant=a.constant)
+        first = self._write_instruction(
+            f"insertelement {{T}} poison, double {a.text}, i32 0", vector=True, constant=a.constant
+        )
         zeros = f"<{self.width} x i32> zeroinitializer"
-        return self._op(f"shufflevector {{T}} {{0}}, {{T}} poison, {zeros}", first).text
+        return self._write_instruction(f"shufflevector {{T}} {{0}}, {{T}} poison, {zeros}", first).text
 
     # Memory
 
-    def _address(self, name: str, j: int) -> str:
-        """Return the pointer to entry j of an array in the current row and group."""
-        kind, size, pointer = self._type(name in self.plan.lanes), self.plan.sizes[name], f"%{name}"
+    def _write_address(self, name: str, j: int) -> str:
+        """Write the address computation of entry j of an array in the current row and group. Return the pointer."""
+        kind, size, pointer = self._type_text(name in self.plan.lanes), self.plan.sizes[name], f"%{name}"
         offsets: list[str] = []
         if name in self.plan.rows or name in self.plan.summed:
             row = "%k"
             if name in self.plan.summed:  # the step is 0 for a sum over rows and 1 for separate results in each row
-                row = self._op(f"mul i64 %k, %step.{name}", constant=False).text
+                row = self._write_instruction(f"mul i64 %k, %step.{name}", constant=False).text
             if name in self.plan.lanes:
-                row = self._op(f"mul i64 {row}, %groups", constant=False).text
+                row = self._write_instruction(f"mul i64 {row}, %groups", constant=False).text
             offsets.append(row)
         if name in self.plan.lanes:
             offsets.append("%g")
         for offset in offsets:
-            entries = self._op(f"mul i64 {offset}, {size}", constant=False).text
-            pointer = self._op(f"getelementptr {kind}, ptr {pointer}, i64 {entries}", constant=False).text
-        return self._op(f"getelementptr {kind}, ptr {pointer}, i64 {j}", constant=not offsets).text
+            entries = self._write_instruction(f"mul i64 {offset}, {size}", constant=False).text
+            pointer = self._write_instruction(
+                f"getelementptr {kind}, ptr {pointer}, i64 {entries}", constant=False
+            ).text
+        return self._write_instruction(f"getelementptr {kind}, ptr {pointer}, i64 {j}", constant=not offsets).text
 
-    def _load(self, name: str, j: int, again: bool = False) -> Value:
-        """Return entry j of an array. ``again``: load the entry even if it was loaded before."""
-        if name in self.held:
-            return self.held[name][j]
+    def _load_entry(self, name: str, j: int, again: bool = False) -> Value:
+        """Return entry j of an array in the current row and group, from its register or from memory.
+
+        ``again``: whether to load the entry from memory even if it was loaded before.
+        """
+        if name in self.register_values:
+            return self.register_values[name][j]
         varies = name in self.plan.rows or name in self.plan.carried or again
-        return self._op(
-            f"load {{T}}, ptr {self._address(name, j)}, align 8",
+        return self._write_instruction(
+            f"load {{T}}, ptr {self._write_address(name, j)}, align 8",
             vector=name in self.plan.lanes,
             constant=not varies,
             again=again,
         )
 
-    def _store(self, name: str, j: int, value: Value) -> None:
-        """Write entry j of an array, or add to the entry if the array is summed."""
-        if name in self.held:
-            self.fresh[name, j] = value
+    def _store_entry(self, name: str, j: int, value: Value) -> None:
+        """Write the assignment of a value to entry j of an array, or its addition if the array is summed.
+
+        For a carried array in registers, only the value is noted in ``new_values``.
+        """
+        if name in self.register_values:
+            self.new_values[name, j] = value
             return
         lane = name in self.plan.lanes
         if name in self.plan.summed:
-            value = self._apply(ca.OP_ADD, value, self._load(name, j, again=True))
-        text = self._splat(value) if lane else value.text
-        self._write(f"store {self._type(lane)} {text}, ptr {self._address(name, j)}, align 8")
+            value = self._write_operation(ca.OP_ADD, value, self._load_entry(name, j, again=True))
+        text = self._vector_text(value) if lane else value.text
+        self._append_lines(f"store {self._type_text(lane)} {text}, ptr {self._write_address(name, j)}, align 8")
 
-    def _type(self, vector: bool) -> str:
+    def _type_text(self, vector: bool) -> str:
+        """Return LLVM's name of the type: a vector of ``width`` doubles, or double."""
         return f"<{self.width} x double>" if vector else "double"
 
-    def _write(self, *lines: str, constant: bool = False) -> None:
-        """Append lines to the loop, or before the loop if they are constant."""
-        (self.entry if constant else self.body).extend(lines)
+    def _append_lines(self, *lines: str, constant: bool = False) -> None:
+        """Append lines to the loop, or to the lines before the loop if ``constant``."""
+        (self.entry_lines if constant else self.loop_lines).extend(lines)

@@ -20,14 +20,18 @@ FAST = STRICT + " reassoc"
 class FlushToZero(NamedTuple):
     """Instructions with which a kernel treats numbers below the smallest normal number (2e-308) as zero.
 
+    All fields are empty on a processor for which they are not known.
+
     Attributes
     ----------
     declared : tuple[str, ...]
-        Declarations of the module.
+        Lines of LLVM IR that declare the intrinsics in the module.
     first, last : tuple[str, ...]
-        Instructions at the start and at the end of the kernel.
+        Lines of LLVM IR at the start of the kernel, which set the processor's mode, and at its end, which restore it.
 
-    Notes ----- A processor takes a hundred cycles for each subnormal number. Covariances that decay, for example of a
+    Notes
+    -----
+    A processor takes a hundred cycles for each subnormal number. Covariances that decay, for example of a
     biased sensor, stay in this range permanently. Without these instructions, filters were four to ten times slower on
     quiet data.
     """
@@ -54,8 +58,11 @@ _ARM = FlushToZero(
 FLUSH_TO_ZERO = {"x86_64": _X86, "AMD64": _X86, "aarch64": _ARM, "arm64": _ARM}.get(platform.machine(), FlushToZero())
 
 
-def _templates() -> dict[int, str]:
-    """Return the templates of the operations that LLVM has as instructions or intrinsics, by CasADi's code."""
+def _operation_templates() -> dict[int, str]:
+    """Return the templates of the operations that LLVM has as instructions or intrinsics.
+
+    A key is CasADi's code of the operation, such as ``casadi.OP_ADD``. The module explains the fields of a template.
+    """
     table = {
         ca.OP_ADD: "fadd {F} {T} {0}, {1}",
         ca.OP_SUB: "fsub {F} {T} {0}, {1}",
@@ -75,7 +82,7 @@ def _templates() -> dict[int, str]:
     return table
 
 
-TEMPLATES = _templates()
+TEMPLATES = _operation_templates()
 COMPARISONS = {ca.OP_LT: "olt", ca.OP_LE: "ole", ca.OP_EQ: "oeq", ca.OP_NE: "une"}
 LIBRARY = {
     getattr(ca, "OP_" + name.upper()): name
@@ -90,7 +97,11 @@ SLOW = frozenset(getattr(ca, "OP_" + name.upper()) for name in _SLOW.split())
 
 @cache
 def rewritten() -> dict[int, Any]:
-    """Return the operations that are replaced by expressions of other operations, as functions of x and y."""
+    """Return the operations that are replaced by expressions of other operations: sin, cos, sign, not, and, or.
+
+    A key is CasADi's code of the operation. A value is a CasADi function of (x, y); y is not used if the operation has
+    one operand.
+    """
     x, y = ca.SX.sym("x"), ca.SX.sym("y")
     sine, cosine = _sine_and_cosine(x)
     table = {
@@ -105,7 +116,7 @@ def rewritten() -> dict[int, Any]:
 
 
 def _sine_and_cosine(x: Any) -> tuple[Any, Any]:
-    """Return the sine and cosine of x, accurate for |x| below 1e5.
+    """Return the expressions of the sine and cosine of x [rad], accurate for |x| below 1e5.
 
     The argument is reduced to +-pi/4 with pi/2 in two parts. The polynomials are those of fdlibm.
     """

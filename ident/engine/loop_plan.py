@@ -1,9 +1,11 @@
-"""Plan of a kernel: a loop over rows whose body is a list of CasADi SX functions, the stages.
+"""Plan of a kernel: a loop over the rows of a record whose body is a list of steps, the stages.
+
+Most stages are CasADi SX functions. A row holds the samples of one instant, and the inputs up to the next row.
 
 Arguments and results are bound by name. The kind of an array follows from its use:
 
-- *carried*: both an argument and a result; its value passes from row to row.
-- in ``rows``: a separate vector for each row.
+- *carried*: both an argument and a result, such as the state of a filter; its value passes from row to row.
+- in ``rows``: a separate vector for each row, such as the inputs.
 - *constant*: any other argument.
 - *summed*: any other result. It is summed over all rows, or kept for each row if the call asks for it.
 
@@ -23,24 +25,44 @@ import casadi as ca
 
 from seatrial.ident.engine import jit
 from seatrial.ident.engine.array_layout import Layout
-from seatrial.ident.engine.expressions import instructions, operation
+from seatrial.ident.engine.expressions import evaluate_instructions, operation
 from seatrial.ident.engine.llvm_operations import SLOW
 
 
 @dataclass(frozen=True)
-class LoopSegment:
-    """Stage of a plan. ``function`` runs in rows whose mask has ``bit`` set, or in every row if ``bit`` is None."""
+class ExpressionStage:
+    """Stage of a plan that evaluates CasADi expressions.
+
+    Attributes
+    ----------
+    function : casadi.Function
+        Function of SX expressions. The names of its arguments and results are names of the kernel's arrays.
+    bit : int or None
+        The stage runs only in rows whose mask has this bit (0 to 31) set. None: in every row.
+    """
 
     function: Any
     bit: int | None = None
 
 
 @dataclass(frozen=True)
-class Gram:
-    """Stage that adds ``v v'`` over all lanes to ``result``, for each of the ``entries`` vectors v in the array
-    ``source``.
+class GramStage:
+    """Stage that adds the inner products between all lanes of an array to a symmetric matrix.
 
-    ``result`` has the shape (groups, groups, width, width). Only blocks on and above the diagonal are written.
+    The array ``source`` holds ``entries`` numbers for each lane. Element (i, j) of the matrix is increased by the sum
+    over the entries of (entry in lane i) times (entry in lane j). The Fisher information is such a matrix.
+
+    Attributes
+    ----------
+    source : str
+        Name of the array in lanes.
+    result : str
+        Name of the array of the matrix, of the shape (groups, groups, width, width). Only blocks on and above the
+        diagonal are written.
+    entries : int
+        Number of entries of ``source``.
+    bit : int or None
+        The stage runs only in rows whose mask has this bit (0 to 31) set. None: in every row.
     """
 
     source: str
@@ -50,19 +72,43 @@ class Gram:
 
 
 class Factor(NamedTuple):
-    """Entry ``place`` of an array, multiplied by two if ``twice``."""
+    """Element of the left matrix of a `ProductStage`: one number of an array in the current row.
+
+    Attributes
+    ----------
+    array : str
+        Name of the array.
+    entry : int
+        Index of the number in the array.
+    twice : bool
+        Whether the number is multiplied by two.
+    """
 
     array: str
-    place: int
+    entry: int
     twice: bool = False
 
 
 @dataclass(frozen=True)
-class Product:
-    """Stage that computes ``result = left right`` with vectors of ``width`` numbers.
+class ProductStage:
+    """Stage that computes the matrix product ``result = left right`` with vector instructions of the processor.
 
-    ``left`` is a matrix (n, m) of factors. ``right`` is an array (m, stride) by rows. ``result`` is (n, stride) by
-    rows. Other stages without lanes use scalars.
+    Other stages without lanes use scalar instructions.
+
+    Attributes
+    ----------
+    left : tuple[tuple[Factor, ...], ...]
+        Matrix (n, m), as a tuple of its rows.
+    right : str
+        Name of the array that holds the right matrix (m, stride), one matrix row after the other.
+    result : str
+        Name of the array that receives the product (n, stride), one matrix row after the other.
+    stride : int
+        Number of columns of the right matrix, a multiple of ``width``.
+    width : int
+        Number of doubles in one vector instruction.
+    bit : int or None
+        The stage runs only in rows whose mask has this bit (0 to 31) set. None: in every row.
     """
 
     left: tuple[tuple[Factor, ...], ...]
@@ -79,17 +125,19 @@ class Plan:
 
     Attributes
     ----------
-    stages : tuple[LoopSegment | Gram | Product, ...]
+    stages : tuple[ExpressionStage | GramStage | ProductStage, ...]
         Stages in the order in which they run.
-    rows, lanes : frozenset[str]
-        Names of the arrays in rows, and of the arrays in lanes.
+    rows : frozenset[str]
+        Names of the arrays with a separate vector of entries for each row.
+    lanes : frozenset[str]
+        Names of the arrays with ``width`` numbers for each entry, one per lane.
     width : int
-        Number of lanes in one group.
+        Number of lanes in one group; by default the number of doubles in a vector register (2, 4 or 8).
     backward : bool
         Whether the loop runs from the last row to the first.
     """
 
-    stages: tuple[LoopSegment | Gram | Product, ...]
+    stages: tuple[ExpressionStage | GramStage | ProductStage, ...]
     rows: frozenset[str] = frozenset()
     lanes: frozenset[str] = frozenset()
     width: int = jit.WIDTH
@@ -97,15 +145,19 @@ class Plan:
 
     @cached_property
     def sizes(self) -> dict[str, int]:
-        """Number of entries of every argument and result, in the order of first use."""
+        """Number of entries of every array, by name, in the order of the kernel's arguments.
+
+        The arrays of the `ExpressionStage` stages come first, in the order of first use, then those of the others. The
+        size of a Gram matrix is ``width``.
+        """
         sizes: dict[str, int] = {}
         for f in self.functions:
             sizes |= {f.name_in(i): f.nnz_in(i) for i in range(f.n_in())}
             sizes |= {f.name_out(i): f.nnz_out(i) for i in range(f.n_out())}
         for part in self.stages:
-            if isinstance(part, Gram):
+            if isinstance(part, GramStage):
                 sizes[part.result] = self.width
-            elif isinstance(part, Product):
+            elif isinstance(part, ProductStage):
                 sizes |= {part.right: len(part.left[0]) * part.stride, part.result: len(part.left) * part.stride}
         return sizes
 
@@ -113,9 +165,9 @@ class Plan:
     def carried(self) -> frozenset[str]:
         """Names of the arrays whose values pass from row to row."""
         arguments = {name for f in self.functions for name in f.name_in()}
-        arguments |= {s.source for s in self.stages if isinstance(s, Gram)}
+        arguments |= {s.source for s in self.stages if isinstance(s, GramStage)}
         results = {name for f in self.functions for name in f.name_out()}
-        results |= {s.result for s in self.stages if isinstance(s, Product)}
+        results |= {s.result for s in self.stages if isinstance(s, ProductStage)}
         return frozenset(arguments & results) - self.rows
 
     @cached_property
@@ -126,66 +178,78 @@ class Plan:
 
     @property
     def functions(self) -> tuple[Any, ...]:
-        """CasADi functions of the stages."""
-        return tuple(s.function for s in self.stages if isinstance(s, LoopSegment))
+        """CasADi functions of the `ExpressionStage` stages, in order."""
+        return tuple(s.function for s in self.stages if isinstance(s, ExpressionStage))
 
     @property
     def grams(self) -> frozenset[str]:
-        """Names of the results of `Gram` stages."""
-        return frozenset(s.result for s in self.stages if isinstance(s, Gram))
+        """Names of the results of `GramStage` stages."""
+        return frozenset(s.result for s in self.stages if isinstance(s, GramStage))
 
     @cached_property
     def layout(self) -> Layout:
-        """Layout of the arrays."""
+        """Layout of the arrays: the same sizes and kinds without CasADi objects, so that it can be stored in a file."""
         return Layout(self.sizes, self.rows, self.lanes, self.carried, self.summed, self.grams, self.width)
 
     def shape(self, name: str, n_rows: int, groups: int, per_row: bool = False) -> tuple[int, ...]:
-        """Return the shape of an array, as `Layout.shape`."""
+        """Return the shape of the array ``name`` for ``n_rows`` rows and ``groups`` groups of lanes.
+
+        ``per_row`` asks for a summed result by row instead of its sum. The result is that of `Layout.shape`.
+        """
         return self.layout.shape(name, n_rows, groups, per_row)
 
 
-def stage(inputs: Mapping[str, Any], results: Mapping[str, Any], bit: int | None = None) -> LoopSegment:
+def stage(inputs: Mapping[str, Any], results: Mapping[str, Any], bit: int | None = None) -> ExpressionStage:
     """Return a stage that computes SX expressions.
+
+    Equal subexpressions are computed once, and the results are dense.
 
     Parameters
     ----------
     inputs : Mapping[str, SX]
-        Symbols of the arguments, by name.
+        Symbols of the arguments, by name of the array.
     results : Mapping[str, SX]
-        Expressions of the results, by name.
+        Expressions of the results, by name of the array. A name may also be among the inputs: its array is then carried
+        from row to row.
     bit : int, optional
-        Bit of the mask. The stage runs in rows with this bit. None: in every row.
+        The stage runs only in rows whose mask has this bit (0 to 31) set. None: in every row.
     """
     expressions = [ca.densify(e) for e in ca.cse(list(results.values()))]
     function = ca.Function(
         "stage", list(inputs.values()), expressions, list(inputs), list(results), {"allow_duplicate_io_names": True}
     )
-    return LoopSegment(function, bit)
+    return ExpressionStage(function, bit)
 
 
-def split(
+def split_by_lanes(
     inputs: Mapping[str, Any],
     results: Mapping[str, Any],
     seeds: Mapping[str, Any],
     tangents: Mapping[str, Any],
     bit: int | None,
     name: str,
-) -> tuple[LoopSegment, LoopSegment]:
-    """Return two stages: ``results`` without lanes, and ``tangents`` with lanes.
+) -> tuple[ExpressionStage, ExpressionStage]:
+    """Return two stages: the first computes ``results`` once, and the second ``tangents`` for each group of lanes.
 
-    Values of the first stage that the second stage needs are stored in the array ``name``. They are computed once
-    instead of once in every group of lanes.
+    Subexpressions of ``tangents`` that depend only on ``inputs`` belong to the first stage. Their values are passed to
+    the second stage in the array ``name``. They are then computed once instead of once for every group of lanes.
 
     Parameters
     ----------
     inputs, results : Mapping[str, SX]
-        Symbols and expressions of the first stage.
+        Symbols and expressions of the first stage, by name of the array.
     seeds, tangents : Mapping[str, SX]
-        Symbols in lanes and expressions of the second stage.
+        Symbols in lanes and expressions of the second stage, by name of the array. The expressions may also contain
+        symbols of ``inputs``.
     bit : int or None
-        Bit of the mask for both stages.
+        Both stages run only in rows whose mask has this bit (0 to 31) set. None: in every row.
     name : str
         Name of the array between the stages.
+
+    Returns
+    -------
+    tuple[ExpressionStage, ExpressionStage]
+        First and second stage, in the order in which they run.
     """
     both = ca.cse([*results.values(), *tangents.values()])
     values, rest = both[: len(results)], both[len(results) :]
@@ -195,21 +259,26 @@ def split(
     return first, second
 
 
-def without_slow(expression: Any, constant: Any, early: Any, late: Any) -> tuple[Any, list[Any], list[Any]]:
-    """Replace slow operations that depend on ``early`` and not on ``late`` by symbols.
+def replace_slow_operations(expression: Any, constant: Any, early: Any, late: Any) -> tuple[Any, list[Any], list[Any]]:
+    """Replace slow operations (such as sin and exp) that the forward pass can compute by symbols.
+
+    An operation is replaced if its value depends on a symbol of ``early`` and on no symbol of ``late``.
 
     Parameters
     ----------
     expression : SX (n, 1)
-        Column to rewrite.
-    constant, early, late : SX
-        Symbols of the expression: constant ones, those known in the forward pass, those known only in the backward
-        pass.
+        Column to rewrite. All of its symbols are in the next three parameters.
+    constant : SX (n_constant, 1)
+        Symbols that are the same in all rows (the parameters of the model).
+    early : SX (n_early, 1)
+        Symbols that are known in the forward pass.
+    late : SX (n_late, 1)
+        Symbols that are known only in the backward pass.
 
     Returns
     -------
     tuple[SX, list[SX], list[SX]]
-        The expression with symbols, the symbols, and the expressions that they replace.
+        The column with symbols; the new symbols; the expression, of original symbols only, that each one replaces.
     """
     arguments = (ca.vertcat(constant, early), late)
     f = ca.Function("f", arguments, [ca.densify(ca.cse(expression))])
@@ -225,5 +294,5 @@ def without_slow(expression: Any, constant: Any, early: Any, late: Any) -> tuple
             symbols.append(replaced)
         return original, replaced
 
-    (ends,) = instructions(f, lambda i, j: (arguments[i][j],) * 2, lambda x: (ca.SX(x),) * 2, apply)
+    (ends,) = evaluate_instructions(f, lambda i, j: (arguments[i][j],) * 2, lambda x: (ca.SX(x),) * 2, apply)
     return ca.vertcat(*[replaced for _, replaced in ends]), symbols, values

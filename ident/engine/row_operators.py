@@ -1,4 +1,4 @@
-"""Linear recursion with one operator for each row, applied to many columns at once.
+"""Linear recursion with one matrix (the operator) for each row of a record, applied to many columns at once.
 
 The recursion computes the sensitivities of a filter: of its state from row to row, and of its whitened innovations.
 The loop is compiled if llvmlite is installed. Otherwise numpy is used.
@@ -25,200 +25,256 @@ Index = NDArray[np.int64]
 
 
 def padded(n_columns: int) -> int:
-    """Return the number of columns, rounded up to the multiple that `apply_rows` requires."""
+    """Return the number of columns, rounded up to a multiple of ``MULTIPLE`` (8, 16 or 32), as `apply_rows` needs."""
     return -(-n_columns // MULTIPLE) * MULTIPLE
 
 
 def apply_rows(
-    operators: Array, drive: Array, columns: Index, ahead: Array, rows: Index, begin: Array, at: Index, out: Array
+    operators: Array,
+    drive: Array,
+    drive_columns: Index,
+    next_drive_factors: Array,
+    driven_states: Index,
+    initial_states: Array,
+    output_rows: Index,
+    out: Array,
 ) -> Array:
     """Run the recursion ``[x_k+1; y_k] = B_k [x_k; d_k] + [a_k d_k+1; 0]`` over the rows k, and write y to ``out``.
 
-    All arrays are contiguous. The number of columns w is a result of `padded`.
+    x are the s states, d the p drives (inputs of the recursion) and y the m outputs. Each of the w columns is an
+    independent solution of the recursion, such as the sensitivity to one parameter. All arrays are contiguous and of
+    type float64, except those of indices (int64). The number of columns w is a result of `padded`.
 
     Parameters
     ----------
     operators : Array (n, s + m, s + t)
-        Matrices B, with s entries of x, m of y and t possible columns for d.
+        Matrices B of the n rows. The first s columns belong to x; the other t columns are available for d.
     drive : Array (n + 1, p, w)
         d of each row, and d at the end of the last row.
-    columns : Index (p,)
-        Column of B, among the t columns for d, of each entry of d. Entries that drive rates come first.
-    ahead : Array (n,)
-        Factors a.
-    rows : Index (r,)
-        Entries of x to which the first r entries of d_k+1 are added.
-    begin : Array (s, w)
-        x of the first row.
-    at : Index (n, m)
-        Row of ``out`` for each entry of y, or NOWHERE.
+    drive_columns : Index (p,)
+        Column of B, counted from zero among the t columns for d, by which each entry of d is multiplied. Entries that
+        drive rates come first.
+    next_drive_factors : Array (n,)
+        Factors a, by which the drive of the next row is multiplied.
+    driven_states : Index (r,)
+        Entries of x to which the first r entries of ``a_k d_k+1`` are added.
+    initial_states : Array (s, w)
+        x of the first row. It is not changed.
+    output_rows : Index (n, m)
+        Row of ``out`` into which each entry of y is written. An entry with NOWHERE (-1) is not computed.
     out : Array (n_out, w)
-        Written in place.
+        Outputs y, written in place. Rows that no entry of ``output_rows`` names keep their values.
 
     Returns
     -------
     Array (s, w)
         x after the last row.
+
+    Raises
+    ------
+    AssertionError
+        If llvmlite is installed and an array is not contiguous.
     """
-    n, s = len(operators), len(begin)
-    x: Array = np.zeros((2, *begin.shape))
-    x[0] = begin
-    where = np.append(np.arange(s), s + columns)
+    n, s = len(operators), len(initial_states)
+    x: Array = np.zeros((2, *initial_states.shape))
+    x[0] = initial_states
+    where = np.append(np.arange(s), s + drive_columns)
     if jit.AVAILABLE:
-        sizes = (n, s, at.shape[1], operators.shape[2], drive.shape[1], drive.shape[2], rows.size)
-        arrays = (operators, where, x, drive, ahead, np.ascontiguousarray(rows), at, out)
+        sizes = (n, s, output_rows.shape[1], operators.shape[2], drive.shape[1], drive.shape[2], driven_states.size)
+        arrays = (operators, where, x, drive, next_drive_factors, np.ascontiguousarray(driven_states), output_rows, out)
         assert all(a.flags.c_contiguous for a in arrays)
-        _compiled()(*sizes, *(a.ctypes.data for a in arrays))
+        _compiled_recursion()(*sizes, *(a.ctypes.data for a in arrays))
         return np.asarray(x[n % 2])
     now = x[0]
     for k in range(n):
         products = operators[k][:, where] @ np.concatenate([now, drive[k]])
-        stored = at[k] != NOWHERE
-        out[at[k][stored]] = products[s:][stored]
+        stored = output_rows[k] != NOWHERE
+        out[output_rows[k][stored]] = products[s:][stored]
         now = products[:s]
-        now[rows] += ahead[k] * drive[k + 1, : rows.size]
+        now[driven_states] += next_drive_factors[k] * drive[k + 1, : driven_states.size]
     return np.asarray(now)
 
 
 @cache
-def _compiled() -> Callable[..., None]:
-    """Return the compiled loop as a function of sizes and addresses."""
-    library, address = jit.load_machine_code(_ir(), "rows")
+def _compiled_recursion() -> Callable[..., None]:
+    """Compile the recursion and return it as a function.
+
+    Its arguments are the seven sizes (n, s, m, t, p, w, r), then the addresses of the eight arrays, in the order of
+    `_recursion_ir`. The function is compiled once per process.
+    """
+    library, address = jit.load_machine_code(_recursion_ir(), "rows")
     entry = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 7, *[ctypes.c_void_p] * 8)(address)
 
     def run(*arguments: Any) -> None:
+        """Call the machine code with sizes and addresses."""
         assert library is not None  # the code lives as long as its library
         entry(*arguments)
 
     return run
 
 
-class _Text:
-    """Writer of LLVM IR, line by line. Loop indices and sums are kept in memory; LLVM moves them to registers."""
+class _IrWriter:
+    """Writer of the LLVM IR of one function, line by line.
+
+    Loop indices and sums are kept in memory; LLVM moves them to registers.
+
+    Attributes
+    ----------
+    lines : list[str]
+        Lines of IR written so far. The first one is the label of the entry block.
+    """
 
     def __init__(self) -> None:
         self.lines: list[str] = []
         self._n = 0
 
     def __call__(self, text: str) -> None:
+        """Append an instruction that has no result, such as a store or a branch."""
         self.lines.append(f"  {text}")
 
-    def value(self, text: str) -> str:
-        """Append an instruction. Return the name of its value."""
+    def instruction(self, text: str) -> str:
+        """Append an instruction and assign its result to a new name, such as ``%v7``. Return this name."""
         self._n += 1
         self(f"%v{self._n} = {text}")
         return f"%v{self._n}"
 
     def loop(self, end: str, body: Callable[[str], None], step: int = 1) -> None:
-        """Write a loop that runs the body for 0, step, 2 step, ... below the end."""
+        """Write a loop over the index values 0, step, 2 step, ... below ``end``.
+
+        Parameters
+        ----------
+        end : str
+            Name of the value at which the loop ends, such as ``%n``.
+        body : Callable[[str], None]
+            Writes the instructions of one pass. Its argument is the name of the index.
+        step : int
+            Increment of the index.
+        """
         self._n += 1
         here = f"l{self._n}"
         self.lines.insert(1, f"  %{here} = alloca i64")
         self(f"store i64 0, ptr %{here}")
         self(f"br label %{here}.head")
         self.lines.append(f"{here}.head:")
-        i = self.value(f"load i64, ptr %{here}")
-        more = self.value(f"icmp slt i64 {i}, {end}")
+        i = self.instruction(f"load i64, ptr %{here}")
+        more = self.instruction(f"icmp slt i64 {i}, {end}")
         self(f"br i1 {more}, label %{here}.body, label %{here}.end")
         self.lines.append(f"{here}.body:")
         body(i)
-        after = self.value(f"add i64 {i}, {step}")
+        after = self.instruction(f"add i64 {i}, {step}")
         self(f"store i64 {after}, ptr %{here}")
         self(f"br label %{here}.head")
         self.lines.append(f"{here}.end:")
 
-    def at(self, base: str, *index: tuple[str, str]) -> str:
-        """Return the address of an item of an array. The index is a list of pairs (size of the dimension, index)."""
+    def address(self, base: str, *index: tuple[str, str]) -> str:
+        """Write the instructions that compute the address of an item of an array. Return the name of the address.
+
+        Parameters
+        ----------
+        base : str
+            Name of the array's address.
+        *index : tuple[str, str]
+            Pair (size of the dimension, index) of each dimension, outermost first. The size of the first is not used.
+        """
         place = index[0][1]
         for size, i in index[1:]:
-            place = self.value(f"add i64 {self.value(f'mul i64 {place}, {size}')}, {i}")
-        return self.value(f"getelementptr double, ptr {base}, i64 {place}")
+            place = self.instruction(f"add i64 {self.instruction(f'mul i64 {place}, {size}')}, {i}")
+        return self.instruction(f"getelementptr double, ptr {base}, i64 {place}")
 
 
-def _ir() -> str:
-    """Return the LLVM IR of the function ``rows(n, s, m, t, p, w, r, B, where, x, d, a, to, at, out)``."""
+def _recursion_ir() -> str:
+    """Return the LLVM IR of the recursion: the function ``rows(n, s, m, t, p, w, r, B, where, x, d, a, to, at, out)``.
+
+    The names are those of `apply_rows`: B is ``operators``, d is ``drive``, a is
+    ``next_drive_factors``, to is ``driven_states`` and at is ``output_rows``.
+    ``where`` (s + p,) holds the columns of B for all entries of [x; d]. ``x`` (2, s, w) holds the states of two
+    successive rows in turn.
+    """
     width = jit.WIDTH
     vector, fma = f"<{width} x double>", f"@llvm.fmuladd.v{width}f64"
-    text, sums = _Text(), [f"%sum{k}" for k in range(VECTORS)]
+    text, sums = _IrWriter(), [f"%sum{k}" for k in range(VECTORS)]
     text.lines = ["entry:", *(f"  {name} = alloca {vector}" for name in sums)]
 
     def splat(number: str) -> str:
-        first = text.value(f"insertelement {vector} poison, double {number}, i32 0")
-        return text.value(f"shufflevector {vector} {first}, {vector} poison, <{width} x i32> zeroinitializer")
+        """Write the instructions that repeat a scalar in a vector. Return the name of the vector."""
+        first = text.instruction(f"insertelement {vector} poison, double {number}, i32 0")
+        return text.instruction(f"shufflevector {vector} {first}, {vector} poison, <{width} x i32> zeroinitializer")
 
-    def vectors(place: str) -> list[str]:
-        return [text.value(f"getelementptr double, ptr {place}, i64 {k * width}") for k in range(VECTORS)]
+    def vector_addresses(place: str) -> list[str]:
+        """Return the names of the addresses of four neighbouring vectors, the first at the address ``place``."""
+        return [text.instruction(f"getelementptr double, ptr {place}, i64 {k * width}") for k in range(VECTORS)]
 
-    def product(row: str, column: str, item: str) -> None:
-        """Add the entry (row, column) of B times VECTORS vectors of an item's columns to the sums."""
-        factor = splat(text.value(f"load double, ptr {text.at('%B', ('', row), ('%t', column))}"))
-        for name, place in zip(sums, vectors(item), strict=True):
-            x = text.value(f"load {vector}, ptr {place}, align 8")
-            so_far = text.value(f"load {vector}, ptr {name}")
-            more = text.value(f"call {vector} {fma}({vector} {factor}, {vector} {x}, {vector} {so_far})")
+    def add_product(row: str, column: str, item: str) -> None:
+        """Add the entry (row, column) of B, times four vectors of columns at the address ``item``, to the sums."""
+        factor = splat(text.instruction(f"load double, ptr {text.address('%B', ('', row), ('%t', column))}"))
+        for name, place in zip(sums, vector_addresses(item), strict=True):
+            x = text.instruction(f"load {vector}, ptr {place}, align 8")
+            so_far = text.instruction(f"load {vector}, ptr {name}")
+            more = text.instruction(f"call {vector} {fma}({vector} {factor}, {vector} {x}, {vector} {so_far})")
             text(f"store {vector} {more}, ptr {name}")
 
-    def of_row(k: str) -> None:
-        """Write the products of one row, its outputs, and the part of the next drive."""
-        now = text.value(f"and i64 {k}, 1")
-        later = text.value(f"xor i64 {now}, 1")
-        after = text.value(f"add i64 {k}, 1")
-        height = text.value("add i64 %s, %m")
+    def write_row(k: str) -> None:
+        """Write the loop body of row k: the next state, the outputs, and the share of the next drive."""
+        now = text.instruction(f"and i64 {k}, 1")
+        later = text.instruction(f"xor i64 {now}, 1")
+        after = text.instruction(f"add i64 {k}, 1")
+        height = text.instruction("add i64 %s, %m")
 
-        def of_result(i: str, target: str) -> None:
-            """Write the product of one row of B with all columns to ``target``."""
-            row = text.value(f"add i64 {text.value(f'mul i64 {k}, {height}')}, {i}")
+        def write_product(i: str, target: str) -> None:
+            """Write the product of row i of B with all columns of [x; d], stored at the address ``target``."""
+            row = text.instruction(f"add i64 {text.instruction(f'mul i64 {k}, {height}')}, {i}")
 
-            def of_columns(c: str) -> None:
+            def write_columns(c: str) -> None:
                 for name in sums:
                     text(f"store {vector} zeroinitializer, ptr {name}")
-                text.loop("%s", lambda j: product(row, j, text.at("%x", ("", now), ("%s", j), ("%w", c))))
+                text.loop("%s", lambda j: add_product(row, j, text.address("%x", ("", now), ("%s", j), ("%w", c))))
 
-                def driven(j: str) -> None:
-                    index = text.value(f"add i64 %s, {j}")
-                    source = text.value(f"load i64, ptr {text.at('%where', ('', index))}")
-                    product(row, source, text.at("%d", ("", k), ("%p", j), ("%w", c)))
+                def add_drive_product(j: str) -> None:
+                    """Add the product of row i of B with entry j of the drive to the sums."""
+                    index = text.instruction(f"add i64 %s, {j}")
+                    source = text.instruction(f"load i64, ptr {text.address('%where', ('', index))}")
+                    add_product(row, source, text.address("%d", ("", k), ("%p", j), ("%w", c)))
 
-                text.loop("%p", driven)
-                to = vectors(text.value(f"getelementptr double, ptr {target}, i64 {c}"))
+                text.loop("%p", add_drive_product)
+                to = vector_addresses(text.instruction(f"getelementptr double, ptr {target}, i64 {c}"))
                 for name, place in zip(sums, to, strict=True):
-                    text(f"store {vector} {text.value(f'load {vector}, ptr {name}')}, ptr {place}, align 8")
+                    text(f"store {vector} {text.instruction(f'load {vector}, ptr {name}')}, ptr {place}, align 8")
 
-            text.loop("%w", of_columns, MULTIPLE)
+            text.loop("%w", write_columns, MULTIPLE)
 
-        text.loop("%s", lambda i: of_result(i, text.at("%x", ("", later), ("%s", i), ("%w", "0"))))
+        text.loop("%s", lambda i: write_product(i, text.address("%x", ("", later), ("%s", i), ("%w", "0"))))
 
         def store_output(i: str) -> None:
-            """Write one output, unless its row is NOWHERE."""
-            place = text.value(f"load i64, ptr {text.at('%at', ('', k), ('%m', i))}")
+            """Write output i, if its row in ``out`` is not NOWHERE."""
+            place = text.instruction(f"load i64, ptr {text.address('%at', ('', k), ('%m', i))}")
             text._n += 1
             here = f"if{text._n}"
-            text(f"br i1 {text.value(f'icmp sge i64 {place}, 0')}, label %{here}.then, label %{here}.end")
+            text(f"br i1 {text.instruction(f'icmp sge i64 {place}, 0')}, label %{here}.then, label %{here}.end")
             text.lines.append(f"{here}.then:")
-            of_result(text.value(f"add i64 %s, {i}"), text.at("%out", ("", place), ("%w", "0")))
+            write_product(text.instruction(f"add i64 %s, {i}"), text.address("%out", ("", place), ("%w", "0")))
             text(f"br label %{here}.end")
             text.lines.append(f"{here}.end:")
 
         text.loop("%m", store_output)
-        weight = splat(text.value(f"load double, ptr {text.at('%a', ('', k))}"))
+        weight = splat(text.instruction(f"load double, ptr {text.address('%a', ('', k))}"))
 
-        def ahead(e: str) -> None:
-            """Add the next drive, times its factor, to one entry of x."""
-            i = text.value(f"load i64, ptr {text.at('%to', ('', e))}")
+        def add_next_drive(e: str) -> None:
+            """Add entry e of the next drive, times the factor a, to its entry of x."""
+            i = text.instruction(f"load i64, ptr {text.address('%to', ('', e))}")
 
-            def of_columns(c: str) -> None:
-                target = text.at("%x", ("", later), ("%s", i), ("%w", c))
-                source = text.at("%d", ("", after), ("%p", e), ("%w", c))
-                for to, drive in zip(vectors(target), vectors(source), strict=True):
-                    x, y = (text.value(f"load {vector}, ptr {place}, align 8") for place in (drive, to))
-                    moved = text.value(f"call {vector} {fma}({vector} {weight}, {vector} {x}, {vector} {y})")
+            def write_columns(c: str) -> None:
+                target = text.address("%x", ("", later), ("%s", i), ("%w", c))
+                source = text.address("%d", ("", after), ("%p", e), ("%w", c))
+                for to, drive in zip(vector_addresses(target), vector_addresses(source), strict=True):
+                    x, y = (text.instruction(f"load {vector}, ptr {place}, align 8") for place in (drive, to))
+                    moved = text.instruction(f"call {vector} {fma}({vector} {weight}, {vector} {x}, {vector} {y})")
                     text(f"store {vector} {moved}, ptr {to}, align 8")
 
-            text.loop("%w", of_columns, MULTIPLE)
+            text.loop("%w", write_columns, MULTIPLE)
 
-        text.loop("%r", ahead)
+        text.loop("%r", add_next_drive)
 
-    text.loop("%n", of_row)
+    text.loop("%n", write_row)
     text("ret void")
     sizes = ", ".join(f"i64 %{name}" for name in ("n", "s", "m", "t", "p", "w", "r"))
     arrays = ", ".join(f"ptr %{name}" for name in ("B", "where", "x", "d", "a", "to", "at", "out"))

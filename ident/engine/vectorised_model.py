@@ -17,10 +17,18 @@ ROWS = 32  # rows of states and inputs for which one call evaluates the Jacobian
 
 
 class VectorisedModel:
-    """Rates and outputs of a model for whole arrays of states and inputs.
+    """Rates (time derivatives of the states) and outputs of a model for whole arrays of states and inputs.
 
-    The functions of the model are called with columns instead of scalars. Functions that accept symbols but no columns
-    are evaluated by CasADi, which is five to ten times slower.
+    The functions of the model are called with arrays (n_rows,) instead of scalars. If they raise TypeError or
+    ValueError for arrays, CasADi evaluates them, which is five to ten times slower. Values that are not finite raise
+    no warning.
+
+    Attributes
+    ----------
+    model : Model
+        Model whose functions are evaluated.
+    n_states, n_outputs : int
+        Number of its states and outputs.
     """
 
     def __init__(self, model: Model) -> None:
@@ -33,16 +41,16 @@ class VectorisedModel:
         Parameters
         ----------
         x : Array (n_rows, n_states)
-            States.
+            States, in the units and the order of the model.
         u : Array (n_rows, n_inputs)
-            Inputs.
+            Inputs, in the units and the order of the model.
         values : Array (n_parameters,)
-            Values of the parameters.
+            Values of the parameters, in the order of ``model.parameters``.
 
         Returns
         -------
         Array (n_rows, n_states + n_outputs)
-            Rates and outputs.
+            Time derivatives of the states [unit of the state per s], then outputs without noise.
         """
         columns = self.columns(x, u, values)
         result = np.empty((len(columns), len(x))).T  # transposed, so that every column is contiguous
@@ -51,45 +59,56 @@ class VectorisedModel:
         return result
 
     def columns(self, x: Array, u: Array, values: Array) -> list[Array]:
-        """Return the rates, followed by the outputs, as a list of columns (n_rows,)."""
+        """Return the rates, followed by the outputs, as a list of n_states + n_outputs arrays (n_rows,).
+
+        The arguments are states x (n_rows, n_states), inputs u (n_rows, n_inputs) and parameters (n_parameters,). A
+        rate or output that does not depend on the row is repeated.
+        """
         with np.errstate(all="ignore"):
             try:
                 s = self.model.signals(list(x.T), list(u.T), values.tolist())
                 signals = [s.rate[v.name] for v in self.model.states] + [s.y[o.name] for o in self.model.outputs]
                 return [c if np.shape(c) == (len(x),) else np.full(len(x), c, dtype=np.float64) for c in signals]
             except (TypeError, ValueError):
-                return list(np.asarray(self._both(x.T, u.T, values)))
+                return list(np.asarray(self._rates_and_outputs(x.T, u.T, values)))
 
     def output_jacobian(self, x: Array, u: Array, values: Array) -> Array:
-        """Return the derivatives of the outputs by the states, shape (n_rows, n_outputs, n_states)."""
-        return self._slopes(self._output_jacobian, self.n_outputs, x, u, values)
+        """Return the derivatives of the outputs by the states, shape (n_rows, n_outputs, n_states).
+
+        The arguments are states x (n_rows, n_states), inputs u (n_rows, n_inputs) and parameters (n_parameters,).
+        """
+        return self._evaluate_jacobian(self._output_jacobian, self.n_outputs, x, u, values)
 
     def rate_jacobian(self, x: Array, u: Array, values: Array) -> Array:
-        """Return the derivatives of the rates by the states, shape (n_rows, n_states, n_states)."""
-        return self._slopes(self._rate_jacobian, self.n_states, x, u, values)
+        """Return the derivatives of the rates (second axis) by the states, shape (n_rows, n_states, n_states).
 
-    def _slopes(self, function: Any, n: int, x: Array, u: Array, values: Array) -> Array:
-        """Evaluate a Jacobian with n rows for all rows of states and inputs.
+        The arguments are states x (n_rows, n_states), inputs u (n_rows, n_inputs) and parameters (n_parameters,).
+        """
+        return self._evaluate_jacobian(self._rate_jacobian, self.n_states, x, u, values)
 
-        The arguments are passed in buffers, because CasADi copies other arguments several times.
+    def _evaluate_jacobian(self, function: Any, n: int, x: Array, u: Array, values: Array) -> Array:
+        """Return a Jacobian for all rows of states and inputs, shape (n_rows, n, n_states).
+
+        ``function`` is a result of `_map_over_rows` for a Jacobian with n matrix rows. The arguments are passed in
+        buffers, because CasADi copies other arguments several times.
         """
         jacobians = np.empty((len(x), n, self.n_states))
-        part_x, part_u, p = np.zeros((ROWS, x.shape[1])), np.zeros((ROWS, u.shape[1])), np.array(values, np.float64)
+        rows_x, rows_u, p = np.zeros((ROWS, x.shape[1])), np.zeros((ROWS, u.shape[1])), np.array(values, np.float64)
         slopes = np.empty((ROWS, self.n_states, n))
         buffer, evaluate = function.buffer()
-        for k, argument in enumerate((part_x, part_u, p)):
+        for k, argument in enumerate((rows_x, rows_u, p)):
             buffer.set_arg(k, argument.data)
         buffer.set_res(0, slopes.data)
         for first in range(0, len(x), ROWS):
             size = len(x[first : first + ROWS])
-            part_x[:size], part_u[:size] = x[first : first + ROWS], u[first : first + ROWS]
+            rows_x[:size], rows_u[:size] = x[first : first + ROWS], u[first : first + ROWS]
             evaluate()
             jacobians[first : first + size] = slopes[:size].swapaxes(1, 2)
         return jacobians
 
     @cached_property
-    def _symbols(self) -> tuple[list[Any], Any, Any]:
-        """Symbols [x, u, p], expressions of the rates, expressions of the outputs."""
+    def _symbolic_model(self) -> tuple[list[Any], Any, Any]:
+        """Symbols [x, u, p] of states, inputs and parameters; expressions of the rates; expressions of the outputs."""
         sizes = (("x", self.model.states), ("u", self.model.inputs), ("p", self.model.parameters))
         x, u, p = (ca.SX.sym(n, len(k)) for n, k in sizes)
         s = self.model.signals(ca.vertsplit(x), ca.vertsplit(u) if self.model.inputs else [], ca.vertsplit(p))
@@ -97,24 +116,28 @@ class VectorisedModel:
         return [x, u, p], rate, ca.vertcat(*[s.y[o.name] for o in self.model.outputs])
 
     @cached_property
-    def _both(self) -> Any:
-        symbols, rate, y = self._symbols
+    def _rates_and_outputs(self) -> Any:
+        """CasADi function of (x, u, p) that returns the rates followed by the outputs, as a dense column."""
+        symbols, rate, y = self._symbolic_model
         return ca.Function("rates_and_outputs", symbols, [ca.densify(ca.vertcat(rate, y))])
 
     @cached_property
     def _output_jacobian(self) -> Any:
-        symbols, _, y = self._symbols
-        return _by_rows("H", symbols, ca.jacobian(y, symbols[0]))
+        """CasADi function of the derivatives of the outputs by the states, for ``ROWS`` rows in each call."""
+        symbols, _, y = self._symbolic_model
+        return _map_over_rows("H", symbols, ca.jacobian(y, symbols[0]))
 
     @cached_property
     def _rate_jacobian(self) -> Any:
-        symbols, rate, _ = self._symbols
-        return _by_rows("A", symbols, ca.jacobian(rate, symbols[0]))
+        """CasADi function of the derivatives of the rates by the states, for ``ROWS`` rows in each call."""
+        symbols, rate, _ = self._symbolic_model
+        return _map_over_rows("A", symbols, ca.jacobian(rate, symbols[0]))
 
 
-def _by_rows(name: str, symbols: list[Any], slopes: Any) -> Any:
-    """Return a function of the derivatives for ``ROWS`` rows of states and inputs. The parameters are common to all
-    rows.
+def _map_over_rows(name: str, symbols: list[Any], slopes: Any) -> Any:
+    """Return a CasADi function that evaluates the matrix ``slopes`` for 32 rows of states and inputs in one call.
+
+    ``name`` is the name of the CasADi function, and ``symbols`` are [x, u, p]. The parameters p are common to all rows.
     """
     single_row = ca.Function(name, symbols, [ca.densify(slopes)])
     return single_row.map(f"{name}_by_rows", "serial", ROWS, [2], [])

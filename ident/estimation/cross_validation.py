@@ -1,4 +1,5 @@
-"""Blocked cross-validation: each block in time is predicted by the fit to the others (Burman, Chow and Nolan 1994).
+"""Blocked cross-validation: each block in time of a record is predicted by the fit to the other blocks (Burman, Chow
+and Nolan 1994). A block is about a minute long for a boat.
 
 The fit without a block is approximated by one Newton step from the fit to all blocks (approximate leave-one-out;
 Beirami et al. 2017), so that no model is fitted twice. A block has initial states of its own, with the spread that the
@@ -30,18 +31,18 @@ HALVINGS = 6  # largest number of halvings of a step that fails this check
 
 @dataclass(frozen=True)
 class TimeBlocks:
-    """Blocks in time of some records.
+    """Blocks in time of some records, for cross-validation.
 
     Attributes
     ----------
     records
-        The blocks.
-    of
-        For each block, the index of its record.
+        Each block as a record of its own, in the order of the records and of time.
+    record_indices
+        For each block, the index of the record from which it was cut.
     """
 
     records: tuple[Record, ...]
-    of: tuple[int, ...]
+    record_indices: tuple[int, ...]
 
 
 def time_blocks(
@@ -49,47 +50,52 @@ def time_blocks(
 ) -> TimeBlocks:
     """Cut each record into blocks of consecutive rows, for cross-validation.
 
-    A record gets five to eight blocks of equal duration; a longer record gets more.
+    A record gets five to eight blocks of equal duration. The number is the duration of the record divided by
+    ``12 block``, within these limits.
 
     Parameters
     ----------
     records
-        The records.
+        Records to be cut.
     block
-        Duration [s] over which the residuals of the model may be correlated (``Model.block``).
+        Duration [s] over which the residuals of the model may be correlated (``Model.block``), 5 s for a boat.
     starts
-        For each record: state name -> mean and standard deviation with which its blocks start.
+        For each record, the mean and standard deviation of each state, by name, with which its blocks start.
     """
     parts: list[Record] = []
-    of: list[int] = []
+    record_indices: list[int] = []
     for i, (record, start) in enumerate(zip(records, starts, strict=True)):
         n = min(max(int(record.duration / (BLOCK_LENGTH * block)), FEWEST_BLOCKS), MOST_BLOCKS)
         edges = np.linspace(record.t[0], np.nextafter(record.t[-1], np.inf), n + 1).tolist()
         parts += [replace(record.part(low, high), start=start) for low, high in pairwise(edges)]
-        of += [i] * n
-    return TimeBlocks(tuple(parts), tuple(of))
+        record_indices += [i] * n
+    return TimeBlocks(tuple(parts), tuple(record_indices))
 
 
 def leave_one_block_out(
     model: Model, blocks: TimeBlocks, values: Array, parameters: Sequence[Parameter]
 ) -> list[Array]:
-    """Return parameter values for each block that do not depend on its own data, except those of the current.
+    """Return parameter values for each block that do not depend on the data of this block.
+
+    The values come from one Newton step from the fit to all blocks. Only the nominal model's per-record parameters (the
+    current) are estimated from the block itself.
 
     Parameters
     ----------
     model
-        The fitted model.
+        Fitted model.
     blocks
         Blocks of the records.
     values : Array (n_records, n_parameters)
-        Values fitted to the records, over ``model.parameters`` in order.
+        Values fitted to the records, in the order of ``model.parameters``.
     parameters
-        The estimated parameters. A per-record parameter appears once for each record, with its ``segment``.
+        Estimated parameters. A per-record parameter appears once for each record, with the index of the record as its
+        ``segment``.
 
     Returns
     -------
     list of Array (n_parameters,)
-        Values for each block.
+        Values for each block, in the order of ``model.parameters``.
 
     Raises
     ------
@@ -106,24 +112,27 @@ def leave_one_block_out(
     priors = [p.free_prior() for p in parameters]
     weight = np.array([0.0 if g is None else 1.0 / g[1] ** 2 for g in priors])
     mean = np.array([0.0 if g is None else g[0] for g in priors])
-    places = [[k for k, p in enumerate(parameters) if p.segment in (None, i)] for i in blocks.of]
+    coordinates = [[k for k, p in enumerate(parameters) if p.segment in (None, i)] for i in blocks.record_indices]
     gradients, informations = np.zeros((len(rows), z.size)), np.zeros((len(rows), z.size, z.size))
-    for b, (row, own) in enumerate(zip(rows, places, strict=True)):
-        score = likelihood.scores(row, values[blocks.of[b]], [parameters[k].name for k in own])
+    for b, (row, own) in enumerate(zip(rows, coordinates, strict=True)):
+        score = likelihood.scores(row, values[blocks.record_indices[b]], [parameters[k].name for k in own])
         if not (np.isfinite(score.value) and np.isfinite(score.information).all()):
-            raise ValueError(f"{row.name}: the likelihood of model {model.name} cannot be evaluated")
+            raise ValueError(
+                f"{row.name}: the likelihood of model {model.name} is not finite for the estimated parameters on this "
+                "part of the record"
+            )
         gradients[b, own] = slope[own] * score.gradient
         informations[b][np.ix_(own, own)] = np.outer(slope[own], slope[own]) * score.information
 
     def block_values(b: int, z: Array) -> Array:
-        """Return the values of block b at these coordinates (n_parameters,)."""
-        found: Array = values[blocks.of[b]].copy()
-        for k in places[b]:
+        """Return the parameter values (n_parameters,) of block b for the estimator's coordinates z (n,)."""
+        found: Array = values[blocks.record_indices[b]].copy()
+        for k in coordinates[b]:
             found[index[parameters[k].name]] = np.clip(parameters[k].from_free(float(z[k])), *parameters[k].bounds)
         return found
 
     def others_log_posterior(b: int, z: Array) -> float:
-        """Return the log-posterior of all blocks except b."""
+        """Return the log-posterior of all blocks except b for the estimator's coordinates z (n,)."""
         others = (j for j in range(len(rows)) if j != b)
         total = sum(float(likelihood.value_by_row(rows[j], block_values(j, z)).sum()) for j in others)
         return total - 0.5 * float(weight @ (z - mean) ** 2)
@@ -139,14 +148,15 @@ def leave_one_block_out(
             least, tried = others_log_posterior(b, z), 0
             while not others_log_posterior(b, bounds.clip(z + step)) > least and tried < HALVINGS:
                 step, tried = step / 2, tried + 1
-        found.append(_adapted(model, row, block_values(b, bounds.clip(z + step))))
+        found.append(_with_per_record_values_of_block(model, row, block_values(b, bounds.clip(z + step))))
     return found
 
 
-def _adapted(model: Model, block: Record, values: Array) -> Array:
-    """Return the values with the nominal model's per-record parameters (the current) estimated from the block.
+def _with_per_record_values_of_block(model: Model, block: Record, values: Array) -> Array:
+    """Return the values (n_parameters,) with the nominal model's per-record parameters estimated from the block.
 
-    All other parameters keep their values.
+    An example of such a parameter is the current. Per-record parameters of effects and all other parameters keep their
+    values.
     """
     of_effects = {p.name for e in model.effects if not e.kind.nuisance for p in e.parameters}
     own = [p.name for p in model.parameters if p.free and p.per_record and p.name not in of_effects]

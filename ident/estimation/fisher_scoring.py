@@ -1,5 +1,7 @@
 """Damped Fisher scoring inside bounds, and the objective of a fit.
 
+Coordinates are the variables of the search: a parameter, or the logarithm of a positive parameter.
+
 Fisher scoring makes Gauss-Newton steps with the expected information as the Hessian. The damping is Levenberg's, with
 Nielsen's rule for its size (Madsen, Nielsen and Tingleff 2004, section 3.2). A step that would leave the bounds ends on
 them, and its rest is solved again. A step to a value that is not finite is rejected.
@@ -44,14 +46,15 @@ class Evaluation:
 
     Attributes
     ----------
-    value
-        The objective.
+    value : float
+        Objective: log-likelihood plus log-prior.
     gradient : Array (n,)
-        Its gradient.
+        Derivatives of the objective by the coordinates.
     information : Array (n, n)
-        Its expected information.
+        Expected Fisher information, plus the information of the priors.
     curvature : Array (n,)
-        What has to be added to the information's diagonal to get that of the negative Hessian; zero if unknown.
+        Addition to the diagonal of the information, at least 0, that makes it closer to the negative Hessian; zero if
+        unknown.
     """
 
     value: float
@@ -61,12 +64,15 @@ class Evaluation:
 
     @property
     def hessian(self) -> Array:
-        """Best approximation of the negative Hessian (n, n); positive semidefinite."""
+        """Approximation of the negative Hessian (n, n): information plus curvature; positive semidefinite."""
         return self.information + np.diag(self.curvature)
 
     @property
     def finite(self) -> bool:
-        """Whether the values are finite, so that a search can continue from this point."""
+        """Whether a search can continue from this point.
+
+        It can if all values are finite and the largest diagonal element of the information is below 1e30.
+        """
         numbers = np.isfinite(self.value) and np.isfinite(self.gradient).all() and np.isfinite(self.information).all()
         return bool(numbers and np.diag(self.information).max(initial=0.0) < DIVERGENCE_LIMIT)
 
@@ -78,9 +84,9 @@ class Bounds:
     Attributes
     ----------
     low, high : Array (n,)
-        Lower and upper bounds.
+        Lower and upper bounds; infinite for a coordinate without a bound.
     logarithmic : Array (n,) of bool
-        Whether the coordinate is a logarithm. Steps of logarithms are limited.
+        Whether the coordinate is the logarithm of a parameter. Steps of logarithms are limited to 1.5.
     """
 
     low: Array
@@ -91,13 +97,16 @@ class Bounds:
         """Return the coordinates z (n,) clipped to the bounds."""
         return np.clip(z, self.low, self.high)
 
-    def held(self, z: Array, gradient: Array) -> Flags:
-        """Return which coordinates are at a bound and have a gradient that points out of it."""
+    def pushed_against(self, z: Array, gradient: Array) -> Flags:
+        """Return for each coordinate whether z is at a bound and the objective rises beyond this bound (n,)."""
         low, high = self.reached(z)
         return np.asarray((low & (gradient < 0)) | (high & (gradient > 0)))
 
     def reached(self, z: Array) -> tuple[Flags, Flags]:
-        """Return which coordinates are at their lower and which at their upper bound, within rounding."""
+        """Return whether each coordinate is at its lower bound, and whether it is at its upper bound, two arrays (n,).
+
+        A coordinate counts as at a bound if it is beyond the bound or nearer than 1e-12 of the bound's value.
+        """
         near = [ROUNDING * np.where(np.isfinite(bound), np.abs(bound), 0.0) for bound in (self.low, self.high)]
         return np.asarray(z <= self.low + near[0]), np.asarray(z >= self.high - near[1])
 
@@ -109,13 +118,13 @@ class Optimum:
     Attributes
     ----------
     z : Array (n,)
-        Coordinates.
-    at
-        Objective and derivatives there.
-    iterations, evaluations
-        Effort of the search.
-    gain_left
-        Expected gain of one more step.
+        Coordinates of the end point.
+    at : Evaluation
+        Objective and derivatives at the end point.
+    iterations, evaluations : int
+        Numbers of iterations and of evaluations of the objective.
+    gain_left : float
+        Expected gain of the objective by one more step.
     """
 
     z: Array
@@ -131,33 +140,39 @@ Iterations = Callable[[int, float], None]  # called with the number and the obje
 
 @dataclass
 class BfgsCorrection:
-    """Correction of the expected information near the optimum, from steps and the changes of the gradient along them.
+    """Correction of the Hessian near the optimum, from the steps of a search and the gradient's changes along them.
 
     Each step corrects the Hessian in its direction by a BFGS update (Nocedal and Wright 2006, eq. 6.19).
 
     Attributes
     ----------
     largest : Array (n,)
-        Largest diagonal of the Hessian so far. At a kink, such as the end of a dead zone between two samples, a
-        coordinate loses its information. If its damping were relative to what remains, its next step would reach its
-        bounds (Moré 1978, section 5).
-    pairs
-        Steps (n,) and changes of the gradient (n,).
+        Largest value so far of each diagonal element of the negative Hessian. At a kink, such as the end of a dead zone
+        between two samples, a coordinate loses its information. If its damping were relative to what remains, its next
+        step would reach its bounds (Moré 1978, section 5).
+    pairs : list[tuple[Array, Array]]
+        Up to 12 latest pairs of a step (n,) and the decrease of the gradient (n,) along it.
     """
 
     largest: Array
     pairs: list[tuple[Array, Array]] = field(default_factory=list)
 
-    def add(self, step: Array, before: Evaluation, after: Evaluation) -> None:
-        """Add a step. Forget all steps if this one gained so much that the objective is not quadratic yet."""
+    def add_step(self, step: Array, before: Evaluation, after: Evaluation) -> None:
+        """Add a step between two evaluated points, and update ``largest``.
+
+        If the step gained more than 3 in log-likelihood, the objective is not quadratic yet: all pairs are deleted
+        instead.
+        """
         self.largest = np.maximum(self.largest, np.diag(after.hessian))
         if after.value - before.value > QUADRATIC_GAIN:
             self.pairs.clear()
             return
         self.pairs = [*self.pairs[1 - MAX_BFGS_PAIRS :], (step, before.gradient - after.gradient)]
 
-    def holds(self, trial: Evaluation) -> bool:
-        """Return whether the sensitivities at a trial point have the same order of magnitude as before.
+    def is_plausible(self, trial: Evaluation) -> bool:
+        """Return whether the information at a trial point is plausible: at most 1e6 times as large as before.
+
+        The ratio is the median over the coordinates of the diagonal to its largest value so far.
 
         Just before a simulation diverges, its value may be finite and even better. Its sensitivities have diverged
         already, so that the remaining gain appears to be zero.
@@ -168,7 +183,10 @@ class BfgsCorrection:
         return bool(np.median(np.diag(trial.information)[known] / self.largest[known]) < MAX_SENSITIVITY_RATIO)
 
     def hessian(self, at: Evaluation) -> Array:
-        """Return the corrected negative Hessian (n, n) at a point."""
+        """Return the negative Hessian (n, n) at a point, corrected by the stored steps.
+
+        A step is skipped if the curvature along it differs from the uncorrected one by more than a factor of 20.
+        """
         H = at.hessian
         for s, y in self.pairs:
             Hs = H @ s
@@ -179,7 +197,7 @@ class BfgsCorrection:
 
 
 def solve_step(at: Evaluation, H: Array, z: Array, bounds: Bounds, damping: float, least: Array | float = 0.0) -> Array:
-    """Return the damped step, which ends on the bounds if it would cross them.
+    """Return the damped Newton step of a maximisation, which ends on the bounds if it would cross them.
 
     Coordinates without any information do not move. No logarithm moves by more than ``LARGEST_STEP``; otherwise the
     whole step is shortened. A logarithm that hardly changes the objective is an exception: it alone is limited, and the
@@ -193,23 +211,23 @@ def solve_step(at: Evaluation, H: Array, z: Array, bounds: Bounds, damping: floa
     H : Array (n, n)
         Negative Hessian.
     z : Array (n,)
-        Coordinates.
+        Coordinates at the start of the step.
     bounds
-        Their bounds.
+        Bounds of the coordinates.
     damping
-        Damping relative to the diagonal of ``H``.
+        Damping relative to the diagonal of ``H``; 0 for a full Newton step.
     least : Array (n,) or float
-        The least value of that diagonal in the damping.
+        Lower limit of the diagonal of ``H`` where it scales the damping.
 
     Returns
     -------
     Array (n,)
-        The step.
+        Change of the coordinates. Zero for coordinates at a bound beyond which the objective rises.
     """
     change = LARGEST_STEP * np.abs(at.gradient) + 0.5 * LARGEST_STEP**2 * np.diag(H)
     reach = np.where(bounds.logarithmic & (change < FLAT_CHANGE), LARGEST_STEP, np.inf)
     low, high = np.maximum(bounds.low - z, -reach), np.minimum(bounds.high - z, reach)
-    fixed = bounds.held(z, at.gradient) | (np.diag(H) <= 0.0)
+    fixed = bounds.pushed_against(z, at.gradient) | (np.diag(H) <= 0.0)
     size = np.maximum(np.diag(H), 1e-300)
     H = H + damping * np.diag(np.maximum(size, least))
     step = np.zeros(z.size)
@@ -234,12 +252,12 @@ def solve_step(at: Evaluation, H: Array, z: Array, bounds: Bounds, damping: floa
 
 
 def expected_gain(at: Evaluation, H: Array, step: Array) -> float:
-    """Return the gain of the objective that the quadratic approximation predicts for a step (n,)."""
+    """Return the gain of the objective that the quadratic approximation with negative Hessian H predicts for a step."""
     return float(at.gradient @ step - 0.5 * step @ H @ step)
 
 
 def remaining_gain(at: Evaluation, H: Array, z: Array, bounds: Bounds) -> float:
-    """Return the expected gain of an undamped step."""
+    """Return the expected gain of the objective by an undamped step from z (n,), with negative Hessian H (n, n)."""
     return expected_gain(at, H, solve_step(at, H, z, bounds, 0.0))
 
 
@@ -260,9 +278,9 @@ def maximise(
     Parameters
     ----------
     evaluate
-        The objective with its derivatives; finite at the start.
+        Returns the objective with its derivatives; finite at the start.
     z : Array (n,)
-        Start.
+        Start of the search. It is clipped to the bounds.
     bounds
         Bounds of the coordinates.
     max_iterations
@@ -270,7 +288,12 @@ def maximise(
     tolerance
         Expected gain below which the search ends.
     progress
-        Called in each iteration.
+        Called in each iteration with its number and the objective.
+
+    Returns
+    -------
+    Optimum
+        Best point found. The search has converged if the absolute value of its ``gain_left`` is below the tolerance.
     """
     z = bounds.clip(z)
     at = evaluate(z)
@@ -288,11 +311,11 @@ def maximise(
             expected = expected_gain(at, H, step)
             trial = evaluate(bounds.clip(z + step))
             evaluations += 1
-            gained = trial.value - at.value if trial.finite and correction.holds(trial) else -np.inf
+            gained = trial.value - at.value if trial.finite and correction.is_plausible(trial) else -np.inf
             if gained > max(1e-4 * expected, 0.0):
                 ratio = min(gained / max(expected, 1e-300), 1.0)
                 damping, growth = max(damping * max(1 / 10, 1 - (2 * ratio - 1) ** 3), 1e-12), 2.0
-                correction.add(bounds.clip(z + step) - z, at, trial)
+                correction.add_step(bounds.clip(z + step) - z, at, trial)
                 z, at = bounds.clip(z + step), trial
                 break
             damping, growth = damping * growth, growth * 2
@@ -321,26 +344,28 @@ def refine_lbfgsb(
     Parameters
     ----------
     value_and_gradient
-        The objective and its gradient (n,).
+        Returns the objective and its gradient (n,).
     start
         Point at which Fisher scoring ended.
     bounds
         Bounds of the coordinates.
     evaluate
-        The objective with all derivatives.
+        Returns the objective with all derivatives.
     tolerance
-        Tolerance of the fit.
+        Tolerance of the fit in log-likelihood.
 
     Returns
     -------
     Optimum
-        The start, if no better point was found.
+        Best point found, with the iterations and evaluations of both searches. If no better point was found, the point
+        is that of ``start``.
     """
     from scipy import optimize  # imported here: it takes half a second and is seldom needed
 
     size = np.sqrt(np.maximum(np.diag(start.at.hessian), 1e-12))
 
-    def negative(w: Array) -> tuple[float, Array]:
+    def negative_objective(w: Array) -> tuple[float, Array]:
+        """Return the negative objective and its gradient at scaled coordinates w (n,); 1e30 if it is not finite."""
         value, gradient = value_and_gradient(bounds.clip(w / size))
         finite = np.isfinite(value) and bool(np.isfinite(gradient).all())
         return (-value, -gradient / size) if finite else (1e30, np.zeros(size.size))
@@ -348,7 +373,7 @@ def refine_lbfgsb(
     relative = LBFGSB_TOLERANCE * tolerance / max(abs(start.at.value), 1.0)  # L-BFGS-B takes it relative to the value
     limits = optimize.Bounds(bounds.low * size, bounds.high * size)
     found = optimize.minimize(
-        negative,
+        negative_objective,
         start.z * size,
         jac=True,
         method="L-BFGS-B",
@@ -370,20 +395,38 @@ T = TypeVar("T")
 class Problem:
     """Objective of a fit: log-posterior of the free parameters, given records.
 
-    A per-record parameter has one coordinate for each record.
+    It is a function of n coordinates: one for each shared free parameter, then one for each per-record parameter in
+    each record. A coordinate is the parameter or, for a parameter with the transform "log", its logarithm.
 
     Parameters
     ----------
     likelihood
         Likelihood of the model.
     records
-        The records.
+        Records of the fit.
     free
         Names of the parameters to be estimated.
     threads
-        Number of records that are evaluated at once.
-    begin
+        Largest number of records that are evaluated at the same time.
+    initial_values
         Initial values of per-record parameters (``V_x@0``) that differ from the model's.
+
+    Attributes
+    ----------
+    model : Model
+        Model of the likelihood.
+    parameters : tuple[Parameter, ...]
+        Parameter of each coordinate; a per-record parameter has the index of the record as its ``segment``.
+    names : tuple[str, ...]
+        Full name of each coordinate's parameter, such as ``m_u`` or ``V_x@0``.
+    columns : list[int]
+        Index of each coordinate's parameter in ``model.parameters``.
+    coordinates : list[list[int]]
+        For each record, the indices of the coordinates on which it depends, in the order of `free`.
+    free : tuple[str, ...]
+        Names of the estimated parameters, the shared ones first.
+    base : Array (n_parameters,)
+        Values of all parameters of the model before the fit.
     """
 
     def __init__(
@@ -392,9 +435,9 @@ class Problem:
         records: Sequence[Record],
         free: Sequence[str],
         threads: int,
-        begin: Mapping[str, float] | None = None,
+        initial_values: Mapping[str, float] | None = None,
     ) -> None:
-        self.likelihood, self.records, self.begin = likelihood, tuple(records), begin or {}
+        self.likelihood, self.records, self.initial_values = likelihood, tuple(records), initial_values or {}
         model = self.model = likelihood.model
         index = {p.name: i for i, p in enumerate(model.parameters)}
         shared = [n for n in free if not model.parameter(n).per_record]
@@ -403,11 +446,10 @@ class Problem:
         copies = [replace(model.parameter(n), segment=i) for i in range(len(records)) for n in own]
         self.parameters = (*(model.parameter(n) for n in shared), *copies)
         self.names = tuple(p.full_name for p in self.parameters)
-        # columns[k]: index of coordinate k's parameter in model.parameters
-        # places[i]: indices of record i's free parameters among the coordinates
+
         self.columns = [index[p.name] for p in self.parameters]
         first = len(shared)
-        self.places = [
+        self.coordinates = [
             [*range(first), *range(first + i * len(own), first + (i + 1) * len(own))] for i in range(len(records))
         ]
         self.base = np.array([p.value for p in model.parameters])
@@ -416,56 +458,66 @@ class Problem:
 
     @cached_property
     def bounds(self) -> Bounds:
-        """Bounds of the coordinates."""
+        """Bounds of the coordinates (logarithms of the parameters' bounds for the transform "log")."""
         low, high = np.array([p.free_bounds() for p in self.parameters]).reshape(-1, 2).T
         return Bounds(low, high, np.array([p.transform == "log" for p in self.parameters], dtype=bool))
 
     @property
-    def start(self) -> Array:
-        """Initial coordinates (n,)."""
+    def initial_coordinates(self) -> Array:
+        """Coordinates (n,) of the initial values of the parameters, not clipped to the bounds."""
         own = zip(self.names, self.parameters, strict=True)
-        return np.array([p.to_free(self.begin.get(name, p.value)) for name, p in own])
+        return np.array([p.to_free(self.initial_values.get(name, p.value)) for name, p in own])
 
     @cached_property
     def prior(self) -> tuple[Array, Array]:
-        """Mean and information of each coordinate's prior (n,); the information is zero without a prior."""
+        """Mean (n,) and information (n,) of each coordinate's prior; both are zero without a prior.
+
+        The information is 1 / variance.
+        """
         given = [p.free_prior() for p in self.parameters]
         mean = np.array([g[0] if g else 0.0 for g in given])
         return mean, np.array([1.0 / g[1] ** 2 if g else 0.0 for g in given])
 
     def values(self, z: Array) -> Array:
-        """Return the values of all parameters for each record (n_records, n_parameters), in their own units."""
-        own = self.own(z)
+        """Return the values of all parameters of the model for each record (n_records, n_parameters).
+
+        ``z`` (n,) are the coordinates; the values are in the parameters' own units. Parameters that are not estimated
+        have their values in the model.
+        """
+        own = self.natural_values(z)
         out = np.tile(self.base, (len(self.records), 1))
-        for i, places in enumerate(self.places):
-            out[i, [self.columns[k] for k in places]] = own[places]
+        for i, coordinates in enumerate(self.coordinates):
+            out[i, [self.columns[k] for k in coordinates]] = own[coordinates]
         return out
 
-    def own(self, z: Array) -> Array:
-        """Return the values of the free parameters in their own units (n,).
+    def natural_values(self, z: Array) -> Array:
+        """Return the values of the free parameters (n,) in their own units for the coordinates z (n,).
 
-        They are clipped to their bounds again, since logarithms are rounded.
+        They are clipped to their bounds, since logarithms are rounded.
         """
         return np.array([np.clip(p.from_free(float(c)), *p.bounds) for p, c in zip(self.parameters, z, strict=True)])
 
     def slopes(self, z: Array) -> Array:
-        """Return the derivative of each parameter by its coordinate (n,)."""
+        """Return the derivative (n,) of each parameter by its coordinate: 1, or the parameter itself if logarithmic."""
         return np.array([p.slope(p.from_free(float(c))) for p, c in zip(self.parameters, z, strict=True)])
 
     def evaluate(self, z: Array) -> Evaluation:
-        """Return log-posterior, gradient and information by the coordinates.
+        """Return log-posterior, gradient and information at the coordinates z (n,), by forward sensitivities.
 
-        The information includes that of the priors.
+        The information includes that of the priors. All constants of the likelihood, but not of the priors, are
+        included in the value.
         """
         mean, weight = self.prior
         value = 0.0
         gradient, information = np.zeros(z.size), np.zeros((z.size, z.size))
-        rows = self._map(lambda i, v: self.likelihood.scores(self.records[i], v, self.free), z)
+        rows = self._for_each_record(lambda i, v: self.likelihood.scores(self.records[i], v, self.free), z)
         slope = self.slopes(z)
-        for places, scores in zip(self.places, rows, strict=True):
+        for coordinates, scores in zip(self.coordinates, rows, strict=True):
             value += scores.value
-            gradient[places] += slope[places] * scores.gradient
-            information[np.ix_(places, places)] += np.outer(slope[places], slope[places]) * scores.information
+            gradient[coordinates] += slope[coordinates] * scores.gradient
+            information[np.ix_(coordinates, coordinates)] += (
+                np.outer(slope[coordinates], slope[coordinates]) * scores.information
+            )
         # The logarithm of a standard deviation s near zero: ln L ~ -c s^2, whose second derivative by ln s is twice
         # the first. The expected information is of the order s^4; a step of the prior alone would overshoot.
         twice = np.where(self.bounds.logarithmic, 2.0 * np.maximum(-gradient, 0.0), 0.0)
@@ -474,24 +526,27 @@ class Problem:
         return Evaluation(value, gradient - weight * (z - mean), information + np.diag(weight), curvature)
 
     def information(self, z: Array, which: NDArray[np.intp]) -> Array:
-        """Return the information of some coordinates (n_which, n_which), with that of their priors.
+        """Return the information of the coordinates with the indices ``which``, with that of their priors.
 
-        It costs less than the information of all.
+        The result (n_which, n_which) is a block of the information at z (n,). It costs less than the whole matrix.
         """
         slope, selected, n = self.slopes(z), set(which.tolist()), len(self.free)
         total = np.diag(self.prior[1])
 
         def chosen(i: int) -> list[int]:
-            return [k for k in range(n) if self.places[i][k] in selected]
+            """Return the indices in ``free`` of the selected coordinates of record i."""
+            return [k for k in range(n) if self.coordinates[i][k] in selected]
 
-        rows = self._map(lambda i, v: self.likelihood.scores(self.records[i], v, [self.free[k] for k in chosen(i)]), z)
+        rows = self._for_each_record(
+            lambda i, v: self.likelihood.scores(self.records[i], v, [self.free[k] for k in chosen(i)]), z
+        )
         for i, scores in enumerate(rows):
-            at = [self.places[i][k] for k in chosen(i)]
+            at = [self.coordinates[i][k] for k in chosen(i)]
             total[np.ix_(at, at)] += np.outer(slope[at], slope[at]) * scores.information
         return total[np.ix_(which, which)]
 
     def value(self, z: Array) -> float:
-        """Return the log-posterior.
+        """Return the log-posterior at the coordinates z (n,), without the constants of the priors.
 
         A record whose values are the same as in the last call is not evaluated again. If only a per-record parameter
         changes, a single record is evaluated.
@@ -506,31 +561,40 @@ class Problem:
             return known
 
         mean, weight = self.prior
-        return sum(self._map(work, z), -0.5 * float(weight @ (z - mean) ** 2))
+        return sum(self._for_each_record(work, z), -0.5 * float(weight @ (z - mean) ** 2))
 
     def value_and_gradient(self, z: Array) -> tuple[float, Array]:
-        """Return the log-posterior and its gradient (n,), by the adjoint filter."""
+        """Return the log-posterior at the coordinates z (n,) and its gradient (n,), by the adjoint filter."""
         mean, weight = self.prior
         value, gradient = -0.5 * float(weight @ (z - mean) ** 2), -weight * (z - mean)
         slope = self.slopes(z)
-        rows = self._map(lambda i, v: self.likelihood.gradient(self.records[i], v), z)
-        for places, (ll, by_parameter) in zip(self.places, rows, strict=True):
+        rows = self._for_each_record(lambda i, v: self.likelihood.gradient(self.records[i], v), z)
+        for coordinates, (ll, by_parameter) in zip(self.coordinates, rows, strict=True):
             value += ll
-            gradient[places] += slope[places] * by_parameter[[self.columns[k] for k in places]]
+            gradient[coordinates] += slope[coordinates] * by_parameter[[self.columns[k] for k in coordinates]]
         return value, gradient
 
     def by_row(self, z: Array) -> list[tuple[list[int], Array]]:
-        """Return for each record the indices of its coordinates and the contribution of each row to their gradient."""
+        """Return the contribution of each row of each record to the gradient of the log-likelihood at z (n,).
+
+        Returns
+        -------
+        list of (coordinates, contributions)
+            For each record: indices of the coordinates on which it depends, and an array (n_rows, n_coordinates).
+        """
         slope = self.slopes(z)
-        rows = self._map(lambda i, v: self.likelihood.scores(self.records[i], v, self.free, by_row=True), z)
+        rows = self._for_each_record(lambda i, v: self.likelihood.scores(self.records[i], v, self.free, by_row=True), z)
         return [
-            (places, slope[places] * scores.by_row)
-            for places, scores in zip(self.places, rows, strict=True)
+            (coordinates, slope[coordinates] * scores.by_row)
+            for coordinates, scores in zip(self.coordinates, rows, strict=True)
             if scores.by_row is not None
         ]
 
     def check(self, z: Array) -> None:
-        """Raise ValueError if a record cannot be evaluated; the message names the first one."""
+        """Raise ValueError if the log-likelihood of a record is not finite at z (n,); the message names the first one.
+
+        The message calls z the initial values.
+        """
         for record, values in zip(self.records, self.values(z), strict=True):
             if not np.isfinite(self.likelihood.value(record, values)):
                 raise ValueError(
@@ -538,8 +602,11 @@ class Problem:
                     "evaluated at the initial values"
                 )
 
-    def _map(self, work: Callable[[int, Array], T], z: Array) -> list[T]:
-        """Return ``work(i, values)`` for each record i, in threads."""
+    def _for_each_record(self, work: Callable[[int, Array], T], z: Array) -> list[T]:
+        """Return ``work(i, values)`` for each record i, in up to ``threads`` threads.
+
+        ``values`` (n_parameters,) are all parameters of record i at the coordinates z (n,).
+        """
         values = self.values(z)
         if self.threads == 1:
             return [work(i, v) for i, v in enumerate(values)]

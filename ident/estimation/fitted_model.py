@@ -1,4 +1,4 @@
-"""A model fitted to estimation data and evaluated on validation data: what a diagnosis compares."""
+"""A model fitted to estimation data and evaluated on validation data. A diagnosis compares such models."""
 
 from __future__ import annotations
 
@@ -37,7 +37,15 @@ ValidationData = Sequence[Record] | TimeBlocks  # validation records, or blocks 
 
 
 class FailedRun(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Validation run that could not be evaluated."""
+    """Validation run that cannot be evaluated.
+
+    Attributes
+    ----------
+    record
+        Name of the run.
+    reason
+        Text of the error that was raised.
+    """
 
     record: Annotated[str, Meta(description="name of the run's record")]
     reason: Annotated[str, Meta(description="why the model could not be evaluated on the run")]
@@ -52,13 +60,13 @@ class FittedModel:
     Attributes
     ----------
     model
-        The model before the fit.
+        Model before the fit, with its initial values.
     fit
-        The fit to the estimation data.
+        Fit to the estimation data.
     estimation, validation
-        Evaluation of the fitted model on each record.
+        Evaluation of the fitted model on each record of the estimation data and of the validation data.
     failed
-        Validation runs that could not be evaluated.
+        Validation runs that could not be evaluated; they are not in ``validation``.
     cross_validated
         Whether ``validation`` contains blocks of the estimation records, each with the estimates from the other blocks.
     """
@@ -72,12 +80,12 @@ class FittedModel:
 
     @property
     def records(self) -> list[Record]:
-        """The records of the fit."""
+        """Records of the estimation data."""
         return [v.record for v in self.estimation]
 
     @property
     def outlier_notes(self) -> list[str]:
-        """Lines about outliers in the estimation data, one for each channel that has the outlier model."""
+        """Sentences for the reader about outliers in the estimation data (``seatrial.ident.model.outlier_notes``)."""
         runs, measured = [v.run.outliers for v in self.estimation], [np.isfinite(r.y) for r in self.records]
         return outlier_notes(self.model, runs, measured)
 
@@ -88,10 +96,12 @@ class RecordEvaluation:
 
     Attributes
     ----------
-    model, record
-        The model with its estimates, and the record.
+    model
+        Model with the estimates as values.
+    record
+        Record with the channels of the model.
     values : Array (n_parameters,)
-        The estimates for this record, over ``model.parameters`` in order.
+        Estimates for this record, in the order of ``model.parameters``.
     """
 
     model: Model
@@ -100,17 +110,20 @@ class RecordEvaluation:
 
     @cached_property
     def run(self) -> FilterResult:
-        """Filtered states and innovations."""
+        """Output of the extended Kalman filter: filtered states, covariances and innovations."""
         return Likelihood(self.model).filter(self.record, self.values)
 
     @cached_property
     def ll(self) -> Array:
-        """Log-likelihood by row (n_rows,). It is cheaper than `run`, and enough for most candidates of a diagnosis."""
+        """Contribution of each row to the log-likelihood (n_rows,).
+
+        It is cheaper than `run`, and enough for most candidates of a diagnosis.
+        """
         return Likelihood(self.model).value_by_row(self.record, self.values)
 
     @cached_property
     def smoothed(self) -> SmoothedStates:
-        """Smoothed states."""
+        """Means and standard deviations of the states, given all samples of the record."""
         return smoothed_states(self.run)
 
 
@@ -123,20 +136,30 @@ def fit_nominal_model(
     rate: float = 10.0,
     reporter: Reporter = QUIET,
 ) -> FittedModel:
-    """Fit the model as it is, with disturbance forces and sensor offsets as states; no search for missing effects.
+    """Fit the model with disturbance forces and sensor offsets as states, without a search for missing effects.
 
     Parameters
     ----------
     model
-        Its ``nominal_model`` form is fitted.
+        Model to fit. Disturbance forces and sensor offsets are added if it lacks them (`nominal_model`).
     estimation, validation
-        Logs for the fit, and logs that judge it.
+        Logs to which the model is fitted, and logs on which the fit is evaluated.
     options
-        Plain maximum likelihood by default.
+        Method, outliers and noise. None: prediction error, without outliers and REML.
     rate
-        Rows per second to which faster sensors are averaged [Hz].
+        Rate [Hz] of the rows of a record. Faster sensors are averaged to it.
     reporter
         Receives a line of progress.
+
+    Returns
+    -------
+    FittedModel
+        Fit with its evaluation. Validation logs that cannot be converted or evaluated are in ``failed``.
+
+    Raises
+    ------
+    ValueError, ArithmeticError
+        If an estimation log cannot be converted to a record, or if the fit fails.
     """
     full = nominal_model(model)
     records = [make_record(full, r, rate) for r in estimation]
@@ -151,9 +174,9 @@ def fit_nominal_model(
 def validation_records(
     model: Model, segments: Sequence[LogSegment], rate: float
 ) -> tuple[list[Record], tuple[FailedRun, ...]]:
-    """Return the records of the validation runs, and the runs that cannot be converted to a record.
+    """Convert validation runs to records. Return the records, and the runs that cannot be converted.
 
-    ``rate`` [Hz] is that of `seatrial.ident.data.make_record`.
+    ``rate`` [Hz] is the rate of the rows, to which faster sensors are averaged.
     """
     records, failed = list[Record](), list[FailedRun]()
     for segment in segments:
@@ -172,30 +195,30 @@ def fit_with_rescaling(
 ) -> FittedModel:
     """Fit the model of `nominal_model`, and fit it again if its priors turn out to be wrong.
 
-    A second fit follows if the boat's estimated size differs from the assumed one, or if the innovations contradict the
-    declared noise of the sensors. If that fit fails, does not converge or is much less likely than the first, it is
-    repeated from the shared estimates of the first fit.
+    A second fit follows if the boat's estimated force or moment scale differs from the assumed one by a factor of two
+    or more, or if the innovations contradict the declared noise of the sensors. If the second fit fails, does not
+    converge or is much less likely than the first, it is repeated from the shared estimates of the first fit.
 
     Parameters
     ----------
     full
-        The model of `nominal_model`.
+        Model with disturbance forces and sensor offsets, a result of `nominal_model`.
     records, validation_data
         Estimation and validation data.
     options
-        Plain maximum likelihood by default.
+        Method, outliers and noise. None: prediction error, without outliers and REML.
 
     Returns
     -------
     FittedModel
-        The first fit if no second one is needed. Otherwise the first refit that has converged and is about as likely as
-        the first fit, or else the best refit. If only the first fit has converged, it is returned, except if the
-        declared noise is contradicted.
+        The first fit if no second one is needed. Otherwise the first refit that has converged and loses less than 2 in
+        log-likelihood against the first fit, or else the best refit. If only the first fit has converged, it is
+        returned, except if the declared noise is contradicted.
 
     Raises
     ------
     ValueError, ArithmeticError
-        If no refit can be evaluated.
+        If the first fit fails, or if a second fit is needed and both of its attempts fail.
     """
     fitted = fit_and_evaluate(full, records, validation_data, options)
     assumed, found, noise_revised = size_of(full), size_of(fitted.fit.model), without_contradicted_noise(full, fitted)
@@ -222,7 +245,11 @@ def fit_with_rescaling(
 
 
 def without_contradicted_noise(full: Model, fitted: FittedModel) -> Model:
-    """Return the model with the declared noise of the sensors as priors if the innovations of a channel contradict it.
+    """Return the model with the declared noise of the sensors as priors if the innovations of an output contradict it.
+
+    Declared noise is a fixed noise parameter of an output. It is contradicted if the robust standard deviation of the
+    standardised innovations of any output is 1.5 or more. All declared noise parameters then become free, with their
+    values as the means of priors and 12.5 % as relative standard deviation. Otherwise the model is returned unchanged.
 
     If noise that is declared too small were kept fixed, random errors would look like an effect, and the standard
     errors would be too small. One contradicted channel makes the declared noise of all channels doubtful: its errors go
@@ -247,16 +274,22 @@ def fit_and_evaluate(
     options: EstimationOptions | None = None,
     settings: SearchSettings | None = None,
 ) -> FittedModel:
-    """Fit the model to the records. On validation records estimate only the per-record parameters.
+    """Fit the model to the records, and evaluate the fit on the validation data.
+
+    On validation records only the per-record parameters (the current) are estimated. On blocks of the estimation
+    records, the fit is evaluated by cross-validation.
 
     Parameters
     ----------
     model
-        The model, with its initial values. A rough search (without robust errors) tries no other initial values.
+        Model with its initial values. Other initial values of its start grid are tried, except in a rough search
+        (without robust errors).
     records, validation_data
         Estimation and validation data. A validation record that cannot be evaluated is named in ``failed``.
-    options, settings
-        See `seatrial.ident.estimation.maximum_likelihood.fit`.
+    options
+        Method, outliers and noise. None: prediction error, without outliers and REML.
+    settings
+        Accuracy and effort of the search. None: the defaults of `SearchSettings`.
 
     Raises
     ------
@@ -268,75 +301,85 @@ def fit_and_evaluate(
     initial, rows = reset_collapsed_noise(model, records), [r.for_model(model) for r in records]
 
     def fitted_from(start: Mapping[str, float]) -> Fit:
+        """Return the fit from the model's initial values, of which ``start`` replaces some."""
         return fit(initial, rows, options, settings, start=start)
 
     full_fit = fitted_from({})
     if model.start_grid is not None and settings.robust_errors:
         full_fit = best_of_starts(full_fit, records, fitted_from)
     model = with_outliers(model) if options.outlier_model else model
-    views = tuple(_view(full_fit.model, r, full_fit.record_values[i]) for i, r in enumerate(records))
+    views = tuple(_evaluation_of(full_fit.model, r, full_fit.record_values[i]) for i, r in enumerate(records))
     if not isinstance(validation_data, TimeBlocks):
-        judged, failed = _adapted(full_fit, validation_data, replace(settings, robust_errors=False))
+        judged, failed = _evaluate_validation_records(full_fit, validation_data, replace(settings, robust_errors=False))
         return FittedModel(model, full_fit, views, tuple(judged), tuple(failed))
     return cross_validated(FittedModel(model, full_fit, views, ()), validation_data)
 
 
 def cross_validated(fitted: FittedModel, blocks: TimeBlocks) -> FittedModel:
-    """Return the fit judged on blocks in time of its estimation records, each with the estimates from the others.
+    """Return the fit with its cross-validation in ``validation``: each block evaluated with estimates from the others.
+
+    ``blocks`` are blocks in time of the estimation records.
 
     Raises
     ------
     ValueError
         If a block cannot be evaluated.
     """
-    full_fit, blocks = fitted.fit, _with_own_starts(fitted, blocks)
+    full_fit, blocks = fitted.fit, _with_initial_states_of_effects(fitted, blocks)
     values = leave_one_block_out(full_fit.model, blocks, full_fit.record_values, full_fit.parameters)
-    views = tuple(_view(full_fit.model, r, v) for r, v in zip(blocks.records, values, strict=True))
+    views = tuple(_evaluation_of(full_fit.model, r, v) for r, v in zip(blocks.records, values, strict=True))
     return replace(fitted, validation=views, cross_validated=True)
 
 
 def cut_into_blocks(records: Sequence[Record], views: Sequence[RecordEvaluation], block: float) -> TimeBlocks:
-    """Cut records into blocks in time.
+    """Cut records into blocks in time for cross-validation, five to eight for each record.
 
     Parameters
     ----------
     records
-        The records.
+        Records to be cut.
     views
-        A model evaluated on them. Its filtered states give the initial states of the blocks.
+        Evaluation of a model on each record. The initial states of the blocks have the mean and spread of its filtered
+        states over the whole record.
     block
-        ``Model.block`` [s].
+        Duration [s] over which residuals may be correlated (``Model.block``), 5 s for a boat. A block for
+        cross-validation is twelve times as long.
     """
-    return time_blocks(records, block, [_starts_anywhere(v) for v in views])
+    return time_blocks(records, block, [_state_distribution(v) for v in views])
 
 
-def _with_own_starts(fitted: FittedModel, blocks: TimeBlocks) -> TimeBlocks:
+def _with_initial_states_of_effects(fitted: FittedModel, blocks: TimeBlocks) -> TimeBlocks:
     """Return the blocks with initial states for all states of the fitted model, including those of its effects.
 
-    Initial states at rest would be wrong wherever a record is cut.
+    Initial states that a block already has are kept. Missing ones get the mean and spread of the filtered states over
+    the record. Initial states at rest would be wrong wherever a record is cut.
     """
     known = [r.start for r in blocks.records]
     if all(s.name in start for s in fitted.fit.model.states for start in known):
         return blocks
-    own = [_starts_anywhere(v) for v in fitted.estimation]
-    starts = [{**own[i], **start} for i, start in zip(blocks.of, known, strict=True)]
+    own = [_state_distribution(v) for v in fitted.estimation]
+    starts = [{**own[i], **start} for i, start in zip(blocks.record_indices, known, strict=True)]
     records = (replace(r, start=start) for r, start in zip(blocks.records, starts, strict=True))
     return replace(blocks, records=tuple(records))
 
 
-def _starts_anywhere(view: RecordEvaluation) -> dict[str, tuple[float, float]]:
-    """Return mean and standard deviation of each state over a record. They include the filter's own uncertainty."""
+def _state_distribution(view: RecordEvaluation) -> dict[str, tuple[float, float]]:
+    """Return mean and standard deviation of each filtered state over a record, by name of the state.
+
+    The standard deviation includes the filter's own uncertainty.
+    """
     mean, variance = view.run.x_filt.mean(axis=0), view.run.x_filt.var(axis=0)
     sd = np.sqrt(variance + np.diagonal(view.run.P_filt, axis1=1, axis2=2).mean(axis=0))
     return {s.name: (float(m), float(e)) for s, m, e in zip(view.model.states, mean, sd, strict=True)}
 
 
-def _adapted(
+def _evaluate_validation_records(
     full_fit: Fit, validation_data: Sequence[Record], settings: SearchSettings
 ) -> tuple[list[RecordEvaluation], list[FailedRun]]:
-    """Return the validation records with their per-record parameters (the current) estimated, and those that failed.
+    """Evaluate a fit on validation records. Return the evaluations, and the runs that failed.
 
-    All records are fitted at once. If that fails, they are fitted one by one.
+    The per-record parameters (the current) are estimated from all validation records at once; all other parameters keep
+    the estimates of the fit. If that fails, the records are evaluated one by one.
     """
     model = full_fit.model
     own = [p.name for p in model.parameters if p.free and p.per_record]
@@ -345,24 +388,29 @@ def _adapted(
     try:
         if own:
             adapted = fit(model.with_free(own), [r.for_model(model) for r in validation_data], settings=settings)
-            return [_view(adapted.model, r, adapted.record_values[i]) for i, r in enumerate(validation_data)], []
-        views = [_view(model, r, full_fit.record_values[0]) for r in validation_data]
+            return [
+                _evaluation_of(adapted.model, r, adapted.record_values[i]) for i, r in enumerate(validation_data)
+            ], []
+        views = [_evaluation_of(model, r, full_fit.record_values[0]) for r in validation_data]
         for v in views:
             if not np.isfinite(v.ll).all():
-                raise ValueError(f"record {v.record.name}: the likelihood of model {model.name} cannot be evaluated")
+                raise ValueError(
+                    f"record {v.record.name}: the likelihood of model {model.name} is not finite for the estimated "
+                    "parameters"
+                )
         return views, []
     except FIT_ERRORS as problem:
         if len(validation_data) == 1:
             return [], [FailedRun(validation_data[0].name, str(problem))]
-    parts = [_adapted(full_fit, [r], settings) for r in validation_data]
+    parts = [_evaluate_validation_records(full_fit, [r], settings) for r in validation_data]
     return [v for views, _ in parts for v in views], [f for _, failed in parts for f in failed]
 
 
 def validated_in_blocks(fitted: FittedModel) -> FittedModel:
-    """Return the fit judged on blocks in time of its validation records.
+    """Return the fit with ``validation`` replaced by blocks in time of its validation records.
 
-    An effect with per-record parameters must be judged this way: the values for a block come from the other blocks of
-    the run. A fit without validation records, or one that is cross-validated already, is returned unchanged.
+    An effect with per-record parameters must be evaluated this way: the values for a block come from the other blocks
+    of the run. A fit without validation records, or one that is cross-validated already, is returned unchanged.
 
     Raises
     ------
@@ -376,17 +424,21 @@ def validated_in_blocks(fitted: FittedModel) -> FittedModel:
     own = [p for p in model.parameters if p.free and p.per_record]
     parameters = [replace(p, segment=i) for i in range(len(fitted.validation)) for p in own]
     values = leave_one_block_out(model, blocks, np.array([v.values for v in fitted.validation]), parameters)
-    return replace(fitted, validation=tuple(_view(model, r, v) for r, v in zip(blocks.records, values, strict=True)))
+    return replace(
+        fitted, validation=tuple(_evaluation_of(model, r, v) for r, v in zip(blocks.records, values, strict=True))
+    )
 
 
-def _view(model: Model, record: Record, values: Array) -> RecordEvaluation:
+def _evaluation_of(model: Model, record: Record, values: Array) -> RecordEvaluation:
+    """Return the evaluation of the model on a record, restricted to the channels of the model."""
     return RecordEvaluation(model, record.for_model(model), values)
 
 
 def nominal_model(model: Model) -> Model:
-    """Return the model with disturbance forces and sensor offsets, scaled to its size.
+    """Return the model with disturbance forces and sensor offsets as states.
 
-    A model that has them already is only scaled. A model without forces or kinematic residuals is returned unchanged.
+    The sizes of their noise and priors are scaled to the size of the boat, by its masses. A model that has disturbance
+    forces already is only scaled. A model without forces or kinematic residuals is returned unchanged.
     """
     if not (forces_of(model) or residuals_of(model)):
         return model
@@ -397,9 +449,9 @@ def nominal_model(model: Model) -> Model:
 def with_all_candidates(
     nominal_model: Model, candidates: Mapping[str, Effect], runs: Sequence[LogSegment]
 ) -> tuple[Model, dict[str, Effect]]:
-    """Return the model with all candidates whose inputs exist in all runs, and these candidates by name.
+    """Return the model with the effects of all candidates whose inputs exist in all runs, and these effects by name.
 
-    One record of this model then serves all candidates.
+    One record of this model then contains the channels that each candidate needs.
     """
     everything, kept = nominal_model, {}
     for name, effect in candidates.items():
@@ -409,23 +461,29 @@ def with_all_candidates(
 
 
 def missing_inputs(nominal_model: Model, effect: Effect, run: LogSegment) -> set[str]:
-    """Return the inputs of an effect that a run lacks and that cannot be derived from its channels."""
+    """Return the names of the inputs of an effect that a run lacks and that cannot be derived from its channels.
+
+    The time ``t`` can always be derived, and ``work`` if the model has the shaft speed ``n``.
+    """
     derived = {"t", "work"} if nominal_model.provides and "n" in nominal_model.provides else {"t"}
     return {i.tap_of or i.name for i in effect.inputs} - derived - set(run.channels)
 
 
 def without_absent_sensors(model: Model, records: Sequence[Record]) -> Model:
-    """Return the model with the noise of sensors that no record has fixed, since the data cannot inform it."""
-    return model.replace_parameters(*[model.parameter(n).fixed() for n in _absent_noise(model, records)])
+    """Return the model with the noise parameters of those sensors fixed that have no sample in any record.
+
+    The data cannot inform these parameters.
+    """
+    return model.replace_parameters(*[model.parameter(n).fixed() for n in _noise_of_absent_sensors(model, records)])
 
 
 def without_unknown_noise(model: Model, records: Sequence[Record], validation_data: Sequence[Record]) -> list[Record]:
-    """Return the validation records without samples of sensors that no estimation record has.
+    """Return the validation records without the samples of sensors that have no sample in the estimation records.
 
-    The noise of such a sensor is not estimated, and a guess of it would judge the model. If its noise is fixed to a
-    given value, the samples stay.
+    The samples become NaN in copies of the records. The noise of such a sensor is not estimated, so that the result of
+    the validation would depend on a guess. If the noise is fixed to a given value, the samples stay.
     """
-    unknown = {n for n in _absent_noise(model, records) if model.parameter(n).free}
+    unknown = {n for n in _noise_of_absent_sensors(model, records) if model.parameter(n).free}
     dropped = {o.name for o in model.outputs if o.noise in unknown}
     return [
         replace(r, y=np.where([name in dropped for name in r.outputs], np.nan, r.y)) if dropped & set(r.outputs) else r
@@ -433,8 +491,8 @@ def without_unknown_noise(model: Model, records: Sequence[Record], validation_da
     ]
 
 
-def _absent_noise(model: Model, records: Sequence[Record]) -> set[str]:
-    """Return the noise parameters of sensors that no record has."""
+def _noise_of_absent_sensors(model: Model, records: Sequence[Record]) -> set[str]:
+    """Return the names of the noise parameters of sensors that have no sample in any record."""
     columns = {n: j for j, n in enumerate(records[0].outputs)}
     seen = {o.name for o in model.outputs if any(np.isfinite(r.y[:, columns[o.name]]).any() for r in records)}
     informed = {o.noise for o in model.outputs if o.name in seen}
@@ -442,11 +500,12 @@ def _absent_noise(model: Model, records: Sequence[Record]) -> set[str]:
 
 
 def reset_collapsed_noise(model: Model, records: Sequence[Record]) -> Model:
-    """Return the model with new initial values for noise that an earlier fit estimated as almost zero.
+    """Return the model with new initial values for free measurement noise that an earlier fit estimated as almost zero.
 
-    No search returns from a noise near zero. The new value comes from the median second difference of the samples,
-    taken as white noise. Noise with a lower bound keeps its value: it cannot collapse. The second differences of a
-    smoothed signal would measure its motion instead.
+    Noise is almost zero if it is below a hundredth of the white noise in the samples. This white noise is the new
+    value; it is computed from the median second difference of the samples. A search cannot leave a noise near zero.
+    Noise with a positive lower bound keeps its value: it cannot become zero, and the second differences of a smoothed
+    signal would measure its motion.
     """
     new, names = [], records[0].outputs
     for o in model.outputs:

@@ -1,7 +1,7 @@
 """Heterogeneity of parameters between logs: homogeneity test, between-run effects, and shifts in a validation run.
 
 The homogeneity test is the likelihood ratio of one value for each log to one value for all logs. It also estimates the
-scatter between the logs.
+standard deviation between the logs (the scatter).
 
 Let ``m`` (k,) be the values fitted one for each log, and V their covariance. The scatter tau of the logs beyond V is
 that of
@@ -41,23 +41,28 @@ MIN_SHIFT = 5.0  # a parameter has shifted if it differs by this many standard e
 
 @dataclass(frozen=True)
 class HomogeneityTest:
-    """Result of the homogeneity test of one parameter over several logs.
+    """Result of the homogeneity test of one parameter over several logs. Values are in the parameter's unit.
 
     Attributes
     ----------
+    name, unit
+        Name and unit of the parameter.
+    records
+        Names of the records, one for each log.
     value, error, robust_error
-        Estimate and standard errors of the fit with one value for all records.
+        Estimate, standard error and robust standard error of the fit with one value for all records.
     values, errors : Array (n_records,)
         Estimates and standard errors of the fit with one value for each record; NaN errors for records at a bound.
     lr, df, p
-        Likelihood ratio, its degrees of freedom and its p value.
+        Likelihood ratio statistic (twice the gain in log-posterior, at least 0), its degrees of freedom and its p value
+        by chi-squared; p is 1 if df is 0.
     scatter
-        Standard deviation between the records, beyond their standard errors.
+        Standard deviation between the records, beyond their standard errors; NaN with fewer than two standard errors.
     mean, mean_error, interval
         Mean of the records' values with that scatter, its standard error, and its 95 % interval. The interval uses
-        Student's t, with the number of records that have a standard error.
+        Student's t, with the number of records that have a standard error minus one.
     left_out
-        Records that do not inform the parameter. ``df`` does not count them.
+        Names of the records that do not inform the parameter. ``df`` does not count them.
     """
 
     name: str
@@ -79,26 +84,31 @@ class HomogeneityTest:
 
     @property
     def agree(self) -> bool:
-        """Return whether the test does not reject one common value."""
+        """Whether the test does not reject one common value: p is above 0.01."""
         return self.p > LEVEL
 
 
 def homogeneity_test(common: Fit, records: Sequence[Record], name: str) -> HomogeneityTest:
     """Test whether one value of a parameter holds for all records, by a fit with one value for each record.
 
+    A record informs the parameter if its standard error is below 0.95 of the prior's standard deviation, or if its
+    value is at a bound. If some records do not, both models are fitted again to the others for the likelihood ratio.
+
     Parameters
     ----------
     common
         Fit of the same records with one value for all of them.
     records
-        The records of ``common``.
+        Records of ``common``, in the same order.
     name
-        A free parameter that the records share.
+        Name of a free parameter that the records share.
 
     Raises
     ------
     SeatrialError
         If ``name`` is not such a parameter, or if there are fewer than two records.
+    ValueError
+        If a model cannot be fitted.
     """
     if name not in common.names:
         free = ", ".join(p.name for p in common.parameters if p.segment is None)
@@ -108,8 +118,8 @@ def homogeneity_test(common: Fit, records: Sequence[Record], name: str) -> Homog
     if len(records) < 2:
         raise SeatrialError(f"--test-homogeneity {name}: give two logs or more")
     shared = common.model.parameter(name)
-    model = _with_one_each(common.model, shared, len(records))
-    each = _again(common, model, records, range(len(records)))
+    model = _with_value_per_record(common.model, shared, len(records))
+    each = _refit_subset(common, model, records, range(len(records)))
     values, errors = np.array([each.estimate(name, i) for i in range(len(records))]).T
     at = [each.names.index(segment_name(name, i)) for i in range(len(records))]
     # a value at a bound has no standard error, but the record does inform it: its data pushed the value there
@@ -124,8 +134,8 @@ def homogeneity_test(common: Fit, records: Sequence[Record], name: str) -> Homog
     if 0 < df < len(records) - 1:
         # Fit both models again to the informing records alone: otherwise the likelihood ratio would include what the
         # other records tell about the noise.
-        of_each = _again(common, _with_one_each(common.model, shared, len(informs)), records, informs)
-        lr = 2.0 * (of_each.log_posterior - _again(common, common.model, records, informs).log_posterior)
+        of_each = _refit_subset(common, _with_value_per_record(common.model, shared, len(informs)), records, informs)
+        lr = 2.0 * (of_each.log_posterior - _refit_subset(common, common.model, records, informs).log_posterior)
     lr, df = max(lr, 0.0), max(df, 0)
     informed_at = [k for k, is_known in zip(at, known, strict=True) if is_known]
     scatter, mean, mean_error = between_log_variance(values[known], each.covariance[np.ix_(informed_at, informed_at)])
@@ -151,16 +161,17 @@ def homogeneity_test(common: Fit, records: Sequence[Record], name: str) -> Homog
     )
 
 
-def _with_one_each(model: Model, parameter: Parameter, n: int) -> Model:
-    """Return the model with one value of a parameter for each of n records.
+def _with_value_per_record(model: Model, parameter: Parameter, n: int) -> Model:
+    """Return the model in which a shared parameter has a separate value in each of n records.
 
-    The prior is weakened by ``sqrt(n)``: n equal values then have the same posterior as the one common value.
+    The standard deviation of its prior becomes ``sqrt(n)`` times as large: n equal values then have the same posterior
+    as the one common value.
     """
     prior = None if parameter.prior is None else (parameter.prior[0], parameter.prior[1] * np.sqrt(n))
     return model.replace_parameters(replace(parameter, per_record=True, prior=prior))
 
 
-def _again(previous: Fit, model: Model, records: Sequence[Record], which: Sequence[int]) -> Fit:
+def _refit_subset(previous: Fit, model: Model, records: Sequence[Record], which: Sequence[int]) -> Fit:
     """Fit another model to some of the records with the options of a previous fit, so that their likelihoods compare.
 
     The previous model already has the outlier model and the free initial states of output error, so that neither is
@@ -168,8 +179,14 @@ def _again(previous: Fit, model: Model, records: Sequence[Record], which: Sequen
 
     Parameters
     ----------
+    previous
+        Fit to all records.
+    model
+        Model to be fitted.
+    records
+        All records of the previous fit.
     which
-        Indices of the records.
+        Indices of the records to which the model is fitted.
     """
     begin = {
         segment_name(p.name, k): float(v)
@@ -192,15 +209,15 @@ def between_log_variance(values: Array, covariance: Array) -> tuple[float, float
     Parameters
     ----------
     values : Array (k,)
-        One value for each log.
+        Estimate of one parameter from each log.
     covariance : Array (k, k)
-        Their covariance. Values with a NaN variance are left out.
+        Covariance of these estimates. Values with a NaN variance are left out.
 
     Returns
     -------
     scatter, mean, mean_error
-        Standard deviation between the logs, the mean with that scatter, and its standard error. All are NaN if fewer
-        than two values remain.
+        Standard deviation between the logs (0 if the covariance explains the differences), the mean with that scatter,
+        and the standard error of the mean. All are NaN if fewer than two values remain.
     """
     known = np.isfinite(np.diag(covariance))
     m, V = values[known], covariance[np.ix_(known, known)]
@@ -208,7 +225,7 @@ def between_log_variance(values: Array, covariance: Array) -> tuple[float, float
         return float("nan"), float("nan"), float("nan")
 
     def mean_of(tau: float) -> tuple[float, float, float]:
-        """Return mean, its information and the restricted log-likelihood for a scatter tau."""
+        """Return the mean, its information (1 / variance) and twice the restricted log-likelihood for a scatter tau."""
         W = np.linalg.inv(V + tau**2 * np.eye(m.size))
         information = float(W.sum())
         mean = float(W.sum(axis=0) @ m) / information
@@ -226,10 +243,12 @@ def between_log_variance(values: Array, covariance: Array) -> tuple[float, float
 
 
 def between_runs(fitted: Fit) -> dict[str, Effect]:
-    """Return the candidate effects for what may differ between the records of a fit.
+    """Return candidate effects by name, each of which lets one quantity differ between the records of a fit.
 
-    These are a payload, the thrust, and each single positive parameter. Each name starts with ``BETWEEN``. The result
-    is empty for a single record.
+    The quantities are a payload (if the model has the masses m_u and m_v), the thrust (if it has c1), and each
+    estimated parameter that is positive and shared by the records. Parameters of noise and of effects are left out, and
+    so are parameters at a bound or of unknown order of magnitude.
+    Each name starts with ``between-runs:``. The result is empty for a single record.
     """
     if len(fitted.records) < 2:
         return {}
@@ -243,19 +262,21 @@ def between_runs(fitted: Fit) -> dict[str, Effect]:
 
 
 def between_runs_effect(model: Model, target: str) -> Effect:
-    """Return the effect of a difference between records.
+    """Return the effect by which one quantity differs between records. Each record has its own mass or factor.
 
     Parameters
     ----------
     model
-        The model to which the effect is added.
+        Model to which the effect is added.
     target
-        ``PAYLOAD``: a mass [kg] added to the masses in surge and sway. ``THRUST``: a factor on the thrust coefficients.
-        Otherwise the name of the parameter that gets a factor. Each record has its own mass or factor.
+        ``payload``: a mass [kg] added to the masses in surge and sway, with a prior of 0 +- 20 % of the surge mass.
+        ``thrust``: a factor 1 + k on the thrust coefficients c1 and c2. Otherwise the name of a parameter that gets
+        this factor. The prior of k is 0 +- 0.3.
     """
     if target == PAYLOAD:
 
         def load(s: Signals) -> None:
+            """Add the payload to the masses in surge and sway."""
             s.p.m_u, s.p.m_v = s.p.m_u + s.p.m_payload, s.p.m_v + s.p.m_payload
 
         sd = PAYLOAD_SHARE * model.values["m_u"]
@@ -268,11 +289,14 @@ def between_runs_effect(model: Model, target: str) -> Effect:
             per_record=True,
             step=0.05 * sd,
         )
-        return _between(PAYLOAD, "a payload that differs between runs", load, carried, "m_u + m, m_v + m in each run")
+        return _build_between_runs_effect(
+            PAYLOAD, "a payload that differs between runs", load, carried, "m_u + m, m_v + m in each run"
+        )
     names = ("c1", "c2") if target == THRUST else (target,)
     meaning = "the thrust" if target == THRUST else f"{target} ({model.parameter(target).meaning})"
 
     def change(s: Signals) -> None:
+        """Multiply the parameters by the factor of the record."""
         factor = 1.0 + getattr(s.p, f"k_{target}")
         for name in names:
             if hasattr(s.p, name):
@@ -289,24 +313,26 @@ def between_runs_effect(model: Model, target: str) -> Effect:
         step=0.01,
     )
     formula = f"{', '.join(names)} (1 + k) in each run"
-    return _between(target, f"a difference of {meaning} between runs", change, factor, formula)
+    return _build_between_runs_effect(target, f"a difference of {meaning} between runs", change, factor, formula)
 
 
-def _between(target: str, title: str, change: Callable[[Signals], None], own: Parameter, formula: str) -> Effect:
+def _build_between_runs_effect(
+    target: str, title: str, change: Callable[[Signals], None], own: Parameter, formula: str
+) -> Effect:
     """Return an effect by which one parameter differs between the runs (heterogeneity).
 
     Parameters
     ----------
     target
-        Name of the quantity that differs between the runs; the name of the effect ends with it.
+        Name of the quantity that differs between the runs. The name of the effect is ``between-runs:`` and this name.
     title
-        Title of the effect.
+        Title of the effect in reports.
     change
-        Changes the parameters in a model's signals.
+        Function that changes the parameters in a model's signals, in place.
     own
-        The per-record parameter.
+        Per-record parameter of the effect.
     formula
-        Formula of the effect in words.
+        Formula of the effect for reports.
     """
     return Effect(
         BETWEEN + target,
@@ -323,7 +349,16 @@ def _between(target: str, title: str, change: Callable[[Signals], None], own: Pa
 
 @dataclass(frozen=True)
 class RunDifference:
-    """Difference of a per-record parameter from its value in the first record, with its standard error."""
+    """Difference of a per-record parameter from its value in the first record.
+
+    Attributes
+    ----------
+    record
+        Name of the record.
+    value, error
+        Value in this record minus that in the first record, and the standard error of the difference, in the
+        parameter's unit. The error is NaN if it is unknown.
+    """
 
     record: str
     value: float
@@ -331,9 +366,10 @@ class RunDifference:
 
 
 def run_differences(fitted: Fit, name: str) -> tuple[RunDifference, ...]:
-    """Return the differences of a per-record parameter from its value in the first record.
+    """Return the differences of a per-record parameter from its value in the first record, one for each other record.
 
-    The standard errors take account of the covariance of the two values; NaN if the variance is not positive.
+    ``name`` is the name of an estimated per-record parameter, without the index of the record. The standard errors take
+    account of the covariance of the two values. An error is NaN if the variance of the difference is not positive.
     """
     at = [fitted.names.index(segment_name(name, i)) for i in range(len(fitted.records))]
     found = []
@@ -347,16 +383,18 @@ def run_differences(fitted: Fit, name: str) -> tuple[RunDifference, ...]:
 
 @dataclass(frozen=True)
 class ParameterShift:
-    """The parameter, or payload, whose change explains best how a run differs from those of a fit.
+    """Parameter, or payload, whose change explains best how a run differs from those of a fit.
 
     Attributes
     ----------
+    name, unit
+        Name (``m_payload`` for a payload) and unit of the parameter.
     fitted, error
         Estimate of the fit and its standard error; zero for a payload.
     value, value_error
         Estimate from that run alone with all other shared parameters kept, and its standard error.
     gain
-        Increase of the log-likelihood in that run.
+        Increase of the log-likelihood of that run by the change.
     """
 
     name: str
@@ -371,21 +409,23 @@ class ParameterShift:
 def parameter_shift(fitted: Fit, record: Record, values: Array) -> ParameterShift | None:
     """Return the parameter whose change explains best how a run differs from those of a fit.
 
-    Each shared parameter but those of noise, and a payload, is fitted to the run alone.
+    Each shared parameter except noise, and a payload, is fitted in turn to the run alone, together with the run's
+    per-record parameters and without a prior. A candidate that cannot be fitted is skipped. Of the parameters that
+    differ by more than 5 standard errors, the one with the largest log-likelihood is returned.
 
     Parameters
     ----------
     fitted
-        The fit.
+        Fit to other runs.
     record
-        The run.
+        Run that differs.
     values : Array (n_parameters,)
-        Values of the fit for this record, over ``model.parameters`` in order.
+        Values of the fit for this run, in the order of ``model.parameters``.
 
     Returns
     -------
     ParameterShift or None
-        None if no parameter differs by more than ``MIN_SHIFT`` standard errors.
+        None if no parameter differs by more than 5 standard errors of both runs together.
     """
     model = fitted.model.with_values(dict(zip(fitted.model.values, values.tolist(), strict=True)))
     own = [p.name for p in model.parameters if p.free and p.per_record]

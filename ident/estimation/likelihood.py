@@ -31,18 +31,20 @@ WHOLE, PIECE = 16384, 1024  # rows
 
 @dataclass(frozen=True)
 class LikelihoodAndScore:
-    """Log-likelihood, score and expected Fisher information, by the parameters in their own units.
+    """Log-likelihood of one record, with its score and expected Fisher information by n_free parameters.
+
+    The parameters are in their own units, not in logarithms.
 
     Attributes
     ----------
-    value
-        Log-likelihood.
+    value : float
+        Log-likelihood, with its constants.
     gradient : Array (n_free,)
-        Score.
+        Score: derivative of the log-likelihood by each parameter.
     information : Array (n_free, n_free)
         Expected Fisher information.
     by_row : Array (n_rows, n_free), optional
-        Contributions of the rows to the score.
+        Contributions of the rows to the score; their sum is `gradient`. None if they were not requested.
     """
 
     value: float
@@ -52,14 +54,14 @@ class LikelihoodAndScore:
 
 
 class Covariances(NamedTuple):
-    """Covariances of consecutive rows, each (n, n_states, n_states).
+    """State covariances and transition matrices of n consecutive rows of a record.
 
     Attributes
     ----------
-    P_pred, P_filt
-        Covariance of the state before and after a row's samples.
-    Phi
-        Transition matrix from the row to the next one.
+    P_pred, P_filt : Array (n, n_states, n_states)
+        Covariance of the states before and after the samples of each row.
+    Phi : Array (n, n_states, n_states)
+        Transition matrix of the linearised model from each row to the next one.
     """
 
     P_pred: Array
@@ -76,22 +78,23 @@ class FilterResult:
     t : Array (n_rows,)
         Time [s].
     x_pred, x_filt : Array (n_rows, n_states)
-        State means before and after the row's samples.
-    covariances
-        Function from a slice of rows to their covariances. In a long record it runs the filter again; see ``pieces``.
+        State means before and after the samples of the row.
+    covariances : Callable[[slice], Covariances]
+        Function from a slice of rows (step 1) to their covariances. In a record of more than 16384 rows it runs the
+        filter again for rows that are not in memory; it is fastest for the slices in `pieces`.
     e : Array (n_rows, n_outputs)
-        Measured minus predicted outputs, NaN if not measured.
+        Measured minus predicted outputs, from `x_pred`; NaN if not measured. Angles are in -pi to pi.
     R : Array (n_outputs,)
         Variances of the measurement noise.
     eps, S : Array (n_rows, n_outputs)
         Innovations and their variances in sequential processing: each is conditional on those before it in its row, so
-        that ``eps / sqrt(S)`` is white.
+        that ``eps / sqrt(S)`` is white. NaN if not measured.
     ll : Array (n_rows,)
         Contribution of each row to ln L.
-    allowed : Array (n_outputs,) of bool
-        Outputs with the outlier model; None if no output has it.
-    left : Array (n_rows, n_outputs) of bool
-        Outliers before the first measurement, which the filter skips.
+    outliers_allowed : Array (n_outputs,) of bool or None
+        Whether the output has the outlier model. None has the same meaning as all False.
+    outliers_skipped : Array (n_rows, n_outputs) of bool or None
+        Outliers before the first measurement, which the filter skips. None: there are none.
     """
 
     t: Array
@@ -103,13 +106,16 @@ class FilterResult:
     eps: Array
     S: Array
     ll: Array
-    allowed: NDArray[np.bool_] | None = None
-    left: NDArray[np.bool_] | None = None
+    outliers_allowed: NDArray[np.bool_] | None = None
+    outliers_skipped: NDArray[np.bool_] | None = None
 
     @property
     def pieces(self) -> list[slice]:
-        """Consecutive slices of rows whose covariances are computed together."""
-        return _pieces(self.t.size)
+        """Consecutive slices that cover all rows. The covariances of one slice are computed together.
+
+        A record of up to 16384 rows has one slice; a longer record has slices of 1024 rows.
+        """
+        return _row_pieces(self.t.size)
 
     @property
     def P_pred(self) -> Array:
@@ -127,12 +133,14 @@ class FilterResult:
         return self.covariances(slice(None)).Phi
 
     def output_variance(self, H: Array) -> Array:
-        """Return the variances of the predicted outputs (n_rows, n_outputs).
+        """Return the variances of the measurements as predicted before each row, shape (n_rows, n_outputs).
+
+        They are the diagonal of ``H P_pred H'`` plus the variances `R` of the measurement noise.
 
         Parameters
         ----------
         H : Array (n_rows, n_outputs, n_states)
-            Derivatives of the outputs by the states.
+            Derivatives of the outputs by the states, at the predicted states.
         """
         each = [np.einsum("kil,kil->ki", H[rows] @ self.covariances(rows).P_pred, H[rows]) for rows in self.pieces]
         return np.concatenate(each) + self.R
@@ -144,33 +152,43 @@ class FilterResult:
 
     @property
     def standardised(self) -> Array:
-        """Standardised innovations (n_rows, n_outputs), white if the model is right; NaN for outliers."""
+        """Standardised innovations ``eps / sqrt(S)`` (n_rows, n_outputs).
+
+        They are white and of variance 1 if the model is right. They are NaN for outliers and if not measured.
+        """
         return np.where(self.outliers, np.nan, self.eps / np.sqrt(self.S))
 
     @cached_property
     def outliers(self) -> NDArray[np.bool_]:
-        """Whether a sample is more likely an outlier than not (n_rows, n_outputs)."""
-        left = np.zeros(self.eps.shape, dtype=bool) if self.left is None else self.left
+        """Whether a sample is an outlier (n_rows, n_outputs).
+
+        A sample is an outlier if the filter skips it before the first measurement. With the outlier model, it is also
+        an outlier if the probability that it is good is below 0.5.
+        """
+        left = np.zeros(self.eps.shape, dtype=bool) if self.outliers_skipped is None else self.outliers_skipped
         return (
-            left if self.allowed is None else left | self.allowed & (robust_weight(self.eps / np.sqrt(self.S)) < LIKELY)
+            left
+            if self.outliers_allowed is None
+            else left | self.outliers_allowed & (robust_weight(self.eps / np.sqrt(self.S)) < LIKELY)
         )
 
 
 class Likelihood:
     """Likelihood of records under a model, as a function of the parameter values.
 
-    ``values`` is always an Array (n_parameters,) over ``model.parameters`` in order. Methods may be called from several
-    threads. A parameter vector for which the filter diverges gives NaN.
+    In all methods, ``values`` is an Array (n_parameters,) in the order of ``model.parameters``, in their own units.
+    ValueError is raised for another shape. Methods may be called from several threads. A parameter vector for which the
+    filter diverges gives NaN. The kernels are compiled at the first call.
 
     Parameters
     ----------
     model
-        The model.
+        Model of the records.
     joseph
-        Whether to use Joseph's form of the covariance update.
+        Whether to use Joseph's form of the covariance update, which keeps the covariance positive in spite of rounding.
     process_noise
-        False: output error (``seatrial.ident.estimation.output_error``), with an exact initial state and no process
-        noise.
+        True: prediction error by an extended Kalman filter. False: output error
+        (``seatrial.ident.estimation.output_error``), with an exact initial state and no process noise.
     """
 
     def __init__(self, model: Model, *, joseph: bool = False, process_noise: bool = True) -> None:
@@ -182,29 +200,34 @@ class Likelihood:
         self._index = {p.name: i for i, p in enumerate(model.parameters)}
 
     @cached_property
-    def _programs(self) -> FilterKernels:
-        """Compiled programs of the model."""
+    def _kernels(self) -> FilterKernels:
+        """Compiled kernels of the model, shared with all models that differ only in parameter values."""
         return filter_kernels_for(self.model, covariance=self.process_noise, joseph=self._joseph)
 
     def value(self, record: Record, values: Array) -> float:
-        """Return the log-likelihood of a record with all its constants."""
-        data, start = self._start(record, values)
-        kernel = self._programs.value
+        """Return the log-likelihood of a record, including the terms that do not depend on the parameters."""
+        data, start = self._prepare_with_initial_state(record, values)
+        kernel = self._kernels.value
         with self._arenas.borrow() as arena:
-            arrays = {**_inputs(kernel, data), "p": _contiguous(values), "s": start.s}
+            arrays = {**_kernel_inputs(kernel, data), "p": _contiguous_doubles(values), "s": start.s}
             done = kernel(data.n_rows, data.mask, arrays, arena=arena)
             return float(done["ll"][0])
 
     def gradient(self, record: Record, values: Array) -> tuple[float, Array]:
-        """Return the log-likelihood and its gradient by all parameters (n_parameters,), by the adjoint filter."""
-        data, start = self._start(record, values)
-        forward_kernel, backward_kernel = self._programs.forward, self._programs.backward
-        p, ll, state = _contiguous(values), np.zeros(1), start.s
-        pieces, initial = _pieces(data.n_rows), list[Array]()
+        """Return the log-likelihood and its gradient (n_parameters,) by all parameters of the model, also fixed ones.
+
+        The adjoint filter computes the gradient in a time that does not depend on the number of parameters. The
+        dependence of the initial state on the parameters is included.
+        """
+        data, start = self._prepare_with_initial_state(record, values)
+        forward_kernel, backward_kernel = self._kernels.forward, self._kernels.backward
+        p, ll, state = _contiguous_doubles(values), np.zeros(1), start.s
+        pieces, initial = _row_pieces(data.n_rows), list[Array]()
         fixed_arrays = {"p": p, "g": np.zeros(p.size), "bar": np.zeros(state.size)}
 
         def forward(piece: slice, s: Array, total: Array) -> dict[str, Array]:
-            rows = {**_inputs(forward_kernel, data, piece), "p": p, "s": s, "ll": total}
+            """Run the forward pass over a piece. Update the filter state ``s`` and the sum ``total`` in place."""
+            rows = {**_kernel_inputs(forward_kernel, data, piece), "p": p, "s": s, "ll": total}
             return forward_kernel(piece.stop - piece.start, data.mask[piece], rows, arena=arena)
 
         with self._arenas.borrow() as arena:
@@ -214,8 +237,8 @@ class Likelihood:
             for piece, s in zip(reversed(pieces), reversed(initial), strict=True):
                 if piece is not pieces[-1]:
                     done = forward(piece, s, np.zeros(1))
-                tapes = {name: done[name] for name in self._programs.tapes}
-                rows = {**_inputs(backward_kernel, data, piece), **fixed_arrays, **tapes}
+                tapes = {name: done[name] for name in self._kernels.tapes}
+                rows = {**_kernel_inputs(backward_kernel, data, piece), **fixed_arrays, **tapes}
                 backward_kernel(piece.stop - piece.start, data.mask[piece], rows, arena=arena)
         value, gradient = float(ll[0]), fixed_arrays["g"]
         for entry, parameter, slope in start.tangent:
@@ -225,20 +248,21 @@ class Likelihood:
     def scores(
         self, record: Record, values: Array, free: Sequence[str] | None = None, *, by_row: bool = False
     ) -> LikelihoodAndScore:
-        """Return log-likelihood, score and expected Fisher information, by forward sensitivities.
+        """Return log-likelihood, score and expected Fisher information of a record, by forward sensitivities.
 
         Parameters
         ----------
         record, values
-            The record and the parameter values.
+            Data, and the parameter values at which the score is computed.
         free
-            Names of the parameters to differentiate by; by default those that are free in the model.
+            Names of the n_free parameters to differentiate by, in the order of the result; by default those that are
+            free in the model.
         by_row
             Whether to return the contributions of the rows to the score, too.
         """
         free = self.model.free if free is None else free
-        data, start = self._start(record, values)
-        kernel = self._programs.tangent
+        data, start = self._prepare_with_initial_state(record, values)
+        kernel = self._kernels.tangent
         chosen = [self._index[name] for name in free]
         groups, width, n = kernel.groups(len(free)), kernel.layout.width, len(free)
         lane_of = {parameter: lane for lane, parameter in enumerate(chosen)}
@@ -249,8 +273,8 @@ class Likelihood:
                     lane = lane_of[parameter]
                     ds[lane // width, entry, lane % width] += slope
             arrays = {
-                **_inputs(kernel, data),
-                "p": _contiguous(values),
+                **_kernel_inputs(kernel, data),
+                "p": _contiguous_doubles(values),
                 "s": start.s,
                 "ds": ds,
                 "dp": kernel.seeds(len(self._index), chosen, groups),
@@ -259,32 +283,38 @@ class Likelihood:
                 data.n_rows, data.mask, arrays, groups=groups, arena=arena, per_row={"dll"} if by_row else frozenset()
             )
             dll = done["dll"].reshape(-1, groups * width)[:, :n].copy()
-            information = _symmetric(done["fisher"])[:n, :n]
+            information = _symmetric_from_blocks(done["fisher"])[:n, :n]
             value = float(done["ll"][0])
         return LikelihoodAndScore(value, dll.sum(axis=0), information, dll if by_row else None)
 
     def value_by_row(self, record: Record, values: Array) -> Array:
-        """Return the log-likelihood by row (n_rows,). It uses the kernel that a search has already compiled."""
-        data, start = self._start(record, values)
-        kernel = self._programs.tangent
+        """Return the contribution of each row to the log-likelihood (n_rows,).
+
+        The kernel is that of `scores`, which a search has already compiled.
+        """
+        data, start = self._prepare_with_initial_state(record, values)
+        kernel = self._kernels.tangent
         with self._arenas.borrow() as arena:
-            arrays = {**_inputs(kernel, data), "p": _contiguous(values), "s": start.s}
+            arrays = {**_kernel_inputs(kernel, data), "p": _contiguous_doubles(values), "s": start.s}
             done = kernel(data.n_rows, data.mask, arrays, arena=arena, per_row={"ll"})
             return done["ll"][:, 0].copy()
 
     def filter(self, record: Record, values: Array) -> FilterResult:
-        """Run the filter over a record.
+        """Run the extended Kalman filter over a record and return its output for each row.
 
         Raises
         ------
         ValueError
-            If the likelihood has no process noise.
+            If the likelihood has no process noise (output error).
         """
         if not self.process_noise:
-            raise ValueError("output error has no filter; simulate with seatrial.ident.estimation.output_error")
-        data, start = self._start(record, values)
-        kernel, n, n_rows, p = self._programs.filter, len(self.model.states), data.n_rows, _contiguous(values)
-        outputs, pieces = len(self.model.outputs), _pieces(data.n_rows)
+            raise ValueError(
+                "output error has no filter, because it has no process noise; simulate the model with "
+                "seatrial.ident.estimation.output_error instead"
+            )
+        data, start = self._prepare_with_initial_state(record, values)
+        kernel, n, n_rows, p = self._kernels.filter, len(self.model.states), data.n_rows, _contiguous_doubles(values)
+        outputs, pieces = len(self.model.outputs), _row_pieces(data.n_rows)
 
         def run(rows: slice, s: Array) -> dict[str, Array]:
             """Run the filter over a slice of rows from the state s at its start."""
@@ -293,7 +323,7 @@ class Likelihood:
                 for bit, sensor in enumerate(self.model.sensors)
                 for kind in "eS"
             }
-            arrays = {**_inputs(kernel, data, rows), "p": p, "s": s, **sensor_arrays}
+            arrays = {**_kernel_inputs(kernel, data, rows), "p": p, "s": s, **sensor_arrays}
             return kernel(rows.stop - rows.start, data.mask[rows], arrays, per_row={"ll"})
 
         x_pred, x_filt = np.empty((2, n_rows, n))
@@ -306,7 +336,7 @@ class Likelihood:
             e[rows], ll[rows] = done["e"], done["ll"][:, 0]
             for kind, into in (("e", eps), ("S", S)):
                 into[rows] = np.hstack([done[f"{kind}{bit}"] for bit in range(len(self.model.sensors))])
-        last = {len(pieces) - 1: _covariances(done, n)}  # covariances of the piece that was requested last
+        last = {len(pieces) - 1: _covariances_of_run(done, n)}  # covariances of the piece that was requested last
 
         def covariances(requested: slice) -> Covariances:
             """Return the covariances of the requested rows. Run the filter again for pieces that are not in memory."""
@@ -316,7 +346,7 @@ class Likelihood:
                 if rows.start < end and first < rows.stop:
                     if k not in last:
                         last.clear()
-                        last[k] = _covariances(run(rows, initial[k].copy()), n)
+                        last[k] = _covariances_of_run(run(rows, initial[k].copy()), n)
                     parts.append([a[max(first - rows.start, 0) : end - rows.start] for a in last[k]])
             return Covariances(*(p[0] if len(p) == 1 else np.concatenate(p) for p in zip(*parts, strict=True)))
 
@@ -325,84 +355,90 @@ class Likelihood:
         return FilterResult(record.t, x_pred, x_filt, covariances, e, R, eps, S, ll, robust, data.outliers)
 
     def forecast(self, record: Record, values: Array, x: Array, P: Array, first: int, last: int) -> tuple[Array, Array]:
-        """Predict states from the inputs alone, without measurements.
+        """Predict states and their covariances from the inputs alone, without measurements.
 
         Parameters
         ----------
         record, values
-            The record and the parameter values.
+            Record with the inputs, and the parameter values.
         x : Array (n_states,)
-            Mean of the state at the row ``first``.
+            Mean of the states at the row ``first``.
         P : Array (n_states, n_states)
-            Its covariance.
+            Covariance of the states at the row ``first``.
         first, last
-            Indices of rows.
+            Indices of the first and last row of the result, both included.
 
         Returns
         -------
         means : Array (n, n_states)
-            From the row ``first`` to the row ``last``.
+            Means of the n = last - first + 1 rows. The first one is ``x``.
         covariances : Array (n, n_states, n_states)
-            Their covariances.
+            Covariances of these rows, with the process noise. The first one is ``P``.
         """
-        data, kernel, n = self._prepare(record), self._programs.filter, len(self.model.states)
+        data, kernel, n = self._prepare(record), self._kernels.filter, len(self.model.states)
         n_rows = last + 1 - first
-        rows = {name: a[first : last + 1] for name, a in _inputs(kernel, data).items()}
+        rows = {name: a[first : last + 1] for name, a in _kernel_inputs(kernel, data).items()}
         rows |= {
             f"{kind}{bit}": np.full((n_rows, len(sensor.outputs)), np.nan)
             for bit, sensor in enumerate(self.model.sensors)
             for kind in "eS"
         }
         s = np.append(x, P[np.triu_indices(n)])
-        done = kernel(n_rows, np.zeros(n_rows, np.uint32), rows | {"p": _contiguous(values), "s": s})
-        return done["predicted"][:, :n].copy(), _covariance(done["predicted"], n)
+        done = kernel(n_rows, np.zeros(n_rows, np.uint32), rows | {"p": _contiguous_doubles(values), "s": s})
+        return done["predicted"][:, :n].copy(), _covariance_matrices(done["predicted"], n)
 
     def measured(self, record: Record) -> int:
-        """Return the number of measured values of a record that enter the likelihood."""
+        """Return the number of scalar measurements of a record that enter the likelihood."""
         return self._prepare(record).n_measured
 
-    def _start(self, record: Record, values: Array) -> tuple[Prepared, InitialCondition]:
+    def _prepare_with_initial_state(self, record: Record, values: Array) -> tuple[Prepared, InitialCondition]:
         """Return the prepared record and its initial state. Raise ValueError if ``values`` has the wrong shape."""
         if np.shape(values) != (len(self._index),):
-            raise ValueError(f"model {self.model.name} has {len(self._index)} parameters, got {np.shape(values)}")
+            raise ValueError(
+                f"model {self.model.name} has {len(self._index)} parameters, but the array of their values has the "
+                f"shape {np.shape(values)}"
+            )
         data = self._prepare(record)
         return data, initial_condition(self.model, values, data, self.process_noise)
 
 
-def _contiguous(values: Array) -> Array:
-    """Return the values as a contiguous array, as kernels need them."""
+def _contiguous_doubles(values: Array) -> Array:
+    """Return the values as a contiguous float64 array, as kernels need them. It may be the same array."""
     return np.ascontiguousarray(values, dtype=np.float64)
 
 
-def _inputs(kernel: Kernel, data: Prepared, piece: slice = slice(None)) -> dict[str, Array]:
-    """Return the arrays of a record that a kernel reads, for a slice of rows."""
+def _kernel_inputs(kernel: Kernel, data: Prepared, piece: slice = slice(None)) -> dict[str, Array]:
+    """Return the arrays of a prepared record that a kernel reads, by name, for a slice of rows (all by default)."""
     return {name: a[piece] for name, a in data.rows.items() if name in kernel.layout.sizes}
 
 
-def _pieces(n_rows: int) -> list[slice]:
+def _row_pieces(n_rows: int) -> list[slice]:
     """Return consecutive slices that cover all rows: one for up to ``WHOLE`` rows, otherwise ``PIECE`` rows each."""
     size = n_rows if n_rows <= WHOLE else PIECE
     return [slice(first, min(first + size, n_rows)) for first in range(0, n_rows, size)]
 
 
-def _symmetric(blocks: Array) -> Array:
-    """Return a symmetric matrix from its blocks (groups, groups, width, width).
+def _symmetric_from_blocks(blocks: Array) -> Array:
+    """Return the symmetric matrix (n, n), n = groups width, that is stored in blocks (groups, groups, width, width).
 
-    Only the blocks on and above the diagonal are used.
+    Block (i, j) holds the entries of block row i and block column j. Only entries on and above the diagonal are used.
     """
     groups, _, width, _ = blocks.shape
     upper = np.triu(blocks.swapaxes(1, 2).reshape(groups * width, groups * width))
     return np.asarray(upper + np.triu(upper, 1).T)
 
 
-def _covariances(done: Mapping[str, Array], n: int) -> Covariances:
-    """Return the covariances from the arrays of a filter run; ``n`` is the number of states."""
+def _covariances_of_run(done: Mapping[str, Array], n: int) -> Covariances:
+    """Return covariances and transition matrices from the arrays of a filter run with n model states."""
     Phi = np.ascontiguousarray(done["Phi"].reshape(-1, n, n).swapaxes(1, 2))
-    return Covariances(_covariance(done["predicted"], n), _covariance(done["filtered"], n), Phi)
+    return Covariances(_covariance_matrices(done["predicted"], n), _covariance_matrices(done["filtered"], n), Phi)
 
 
-def _covariance(s: Array, n: int) -> Array:
-    """Return covariances (n_rows, n, n) from rows that contain n means and the upper triangle of the covariance."""
+def _covariance_matrices(s: Array, n: int) -> Array:
+    """Return covariances (n_rows, n, n) from filter states s (n_rows, n + n (n + 1) / 2).
+
+    Each row of s holds n means, then the upper triangle of the covariance by matrix rows.
+    """
     i, j = np.triu_indices(n)
     at = np.empty((n, n), np.intp)
     at[i, j] = at[j, i] = n + np.arange(i.size)

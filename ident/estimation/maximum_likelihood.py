@@ -35,7 +35,9 @@ TOLERANCE = 1e-6  # of the log-likelihood: parameters are then exact to about a 
 
 @dataclass(frozen=True)
 class EstimationOptions:
-    """How parameters are estimated: chosen on the command line and kept with the fit.
+    """Options that define an estimate: method, outliers and noise. The command line sets them, and the fit keeps them.
+
+    ValueError is raised for an unknown method.
 
     Attributes
     ----------
@@ -47,12 +49,14 @@ class EstimationOptions:
         (``seatrial.ident.estimation.restricted_likelihood``). It has no effect in output error, which has no noise
         parameters except those of the sensors.
     mean_order
-        Order of the propagation of the filter's mean, 1 or 2; None: that of the model.
+        1: the mean follows the model's equations. 2: the curvature term ``1/2 tr(P f_xx)`` is added (second-order
+        extended Kalman filter). None: as the model specifies.
     method
         ``prediction-error``: extended Kalman filter between samples. ``output-error``: simulation without process
         noise.
     horizon
-        Horizon at which predictions are judged [s]; None: that of the model.
+        Time [s] over which predictions are compared with validation data; None: that of the model. The fit itself does
+        not depend on it.
     """
 
     outlier_model: bool = False
@@ -63,26 +67,28 @@ class EstimationOptions:
 
     def __post_init__(self) -> None:
         if self.method not in ("prediction-error", "output-error"):
-            raise ValueError(f"no method {self.method!r}: prediction-error or output-error")
+            raise ValueError(f"there is no estimation method {self.method!r}; use prediction-error or output-error")
 
     @property
     def process_noise(self) -> bool:
-        """Whether the likelihood includes the model's process noise."""
+        """Whether the likelihood includes the process noise: True for prediction error, False for output error."""
         return self.method == "prediction-error"
 
     def with_mean_order(self, model: Model) -> Model:
-        """Return the model with the mean's order of propagation that is chosen here."""
+        """Return the model with the order 1 or 2 of ``mean_order``; the same model if that is None."""
         return model if self.mean_order is None else replace(model, second_order=self.mean_order == 2)
 
 
 @dataclass(frozen=True)
 class SearchSettings:
-    """How accurately one search for the maximum is carried out.
+    """Settings of one search for the maximum of the likelihood: accuracy and effort.
+
+    ValueError is raised for an unknown ``initial_state``.
 
     Attributes
     ----------
     tolerance
-        The search ends if the expected gain in log-likelihood is smaller.
+        The search ends if the expected gain of the next step in log-likelihood is smaller.
     max_iterations
         Largest number of iterations of Fisher scoring.
     robust_errors
@@ -96,7 +102,7 @@ class SearchSettings:
         Whether to use Joseph's form of the covariance update, for an initial state that is uncertain by many orders of
         magnitude.
     threads
-        Number of records that are evaluated at once.
+        Largest number of records that are evaluated at the same time.
     """
 
     tolerance: float = TOLERANCE
@@ -108,7 +114,7 @@ class SearchSettings:
 
     def __post_init__(self) -> None:
         if self.initial_state not in ("free", "given"):
-            raise ValueError(f"no initial state {self.initial_state!r}: free or given")
+            raise ValueError(f"initial_state is {self.initial_state!r}; use free or given")
 
 
 # For the fits of candidates in a diagnosis. The model that is kept is fitted again with the default settings.
@@ -125,53 +131,54 @@ class Fit:
     Attributes
     ----------
     model
-        The model with the estimates; per-record parameters have their mean over the records.
+        Model with the estimates as values; per-record parameters have their mean over the records.
     options
-        The options of the fit.
+        Options with which the estimates were computed.
     records
         Names of the records.
     parameters
         The n estimated parameters with their initial values. A per-record parameter appears once for each record, with
-        its ``segment``.
+        the index of the record as its ``segment``.
     values, errors : Array (n,)
         Estimates and standard errors. An error is NaN if the parameter is at a bound or not identified; ``flags`` then
         contains the reason.
     limits : Array (n,)
         For a parameter at its bound, the far end of its 95 % interval; NaN for all others.
     covariance, correlation : Array (n, n)
-        Of the estimates.
+        Covariance and correlation of the estimates; NaN for parameters without a standard error.
     considered : Array (n, n)
-        Part of the covariance that comes from considered parameters. It does not affect predictions of what the same
-        sensors measure.
+        Part of the covariance that comes from considered parameters: parameters that are held while the uncertainty of
+        their priors counts. It does not affect predictions of what the same sensors measure.
     prior_weight : Array (n,)
         Share of a parameter's information that comes from its prior; 1 if the data contain no information.
     robust_errors : Array (n,)
         Standard errors from the sandwich covariance, valid for coloured residuals; NaN if they were not requested.
     coloured
-        Whether the residuals are coloured (`_coloured`). Errors and covariance are then those of the sandwich if it is
-        larger. Never true in output error.
+        Whether the residuals are coloured: the information matrix test rejects the standard error of a parameter. The
+        errors and the covariance are then those of the sandwich covariance if these are larger. Always False in output
+        error.
     inflation : Array (n,)
         Factor by which coloured residuals increased each standard error; 1 for none.
     record_values : Array (n_records, n_parameters)
-        Values of each record, over ``model.parameters`` in order.
+        Values of all parameters for each record, in the order of ``model.parameters``.
     log_likelihood
         Log-likelihood at the maximum of the log-posterior. The later step of REML does not change this number.
     log_posterior
         Log-likelihood plus the logarithms of the priors, without their constants.
     n_measured
-        Number of measured values.
+        Number of scalar measurements in all records.
     gradient_norm
-        Length of the gradient in standard errors.
+        Length of the gradient in standard errors: about the distance of the estimates from the maximum.
     gain_left
         Expected gain in log-posterior of one more step.
     iterations, evaluations
-        Effort of the search.
+        Numbers of iterations of the search and of evaluations of the likelihood.
     cpu_seconds
-        Processor time [s].
+        Processor time of the fit [s].
     flags
-        Pairs of a parameter's name and a remark.
+        Pairs (full name of a parameter, remark), such as "at its bound".
     converged, message
-        Whether the search converged, and a sentence about it.
+        Whether one more step gains less than 0.01 in log-posterior, and a sentence about the end of the search.
     """
 
     model: Model
@@ -203,13 +210,21 @@ class Fit:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Full names of the estimated parameters: ``m_u``, ``V_x@0``."""
+        """Full names of the estimated parameters, such as ``m_u``, or ``V_x@0`` for the value of record 0."""
         return tuple(p.full_name for p in self.parameters)
 
     def estimate(self, name: str, record: int = 0) -> tuple[float, float]:
-        """Return value and standard error of a parameter in a record.
+        """Return the value and the standard error of a parameter in a record.
 
-        The error is NaN if the parameter is fixed, at a bound or not identified.
+        The value of a fixed parameter is that of the model. The error is NaN if the parameter is fixed, at a bound or
+        not identified.
+
+        Parameters
+        ----------
+        name
+            Name without the index of the record: ``V_x``.
+        record
+            Index of the record. It matters only for per-record parameters.
         """
         for i, p in enumerate(self.parameters):
             if p.name == name and p.segment in (None, record):
@@ -218,7 +233,7 @@ class Fit:
 
     @property
     def bic(self) -> float:
-        """Bayesian information criterion (Schwarz); smaller is better."""
+        """Bayesian information criterion ``n ln(n_measured) - 2 ln L`` (Schwarz); smaller is better."""
         return float(len(self.names) * np.log(self.n_measured) - 2.0 * self.log_likelihood)
 
 
@@ -236,28 +251,33 @@ def fit(
     Parameters
     ----------
     model
-        The model, with its initial values.
+        Model with its initial values.
     records
         At least one record. The records share all parameters except per-record ones.
     options
-        Plain maximum likelihood by prediction error if None.
+        Method, outliers and noise. None: prediction error, without outliers and REML.
     settings
-        Settings of the search.
+        Accuracy and effort of the search. None: the defaults of `SearchSettings`.
     start
-        Initial values that replace those of the model; ``V_x@0`` for a single record.
+        Initial values by parameter, which replace those of the model. ``V_x@0`` is the value of V_x in record 0 only.
     progress
-        Called with the number of the iteration and the log-posterior.
+        Called in each iteration with its number and the log-posterior.
+
+    Returns
+    -------
+    Fit
+        Estimates and their uncertainty. A search that does not converge is no error: see ``Fit.converged``.
 
     Raises
     ------
     ValueError
-        If a record does not match the model or cannot be evaluated (the message names it), or if the search diverges
-        (the message names all records).
+        If there is no record, no free parameter or too little data; if a record does not match the model or cannot be
+        evaluated (the message names it); or if the search diverges (the message names all records).
     """
     began = time.process_time()
     options, settings = options or EstimationOptions(), settings or SearchSettings()
     if not records:
-        raise ValueError("no records to estimate from")
+        raise ValueError("there is no record to estimate the parameters from; give at least one")
     model, begin = options.with_mean_order(model), dict[str, float]()
     if not options.process_noise and settings.initial_state == "free":
         model, begin = with_free_initial_states(model, records)
@@ -265,27 +285,29 @@ def fit(
     begin |= {n: v for n, v in (start or {}).items() if n in own}
     model = model.with_values({n: v for n, v in (start or {}).items() if n not in own})
     if options.outlier_model:
-        model = _with_outliers(model, records, options, settings, begin)
+        model = _with_outlier_model_and_start(model, records, options, settings, begin)
     likelihood = Likelihood(model, joseph=settings.joseph, process_noise=options.process_noise)
-    problem = Problem(likelihood, records, _estimable(model, options), settings.threads, begin)
+    problem = Problem(likelihood, records, _estimable_parameters(model, options), settings.threads, begin)
     _check_data(problem)
     mean, weight = problem.prior
     options = replace(options, reml=options.reml and options.process_noise)
     try:
-        optimum = _search(problem, settings, progress)
+        optimum = _search_maximum(problem, settings, progress)
         prior_part = -0.5 * float(weight @ (optimum.z - mean) ** 2)
         optimum = apply_reml(problem, optimum) if options.reml else optimum
-        known, robust = _uncertainty(problem, optimum, settings.robust_errors)
+        known, robust = _assess_uncertainty(problem, optimum, settings.robust_errors)
     except np.linalg.LinAlgError as error:
         names = ", ".join(r.name for r in records)
         raise ValueError(f"{names}: the search for the parameters of model {model.name} diverged: {error}") from error
-    coloured = options.process_noise and _coloured(problem, robust)
+    coloured = options.process_noise and _residuals_are_coloured(problem, robust)
     if coloured or (not options.process_noise and settings.robust_errors):
         lost = np.isfinite(known.errors) & np.isnan(robust.errors)
         too_long = [(problem.names[i], AUTOCORRELATED_TOO_LONG) for i in np.flatnonzero(lost).tolist()]
         known = replace(known, flags=(*known.flags, *too_long))
     known = widened(known, robust.least) if coloured else known
-    return _report(problem, optimum, known, robust.errors, coloured, options, prior_part, time.process_time() - began)
+    return _assembled_fit(
+        problem, optimum, known, robust.errors, coloured, options, prior_part, time.process_time() - began
+    )
 
 
 def _check_data(problem: Problem) -> None:
@@ -294,7 +316,7 @@ def _check_data(problem: Problem) -> None:
     The model must have a free parameter, and at least as many measured values as free parameters without a prior.
     """
     if not problem.names:
-        raise ValueError(f"model {problem.model.name} has no free parameters")
+        raise ValueError(f"model {problem.model.name} has no free parameters to estimate; free at least one of them")
     n_measured = sum(problem.likelihood.measured(record) for record in problem.records)
     n_unknown = int(np.sum(problem.prior[1] == 0))
     if n_measured < n_unknown:
@@ -305,13 +327,18 @@ def _check_data(problem: Problem) -> None:
         )
 
 
-def _uncertainty(problem: Problem, optimum: Optimum, with_robust: bool) -> tuple[Uncertainty, Sandwich]:
-    """Return the uncertainty of the estimates, and the robust standard errors.
+def _assess_uncertainty(problem: Problem, optimum: Optimum, with_robust: bool) -> tuple[Uncertainty, Sandwich]:
+    """Return the uncertainty of the estimates from the information, and the robust standard errors.
 
     Parameters
     ----------
+    problem
+        Objective of the fit.
+    optimum
+        Maximum of the objective.
     with_robust
-        Whether to compute robust errors and intervals of flat coordinates. Otherwise the robust errors are NaN.
+        Whether to compute robust errors, considered parameters and the intervals of coordinates with a flat likelihood.
+        Otherwise the robust errors are NaN.
     """
     z, slopes = optimum.z, problem.slopes(optimum.z)
     # The many rough fits of a diagnosis skip these two: both cost evaluations.
@@ -327,41 +354,46 @@ def _uncertainty(problem: Problem, optimum: Optimum, with_robust: bool) -> tuple
         problem.prior[1],
         considered,
     )
-    known = replace(known, flags=(*known.flags, *[(problem.names[p.at], p.remark) for p in flat]))
+    known = replace(known, flags=(*known.flags, *[(problem.names[p.coordinate], p.remark) for p in flat]))
     robust = Sandwich(*np.full((3, z.size), np.nan))
     if with_robust:
         robust = sandwich(known, problem.by_row(z), slopes, problem.prior[1])
     for p in flat:
         # the interval of a flat coordinate does not come from contributions of rows
-        robust.errors[p.at] = robust.least[p.at] = known.errors[p.at]
+        robust.errors[p.coordinate] = robust.least[p.coordinate] = known.errors[p.coordinate]
     return known, robust
 
 
 def considered_information(problem: Problem, z: Array) -> Array:
-    """Return the information between the estimates and the considered parameters.
+    """Return the Fisher information between the estimates and the considered parameters.
+
+    A considered parameter is not estimated, but the uncertainty of its prior increases the errors of the estimates.
 
     Parameters
     ----------
     problem
-        The problem of the fit.
+        Objective of the fit.
     z : Array (n,)
-        The estimates, in the estimator's coordinates.
+        Estimates in the estimator's coordinates (logarithms of positive parameters).
 
     Returns
     -------
     Array (n, n_considered)
-        Per standard deviation of each considered parameter.
+        Off-diagonal block of the information matrix, multiplied by the prior standard deviation of each considered
+        parameter. The columns are in the order of ``model.considered``.
     """
     names = problem.model.considered
-    begin = dict(zip(problem.names, problem.own(z).tolist(), strict=True))
+    begin = dict(zip(problem.names, problem.natural_values(z).tolist(), strict=True))
     both = Problem(problem.likelihood, problem.records, (*problem.free, *names), problem.threads, begin)
     at = {name: i for i, name in enumerate(both.names)}
     own, other = [at[n] for n in problem.names], [at[n] for n in names]
-    return both.evaluate(both.start).information[np.ix_(own, other)] / np.sqrt(both.prior[1][other])
+    return both.evaluate(both.initial_coordinates).information[np.ix_(own, other)] / np.sqrt(both.prior[1][other])
 
 
-def _coloured(problem: Problem, robust: Sandwich) -> bool:
+def _residuals_are_coloured(problem: Problem, robust: Sandwich) -> bool:
     """Return whether the information matrix test rejects the standard error of any parameter except noise.
+
+    The test rejects if the smallest p value times the number of tested parameters is below 0.001. NaN is not counted.
 
     The scores of noise parameters also depend on the fourth moment of the residuals, so that the test would not apply.
     """
@@ -370,15 +402,31 @@ def _coloured(problem: Problem, robust: Sandwich) -> bool:
     return bool((p * np.isfinite(p).sum() < COLOURED_P_VALUE).any())
 
 
-def _with_outliers(
+def _with_outlier_model_and_start(
     model: Model,
     records: Sequence[Record],
     options: EstimationOptions,
     settings: SearchSettings,
     begin: Mapping[str, float],
 ) -> Model:
-    """Return the model with the outlier model, at the better of two starts: its own values, or those of a plain fit.
+    """Return the model with the outlier model, with the better of two sets of initial values.
 
+    One set is the model's own values; the other one comes from a fit without the outlier model. The set with the larger
+    log-likelihood is taken. If the fit without the outlier model fails, the model's own values are taken.
+
+    Parameters
+    ----------
+    model
+        Model without the outlier model. The initial states of output error are already parameters of the model.
+    records
+        Records of the fit.
+    options, settings
+        Options and settings of the fit with the outlier model. The fit without it has the same method and search.
+    begin
+        Initial values of per-record parameters: ``V_x@0``.
+
+    Notes
+    -----
     Outliers can be separated from good samples only if the noise is about right. A plain fit estimates it. A single far
     outlier can distort that fit or make it fail, so that the model's own values are tried, too.
     """
@@ -399,10 +447,11 @@ def _with_outliers(
     return starts[1] if totals[1] > totals[0] or not np.isfinite(totals[0]) else own
 
 
-def _estimable(model: Model, options: EstimationOptions) -> tuple[str, ...]:
-    """Return the free parameters that the method can estimate.
+def _estimable_parameters(model: Model, options: EstimationOptions) -> tuple[str, ...]:
+    """Return the names of the free parameters that the method can estimate, in the order of the model.
 
-    Output error has neither process noise nor uncertainty of the initial state.
+    These are all free parameters in prediction error. Output error has neither process noise nor uncertainty of the
+    initial state, so that the parameters of these are left out.
     """
     if options.process_noise:
         return model.free
@@ -410,10 +459,13 @@ def _estimable(model: Model, options: EstimationOptions) -> tuple[str, ...]:
     return tuple(n for n in model.free if n not in ignored)
 
 
-def _search(problem: Problem, settings: SearchSettings, progress: Iterations | None) -> Optimum:
-    """Search for the maximum by Fisher scoring, and by L-BFGS-B if scoring stops before it has converged."""
+def _search_maximum(problem: Problem, settings: SearchSettings, progress: Iterations | None) -> Optimum:
+    """Search for the maximum by Fisher scoring, and by L-BFGS-B if scoring stops before it has converged.
+
+    ValueError is raised if a record cannot be evaluated at the initial values; the message names it.
+    """
     tolerance, max_iterations = settings.tolerance, settings.max_iterations
-    z = problem.bounds.clip(problem.start)
+    z = problem.bounds.clip(problem.initial_coordinates)
     if not problem.evaluate(z).finite:
         problem.check(z)
     optimum = maximise(
@@ -424,7 +476,7 @@ def _search(problem: Problem, settings: SearchSettings, progress: Iterations | N
     return optimum
 
 
-def _report(
+def _assembled_fit(
     problem: Problem,
     optimum: Optimum,
     known: Uncertainty,
@@ -434,14 +486,24 @@ def _report(
     prior_part: float,
     cpu_seconds: float,
 ) -> Fit:
-    """Return the fit with all its results.
+    """Return the fit with all its results in the parameters' own units.
 
     Parameters
     ----------
+    problem, optimum
+        Objective of the fit, and its maximum.
+    known
+        Uncertainty of the estimates, already widened if the residuals are coloured.
     robust : Array (n,)
         Robust standard errors.
+    coloured
+        Whether the residuals are coloured.
+    options
+        Options of the fit.
     prior_part
-        Part of the log-posterior that comes from the priors.
+        Part of the log-posterior that comes from the priors, at most 0.
+    cpu_seconds
+        Processor time [s].
     """
     record_values = problem.values(optimum.z)
     names = [p.name for p in problem.model.parameters]
@@ -460,9 +522,9 @@ def _report(
         options=options,
         records=tuple(r.name for r in problem.records),
         parameters=problem.parameters,
-        values=problem.own(optimum.z),
+        values=problem.natural_values(optimum.z),
         errors=known.errors,
-        limits=problem.own(known.limits),
+        limits=problem.natural_values(known.limits),
         covariance=known.covariance,
         correlation=known.correlation,
         considered=known.considered,

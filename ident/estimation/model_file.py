@@ -1,4 +1,4 @@
-"""Reader and writer of model.toml, the file of a fitted model. See docs/formats/model.md."""
+"""Reader and writer of model.toml, the file of a fitted model, which docs/formats/model.md describes."""
 
 from __future__ import annotations
 
@@ -65,22 +65,24 @@ STATE_NUMBERS = ("sd0", "noise")  # attributes of a state that are written if th
 
 @dataclass(frozen=True)
 class SavedModel:
-    """A model read from a file, with its estimates' uncertainty.
+    """Model read from a model.toml, with the uncertainty of its estimates.
 
     Attributes
     ----------
     model
-        The model with its values.
+        Model with the values of the file.
     errors
-        Standard errors by parameter; NaN for none.
+        Standard errors by parameter, in the parameters' units; NaN if there is none.
     validity
-        Range of each signal in the fitted data.
+        Least and largest value of each signal in the fitted data, by name, in SI units.
     provenance
         Software version, command line, logs and their hashes.
-    names, correlation : Array (n, n)
-        Names of the estimates, and their correlation.
+    names
+        Full names of the n estimates (``V_x@0`` for the value of record 0).
+    correlation : Array (n, n)
+        Correlation of the estimates, in the order of `names`; zero if unknown.
     effects_file
-        Python file with the effects that are not in the catalogue.
+        Python file with user-defined effects; None if there is none.
     reml
         Whether the noise is estimated by restricted maximum likelihood.
     calibration
@@ -107,16 +109,17 @@ class SavedModel:
     rates: Mapping[str, float] = field(default_factory=dict)
 
     def uncertainty(self, name: str) -> float:
-        """Return the standard uncertainty of a measured force coefficient [N]; NaN if it has no standard error.
+        """Return the standard uncertainty [N] of the thrust coefficient ``name``; NaN if it has no standard error.
 
-        It combines the standard error of the estimate and the uncertainty of the load cell's calibration.
+        It is the root of the sum of squares of the standard error of the estimate and the uncertainty of the load
+        cell's calibration. An unknown name raises KeyError.
         """
         return float(np.hypot(self.errors[name], (self.calibration or 0.0) * self.model.parameter(name).value))
 
     def covariance(self, wanted: Collection[str] | None = None) -> ParameterCovariance:
-        """Return the covariance of all estimates, or of those in ``wanted``.
+        """Return the covariance of all estimates, or of those whose full names are in ``wanted``.
 
-        Estimates without a standard error are left out.
+        The covariance is in the parameters' units. Estimates without a standard error are left out.
         """
         names = self.names if wanted is None else [n for n in self.names if n in wanted]
         known = tuple(n for n in names if np.isfinite(self.errors.get(n, np.nan)) and self.errors[n] > 0.0)
@@ -136,24 +139,26 @@ def save_model(
     origin: FrameOrigin | None = None,
     rates: Mapping[str, float] | None = None,
 ) -> None:
-    """Write the model of a fit, and beside it a copy of each user-defined Python file that the model needs.
+    """Write the model of a fit to a model.toml, and beside it a copy of each user-defined Python file that it needs.
+
+    An existing model.toml is replaced. The copies are recorded as run before, so that `load_model` may run them.
 
     Parameters
     ----------
     path
-        The model.toml to be written.
+        Path of the model.toml to be written.
     fit
-        The fit.
+        Fit whose estimates, standard errors and correlations are written.
     validity
-        Range of each signal in the fitted data.
+        Least and largest value of each signal in the fitted data, by name, in SI units.
     provenance
-        Software version, command line, logs and their hashes.
+        Software version, command line, logs and their hashes. Entries that are None are left out.
     effects_file
-        Python file with the effects that are not in the catalogue.
+        Python file with user-defined effects; None if there is none.
     calibration
-        Relative standard uncertainty of the measured forces.
+        Relative standard uncertainty of the measured forces; None if unknown.
     origin
-        Origin of x and y in the logs. Only a model with a fixed point keeps it.
+        Origin of x and y in the logs. It is written only for a model with a fixed point.
     rates
         By sensor, its sample rate in the fitted data [Hz]; after averaging, the rate of the averages.
     """
@@ -162,7 +167,7 @@ def save_model(
     document["name"] = model.name
     file, _, own = model.source.rpartition(":")
     if is_own_model(model.source) and Path(file).is_file():
-        beside = _copied(path, Path(file))
+        beside = _copy_beside_model(path, Path(file))
         document["source"], document["source_sha256"] = f"{beside.name}:{own}", file_digest(beside)
     else:
         document["source"] = model.source
@@ -178,7 +183,7 @@ def save_model(
     if unlisted:
         document["curves"] = unlisted
     if effects_file is not None:
-        beside = _copied(path, effects_file)
+        beside = _copy_beside_model(path, effects_file)
         document["effects_file"], document["effects_sha256"] = beside.name, file_digest(beside)
     document["provenance"] = {k: v for k, v in provenance.items() if v is not None}
     if (scale := _scale_table(model, calibration)) is not None:
@@ -196,7 +201,7 @@ def save_model(
     parameters = tomlkit.aot()
     for p in model.parameters:
         table = tomlkit.table()
-        table.update(_row(p, fit, with_prior=p.name not in scaled_by_fits))
+        table.update(_parameter_table(p, fit, with_prior=p.name not in scaled_by_fits))
         parameters.append(table)
     document["parameter"] = parameters
     document["correlation"] = {"names": list(fit.names), "matrix": np.round(np.nan_to_num(fit.correlation), 6).tolist()}
@@ -204,23 +209,33 @@ def save_model(
 
 
 def _states_table(model: Model, effects_file: Path | None) -> dict[str, dict[str, float]]:
-    """Return the numbers of those effects' states that were scaled to the boat's size when the fit began."""
+    """Return the table ``states``: ``sd0`` and ``noise`` of states that were scaled to the boat's size for the fit.
+
+    Keys are names of states. States of user-defined effects are not scaled; a value that is a parameter is left out.
+    """
     own = load_effects(effects_file) if effects_file is not None else {}
     return {
         s.name: {k: float(z) for k in STATE_NUMBERS if not isinstance(z := getattr(s, k), str)}
         for e in model.effects
-        if _is_sized(e, own)
+        if _is_scaled_to_boat(e, own)
         for s in e.states
     }
 
 
-def _is_sized(effect: Effect, own: Mapping[str, Effect]) -> bool:
-    """Return whether the effect is scaled to the size of the boat (``scale_priors``). User-defined effects are not."""
+def _is_scaled_to_boat(effect: Effect, own: Mapping[str, Effect]) -> bool:
+    """Return whether the priors and states of an effect are scaled to the size of the boat.
+
+    Effects of the catalogue and nonparametric effects are scaled; user-defined effects (``own``, by name) are not.
+    """
     return (effect.name in catalogue() and effect.name not in own) or effect.kind.nonparametric
 
 
 def _scale_table(model: Model, calibration: float | None) -> Any:
-    """Return the table with the provenance of thrust and arm; None if the model has no forces of its own."""
+    """Return the table ``scale``: provenance of thrust and arm, and warnings as comments.
+
+    For a bench model the thrust is measured, and the relative uncertainty ``calibration`` of the load cell is written
+    if it is known. None if the table would be empty.
+    """
     scale, table = thrust_scale_of(model), tomlkit.table()
     for line in scale.caveats:
         table.add(tomlkit.comment(line))
@@ -232,7 +247,10 @@ def _scale_table(model: Model, calibration: float | None) -> Any:
 
 
 def _curve_table(effect: Effect) -> dict[str, Any]:
-    """Return the table of an effect that is in no catalogue (a nonparametric curve, a lagged or resonant response)."""
+    """Return the table under ``curves`` that defines a nonparametric effect, which has no entry in the catalogue.
+
+    Such an effect is a curve, or a lagged or resonant response to an input.
+    """
     assert effect.curve is not None
     curve = effect.curve
     table = {"kind": str(effect.kind), "force": curve.force, "variable": curve.variable}
@@ -240,10 +258,11 @@ def _curve_table(effect: Effect) -> dict[str, Any]:
     return table | ({"span": list(effect.span)} if effect.span is not None else {})
 
 
-def _copied(path: Path, file: Path) -> Path:
-    """Return the path of the Python file in the model's folder, copied there if necessary.
+def _copy_beside_model(path: Path, file: Path) -> Path:
+    """Copy a Python file into the folder of the model.toml at ``path``, unless it is there. Return the copy's path.
 
-    The copy gets the digest in its name if another file there has the same name.
+    If another file there has the same name, the copy has the digest of the file in its name. The copy is recorded as
+    run before, so that `load_model` may run it.
     """
     text, place = file.read_bytes(), path.parent / file.name
     if place.exists() and place.read_bytes() != text:
@@ -254,8 +273,11 @@ def _copied(path: Path, file: Path) -> Path:
     return place
 
 
-def _row(p: Parameter, fit: Fit, *, with_prior: bool) -> dict[str, Any]:
-    """Return the table of a parameter. Entries that do not apply are left out."""
+def _parameter_table(p: Parameter, fit: Fit, *, with_prior: bool) -> dict[str, Any]:
+    """Return the table of a parameter in the file. Entries that do not apply are left out.
+
+    ``with_prior``: whether to write the prior of the parameter.
+    """
     value, error = fit.estimate(p.name)
     row: dict[str, Any] = {
         "name": p.name,
@@ -283,12 +305,14 @@ def _row(p: Parameter, fit: Fit, *, with_prior: bool) -> dict[str, Any]:
 def load_model(path: Path) -> SavedModel:
     """Read a model.toml.
 
-    A Python file that it names is run only if `seatrial.ident.models.trusted_file` allows it.
+    A Python file that it names is run only if this user has run the same file before, or has allowed it with
+    ``--trust-code`` (`seatrial.ident.models.trusted_file`).
 
     Raises
     ------
     SeatrialError
-        If the file is not a complete model; the message says what is wrong and where.
+        If the path is a folder, or if the file cannot be read or is not a complete model. The message contains the path
+        and the reason.
     """
     if path.is_dir():
         raise SeatrialError(f"{path}: is a folder; give the model in it: {path / 'model.toml'}")
@@ -299,8 +323,8 @@ def load_model(path: Path) -> SavedModel:
     if table.get("format") != FORMAT:
         raise SeatrialError(f"{path}: format is {table.get('format')!r}, not {FORMAT!r}: give a model.toml of seatrial")
     try:
-        source, effects_file = _own_files(table, path)
-        model = _build(table, source, load_effects(effects_file) if effects_file is not None else {})
+        source, effects_file = _trusted_python_files(table, path)
+        model = _build_model(table, source, load_effects(effects_file) if effects_file is not None else {})
         errors = {row["name"]: float(row.get("se", np.nan)) for row in table["parameter"]}
         inflation = {row["name"]: float(row["se_inflation"]) for row in table["parameter"] if "se_inflation" in row}
         place = table.get("origin")
@@ -333,8 +357,12 @@ def load_model(path: Path) -> SavedModel:
     )
 
 
-def _own_files(table: Mapping[str, Any], path: Path) -> tuple[str, Path | None]:
-    """Return the source of the structure and the file of effects. Files are looked for beside ``path``."""
+def _trusted_python_files(table: Mapping[str, Any], path: Path) -> tuple[str, Path | None]:
+    """Return the source of the model's structure, and the file of user-defined effects (None if there is none).
+
+    The source is the name of a catalogue model or ``FILE:FUNCTION``. Python files are searched in the folder of
+    ``path``, and SeatrialError is raised if one is missing or not trusted.
+    """
     source, effects = str(table["source"]), None
     file, _, name = source.rpartition(":")
     if is_own_model(source):
@@ -344,30 +372,37 @@ def _own_files(table: Mapping[str, Any], path: Path) -> tuple[str, Path | None]:
     return source, effects
 
 
-def _build(table: Mapping[str, Any], source: str, own: Mapping[str, Effect]) -> Model:
+def _build_model(table: Mapping[str, Any], source: str, own: Mapping[str, Effect]) -> Model:
     """Return the model of the file: its structure with effects, outlier model and parameter values.
 
     Parameters
     ----------
     table
-        The whole file.
+        Content of the whole file.
     source
         Name of a catalogue model, or ``FILE:FUNCTION`` of a user-defined one.
     own
         User-defined effects by name.
+
+    Raises
+    ------
+    KeyError, ValueError
+        If an entry is missing or inconsistent. `load_model` adds the path to the message.
     """
     model = own_model(source) if is_own_model(source) else catalogue_model(source, table["sensors"])
-    size, written = _size(model, table["parameter"]), {row["name"] for row in table["parameter"]}
+    size, written = _vessel_size(model, table["parameter"]), {row["name"] for row in table["parameter"]}
     for name in table["effects"]:
         if name not in {e.name for e in model.effects}:
-            effect = own[name] if name in own else _effect(name, model, table.get("curves", {}))
+            effect = own[name] if name in own else _effect_by_name(name, model, table.get("curves", {}))
             if name == ESTIMATOR_ERROR and not {p.name for p in effect.parameters} <= written:
                 raise ValueError("its errors of an estimator are in an older format: fit the model again")
-            if _is_sized(effect, own):
+            if _is_scaled_to_boat(effect, own):
                 _check_units(effect, table["parameter"])
-                effect = _holding(scale_priors(effect, size), table["parameter"])
+                effect = _with_bounds_around_values(scale_priors(effect, size), table["parameter"])
                 saved = table.get("states", {})
-                effect = replace(effect, states=tuple(_restored(s, saved.get(s.name, {})) for s in effect.states))
+                effect = replace(
+                    effect, states=tuple(_with_saved_state_numbers(s, saved.get(s.name, {})) for s in effect.states)
+                )
             model = model + effect
     model = replace(
         with_outlier_model(model, table.get("robust", [])), second_order=bool(table.get("second_order", False))
@@ -376,26 +411,31 @@ def _build(table: Mapping[str, Any], source: str, own: Mapping[str, Effect]) -> 
     unknown = set(rows) - set(model.values)
     if unknown:
         raise ValueError(f"model {model.name} has no parameter {sorted(unknown)[0]!r}")
-    return model.replace_parameters(*(_parameter(p, rows[p.name]) for p in model.parameters if p.name in rows))
+    return model.replace_parameters(
+        *(_parameter_from_table(p, rows[p.name]) for p in model.parameters if p.name in rows)
+    )
 
 
-def _restored(state: State, row: Mapping[str, Any]) -> State:
-    """Return the state with the numbers of its row in the file."""
+def _with_saved_state_numbers(state: State, row: Mapping[str, Any]) -> State:
+    """Return the state with ``sd0`` and ``noise`` from its table in the file. Missing numbers are not changed."""
     numbers: dict[str, Any] = {k: float(row[k]) for k in STATE_NUMBERS if k in row}
     return replace(state, **numbers)
 
 
-def _size(model: Model, rows: Sequence[Mapping[str, Any]]) -> VesselScale:
-    """Return the size of the file's boat, by its masses.
+def _vessel_size(model: Model, rows: Sequence[Mapping[str, Any]]) -> VesselScale:
+    """Return the size of the boat in the file, by its surge mass and yaw inertia.
 
-    Steps and bounds of effects are not in the file; they scale with it.
+    Steps and bounds of effects are not in the file; they scale with this size.
     """
     masses = {row["name"]: float(row["value"]) for row in rows if row["name"] in ("m_u", "m_r")}
     return size_of(model.with_values({n: z for n, z in masses.items() if n in model.values}))
 
 
 def _check_units(effect: Effect, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Raise ValueError if lagged or resonant coefficients in the file have another unit than they have now."""
+    """Raise ValueError if a coefficient of a lagged or resonant response has another unit in the file than it has now.
+
+    Coefficients of other effects are not checked. ``rows`` are the tables of the parameters in the file.
+    """
     units = {p.name: p.unit for p in effect.parameters} if effect.kind is not EffectKind.NONPARAMETRIC else {}
     for row in rows:
         if effect.kind.nonparametric and row.get("unit", "") != units.get(row["name"], row.get("unit", "")):
@@ -403,8 +443,8 @@ def _check_units(effect: Effect, rows: Sequence[Mapping[str, Any]]) -> None:
             raise ValueError(f"parameter {row['name']} is in {row['unit'] or '1'}, now in {now}: fit the model again")
 
 
-def _holding(effect: Effect, rows: Sequence[Mapping[str, Any]]) -> Effect:
-    """Return the effect with bounds wide enough for the file's values.
+def _with_bounds_around_values(effect: Effect, rows: Sequence[Mapping[str, Any]]) -> Effect:
+    """Return the effect with the bounds of its scaled parameters wide enough for the values in the file.
 
     Bounds are scaled with the size of the boat. The fit that wrote the file may have assumed another size, so that a
     value at its bound may lie outside the bounds of today.
@@ -412,6 +452,7 @@ def _holding(effect: Effect, rows: Sequence[Mapping[str, Any]]) -> Effect:
     values = {row["name"]: float(row["value"]) for row in rows}
 
     def wide(p: Parameter) -> Parameter:
+        """Return the parameter with bounds that include its value in the file."""
         value, (low, high) = values.get(p.name, p.value), p.bounds
         # a bound of zero does not depend on the size: it stays
         return replace(p, bounds=(low and min(low, value), high and max(high, value)))
@@ -419,10 +460,11 @@ def _holding(effect: Effect, rows: Sequence[Mapping[str, Any]]) -> Effect:
     return replace(effect, parameters=tuple(wide(p) if p.scales else p for p in effect.parameters))
 
 
-def _parameter(p: Parameter, row: Mapping[str, Any]) -> Parameter:
-    """Return a parameter of the structure with the values of its row.
+def _parameter_from_table(p: Parameter, row: Mapping[str, Any]) -> Parameter:
+    """Return the parameter p of the model's structure with the entries of its table in the file.
 
-    A row without a prior keeps the structure's prior.
+    The entries are the value, whether it is free or considered, the prior and the origin. Without a prior in the table,
+    the parameter keeps its prior. ValueError is raised for a prior that is not valid.
     """
     origin = ParameterOrigin(row.get("origin", "given"))
     estimated = origin is ParameterOrigin.ESTIMATED
@@ -445,10 +487,24 @@ def _parameter(p: Parameter, row: Mapping[str, Any]) -> Parameter:
     )
 
 
-def _effect(name: str, model: Model, curves: Mapping[str, Any]) -> Effect:
+def _effect_by_name(name: str, model: Model, curves: Mapping[str, Any]) -> Effect:
     """Return an effect by its name in the file.
 
-    It is a component of the model, a nonparametric curve, a between-run effect, or an effect of the catalogue.
+    The effect is a component of the model, a nonparametric effect, a between-run effect, or an effect of the catalogue.
+
+    Parameters
+    ----------
+    name
+        Name of the effect.
+    model
+        Model to which the effect will be added.
+    curves
+        Table ``curves`` of the file, by name of the nonparametric effect.
+
+    Raises
+    ------
+    ValueError
+        If there is no effect of this name.
     """
     if name == "disturbance":
         return disturbance_of(model)
@@ -465,7 +521,7 @@ def _effect(name: str, model: Model, curves: Mapping[str, Any]) -> Effect:
     if name == ESTIMATOR_ERROR:
         return estimator_error([s.name for s in model.sensors])
     if name in curves:
-        return _unlisted(model, curves[name])
+        return _effect_from_curve_table(model, curves[name])
     if name.startswith(BETWEEN):
         return between_runs_effect(model, name.removeprefix(BETWEEN))
     if name not in catalogue():
@@ -473,8 +529,11 @@ def _effect(name: str, model: Model, curves: Mapping[str, Any]) -> Effect:
     return catalogue()[name]
 
 
-def _unlisted(model: Model, row: Mapping[str, Any]) -> Effect:
-    """Return the effect of a table under ``curves``."""
+def _effect_from_curve_table(model: Model, row: Mapping[str, Any]) -> Effect:
+    """Return the nonparametric effect that a table under ``curves`` defines.
+
+    ValueError is raised if the model cannot have this effect.
+    """
     kind = EffectKind(row["kind"])
     curve = ForceCurve(row["force"], row["variable"], row.get("second", ""))
     if kind is EffectKind.NONPARAMETRIC:

@@ -16,7 +16,7 @@ from seatrial.ident.data import Record
 from seatrial.ident.estimation.likelihood import Likelihood
 from seatrial.ident.estimation.maximum_likelihood import Fit
 
-N_STARTS = 2  # largest number of other starts
+N_STARTS = 2  # largest number of starts besides the model's own initial values
 # For a grid that must gain, a point's log-likelihood must exceed that of the fit by this: more than one parameter gains
 # by chance.
 START_GAIN = 2.0
@@ -24,16 +24,19 @@ MIN_GAIN = 0.5  # another maximum is taken only if its log-posterior is higher b
 
 
 def best_of_starts(first: Fit, records: Sequence[Record], refit: Callable[[Mapping[str, float]], Fit]) -> Fit:
-    """Return the best of a fit and the fits from the model's other starts.
+    """Return the best of a fit and the fits from other initial values in the model's start grid.
+
+    A refit replaces the best fit so far if its log-posterior is higher by more than 0.5. A start from which the
+    likelihood cannot be evaluated is skipped.
 
     Parameters
     ----------
     first
-        The fit from the model's own initial values.
+        Fit from the model's own initial values.
     records
-        Its records.
+        Records of this fit.
     refit
-        Fits the model from given initial values.
+        Fits the model from given initial values by parameter. It raises ValueError if that is not possible.
     """
     best = first
     for start in alternative_starts(first, records):
@@ -48,19 +51,22 @@ def best_of_starts(first: Fit, records: Sequence[Record], refit: Callable[[Mappi
 def alternative_starts(first: Fit, records: Sequence[Record]) -> list[dict[str, float]]:
     """Return the likeliest points of the model's start grid that are away from the fit.
 
-    All other parameters have the values of the fit.
+    The log-likelihood is evaluated at all points of the grid, with all other parameters as in the fit. Points are taken
+    in the order of decreasing likelihood. In the first parameter of the grid, a point differs from the fit and from the
+    points before it by more than 1.5 times the grid's minimum distance. If the grid must gain, a point is taken only if
+    its log-likelihood exceeds that of the fit by more than 2.
 
     Parameters
     ----------
     first
-        The fit.
+        Fit from the model's own initial values.
     records
-        Its records.
+        Records of this fit.
 
     Returns
     -------
     list of dict
-        Initial values by parameter, at most ``N_STARTS``; empty if the model has no start grid.
+        Initial values by parameter of the grid, at most two points; empty if the model has no start grid.
     """
     model, likelihood = first.model, Likelihood(first.model)
     grid = model.start_grid
@@ -70,7 +76,7 @@ def alternative_starts(first: Fit, records: Sequence[Record]) -> list[dict[str, 
     rows = [r.for_model(model) for r in records]
 
     def log_likelihood(point: Sequence[float]) -> float:
-        """Return the log-likelihood at a point of the grid."""
+        """Return the log-likelihood of all records at a point of the grid; -inf if it is not finite."""
         values = first.record_values.copy()
         values[:, columns] = point
         found = sum(likelihood.value(r, v) for r, v in zip(rows, values, strict=True))

@@ -24,16 +24,16 @@ INPUTS = ("u", "u_next", "h")  # arrays of a record that a simulation uses
 
 @dataclass(frozen=True)
 class Simulation:
-    """Simulated record.
+    """Simulated or predicted rows of a record, without noise.
 
     Attributes
     ----------
     t : Array (n_rows,)
         Time [s].
     x : Array (n_rows, n_states)
-        States.
+        States, in the order and the units of the model.
     y : Array (n_rows, n_outputs)
-        Outputs without noise.
+        Outputs without noise, in the order and the units of the model.
     """
 
     t: Array
@@ -42,28 +42,30 @@ class Simulation:
 
 
 def output_error(model: Model) -> Likelihood:
-    """Return the likelihood of a model without process noise."""
+    """Return the output-error likelihood of a model: no process noise, and an exactly known initial state."""
     return Likelihood(model, process_noise=False)
 
 
 def with_initial_state(model: Model, names: Sequence[str] | None = None, *, per_record: bool = True) -> Model:
-    """Return the model with initial values of states as free parameters ``x0_NAME``.
+    """Return the model with the initial values of states as free parameters ``x0_NAME``.
 
-    Their values start at the states' own x0. The uncertainty of the initial state becomes zero.
+    The parameters start at the initial value ``x0`` of the state. The standard deviation ``sd0`` of the initial state
+    becomes zero, and the state does not start from a measurement any more. A state whose ``x0`` is already a parameter
+    is not changed.
 
     Parameters
     ----------
     model
-        The model.
+        Model to extend.
     names
-        States; all by default.
+        Names of the states; all by default.
     per_record
         Whether each record has its own initial values.
 
     Raises
     ------
     KeyError
-        If the model lacks a state.
+        If the model lacks one of the states.
     """
     chosen = [s.name for s in model.states] if names is None else list(names)
     unknown = set(chosen) - {s.name for s in model.states}
@@ -93,9 +95,10 @@ def with_free_initial_states(model: Model, records: Sequence[Record]) -> tuple[M
     Returns
     -------
     model
-        The extended model.
+        Extended model.
     begin
-        Initial values ``x0_NAME@RECORD`` from the first samples.
+        Initial values of the parameters ``x0_NAME@RECORD`` from the first sample of each record, where RECORD is the
+        index of the record. Without a finite sample, the value is the ``x0`` of the state.
 
     Notes
     -----
@@ -124,62 +127,72 @@ def simulate(
     x0: Array | None = None,
     preparer: Preparer | None = None,
 ) -> Simulation:
-    """Simulate the model over a record's inputs.
+    """Simulate the model over the inputs of a record, without process noise.
 
     Measurements matter only for states that start from one (``from_output``).
 
     Parameters
     ----------
-    model, record
-        The model and the record.
+    model
+        Model to simulate.
+    record
+        Record with the inputs.
     values : Array (n_parameters,), optional
-        Values of the parameters; by default those of the model.
+        Values of the parameters, in the order of ``model.parameters``; by default those of the model.
     x0 : Array (n_states,), optional
-        Initial state; by default that of the model.
+        State in the first row; by default that of the model.
     preparer
-        Preparer of the model. It keeps its results, which saves time if a record is simulated many times.
+        Preparer of the model. It keeps its results, which saves time if a record is simulated many times. None: a new
+        one is created.
+
+    Returns
+    -------
+    Simulation
+        States and outputs in all rows of the record.
     """
-    values = _values(model, values)
+    values = _values_or_default(model, values)
     data = (preparer or Preparer(model))(record)
     start = initial_condition(model, values, data, covariance=False).s if x0 is None else x0
     arrays = {n: data.rows[n] for n in INPUTS} | {"p": values, "s": np.array(start, dtype=np.float64)}
-    done = _kernel(model)(data.n_rows, None, arrays)
+    done = _simulation_kernel(model)(data.n_rows, None, arrays)
     return Simulation(record.t, done["x"], done["z"])
 
 
 def predict_ahead(
     model: Model, record: Record, values: Array | None, states: Array, start: NDArray[np.int64], end: NDArray[np.int64]
 ) -> Simulation:
-    """Predict rows of a record from the states at earlier rows and the inputs between them.
+    """Predict rows of a record from the states at earlier rows and the inputs between them, without process noise.
 
     Parameters
     ----------
-    model, record
-        The model and the record.
+    model
+        Model that predicts.
+    record
+        Record with the inputs.
     values : Array (n_parameters,) or None
-        Values of the parameters; None for those of the model.
+        Values of the parameters, in the order of ``model.parameters``; None for those of the model.
     states : Array (n_rows, n_states)
-        State at each row, such as the filtered states of ``seatrial.ident.estimation.likelihood``.
+        State at each row of the record, such as the filtered states of ``seatrial.ident.estimation.likelihood``.
     start, end : Array (n,) of int
-        Rows between which each prediction runs, ``start < end``.
+        Indices of the rows at which each of the n predictions starts and ends, ``start <= end``.
 
     Returns
     -------
     Simulation
-        Predictions at the n end rows.
+        Predictions at the n end rows, in the order of ``end``.
     """
-    data, kernel = Preparer(model)(record), _kernel(model)
-    arrays = {n: data.rows[n] for n in INPUTS} | {"p": _values(model, values)}
+    data, kernel = Preparer(model)(record), _simulation_kernel(model)
+    arrays = {n: data.rows[n] for n in INPUTS} | {"p": _values_or_default(model, values)}
     done = kernel.segments(start.tolist(), (end + 1).tolist(), arrays, states[start], ("z", "x"))
     return Simulation(record.t[end], done["x"], done["z"])
 
 
-def _kernel(model: Model) -> Kernel:
-    """Return the compiled simulation of the model."""
+def _simulation_kernel(model: Model) -> Kernel:
+    """Return the kernel that simulates the model without process noise."""
     return filter_kernels_for(model, covariance=False).simulate
 
 
-def _values(model: Model, values: Array | None) -> Array:
-    """Return the values as a contiguous array; those of the model if None."""
+def _values_or_default(model: Model, values: Array | None) -> Array:
+    """Return the values (n_parameters,) as a contiguous float64 array; the values of the model's parameters if None."""
     given = [p.value for p in model.parameters] if values is None else values
     return np.ascontiguousarray(given, dtype=np.float64)

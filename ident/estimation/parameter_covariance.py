@@ -31,26 +31,38 @@ PARAMETER_STEP = 0.05  # step of finite differences [standard deviations]; model
 
 @dataclass(frozen=True)
 class ParameterUncertainty:
-    """Principal directions of the covariance of a fit's parameters.
+    """Uncertainty of a fit's parameters, as k principal directions of their covariance.
 
     Attributes
     ----------
     columns
-        Positions of the parameters in ``model.parameters``.
+        Indices of the n uncertain parameters in ``model.parameters``.
     root : Array (n, k)
-        Directions of one standard deviation in columns, in the estimator's coordinates.
+        Square root of their covariance: column j is direction j with a length of one standard deviation, in the
+        estimator's coordinates (logarithms of positive parameters).
     """
 
     columns: tuple[int, ...]
     root: Array
 
-    def around(self, model: Model, values: Array) -> Iterator[tuple[Array, Array]]:
-        """Yield for each direction two vectors of values (n_parameters,), moved either way along it."""
-        for step in self.root.T:
-            yield self._moved(model, values, step), self._moved(model, values, -step)
+    def values_one_deviation_away(self, model: Model, values: Array) -> Iterator[tuple[Array, Array]]:
+        """Yield for each direction two copies of ``values``, moved by plus and by minus one standard deviation.
 
-    def _moved(self, model: Model, values: Array, step: Array) -> Array:
-        """Return the values moved by a step (n,) in the estimator's coordinates, clipped to their bounds."""
+        Parameters
+        ----------
+        model : Model
+            Model whose parameters have the transforms and bounds.
+        values : Array (n_parameters,)
+            Values in the order of ``model.parameters``, in their own units.
+        """
+        for step in self.root.T:
+            yield self._values_moved_by(model, values, step), self._values_moved_by(model, values, -step)
+
+    def _values_moved_by(self, model: Model, values: Array, step: Array) -> Array:
+        """Return a copy of the values with the n uncertain parameters moved by ``step`` and clipped to their bounds.
+
+        The step (n,) is in the estimator's coordinates, the result in the parameters' own units.
+        """
         out = values.copy()
         for i, d in zip(self.columns, step.tolist(), strict=True):
             p = model.parameters[i]
@@ -68,10 +80,10 @@ def parameter_uncertainty(fit: Fit, record: int | None = None) -> ParameterUncer
     Parameters
     ----------
     fit
-        The fit.
+        Fit whose parameters are uncertain.
     record
-        Index of a record, to include its per-record parameters. None for a record that is not in the fit; its own
-        parameters are then known by other means.
+        Index of a record of the fit, to include its per-record parameters. None: no per-record parameter is included,
+        for a record that is not in the fit.
     """
     noise, parameters = fit.model.noise_parameters, list(fit.model.parameters)
     selected = [p.name not in noise if p.segment is None else p.segment == record for p in fit.parameters]
@@ -86,33 +98,40 @@ def parameter_uncertainty(fit: Fit, record: int | None = None) -> ParameterUncer
 def prediction_variance(
     uncertainty: ParameterUncertainty, model: Model, record: Record, values: Array, known: int, likelihood: Likelihood
 ) -> Array:
-    """Return the variance of predictions (n_rows, n_outputs) that the uncertainty of the parameters adds.
+    """Return the variance that the uncertainty of the parameters adds to predictions.
 
-    The filter has the measurements of the first ``known`` rows. From there the prediction uses the inputs only. Nothing
-    is added in the first rows, where measurements correct the prediction. The variance is infinite if the prediction
-    diverges within one standard deviation of the parameters.
+    The filter uses the measurements of the first ``known`` rows. From there the prediction uses the inputs only.
 
     Parameters
     ----------
     uncertainty
         Directions in which the parameters are moved.
-    model, record
-        The model and the record.
+    model
+        Model that predicts.
+    record
+        Record with the measurements and inputs.
     values : Array (n_parameters,)
-        Values of the parameters.
+        Values of the parameters, in the order of ``model.parameters``.
     known
-        Number of rows with measurements, at least 1.
+        Number of rows whose measurements are used, at least 1.
     likelihood
-        Likelihood of the model.
+        Likelihood of the model, with process noise.
+
+    Returns
+    -------
+    Array (n_rows, n_outputs)
+        Variances in squared units of the outputs. They are zero in the first ``known`` rows, where measurements correct
+        the prediction. They are infinite if the prediction diverges within one standard deviation of the parameters.
     """
     head, tail = record.rows(slice(0, known)), record.rows(slice(known - 1, None))
     preparer = Preparer(model)
 
     def outputs(v: Array) -> Array:
+        """Return the predicted outputs after the known rows (n_rows - known, n_outputs), for parameter values v."""
         return simulate(model, tail, v, likelihood.filter(head, v).x_filt[-1], preparer).y[1:]
 
     total = np.zeros((record.n_rows, len(model.outputs)))
-    for plus, minus in uncertainty.around(model, values):
+    for plus, minus in uncertainty.values_one_deviation_away(model, values):
         with np.errstate(over="ignore", invalid="ignore"):  # a prediction may diverge
             total[known:] += ((outputs(plus) - outputs(minus)) / 2) ** 2
     return np.nan_to_num(total, nan=np.inf, posinf=np.inf)
@@ -125,9 +144,9 @@ class ParameterCovariance:
     Attributes
     ----------
     names
-        The parameters.
-    covariance : Array (n, n)
-        Their covariance; None if unknown.
+        Names of the n parameters.
+    covariance : Array (n, n) or None
+        Covariance of the parameters in the order of `names`; None if unknown.
     """
 
     names: tuple[str, ...] = ()
@@ -135,19 +154,26 @@ class ParameterCovariance:
 
 
 def principal_directions(model: Model, values: Array, known: ParameterCovariance | None) -> list[Array]:
-    """Return parameter vectors moved by `PARAMETER_STEP` along each principal direction of the covariance.
+    """Return parameter vectors moved by 0.05 standard deviations along each principal direction of the covariance.
 
-    The directions are in the estimator's coordinates. Noise parameters are not moved: the state estimate hardly depends
-    on them.
+    The directions are in the estimator's coordinates (logarithms of positive parameters). Noise parameters are not
+    moved: the state estimate hardly depends on them.
 
     Parameters
     ----------
     model
-        The model, at whose values the directions are computed.
+        Model at whose values the directions are computed.
     values : Array (n_parameters,)
-        The vector that is moved.
+        Vector of which moved copies are returned, in the order of ``model.parameters``.
     known
-        Covariance of the parameters; None if unknown.
+        Covariance of the parameters in their own units; None if unknown.
+
+    Returns
+    -------
+    list of Array (n_parameters,)
+        One vector for each direction. In it, each moved parameter has the value of the model plus the step; the other
+        entries are those of ``values``. The list is empty if the covariance is unknown or contains no parameter of the
+        model except noise.
     """
     if known is None or known.covariance is None:
         return []
@@ -168,6 +194,6 @@ def principal_directions(model: Model, values: Array, known: ParameterCovariance
 
 
 def dynamic_parameters(model: Model) -> list[str]:
-    """Return the names of the free parameters that all records share, except those of noise and disturbances."""
+    """Return the names of the free parameters that all records share, except those of noise and disturbance forces."""
     noise = model.noise_parameters
     return [p.name for p in model.parameters if p.free and not p.per_record and p.name not in noise]

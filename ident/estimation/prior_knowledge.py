@@ -28,19 +28,29 @@ GNSS = {"x", "y", "vx", "vy"}
 def apply_rig_geometry(
     model: Model, rig: Rig | None, vehicle: Mapping[str, float] | None = None
 ) -> tuple[Model, list[str]]:
-    """Return the model with the dimensions in the rig file, and a note for each that the model cannot use.
+    """Return the model with the dimensions of the boat from its rig file.
 
-    A parameter that the model estimates starts at the given value. One with a standard uncertainty gets a prior. Any
-    other one is fixed to the value.
+    The dimensions are the values of the table ``vehicle``, the lateral positions of the thrusters (parameters
+    ``y_left`` and ``y_right``) and the lever arm of the antenna. A value with a standard uncertainty becomes the mean
+    of a prior. A value without one is the initial value of a parameter that the model estimates, and fixes any other
+    parameter. Values that are no parameter of the model are ignored.
 
     Parameters
     ----------
     model
-        The model.
+        Model to which the dimensions are applied.
     rig
-        The rig file.
+        Rig file; None if there is none.
     vehicle
-        Values by parameter; by default those of the rig. ``NAME_sd`` is the standard uncertainty of NAME.
+        Values by parameter, in the parameters' units; by default those of the rig. ``NAME_sd`` is the standard
+        uncertainty of NAME.
+
+    Returns
+    -------
+    model
+        Model with the dimensions.
+    notes
+        Sentences for the reader about a lever arm that the model cannot use, or about several antennas.
     """
     given, known = dict(vehicle if vehicle is not None else rig.vehicle if rig else {}), []
     levers = {f"y_{t.name}": t.position_m[1] for t in (rig.thrusters if rig else ()) if t.name in SIDES}
@@ -55,7 +65,11 @@ def apply_rig_geometry(
 
 
 def _with_antenna(model: Model, rig: Rig) -> tuple[Model, list[str]]:
-    """Return the model with the lever arm of the rig's antenna, and a note if this is not possible or ambiguous."""
+    """Return the model with the lever arm of the rig's antenna, and a note if this is not possible or ambiguous.
+
+    The first device of the rig with a lever arm counts as the antenna of all GNSS outputs. The model is unchanged, and
+    there is no note, if no device has a lever arm or the model has no GNSS output.
+    """
     sensitive = slice(2 if "hull" in model.provides else 3)  # without roll and pitch the height has no effect
     arms = [d.lever_arm_m for d in rig.devices if any(tuple(d.lever_arm_m)[sensitive])]
     seen = sorted(GNSS & {o.name for o in model.outputs})
@@ -73,10 +87,11 @@ def _with_antenna(model: Model, rig: Rig) -> tuple[Model, list[str]]:
 
 
 def with_effects(model: Model, names: Sequence[str]) -> Model:
-    """Return the model with effects by name, their parameters free.
+    """Return the model with the effects of these names added.
 
-    If an effect has another form for this model, that form is added. Parameters start one characteristic step from
-    zero: at zero the likelihood of some effects has no slope.
+    If an effect has another form for this model, that form is added. Priors are scaled to the size of the boat. Free
+    parameters with the value zero start at their characteristic step instead: at zero the likelihood of some effects
+    has no slope.
 
     Raises
     ------
@@ -84,18 +99,25 @@ def with_effects(model: Model, names: Sequence[str]) -> Model:
         If there is no such effect, or if the model has it already or cannot have it.
     """
     for name in names:
-        effect = scale_priors(_effect_for(model, name), size_of(model))
-        model = model + replace(effect, parameters=tuple(_off_zero(p) for p in effect.parameters))
+        effect = scale_priors(_effect_form_for_model(model, name), size_of(model))
+        model = model + replace(effect, parameters=tuple(_moved_from_zero(p) for p in effect.parameters))
     return model
 
 
-def _off_zero(p: Parameter) -> Parameter:
-    """Return a free parameter moved from zero by its characteristic step."""
+def _moved_from_zero(p: Parameter) -> Parameter:
+    """Return the parameter with its characteristic step as value, but at most its upper bound.
+
+    A fixed parameter, or one whose value is not zero, is returned unchanged.
+    """
     return p.at(min(p.step, p.bounds[1])) if p.free and p.value == 0.0 else p
 
 
-def _effect_for(model: Model, name: str) -> Effect:
-    """Return the effect with this name, in the form that fits the model."""
+def _effect_form_for_model(model: Model, name: str) -> Effect:
+    """Return the effect of the catalogue with this name, in the form that the model accepts.
+
+    All forms of an effect have the same first parameter. SeatrialError is raised if there is no such effect, if the
+    model has its first parameter already, or if the model accepts no form.
+    """
     known = {**catalogue(), CURRENT_WALK: current_walk(), TELEMETRY_AGE: telemetry_age()}
     possible = {e.name: e for e in known.values() if model.accepts(e)}
     can = ", ".join(possible) or "none"
@@ -113,26 +135,29 @@ def _effect_for(model: Model, name: str) -> Effect:
 def fix_parameters(model: Model, thruster: Path | None, given: Mapping[str, float]) -> tuple[Model, list[str]]:
     """Return the model with known parameters: thrust from a bench test, and fixed values from the command line.
 
-    Parameters from the bench have their standard uncertainty (statistics and calibration) as a prior.
+    The thrust coefficients c1 and c2 from the bench get a prior with their standard uncertainty (statistics and
+    calibration). A value in ``given`` takes precedence over the bench.
 
     Parameters
     ----------
     model
-        The model.
+        Model to which the values are applied.
     thruster
-        Model file of a thruster.
+        Model file of a bench test; None if there is none.
     given
-        Fixed values by parameter.
+        Values to which parameters are fixed, by name and in the parameters' units.
 
     Returns
     -------
-    tuple
-        The model, and a note about a coefficient that the bench did not measure.
+    model
+        Model with these parameters.
+    notes
+        A sentence about the coefficient c2 if the bench test did not measure it; otherwise empty.
 
     Raises
     ------
     SeatrialError
-        If there is no such parameter, or if the bench test does not determine a thrust coefficient.
+        If the model lacks a parameter of ``given``, or if the bench test does not determine a thrust coefficient.
     """
     known: dict[str, Parameter] = {}
     notes = []
@@ -158,7 +183,10 @@ def fix_parameters(model: Model, thruster: Path | None, given: Mapping[str, floa
 
 
 def _bench_parameter(bench: SavedModel, name: str, path: Path) -> Parameter:
-    """Return a coefficient of a thruster model. Raise SeatrialError if the bench test does not determine it."""
+    """Return the thrust coefficient ``name`` of a bench test's model, which was read from ``path``.
+
+    SeatrialError is raised if the model lacks the coefficient, or if it is free but has no standard error.
+    """
     if name not in bench.model.values:
         raise SeatrialError(f"{path}: has no {name}: a model with a load cell's force is needed")
     p = bench.model.parameter(name)
@@ -171,7 +199,10 @@ def _bench_parameter(bench: SavedModel, name: str, path: Path) -> Parameter:
 
 
 def set_priors(model: Model, prior: Mapping[str, tuple[float, float]]) -> Model:
-    """Return the model with priors given as (mean, standard deviation). Estimates start at the means.
+    """Return the model with priors, given as (mean, standard deviation) by parameter in the parameters' units.
+
+    The parameters become free, and their estimates start at the means. A considered parameter stays considered, and a
+    standard deviation of 0 fixes the parameter to the mean.
 
     Raises
     ------
@@ -192,7 +223,10 @@ def set_priors(model: Model, prior: Mapping[str, tuple[float, float]]) -> Model:
 
 
 def set_initial_values(model: Model, initial: Mapping[str, float]) -> Model:
-    """Return the model with other initial values. Raise SeatrialError if there is no such parameter."""
+    """Return the model with other initial values, given by parameter in the parameters' units.
+
+    SeatrialError is raised if the model lacks one of the parameters.
+    """
     unknown = set(initial) - set(model.values)
     if unknown:
         names = ", ".join(model.values)

@@ -50,17 +50,20 @@ class Profile:
 
     Attributes
     ----------
-    name
-        As in ``Fit.names`` (``V_x@0``: the value of record 0).
+    name, unit
+        Full name of the parameter (``V_x@0``: the value of V_x in record 0), and its unit.
     value
-        The maximum of the likelihood: the fit's estimate, or after REML the maximum of the likelihood itself. If a
-        better fit was found during the search, its value; ``notes`` then contain a line about it.
+        Value at the maximum of the likelihood. It is the fit's estimate, except in two cases: after REML, it is the
+        maximum of the likelihood itself; if a better fit was found during the search, it is the value of that fit, and
+        ``notes`` contain a line about it.
     grid : Array (n,)
-        Values of the parameter, increasing.
+        Values of the parameter, increasing, with ``value`` among them.
     drop : Array (n,)
-        Drop of the log-likelihood at these values; zero at ``value``.
+        Drop of the log-likelihood from its maximum at these values, all other parameters fitted again; zero at
+        ``value``.
     low, high
-        Ends of the 95 % interval, accurate to about one per cent of their distance; NaN for an open side.
+        Ends of the 95 % interval, accurate to about one per cent of their distance from ``value``. An end is the bound
+        of the parameter if the interval reaches it, and NaN if no end was found.
     wald_low, wald_high
         The fit's value +- 1.96 standard errors (of the logarithm if the fit estimates the logarithm); NaN if the
         parameter has no standard error.
@@ -81,16 +84,17 @@ class Profile:
 
 
 def profile(fit: Fit, records: Sequence[Record], name: str, *, threads: int = 2) -> Profile:
-    """Return the profile likelihood of one estimated parameter, on a grid that finds its own range.
+    """Return the profile likelihood of one estimated parameter, on a grid whose range is found by the search.
 
     Parameters
     ----------
     fit, records
-        A fit and its records.
+        Fit, and the records to which it was fitted, in the same order.
     name
-        ``NAME@K`` for the value of record K of a per-record parameter. ``NAME`` is enough if the fit has one record.
+        Name of the parameter: ``NAME``, or ``NAME@K`` for the value of a per-record parameter in record K. ``NAME`` is
+        enough if the fit has one record.
     threads
-        Number of records that are evaluated at once.
+        Largest number of records that are evaluated at the same time.
 
     Raises
     ------
@@ -102,59 +106,78 @@ def profile(fit: Fit, records: Sequence[Record], name: str, *, threads: int = 2)
         each = [p.full_name for p in fit.parameters if p.name == name]
         hint = f"each run has its own: {', '.join(each)}" if each else f"it estimated {', '.join(fit.names)}"
         raise ValueError(f"no profile of {name}: the fit did not estimate it; {hint}")
-    problem = _problem(fit, records, threads)
+    problem = _problem_of_fit(fit, records, threads)
     estimate = problem.bounds.clip(
         np.array([p.to_free(v) for p, v in zip(problem.parameters, fit.values, strict=True)])
     )
-    line = ConstrainedObjective(problem, fit.names.index(full), estimate)
+    objective = ConstrainedObjective(problem, fit.names.index(full), estimate)
     if fit.options.reml:  # REML moved the noise away from the maximum of the likelihood, which is profiled here
-        line.release(estimate)
-        line.restart()
-    before, sides = line.top, _sides(line)
+        objective.release(estimate)
+        objective.restart()
+    before, sides = objective.top, _trace_both_sides(objective)
     for _ in range(N_RESTARTS):
-        if not line.restart():
+        if not objective.restart():
             break
-        sides = _sides(line)
+        sides = _trace_both_sides(objective)
     notes = [f"{word} side: {side.note}" for word, side in zip(("lower", "upper"), sides, strict=True) if side.note]
-    if line.found[0] > before + MIN_GAIN:
+    if objective.best_found[0] > before + MIN_GAIN:
         notes.append(
-            f"a better fit was found during the search, by {line.found[0] - before:.2g} in log-likelihood; the profile "
-            "is of that fit: fit again from there"
+            f"a better fit was found during the search, by {objective.best_found[0] - before:.2g} in log-likelihood; "
+            "the profile is of that fit: fit again from there"
         )
-    error = fit.errors[line.k] / np.abs(line.parameter.slope(fit.values[line.k]))
-    return _gathered(line, full, sides, [estimate[line.k] + sign * Z_95 * error for sign in (-1, 1)], notes)
+    error = fit.errors[objective.coordinate] / np.abs(objective.parameter.slope(fit.values[objective.coordinate]))
+    return _profile_in_own_unit(
+        objective, full, sides, [estimate[objective.coordinate] + sign * Z_95 * error for sign in (-1, 1)], notes
+    )
 
 
-def _sides(line: ConstrainedObjective) -> list[ProfileBranch]:
-    return [trace_profile(line, sign) for sign in (-1, 1)]
+def _trace_both_sides(objective: ConstrainedObjective) -> list[ProfileBranch]:
+    """Trace the profile on the lower side, then on the upper side of the estimate."""
+    return [trace_profile(objective, sign) for sign in (-1, 1)]
 
 
-def _problem(fit: Fit, records: Sequence[Record], threads: int) -> Problem:
+def _problem_of_fit(fit: Fit, records: Sequence[Record], threads: int) -> Problem:
     """Return the fit's objective for the records. Raise ValueError if the records are not those of the fit."""
     likelihood = Likelihood(fit.model, process_noise=fit.options.process_noise)
     free = tuple(dict.fromkeys(p.name for p in fit.parameters))
     problem = Problem(likelihood, [r.for_model(fit.model) for r in records], free, threads)
     if problem.names != fit.names:
         raise ValueError(
-            f"the fit estimated {len(fit.names)} parameters, these records have "
-            f"{len(problem.names)}: give the records of the fit"
+            f"the fit estimated {len(fit.names)} parameters, but a fit to these records would estimate "
+            f"{len(problem.names)}; give the records to which the model was fitted"
         )
     return problem
 
 
-def _gathered(
-    line: ConstrainedObjective, name: str, sides: Sequence[ProfileBranch], wald: Sequence[float], notes: Sequence[str]
+def _profile_in_own_unit(
+    objective: ConstrainedObjective,
+    name: str,
+    sides: Sequence[ProfileBranch],
+    wald: Sequence[float],
+    notes: Sequence[str],
 ) -> Profile:
     """Return the profile in the parameter's own unit.
 
-    ``sides`` are its two branches. ``wald`` are the ends of the Wald interval, in the estimator's coordinate.
+    Parameters
+    ----------
+    objective
+        Objective with the parameter held.
+    name
+        Full name of the parameter.
+    sides
+        Lower and upper branch of the profile.
+    wald
+        Lower and upper end of the Wald interval (1.96 standard errors), in the estimator's coordinate.
+    notes
+        Remarks for the reader.
     """
-    p, centre = line.parameter, float(line.z[line.k])
+    p, centre = objective.parameter, float(objective.z[objective.coordinate])
 
     def own(z: float) -> float:
+        """Return a value of the coordinate in the parameter's own unit; NaN if it is not finite."""
         return float(np.clip(p.from_free(z), *p.bounds)) if np.isfinite(z) else float("nan")
 
-    below, above = (side.shown for side in sides)
+    below, above = (side.plotted_points for side in sides)
     z = [centre - q.s for q in below[::-1]] + [centre] + [centre + q.s for q in above]
     drop = np.array([*[q.drop for q in below[::-1]], 0.0, *[q.drop for q in above]])
     return Profile(
@@ -171,74 +194,90 @@ def _gathered(
     )
 
 
-def trace_profile(line: ConstrainedObjective, sign: int) -> ProfileBranch:
-    """Trace one side of the profile.
+def trace_profile(objective: ConstrainedObjective, sign: int) -> ProfileBranch:
+    """Trace one side of the profile: find the points of the branch, its end and a note about the end.
 
-    The trace ends when the crossing is known, a bound is reached or the allowed number of points is used. It also ends
-    if it meets a better optimum than its centre; the caller then starts again from there.
+    The trace ends when the distance at which the log-likelihood has dropped by 1.92 (the crossing) is known to one per
+    cent, when a bound is reached, or when the allowed number of points is used. It also ends if a better optimum than
+    the estimate is found. This optimum is then in ``objective.best_found``, and the caller starts again from there.
 
     Parameters
     ----------
-    line
-        The objective with the parameter held.
+    objective
+        Objective with the parameter held.
     sign
         -1 for the lower side, 1 for the upper.
     """
-    z_k, side = line.z[line.k], ProfileBranch([ProfilePoint(0.0, 0.0, line.z)])
-    room = float(line.bounds.high[line.k] - z_k if sign > 0 else z_k - line.bounds.low[line.k])
+    z_k, side = objective.z[objective.coordinate], ProfileBranch([ProfilePoint(0.0, 0.0, objective.z)])
+    room = float(
+        objective.bounds.high[objective.coordinate] - z_k
+        if sign > 0
+        else z_k - objective.bounds.low[objective.coordinate]
+    )
     if room <= 0:
         side.note, side.limit = "at its bound", 0.0
         return side
     outwards = inwards = 0
-    while line.found[0] < line.top + MIN_GAIN:
-        if side.outer is not None:
+    while objective.best_found[0] < objective.top + MIN_GAIN:
+        if side.first_outside is not None:
             exact = side.crossing()[1]
             if exact or inwards == MAX_BRACKET_POINTS:
                 break
             inwards += 1
-            s = side.between()
-        elif side.inner.s >= room or outwards == MAX_OUTWARD_POINTS:
+            s = side.next_distance_in_bracket()
+        elif side.last_inside.s >= room or outwards == MAX_OUTWARD_POINTS:
             break
         else:
-            s = min(_outwards(line, side, sign, TARGET_DROPS[min(outwards, len(TARGET_DROPS) - 1)]), room)
+            s = min(
+                _next_distance_outwards(objective, side, sign, TARGET_DROPS[min(outwards, len(TARGET_DROPS) - 1)]), room
+            )
             outwards += 1
-        point, before = line.best(s, sign, side), side.inner
+        point, before = objective.best_point(s, sign, side), side.last_inside
         if point.s > before.s and point.drop < before.drop - MIN_DROP:
-            line.release(point.z)  # the likelihood rises again: search for another maximum from here
-        side.add(point)
-    _end(line, sign, side, room)
+            objective.release(point.z)  # the likelihood rises again: search for another maximum from here
+        side.add_point(point)
+    _set_limit_and_note(objective, sign, side, room)
     return side
 
 
-def _end(line: ConstrainedObjective, sign: int, side: ProfileBranch, room: float) -> None:
-    """Set the limit and the note of a finished branch. ``room`` is the distance to the parameter's bound."""
-    reached = line.parameter.from_free(float(line.z[line.k]) + sign * side.inner.s)
-    if side.outer is None:
-        bound = side.inner.s >= room
+def _set_limit_and_note(objective: ConstrainedObjective, sign: int, side: ProfileBranch, room: float) -> None:
+    """Set ``limit`` and ``note`` of a finished branch in place.
+
+    ``sign`` is -1 for the lower side and 1 for the upper. ``room`` is the distance of the estimate from the parameter's
+    bound on this side, in the estimator's coordinate.
+    """
+    reached = objective.parameter.from_free(float(objective.z[objective.coordinate]) + sign * side.last_inside.s)
+    if side.first_outside is None:
+        bound = side.last_inside.s >= room
         side.limit = room if bound else float("nan")
         side.note = "reaches its bound" if bound else f"the data set no limit; the search ended at {reached:.4g}"
-    elif np.isfinite(side.outer.drop):
+    elif np.isfinite(side.first_outside.drop):
         side.limit = side.crossing()[0]
     else:
         side.note = f"the likelihood cannot be evaluated beyond {reached:.4g}"
 
 
-def _outwards(line: ConstrainedObjective, side: ProfileBranch, sign: int, target: float) -> float:
-    """Return the distance at which the drop should reach ``target``.
+def _next_distance_outwards(objective: ConstrainedObjective, side: ProfileBranch, sign: int, target: float) -> float:
+    """Return the distance from the estimate of the next point outwards, where the drop should reach ``target``.
+
+    ``sign`` is -1 for the lower side and 1 for the upper. The distance is in the estimator's coordinate. It is at most
+    three times that of the last point inside, and for a logarithm at most 1.5 more than that.
 
     The first distance comes from the curvature, or from the characteristic step if the curvature is unknown. Later ones
     extrapolate the points found so far.
     """
-    last, logarithmic = side.inner, bool(line.bounds.logarithmic[line.k])
+    last, logarithmic = side.last_inside, bool(objective.bounds.logarithmic[objective.coordinate])
     if last.s > 0.0:
-        s = last.s * float(np.clip((target / max(last.drop, MIN_DROP)) ** (1.0 / side.power), 1.25, MAX_GROWTH))
-    elif line.curvature > 0.0:
+        s = last.s * float(
+            np.clip((target / max(last.drop, MIN_DROP)) ** (1.0 / side.growth_exponent), 1.25, MAX_GROWTH)
+        )
+    elif objective.curvature > 0.0:
         # solves g s + c s^2 / 2 = target; g is zero except for a parameter that is pushed against its bound
-        g, c = max(-sign * line.gradient, 0.0), line.curvature
+        g, c = max(-sign * objective.gradient, 0.0), objective.curvature
         s = 2.0 * target / (g + np.sqrt(g * g + 2.0 * c * target))
     else:
-        p = line.parameter
-        s = MAX_LOG_STEP if logarithmic else p.step or 0.1 * abs(float(line.z[line.k])) or 1.0
+        p = objective.parameter
+        s = MAX_LOG_STEP if logarithmic else p.step or 0.1 * abs(float(objective.z[objective.coordinate])) or 1.0
     return float(min(s, last.s + MAX_LOG_STEP) if logarithmic else s)
 
 
@@ -248,12 +287,12 @@ class ProfilePoint:
 
     Attributes
     ----------
-    s
-        Distance from the estimate, in the estimator's coordinate.
-    drop
+    s : float
+        Distance of the held coordinate from the estimate, at least 0 on both sides.
+    drop : float
         Drop of the log-likelihood from its maximum; infinite if the likelihood is not finite.
     z : Array (n,)
-        All coordinates, with the others at their best.
+        All coordinates: the held one, and the others at the values that were fitted again.
     """
 
     s: float
@@ -263,76 +302,83 @@ class ProfilePoint:
 
 @dataclass
 class ProfileBranch:
-    """Points on one side of the estimate, in order of distance, and how that side ended.
+    """Points of the profile on one side of the estimate, and the end of the 95 % interval on this side.
+
+    A point is inside if the log-likelihood has dropped by less than 1.92. The bracket is the interval between the last
+    point inside and the first point outside.
 
     Attributes
     ----------
     points
-        All points so far.
+        All points so far, in order of distance from the estimate. The first one is the estimate.
     limit
-        Distance of the end of the 95 % interval; NaN if the side is open.
+        Distance of the end of the 95 % interval from the estimate; NaN if no end was found.
     note
-        Remark about this end.
-    narrowed
-        Widths of the bracket so far.
+        Remark about this end; empty if there is nothing to remark.
+    bracket_widths
+        Widths of the bracket so far, one for each call of `next_distance_in_bracket`.
     """
 
     points: list[ProfilePoint]
     limit: float = float("nan")
     note: str = ""
-    narrowed: list[float] = field(default_factory=list)
+    bracket_widths: list[float] = field(default_factory=list)
 
     @property
-    def inside(self) -> list[ProfilePoint]:
-        """The points before the first one outside the 95 % interval."""
+    def points_inside(self) -> list[ProfilePoint]:
+        """Points before the first one at which the log-likelihood has dropped by 1.92 or more."""
         n = next((i for i, p in enumerate(self.points) if p.drop >= DROP_95), len(self.points))
         return self.points[:n]
 
     @property
-    def inner(self) -> ProfilePoint:
-        """The last point inside the 95 % interval."""
-        return self.inside[-1]
+    def last_inside(self) -> ProfilePoint:
+        """Last point inside the 95 % interval; the estimate if there is no other."""
+        return self.points_inside[-1]
 
     @property
-    def outer(self) -> ProfilePoint | None:
-        """The first point outside the 95 % interval; None if there is none yet."""
+    def first_outside(self) -> ProfilePoint | None:
+        """First point at which the log-likelihood has dropped by 1.92 or more; None if there is none yet."""
         return next((p for p in self.points if p.drop >= DROP_95), None)
 
     @property
-    def shown(self) -> list[ProfilePoint]:
-        """The points to be plotted: those inside, and the first one outside. Others only closed the bracket."""
-        return [*self.inside[1:], *[p for p in [self.outer] if p is not None and np.isfinite(p.drop)]]
+    def plotted_points(self) -> list[ProfilePoint]:
+        """Points to be plotted: those inside except the estimate, and the first one outside if its drop is finite."""
+        return [*self.points_inside[1:], *[p for p in [self.first_outside] if p is not None and np.isfinite(p.drop)]]
 
-    def add(self, point: ProfilePoint) -> None:
-        """Insert a point in order of distance."""
+    def add_point(self, point: ProfilePoint) -> None:
+        """Insert a point into ``points`` in order of distance from the estimate."""
         self.points = sorted([*self.points, point], key=lambda p: p.s)
 
     @property
-    def power(self) -> float:
-        """The exponent with which the drop grows at the last point inside.
+    def growth_exponent(self) -> float:
+        """Exponent with which the drop grows with the distance at the last point inside, 0.25 to 2.
 
-        It is 2 for a parabola, and less if the drop flattens out.
+        It is 2 for a parabola, and less if the drop flattens out. It needs two points inside, including the estimate.
         """
-        before, last = self.inside[-2:]
+        before, last = self.points_inside[-2:]
         if before.drop < MIN_DROP or before.s == 0.0:
             return 2.0
         return float(np.clip(np.log(max(last.drop / before.drop, 1.0)) / np.log(last.s / before.s), 0.25, 2.0))
 
-    def expected(self, s: float) -> float:
-        """Return the drop at ``s`` above which a refit is doubtful: several times that of a parabola."""
-        last = self.inner
+    def doubtful_drop(self, s: float) -> float:
+        """Return the drop at the distance ``s`` above which a refit may have failed.
+
+        It is four times the drop of a parabola through the last point inside; with no such point, four times 1.92.
+        """
+        last = self.last_inside
         return JUMP_RATIO * (max(last.drop, TARGET_DROPS[0]) * (s / last.s) ** 2 if last.s > 0 else DROP_95)
 
     def crossing(self) -> tuple[float, bool]:
-        """Return the distance at which the drop is 1.92, and whether it is accurate enough.
+        """Return the distance at which the drop is 1.92, and whether it is accurate to one per cent.
 
-        The root of the drop is nearly a straight line in the distance, so that it is interpolated.
+        The square root of the drop is nearly a straight line in the distance, so that it is interpolated. If the first
+        point outside has no finite drop, the distance is the middle of the bracket. There must be a point outside.
         """
-        inner, outer = self.inner, self.outer
+        inner, outer = self.last_inside, self.first_outside
         assert outer is not None
         if outer.s - inner.s < CROSSING_TOLERANCE * outer.s or not np.isfinite(outer.drop):
             return 0.5 * (inner.s + outer.s), outer.s - inner.s < CROSSING_TOLERANCE * outer.s
-        line = [*self.inside, outer]
+        line = [*self.points_inside, outer]
         root = np.sqrt(np.maximum([p.drop for p in line], 0.0))
         rising = np.maximum.accumulate(root) + 1e-12 * np.arange(len(line))
         at = float(PchipInterpolator(rising, [p.s for p in line])(np.sqrt(DROP_95)))
@@ -341,20 +387,21 @@ class ProfileBranch:
         close = min(at - inner.s, outer.s - at) < CROSSING_TOLERANCE * at
         return at, bool(smooth and (close or abs(at - chord) < CROSSING_TOLERANCE * at))
 
-    def between(self) -> float:
-        """Return the next distance inside the bracket.
+    def next_distance_in_bracket(self) -> float:
+        """Return the distance of the next point inside the bracket, and append the width to ``bracket_widths``.
 
-        It is where a straight line through the root of the drop crosses. If that line is a poor guess, the middle of
-        the bracket is taken (the geometric middle if the bracket spans more than a factor of four).
+        At this distance, a straight line through the square roots of the drops at both ends reaches the root of 1.92.
+        If that line is a poor guess, the middle of the bracket is taken (the geometric middle if the bracket spans more
+        than a factor of four). There must be a point outside.
         """
-        inner, outer = self.inner, self.outer
+        inner, outer = self.last_inside, self.first_outside
         assert outer is not None
         low, high = inner.s, outer.s
-        self.narrowed.append(high - low)
+        self.bracket_widths.append(high - low)
         if low == 0.0:
             guess = high * np.sqrt(DROP_95 / outer.drop) if np.isfinite(outer.drop) else 0.0
             return float(np.clip(guess, 0.01 * high, 0.5 * high) if guess else 0.1 * high)
-        slow = len(self.narrowed) > 2 and self.narrowed[-1] > 0.5 * self.narrowed[-3]
+        slow = len(self.bracket_widths) > 2 and self.bracket_widths[-1] > 0.5 * self.bracket_widths[-3]
         if outer.drop > 4 * DROP_95 or slow:
             return float(np.sqrt(low * high) if high > 4.0 * low else 0.5 * (low + high))
         root = np.sqrt(np.maximum([inner.drop, outer.drop], 0.0))
@@ -363,115 +410,138 @@ class ProfileBranch:
 
 
 class ConstrainedObjective:
-    """The objective with coordinate ``k`` held and the others at their best.
+    """Objective of a fit as a function of one held coordinate, with all other coordinates fitted again.
 
     Attributes
     ----------
+    problem : Problem
+        Objective of the fit, a function of n coordinates.
+    coordinate : int
+        Index of the held coordinate.
+    parameter : Parameter
+        Parameter of the held coordinate.
+    bounds, other_bounds : Bounds
+        Bounds of all coordinates, and of all except the held one.
+    others : Array (n - 1,) of int
+        Indices of all coordinates except the held one.
     z : Array (n,)
-        The optimum from which the profile starts.
-    top
-        Objective there.
-    found
-        The best point of all that were evaluated, as (objective, coordinates).
-    gradient, curvature
-        Of the profile at the optimum, by coordinate ``k``; a curvature of zero is unknown.
+        Optimum from which the profile starts.
+    top : float
+        Objective at this optimum.
+    best_found : tuple[float, Array]
+        Best point of all that were evaluated, as (objective, coordinates).
+    gradient, curvature : float
+        First derivative and negative second derivative of the profile at the optimum, by the held coordinate. A
+        curvature of zero means unknown.
     slope : Array (n - 1,)
-        Derivatives of the other coordinates' best values by coordinate ``k``.
+        Derivatives of the fitted values of the other coordinates by the held one, at the optimum.
     flat : Array (n,)
-        Information of flat coordinates from their intervals (`flat_coordinates`); zero for others.
+        Information of coordinates with a flat likelihood from their intervals (`flat_coordinates`); zero for others.
     """
 
     def __init__(self, problem: Problem, k: int, z: Array) -> None:
-        self.problem, self.k, self.bounds, self.parameter = problem, k, problem.bounds, problem.parameters[k]
+        self.problem, self.coordinate, self.bounds, self.parameter = problem, k, problem.bounds, problem.parameters[k]
         self.others = np.delete(np.arange(z.size), k)
-        self.rest = Bounds(
+        self.other_bounds = Bounds(
             self.bounds.low[self.others], self.bounds.high[self.others], self.bounds.logarithmic[self.others]
         )
-        self._centre(z)
+        self._set_centre(z)
 
-    def _centre(self, z: Array) -> None:
-        """Let the profile start from the optimum z (n,)."""
+    def _set_centre(self, z: Array) -> None:
+        """Make z (n,) the optimum from which the profile starts, and compute all attributes that depend on it."""
         problem = self.problem
         self.z, at = z, problem.evaluate(z)
         flat = flat_coordinates(problem.value, z, problem.parameters, at.information, self.bounds)
         self.flat = np.zeros(z.size)
-        self.flat[[p.at for p in flat]] = [p.information for p in flat]
-        self.top, self.found = at.value, (at.value, z)
-        self.gradient = float(at.gradient[self.k])
-        self.curvature, self.slope = self._curvature(with_interval_information(at, flat))
+        self.flat[[p.coordinate for p in flat]] = [p.information for p in flat]
+        self.top, self.best_found = at.value, (at.value, z)
+        self.gradient = float(at.gradient[self.coordinate])
+        self.curvature, self.slope = self._profile_curvature(with_interval_information(at, flat))
 
-    def _curvature(self, at: Evaluation) -> tuple[float, Array]:
+    def _profile_curvature(self, at: Evaluation) -> tuple[float, Array]:
         """Return the curvature of the profile at the optimum and the slopes of the other coordinates (n - 1,).
 
-        A curvature of zero means unknown. Coordinates at a bound have no slope.
+        ``at`` is the evaluation at the optimum. A curvature of zero means unknown. The slope of a coordinate is zero if
+        it is at a bound beyond which the objective rises.
         """
         H = at.hessian
-        held = self.bounds.held(self.z, at.gradient)[self.others]
+        held = self.bounds.pushed_against(self.z, at.gradient)[self.others]
         moving = self.others[~held]
         follow = np.zeros(self.others.size)
         if moving.size:
             scale = np.sqrt(np.maximum(np.diag(H)[moving], 1e-300))
-            right = H[moving, self.k] / scale
+            right = H[moving, self.coordinate] / scale
             follow[~held] = (
                 -np.linalg.lstsq(H[np.ix_(moving, moving)] / np.outer(scale, scale), right, rcond=1e-12)[0] / scale
             )
-        curvature = float(H[self.k, self.k] + H[self.k, self.others] @ follow)
-        return (curvature if curvature > NULL_SPACE_TOLERANCE * H[self.k, self.k] else 0.0), follow
+        curvature = float(H[self.coordinate, self.coordinate] + H[self.coordinate, self.others] @ follow)
+        return (curvature if curvature > NULL_SPACE_TOLERANCE * H[self.coordinate, self.coordinate] else 0.0), follow
 
     def restart(self) -> bool:
-        """Start the profile from a better optimum if one was found. Return whether it was."""
-        if self.found[0] < self.top + MIN_GAIN:
+        """Start the profile from a better optimum if one was found. Return whether one was found.
+
+        An optimum is better if its objective exceeds that of the present one by 0.01 or more.
+        """
+        if self.best_found[0] < self.top + MIN_GAIN:
             return False
-        self.release(self.found[1])
-        self._centre(self.found[1])
+        self.release(self.best_found[1])
+        self._set_centre(self.best_found[1])
         return True
 
     def release(self, z: Array) -> None:
-        """Search for the maximum from z (n,) with all coordinates free, and keep it in ``found`` if it is better."""
-        top = maximise(self._flattened, z, self.bounds, max_iterations=40, tolerance=TOLERANCE)
-        self.found = max(self.found, (top.at.value, top.z), key=lambda candidate: candidate[0])
+        """Search for the maximum with all coordinates free, from z (n,). Keep it in ``best_found`` if it is better."""
+        top = maximise(self._evaluate_with_flat_information, z, self.bounds, max_iterations=40, tolerance=TOLERANCE)
+        self.best_found = max(self.best_found, (top.at.value, top.z), key=lambda candidate: candidate[0])
 
-    def best(self, s: float, sign: int, side: ProfileBranch) -> ProfilePoint:
-        """Return the best point at distance ``s``.
+    def best_point(self, s: float, sign: int, side: ProfileBranch) -> ProfilePoint:
+        """Return the point of the profile at distance ``s`` from the estimate, on the side ``sign`` (-1 or 1).
 
         The refit starts from the nearest point inside, as it is or moved along the slopes at the optimum. If the drop
         jumps, the refit is repeated from the optimum and from the nearest point further out.
         """
-        near, z_k = side.inner, float(self.z[self.k]) + sign * s
+        near, z_k = side.last_inside, float(self.z[self.coordinate]) + sign * s
         carried = near.z.copy()
         carried[self.others] += sign * (s - near.s) * self.slope
-        point = self._refitted(s, z_k, (carried, near.z))
-        if point.drop > side.expected(s):
-            again = self._refitted(s, z_k, (self.z, *[p.z for p in side.points if p.s > s and np.isfinite(p.drop)][:1]))
+        point = self._refit_at_distance(s, z_k, (carried, near.z))
+        if point.drop > side.doubtful_drop(s):
+            again = self._refit_at_distance(
+                s, z_k, (self.z, *[p.z for p in side.points if p.s > s and np.isfinite(p.drop)][:1])
+            )
             point = min(point, again, key=lambda p: p.drop)
         return point
 
-    def _refitted(self, s: float, z_k: float, starts: Iterable[Array]) -> ProfilePoint:
-        """Return the point at distance ``s`` (coordinate ``z_k``), refitted from the best of the ``starts``."""
+    def _refit_at_distance(self, s: float, z_k: float, starts: Iterable[Array]) -> ProfilePoint:
+        """Return the point with the held coordinate at ``z_k``, a distance ``s`` from the estimate.
+
+        The others are fitted from the best of the ``starts`` (n,), and ``best_found`` is updated. The drop is infinite
+        if the objective is not finite at any start.
+        """
 
         def whole(rest: Array) -> Array:
-            return np.insert(rest, self.k, z_k)
+            """Return all coordinates (n,) from those that are not held (n - 1,)."""
+            return np.insert(rest, self.coordinate, z_k)
 
         def evaluate(rest: Array) -> Evaluation:
-            at, o = self._flattened(whole(rest)), self.others
+            """Return the evaluation as a function of the coordinates that are not held (n - 1,)."""
+            at, o = self._evaluate_with_flat_information(whole(rest)), self.others
             return Evaluation(at.value, at.gradient[o], at.information[np.ix_(o, o)], at.curvature[o])
 
         tried = [
             (at.value, rest)
-            for rest in (self.rest.clip(z[self.others]) for z in starts)
+            for rest in (self.other_bounds.clip(z[self.others]) for z in starts)
             if (at := evaluate(rest)).finite
         ]
         if not tried:
             return ProfilePoint(s, np.inf, self.z)
         value, rest = max(tried, key=lambda candidate: candidate[0])
         if rest.size:
-            found: Optimum = maximise(evaluate, rest, self.rest, max_iterations=40, tolerance=TOLERANCE * 100)
+            found: Optimum = maximise(evaluate, rest, self.other_bounds, max_iterations=40, tolerance=TOLERANCE * 100)
             value, rest = found.at.value, found.z
-        self.found = max(self.found, (value, whole(rest)), key=lambda candidate: candidate[0])
+        self.best_found = max(self.best_found, (value, whole(rest)), key=lambda candidate: candidate[0])
         return ProfilePoint(s, self.top - value, whole(rest))
 
-    def _flattened(self, z: Array) -> Evaluation:
-        """Return the evaluation with at least the intervals' information for flat coordinates.
+    def _evaluate_with_flat_information(self, z: Array) -> Evaluation:
+        """Return the evaluation at z (n,). Coordinates with a flat likelihood have at least the curvature ``flat``.
 
         Without information a flat coordinate would take a very long step.
         """

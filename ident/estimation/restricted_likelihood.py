@@ -1,8 +1,9 @@
 """Restricted maximum likelihood (REML): noise estimates corrected for the degrees of freedom of the dynamic parameters.
 
 Maximum likelihood divides the sum of squared innovations by their number. The fitted dynamics have reduced that sum, so
-that the noise comes out too small: by a third of its standard error, for a mass and two dampings from five minutes of
-one position. Integrated over the dynamics (Laplace's approximation), the likelihood is
+that the estimate of the noise is too small. An example is the fit of a mass and two damping coefficients to five
+minutes of one position: the noise is too small by a third of its standard error. Integrated over the dynamics by
+Laplace's approximation, the likelihood is
 
     ln L_R(phi) = max over theta of ln L(theta, phi) - 1/2 ln det I_theta,theta(phi)
 
@@ -30,60 +31,66 @@ NULL_SPACE_TOLERANCE = 1e-9  # smaller eigenvalues of the information scaled to 
 LEAST_DIAGONAL = 1e-300  # replaces a zero on the diagonal of an information matrix
 
 
-def apply_reml(problem: Problem, top: Optimum) -> Optimum:
-    """Move from the maximum of the likelihood to that of the restricted likelihood, in noise and dynamics.
+def apply_reml(problem: Problem, maximum: Optimum) -> Optimum:
+    """Take one Newton step from the maximum of the likelihood to that of the restricted likelihood.
 
-    A noise parameter keeps its value if it is not estimated as a logarithm, is at a bound, or is not informed by the
-    data.
+    The step moves noise parameters and dynamic parameters. A noise parameter keeps its value if it is not estimated as
+    a logarithm, is at a bound, or is not informed by the data. A parameter that is known mainly from its prior also
+    keeps its value.
 
     Parameters
     ----------
     problem
-        The problem of the fit.
-    top
-        The maximum of the likelihood.
+        Objective of the fit.
+    maximum
+        Maximum of the likelihood (with priors), the end point of the search.
 
     Returns
     -------
     Optimum
-        ``at`` contains the gradient of the restricted likelihood, but the value of the likelihood at its maximum. The
-        result is ``top`` if there is no noise or no dynamics to estimate, or if the step is not reliable (`_errors`).
+        Point after the step. ``at`` contains the gradient of the restricted likelihood, but the value of the likelihood
+        at its maximum. The result is ``maximum`` itself in these cases: no noise or no dynamics is estimated; the step
+        of a coordinate exceeds its standard error; the likelihood falls by more than 1.92 or cannot be evaluated.
     """
     names = problem.model.noise_parameters
-    inside = ~np.logical_or(*problem.bounds.reached(top.z)) & (np.diag(top.at.information) > 0)
+    inside = ~np.logical_or(*problem.bounds.reached(maximum.z)) & (np.diag(maximum.at.information) > 0)
     is_noise = np.array([p.name in names for p in problem.parameters])
-    informed = problem.bounds.logarithmic & (np.diag(top.at.information) > MIN_LOG_INFORMATION)
+    informed = problem.bounds.logarithmic & (np.diag(maximum.at.information) > MIN_LOG_INFORMATION)
     noise = np.flatnonzero(is_noise & inside & informed)
     # A parameter that is known from its prior, such as a thrust, takes no degree of freedom from the data. It stays.
-    weight = problem.prior[1] * np.nan_to_num(_errors(top.at.hessian)) ** 2
+    weight = problem.prior[1] * np.nan_to_num(_identified_standard_errors(maximum.at.hessian)) ** 2
     shared = np.array([p.segment is None for p in problem.parameters])
     prior_only = ~is_noise & shared & (weight > PRIOR_ONLY)
     dynamics = np.flatnonzero(~is_noise & inside & ~prior_only)
     if not noise.size or not dynamics.size:
-        return top
-    base = _log_det(problem, top.z, dynamics)
-    slope = np.zeros(top.z.size)
+        return maximum
+    base = _information_log_det(problem, maximum.z, dynamics)
+    slope = np.zeros(maximum.z.size)
     for k in noise.tolist():
-        moved = top.z.copy()
+        moved = maximum.z.copy()
         moved[k] += STEP
-        slope[k] = -0.5 * (_log_det(problem, moved, dynamics) - base) / STEP
+        slope[k] = -0.5 * (_information_log_det(problem, moved, dynamics) - base) / STEP
     if not np.isfinite(slope).all():
-        return top
-    hessian = top.at.hessian * np.outer(~prior_only, ~prior_only) + np.diag(prior_only * np.diag(top.at.hessian))
-    pushed = replace(top.at, gradient=np.where(prior_only, 0.0, top.at.gradient + slope))
-    step = solve_step(pushed, hessian, top.z, problem.bounds, 0.0)
-    if (np.abs(step) > _errors(top.at.hessian)).any():
-        return top
-    z = problem.bounds.clip(top.z + step)
+        return maximum
+    hessian = maximum.at.hessian * np.outer(~prior_only, ~prior_only) + np.diag(
+        prior_only * np.diag(maximum.at.hessian)
+    )
+    pushed = replace(maximum.at, gradient=np.where(prior_only, 0.0, maximum.at.gradient + slope))
+    step = solve_step(pushed, hessian, maximum.z, problem.bounds, 0.0)
+    if (np.abs(step) > _identified_standard_errors(maximum.at.hessian)).any():
+        return maximum
+    z = problem.bounds.clip(maximum.z + step)
     at = problem.evaluate(z)
-    if not at.finite or at.value < top.at.value - DROP_95:
-        return top
-    there = Evaluation(top.at.value, at.gradient + slope, at.information, at.curvature)
-    return Optimum(z, there, top.iterations, top.evaluations + noise.size + 2, top.gain_left)
+    if not at.finite or at.value < maximum.at.value - DROP_95:
+        return maximum
+    there = Evaluation(maximum.at.value, at.gradient + slope, at.information, at.curvature)
+    return Optimum(z, there, maximum.iterations, maximum.evaluations + noise.size + 2, maximum.gain_left)
 
 
-def _errors(H: Array) -> Array:
-    """Return standard errors (n,), without combinations of parameters that the data do not identify.
+def _identified_standard_errors(H: Array) -> Array:
+    """Return the standard errors (n,) that the Hessian implies, without combinations that the data do not identify.
+
+    ``H`` (n, n) is the negative Hessian. The errors are in the estimator's coordinates.
 
     A reliable step ends within these errors. If a step is longer, it follows a combination that the data hardly
     identify, and is no Newton step.
@@ -93,11 +100,23 @@ def _errors(H: Array) -> Array:
     return np.asarray(np.sqrt((V[:, identified] ** 2 / w[identified]).sum(axis=1)) / scale)
 
 
-def _log_det(problem: Problem, z: Array, which: NDArray[np.intp]) -> float:
-    """Return the log-determinant of the information of the coordinates ``which``.
+def _information_log_det(problem: Problem, z: Array, which: NDArray[np.intp]) -> float:
+    """Return the natural logarithm of the determinant of the Fisher information of some coordinates.
 
-    Combinations that the data do not identify count with ``NULL_SPACE_TOLERANCE``. NaN if the information is not
-    finite.
+    Parameters
+    ----------
+    problem
+        Objective of the fit. The information includes that of the priors.
+    z : Array (n,)
+        Coordinates at which the information is computed.
+    which : Array of int
+        Indices of the coordinates whose information is taken.
+
+    Returns
+    -------
+    float
+        NaN if the information is not finite. Eigenvalues below 1e-9 of the information, scaled to unit diagonal, are
+        replaced by 1e-9, so that combinations that the data do not identify do not dominate.
     """
     part = problem.information(z, which)
     if not np.isfinite(part).all():

@@ -1,11 +1,11 @@
-"""Rauch-Tung-Striebel smoother: mean and covariance of the state at each row, given all data.
+"""Rauch-Tung-Striebel smoother: mean and covariance of the states at each row, given all samples of the record.
 
     G_k = P_k|k Phi_k' P_k+1|k^-1,   x_k|N = x_k|k + G_k (x_k+1|N - x_k+1|k),
     P_k|N = P_k|k + G_k (P_k+1|N - P_k+1|k) G_k'
 
-(Rauch, Tung and Striebel 1965; Sarkka 2013, section 9.1.) All gains of a piece are computed at once, in units of each
-state's standard deviation. The covariance is computed as a sum of two positive semidefinite parts, so that rounding
-cannot make it indefinite.
+(Rauch, Tung and Striebel 1965; Sarkka 2013, section 9.1.) A long record is processed in pieces of consecutive rows. All
+gains of a piece are computed at once, in units of each state's standard deviation. The covariance is computed as a sum
+of two positive semidefinite parts, so that rounding cannot make it indefinite.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ NULL_SPACE_TOLERANCE = 1e-13  # smaller eigenvalues of a correlation matrix, per
 
 @dataclass(frozen=True)
 class SmootherResult:
-    """Smoothed states of a record, given all data.
+    """Smoothed states of a record: their distribution given all samples of the record.
 
     Attributes
     ----------
     t : Array (n_rows,)
         Time [s].
     x : Array (n_rows, n_states)
-        Means.
+        Means of the states.
     P : Array (n_rows, n_states, n_states)
-        Covariances.
+        Covariances of the states.
     lag_one : Array (n_rows - 1, n_states, n_states)
-        Cross-covariance of row k + 1 with row k.
+        Entry k is the cross-covariance of the states in row k + 1 (second axis) with those in row k (third axis).
     """
 
     t: Array
@@ -45,39 +45,49 @@ class SmootherResult:
 
     @property
     def sd(self) -> Array:
-        """Standard deviations (n_rows, n_states)."""
+        """Standard deviations of the states (n_rows, n_states)."""
         return np.asarray(np.sqrt(np.maximum(np.diagonal(self.P, axis1=1, axis2=2), 0.0)))
 
 
 class SmoothedStates(NamedTuple):
-    """Smoothed states of a record: means and standard deviations (n_rows, n_states)."""
+    """Smoothed states of a record, given all of its samples.
+
+    Attributes
+    ----------
+    x, sd : Array (n_rows, n_states)
+        Means and standard deviations of the states.
+    """
 
     x: Array
     sd: Array
 
 
 def smooth(run: FilterResult) -> SmootherResult:
-    """Smooth the states of a filter run. States without variance keep their values."""
-    parts = list(_backwards(run))[::-1]
+    """Return the smoothed states of a filter run with their covariances. States without variance are not changed."""
+    parts = list(_smoothed_pieces(run))[::-1]
     x, P, lag_one = (np.concatenate(part) for part in zip(*[part[1:] for part in parts], strict=True))
     return SmootherResult(run.t, x, P, lag_one)
 
 
 def smoothed_states(run: FilterResult) -> SmoothedStates:
-    """Return means and standard deviations of the smoothed states.
+    """Return means and standard deviations of the smoothed states of a filter run.
 
-    It needs less memory than `smooth` for a long record.
+    The function needs less memory than `smooth` for a long record.
     """
     x, sd = np.empty((2, *run.x_filt.shape))
-    for rows, mean, P, _ in _backwards(run):
+    for rows, mean, P, _ in _smoothed_pieces(run):
         x[rows], sd[rows] = mean, np.sqrt(np.maximum(np.diagonal(P, axis1=1, axis2=2), 0.0))
     return SmoothedStates(x, sd)
 
 
-def _backwards(run: FilterResult) -> Iterator[tuple[slice, Array, Array, Array]]:
-    """Yield smoothed pieces of the record, the last piece first.
+def _smoothed_pieces(run: FilterResult) -> Iterator[tuple[slice, Array, Array, Array]]:
+    """Yield the smoothed states of consecutive pieces of the record, the last piece first.
 
-    Each piece consists of its rows, their means and covariances, and the cross-covariances with the following row.
+    Yields
+    ------
+    tuple[slice, Array, Array, Array]
+        Rows of the piece; means (n, n_states) and covariances (n, n_states, n_states) of its n rows; cross-covariances
+        of the row after each row with this row. The last row of the record has no cross-covariance.
     """
     after: tuple[Array, Array, Array] | None = None  # x, P and predicted P of the row that follows the piece
     for rows in reversed(run.pieces):
@@ -89,8 +99,8 @@ def _backwards(run: FilterResult) -> Iterator[tuple[slice, Array, Array, Array]]
             P_next = np.concatenate([P_pred[1:], after[2][None]])
             x, P = np.concatenate([x, after[0][None]]), np.concatenate([P, after[1][None]])
             x_pred = run.x_pred[rows.start : rows.stop + 1]
-        G = _gains(Phi, P_filt, P_next)
-        own = _own_part(G, Phi, P_filt, P_next)
+        G = _smoother_gains(Phi, P_filt, P_next)
+        own = _irreducible_covariance(G, Phi, P_filt, P_next)
         for k in range(len(G) - 1, -1, -1):
             x[k] += G[k] @ (x[k + 1] - x_pred[k + 1])
             P[k] = own[k] + G[k] @ P[k + 1] @ G[k].T
@@ -100,14 +110,14 @@ def _backwards(run: FilterResult) -> Iterator[tuple[slice, Array, Array, Array]]
 
 
 def smoothed_mean(run: FilterResult) -> Array:
-    """Return the means of the smoothed states (n_rows, n_states), in a third of the time of `smooth`."""
+    """Return the means of the smoothed states (n_rows, n_states), in a third of the time that `smooth` takes."""
     x = run.x_filt.copy()
     back, P_after = x[-1], run.covariances(slice(x.shape[0] - 1, None)).P_pred
     for rows in reversed(run.pieces):
         P_pred, P_filt, Phi = run.covariances(rows)
         first, last = rows.start, min(rows.stop, len(x) - 1)
         n, P_after = last - first, np.concatenate([P_pred, P_after])
-        G = _gains(Phi[:n], P_filt[:n], P_after[1 : n + 1])
+        G = _smoother_gains(Phi[:n], P_filt[:n], P_after[1 : n + 1])
         shift = x[first:last] - np.einsum("kij,kj->ki", G, run.x_pred[first + 1 : last + 1])
         for k in range(n - 1, -1, -1):
             x[first + k] = back = shift[k] + G[k] @ back
@@ -115,26 +125,45 @@ def smoothed_mean(run: FilterResult) -> Array:
     return x
 
 
-def _own_part(G: Array, Phi: Array, P_filt: Array, P_next: Array) -> Array:
-    """Return ``P - G P_next G'``, the covariance that later rows cannot reduce, in Joseph's form."""
+def _irreducible_covariance(G: Array, Phi: Array, P_filt: Array, P_next: Array) -> Array:
+    """Return ``P_filt - G P_next G'`` (n, n_states, n_states): the covariance that later rows cannot reduce.
+
+    It is computed in Joseph's form, so that rounding cannot make it indefinite.
+
+    Parameters
+    ----------
+    G : Array (n, n_states, n_states)
+        Smoother gains of n rows.
+    Phi, P_filt : Array (n, n_states, n_states)
+        Transition matrix to the next row, and covariance after the samples of the row.
+    P_next : Array (n, n_states, n_states)
+        Covariance predicted for the next row.
+    """
     Q = P_next - Phi @ P_filt @ Phi.swapaxes(1, 2)
     rest = np.eye(Phi.shape[1]) - G @ Phi
     return np.asarray(rest @ P_filt @ rest.swapaxes(1, 2) + G @ Q @ G.swapaxes(1, 2))
 
 
-def _gains(Phi: Array, P_filt: Array, P_next: Array) -> Array:
-    """Return the smoother gains (n_rows - 1, n_states, n_states)."""
+def _smoother_gains(Phi: Array, P_filt: Array, P_next: Array) -> Array:
+    """Return the smoother gains ``P_filt Phi' P_next^-1`` of n rows (n, n_states, n_states).
+
+    ``Phi`` is the transition matrix to the next row, ``P_filt`` the covariance after the samples of the row, and
+    ``P_next`` the covariance predicted for the next row. The gain from a state without predicted variance is zero.
+    """
     sd = np.sqrt(np.maximum(np.diagonal(P_next, axis1=1, axis2=2), 0.0))
     scale = np.divide(1.0, sd, out=np.zeros_like(sd), where=sd > 0)
     correlation = P_next * scale[:, :, None] * scale[:, None, :]
     diagonal = np.arange(sd.shape[1])
     correlation[:, diagonal, diagonal] = 1.0  # for a state without variance, too: its gain is zero
     right = Phi @ P_filt * scale[:, :, None]
-    return np.asarray((_solve(correlation, right) * scale[:, :, None]).swapaxes(1, 2))
+    return np.asarray((_solve_or_pseudo_inverse(correlation, right) * scale[:, :, None]).swapaxes(1, 2))
 
 
-def _solve(correlation: Array, right: Array) -> Array:
-    """Return ``correlation^-1 right`` for each row. If any matrix is singular, use the pseudo-inverse for all."""
+def _solve_or_pseudo_inverse(correlation: Array, right: Array) -> Array:
+    """Return ``correlation^-1 right`` for each row, both arguments (n, n_states, n_states).
+
+    If the matrix of any row is singular, the pseudo-inverse is used for all rows.
+    """
     solved = np.empty_like(right)
     try:
         np.linalg.cholesky(correlation)

@@ -1,5 +1,7 @@
 """Standard errors of an estimate, with flags for parameters that cannot have one.
 
+The estimator's coordinates are the parameters, or their logarithms for parameters with ``transform="log"``.
+
 - `assess`: standard errors from the inverse of the information. Combinations of parameters that the data do not
   identify get no standard error. The errors are wider if a parameter at its bound may leave it, and if the model has
   considered parameters (``seatrial.ident.model.Parameter``).
@@ -26,11 +28,11 @@ NULL_SPACE_TOLERANCE = 1e-10
 MEMBER_WEIGHT = 0.1  # a parameter belongs to a combination if its entry in the unit eigenvector exceeds this
 Z_95, DROP_95 = 1.959964, 1.9207294  # 97.5 % quantile of a normal, and half of the 95 % quantile of chi2(1)
 MAX_LOG_ERROR = 5.0  # a logarithm with a larger standard error (a factor 150) counts as unknown
-FLAGGED_INFLATION = 1.5  # a standard error gets a flag if a parameter at its bound makes it larger by this factor
+FLAGGED_INFLATION = 1.5  # a standard error gets a flag if a parameter at its bound makes it larger than by this factor
 AT_BOUND, VAGUE = "at its bound", "the data do not determine its order of magnitude"  # flags of a parameter
 TRIED_STEPS = 10.0 ** np.arange(-2.0, 5.0)  # distances tried by `flat_coordinates`, in characteristic steps
 N_HALVINGS = 12  # bisections of the bracket of an interval's end: a relative width of 0.02 %
-Fallen = Callable[[float], bool | None]  # see `_fallen`
+DropTest = Callable[[float], bool | None]  # whether the log-likelihood has fallen by 1.92 at a value, see `_drop_test`
 MAX_BLOCKS, MIN_BLOCKS = 40, 12  # numbers of blocks of rows, over all records together
 # Block length in correlation lengths. Such blocks miss an eighteenth of the variance, for which it is corrected.
 BLOCK_LENGTH = 9.0
@@ -53,17 +55,17 @@ class Uncertainty:
     errors : Array (n,)
         Standard errors. NaN for parameters at a bound and for parameters that the data do not identify.
     covariance, correlation : Array (n, n)
-        Of the estimates.
+        Covariance and correlation of the estimates; NaN for parameters without a standard error.
     prior_weight : Array (n,)
         Share of a parameter's information that comes from its prior, 0 to 1.
     gradient_norm
         Length of the gradient in standard errors; zero at the optimum.
     flags : tuple of (name, remark)
-        What a reader should know about single parameters.
+        Remarks about single parameters, such as "at its bound".
     P : Array (n, n)
         Covariance of the coordinates, with those at a bound held there. NaN for coordinates without an error.
     spread : Array (n, n)
-        Covariance of the coordinates that bounds (`_beside_bounds`) and considered parameters add to ``P``.
+        Covariance of the coordinates that parameters at their bounds and considered parameters add to ``P``.
     limits : Array (n,)
         For a coordinate at its bound, the far end of its 95 % interval; NaN for all others.
     considered : Array (n, n)
@@ -98,7 +100,7 @@ def assess(
     at
         Objective, gradient and information at the optimum; the information includes that of the priors.
     z : Array (n,)
-        The optimum, in the estimator's coordinates.
+        Estimator's coordinates of the optimum.
     bounds
         Bounds of the coordinates.
     names
@@ -108,7 +110,14 @@ def assess(
     prior : Array (n,)
         Information of the priors.
     considered : Array (n, k), optional
-        Information between the estimates and each of k considered parameters, per standard deviation of the latter.
+        Fisher information between the estimates and each of k considered parameters, multiplied by the prior standard
+        deviation of the considered parameter. None: no considered parameters.
+
+    Returns
+    -------
+    Uncertainty
+        Flags name parameters that are at a bound, are not identified, have an unknown order of magnitude, have an
+        error that is much larger because of a bound, or are known from their prior to more than 90 %.
 
     Notes
     -----
@@ -121,7 +130,9 @@ def assess(
     P = np.full((n, n), np.nan)
     inside: list[int] = np.flatnonzero(~at_bound).tolist()
     labels = [f"ln {names[i]}" if bounds.logarithmic[i] else names[i] for i in inside]
-    unseen, remarks = _unidentified(at.information[np.ix_(inside, inside)], [names[i] for i in inside], labels)
+    unseen, remarks = _unidentified_parameters(
+        at.information[np.ix_(inside, inside)], [names[i] for i in inside], labels
+    )
     flags += remarks
     good = [i for i, lost in zip(inside, unseen, strict=True) if not lost]
     P[np.ix_(good, good)] = scaled_inverse(at.information[np.ix_(good, good)])
@@ -129,7 +140,7 @@ def assess(
     for i in vague:
         flags.append((names[i], VAGUE))
     P[vague, :] = P[:, vague] = np.nan
-    spread, limits, inflated = _beside_bounds(at, z, bounds, P, names)
+    spread, limits, inflated = _covariance_from_bounds(at, z, bounds, P, names)
     flags += inflated
     follow = np.zeros((n, 1)) if considered is None else -np.nan_to_num(P) @ considered
     by_considered = follow @ follow.T
@@ -157,15 +168,23 @@ def assess(
     )
 
 
-def _beside_bounds(
+def _covariance_from_bounds(
     at: Evaluation, z: Array, bounds: Bounds, P: Array, names: Sequence[str]
 ) -> tuple[Array, Array, list[tuple[str, str]]]:
-    """Return what parameters at their bounds add to the covariance of the others.
+    """Return the covariance that parameters at their bounds add to the other parameters.
 
     Parameters
     ----------
+    at
+        Objective, gradient and information at the optimum.
+    z : Array (n,)
+        Estimator's coordinates of the optimum.
+    bounds
+        Bounds of the coordinates.
+    names
+        Names of the parameters, for the flags.
     P : Array (n, n)
-        Covariance of the coordinates, with those at a bound held there.
+        Covariance of the coordinates, with those at a bound held there. NaN for coordinates without an error.
 
     Returns
     -------
@@ -174,7 +193,7 @@ def _beside_bounds(
     limits : Array (n,)
         For a coordinate at its bound, the far end of its 95 % interval; NaN for all others.
     flags : list of (name, remark)
-        Parameters whose standard error becomes much larger.
+        Parameters whose standard error becomes more than 1.5 times as large.
 
     Notes
     -----
@@ -213,17 +232,24 @@ def _beside_bounds(
     return spread, limits, list(flags.items())
 
 
-def _unidentified(
+def _unidentified_parameters(
     information: Array, names: Sequence[str], labels: Sequence[str]
 ) -> tuple[NDArray[np.bool_], list[tuple[str, str]]]:
-    """Return which parameters take part in a combination that the data do not identify, and flags for them.
+    """Find the parameters that take part in a combination of parameters that the data do not identify.
 
     Parameters
     ----------
     information : Array (n, n)
-        Information of the coordinates inside their bounds.
+        Information of the n coordinates inside their bounds.
     names, labels
-        Names of the parameters and of their coordinates (``ln m_u``).
+        Names of the parameters and of their coordinates (``ln m_u`` for a logarithm).
+
+    Returns
+    -------
+    unseen : Array (n,) of bool
+        Whether the parameter takes part in such a combination, or the data do not depend on it at all.
+    flags : list of (name, remark)
+        One remark or more for each of these parameters, with the combination.
     """
     unseen = np.diag(information) <= 0
     flags = [(names[i], "the data do not depend on it") for i in np.flatnonzero(unseen).tolist()]
@@ -231,7 +257,7 @@ def _unidentified(
     if not informed:
         return unseen, flags
     w, V, scale = scaled_eigen(information[np.ix_(informed, informed)])
-    for direction in _apart(V[:, w < NULL_SPACE_TOLERANCE]):
+    for direction in _sparse_basis(V[:, w < NULL_SPACE_TOLERANCE]):
         part = direction / scale  # in the coordinates themselves
         part = part / part[np.argmax(np.abs(part))]
         members: list[int] = np.flatnonzero(np.abs(direction) > MEMBER_WEIGHT).tolist()
@@ -243,8 +269,8 @@ def _unidentified(
     return unseen, flags
 
 
-def _apart(V: Array) -> Array:
-    """Return a basis of unidentified directions in which each vector involves few parameters.
+def _sparse_basis(V: Array) -> Array:
+    """Return a basis of the space of unidentified directions in which each vector involves few parameters.
 
     Eigenvectors of equal eigenvalues are an arbitrary mixture. Gauss-Jordan elimination, largest pivot first, separates
     them.
@@ -269,7 +295,8 @@ def _apart(V: Array) -> Array:
     return np.asarray(rows / np.linalg.norm(rows, axis=1, keepdims=True))
 
 
-LEAST_BY_DATA = 1e-3  # no test of a variance of which the data determine a smaller share than this; the prior rules it
+# If the data determine a smaller share of a variance than this, the variance is not tested: the prior determines it.
+LEAST_BY_DATA = 1e-3
 
 
 @dataclass(frozen=True)
@@ -282,10 +309,12 @@ class Sandwich:
         Robust standard errors in the parameters' own units. NaN if the parameter has no standard error, or if its
         residuals are autocorrelated for too long.
     least : Array (n,)
-        The same, but in the latter case computed from the longest possible blocks, which miss a part of the variance.
+        Lower bound of the robust standard errors. It equals `errors` except for residuals that are autocorrelated for
+        too long: there it comes from the longest possible blocks, which miss a part of the variance.
     p : Array (n,)
         p value of the information matrix test (White 1982), for each variance alone: the probability of a variance at
-        least as large if the information is right.
+        least as large if the information is right. NaN if the parameter has no standard error, or if the data determine
+        less than a thousandth of its variance.
     """
 
     errors: Array
@@ -299,9 +328,10 @@ def sandwich(known: Uncertainty, rows: Sequence[tuple[list[int], Array]], slopes
     Parameters
     ----------
     known
-        Result of `assess`.
-    rows : sequence of (places, by_row)
-        For each record the indices of its coordinates, and what each row adds to their gradient (n_rows, n_places).
+        Uncertainty from the information, a result of `assess`.
+    rows : sequence of (coordinates, contributions)
+        For each record the indices of its coordinates, and the contribution of each row to their gradient
+        (n_rows, n_coordinates).
     slopes : Array (n,)
         Derivative of each parameter by its coordinate.
     prior : Array (n,)
@@ -310,7 +340,7 @@ def sandwich(known: Uncertainty, rows: Sequence[tuple[list[int], Array]], slopes
     Returns
     -------
     Sandwich
-        Robust standard errors. They include what parameters at their bounds and considered parameters add.
+        Robust standard errors. They include the variance that parameters at their bounds and considered parameters add.
 
     Notes
     -----
@@ -320,7 +350,7 @@ def sandwich(known: Uncertainty, rows: Sequence[tuple[list[int], Array]], slopes
 
     P = np.nan_to_num(known.P)
     parts = [by_row @ P[places] for places, by_row in rows]  # (n_rows, n): shift of the estimate by each row
-    found = [_variance([part[:, i] for part in parts], len(P)) for i in range(len(P))]
+    found = [_variance_from_block_sums([part[:, i] for part in parts], len(P)) for i in range(len(P))]
     variance, df, long_enough = np.array(found).T
     seen = np.isfinite(known.errors)
     by_prior = P**2 @ prior
@@ -334,7 +364,8 @@ def sandwich(known: Uncertainty, rows: Sequence[tuple[list[int], Array]], slopes
 def widened(known: Uncertainty, robust: Array) -> Uncertainty:
     """Return the uncertainty with standard errors that are at least the ``robust`` ones (n,).
 
-    The correlations stay as they are.
+    The covariance and its considered part are scaled accordingly; the correlations and the limits do not change. A
+    robust error that is NaN or smaller has no effect.
     """
     factor = np.fmax(robust / known.errors, 1.0)
     factor = np.where(np.isfinite(factor), factor, 1.0)
@@ -344,25 +375,27 @@ def widened(known: Uncertainty, robust: Array) -> Uncertainty:
     )
 
 
-def _variance(parts: Sequence[Array], n_parameters: int) -> tuple[float, float, bool]:
-    """Return the variance of the sum of all rows, its degrees of freedom, and whether the blocks are long enough.
+def _variance_from_block_sums(parts: Sequence[Array], n_parameters: int) -> tuple[float, float, bool]:
+    """Return the variance of the sum of a quantity over all rows, estimated from the sums over blocks of rows.
 
-    The variance comes from block sums. It is corrected for what blocks of finite length miss, and for the degrees of
-    freedom that ``n_parameters`` fitted parameters take.
+    A block is longer than the autocorrelation. The variance is corrected for the covariance between neighbouring
+    blocks, and for the degrees of freedom that the fitted parameters take.
 
     Parameters
     ----------
     parts : sequence of Array (n_rows,)
         Contributions of the rows of each record.
+    n_parameters
+        Number of fitted parameters.
 
     Returns
     -------
     variance
-        NaN if there are fewer rows than ``MIN_BLOCKS``.
+        NaN if there are fewer than 12 rows in all records.
     df
-        Number of blocks less the degrees of freedom taken by the parameters.
+        Degrees of freedom: number of blocks less those taken by the parameters; NaN with fewer than 12 rows.
     long_enough
-        Whether the blocks have the length that the autocorrelation requires.
+        Whether at least 12 blocks have the length that the autocorrelation requires. If not, shorter blocks were used.
     """
     n = sum(part.size for part in parts)
     if n < MIN_BLOCKS:
@@ -390,19 +423,19 @@ class LikelihoodInterval:
 
     Attributes
     ----------
-    at
+    coordinate : int
         Index of the coordinate.
-    low, high
-        Ends of the interval; infinite if the log-likelihood does not fall on that side.
+    low, high : float
+        Ends of the interval, in the parameter's unit.
     """
 
-    at: int
+    coordinate: int
     low: float
     high: float
 
     @property
     def remark(self) -> str:
-        """Flag of the parameter."""
+        """Remark about the parameter for reports: its standard error comes from this interval."""
         return (
             f"the likelihood is flat here and falls at {self.low:.4g} and at {self.high:.4g}: the standard error is "
             "from this interval, all other parameters held"
@@ -410,7 +443,7 @@ class LikelihoodInterval:
 
     @property
     def information(self) -> float:
-        """Information of a normal distribution with this interval as its 95 % interval."""
+        """Fisher information (1 / variance) of a normal distribution with this interval as its 95 % interval."""
         return float((2.0 * Z_95 / (self.high - self.low)) ** 2)
 
 
@@ -428,15 +461,21 @@ def flat_coordinates(
     Parameters
     ----------
     value
-        Log-likelihood of the coordinates (n,).
+        Returns the log-likelihood of coordinates (n,).
     z : Array (n,)
-        The estimate.
+        Coordinates of the estimate.
     parameters
-        With their characteristic steps.
+        Parameters of the coordinates. The characteristic step of a parameter is its ``step``, or else a hundredth of
+        its value.
     information : Array (n, n)
         Information at the estimate.
     bounds
         Bounds of the coordinates.
+
+    Returns
+    -------
+    list of LikelihoodInterval
+        One interval for each flat coordinate; empty if there is none.
     """
     found = []
     for i, p in enumerate(parameters):
@@ -444,28 +483,29 @@ def flat_coordinates(
         step = p.step or 0.01 * abs(p.value) or 1.0
         if bounds.logarithmic[i] or not bounds.low[i] < z[i] < bounds.high[i] or error < step:
             continue
-        tried, fallen = np.unique(np.minimum(step * TRIED_STEPS, Z_95 * error)), _fallen(value, z, i)
+        tried, fallen = np.unique(np.minimum(step * TRIED_STEPS, Z_95 * error)), _drop_test(value, z, i)
         sides = [
-            _bracket(fallen, np.clip(z[i] + sign * tried, bounds.low[i], bounds.high[i]), float(z[i]))
+            _bracket_drop(fallen, np.clip(z[i] + sign * tried, bounds.low[i], bounds.high[i]), float(z[i]))
             for sign in (-1.0, 1.0)
         ]
         if not any(np.isfinite(outer) for _, outer in sides) or sides[1][0] - sides[0][0] > Z_95 * error:
             continue
-        low, high = (_narrowed(fallen, *side) for side in sides)
+        low, high = (_bisect_drop(fallen, *side) for side in sides)
         low, high = max(low, bounds.low[i]), min(high, bounds.high[i])
         if high - low < Z_95 * error:
             found.append(LikelihoodInterval(i, float(low), float(high)))
     return found
 
 
-def _fallen(value: Callable[[Array], float], z: Array, i: int) -> Fallen:
-    """Return a function that checks whether the likelihood has fallen by 1.92 at another value of coordinate i.
+def _drop_test(value: Callable[[Array], float], z: Array, i: int) -> DropTest:
+    """Return a function that tests whether the log-likelihood has fallen by 1.92 at another value of coordinate i.
 
-    That function returns None if the likelihood is not finite there.
+    All other coordinates keep their values in z (n,). The function returns None if the log-likelihood is not finite.
     """
     top = value(z)
 
     def fallen(x: float) -> bool | None:
+        """Return whether the log-likelihood has fallen by 1.92 at x; None if it is not finite."""
         moved = z.copy()
         moved[i] = x
         there = value(moved)
@@ -474,10 +514,23 @@ def _fallen(value: Callable[[Array], float], z: Array, i: int) -> Fallen:
     return fallen
 
 
-def _bracket(fallen: Fallen, tried: Array, z: float) -> tuple[float, float]:
-    """Return the last of the values ``tried`` at which the likelihood has not fallen, and the first at which it has.
+def _bracket_drop(fallen: DropTest, tried: Array, z: float) -> tuple[float, float]:
+    """Find the first of the values ``tried`` at which the log-likelihood has fallen by 1.92 or is not finite.
 
-    The second is infinite if the likelihood falls at none of them.
+    Parameters
+    ----------
+    fallen
+        Test of the drop.
+    tried : Array
+        Values of the coordinate, at increasing distances from the estimate on one side.
+    z
+        Value of the coordinate at the estimate.
+
+    Returns
+    -------
+    inner, outer
+        The value before this one (z if there is none), and this value. ``outer`` is infinite, with the sign of the
+        side, if there is no such value.
     """
     inner = z
     for outer in tried.tolist():
@@ -487,10 +540,11 @@ def _bracket(fallen: Fallen, tried: Array, z: float) -> tuple[float, float]:
     return inner, float(np.copysign(np.inf, tried[-1] - z))
 
 
-def _narrowed(fallen: Fallen, inner: float, outer: float) -> float:
-    """Return the value between ``inner`` and ``outer`` at which the likelihood has fallen, by bisection.
+def _bisect_drop(fallen: DropTest, inner: float, outer: float) -> float:
+    """Find by bisection the value of a coordinate at which the log-likelihood has fallen by 1.92.
 
-    Infinite if ``outer`` is infinite, or if the likelihood stops being finite before it has fallen.
+    It lies between ``inner``, where the log-likelihood has not fallen, and ``outer``. The result is infinite, with the
+    sign of the side, if ``outer`` is infinite or if the log-likelihood stops being finite before it has fallen.
     """
     if not np.isfinite(outer):
         return outer
@@ -502,12 +556,12 @@ def _narrowed(fallen: Fallen, inner: float, outer: float) -> float:
 
 
 def with_interval_information(at: Evaluation, found: Sequence[LikelihoodInterval]) -> Evaluation:
-    """Return the evaluation with the information of flat coordinates replaced by that of their intervals.
+    """Return a copy of the evaluation with the information of flat coordinates replaced by that of their intervals.
 
-    Their information with other coordinates becomes zero.
+    The information between a flat coordinate and the others becomes zero. ``found`` is a result of `flat_coordinates`.
     """
     information = at.information.copy()
     for p in found:
-        information[p.at, :] = information[:, p.at] = 0.0
-        information[p.at, p.at] = p.information
+        information[p.coordinate, :] = information[:, p.coordinate] = 0.0
+        information[p.coordinate, p.coordinate] = p.information
     return replace(at, information=information)

@@ -20,14 +20,14 @@ SUBSTEP = 0.0125  # [s] largest step of the integration
 
 @dataclass(frozen=True)
 class SampledInputs:
-    """Inputs of a simulation.
+    """Inputs of a simulation in n_rows rows. Between rows, an input changes linearly from ``u`` to ``u_next``.
 
     Attributes
     ----------
     t : Array (n_rows,)
-        Time [s].
+        Time [s], increasing.
     u, u_next : Array (n_rows, n_inputs)
-        Inputs at each row, and at the end of the interval that follows it.
+        Inputs at each row, and at the end of the interval that follows the row, in the order of ``model.inputs``.
     """
 
     t: Array
@@ -36,12 +36,12 @@ class SampledInputs:
 
     @classmethod
     def held(cls, t: Array, u: Array) -> SampledInputs:
-        """Return inputs that are constant until the next row."""
+        """Return inputs that keep the value ``u`` (n_rows, n_inputs) of a row until the next of the times ``t`` [s]."""
         return cls(t, u, u)
 
     @classmethod
     def linear(cls, t: Array, u: Array) -> SampledInputs:
-        """Return inputs that are linear between rows."""
+        """Return inputs that are linear in time between the values ``u`` (n_rows, n_inputs) at the times ``t`` [s]."""
         return cls(t, u, np.vstack([u[1:], u[-1:]]))
 
 
@@ -58,34 +58,40 @@ def simulate_stochastic(
 
     Parameters
     ----------
-    model, inputs
-        The model and its inputs.
+    model
+        Model to simulate.
+    inputs
+        Inputs, common to all replicates. They define the rows of the result.
     values : Array (n_replicates, n_parameters)
-        Parameters of each replicate, over ``model.parameters`` in order.
+        Parameters of each replicate (independent simulation), in the order of ``model.parameters``.
     rngs
-        A generator for each replicate, so that a replicate does not depend on the others.
+        A random generator for each replicate, so that a replicate does not depend on the others.
     x0 : Array (n_replicates, n_states), optional
         Initial states. By default they are drawn from the model's initial distribution; a state that starts from a
-        measurement has its ``x0``.
+        measurement has its ``x0`` without a random part.
     substep
         Largest step of the integration [s].
 
     Returns
     -------
     states : Array (n_replicates, n_rows, n_states)
-        Simulated states.
+        Simulated states at the times of the inputs.
     outputs : Array (n_replicates, n_rows, n_outputs)
-        Measurements with noise.
+        All outputs in all rows, with white measurement noise. Angles are not wrapped.
     """
     step = np.diff(inputs.t)
     # A value that all replicates share is passed as a number: with a single delay, the model can skip most of the
     # delayed copies of a command, whose weight is zero.
     p: list[Any] = [float(own[0]) if (own == own[0]).all() else own for own in np.asarray(values).T]
     n_sub = np.maximum(np.ceil(step / substep - 1e-9), 1).astype(int)
-    x = np.array([_start(model, v, r) for v, r in zip(values, rngs, strict=True)]) if x0 is None else np.array(x0)
+    x = (
+        np.array([_draw_initial_state(model, v, r) for v, r in zip(values, rngs, strict=True)])
+        if x0 is None
+        else np.array(x0)
+    )
     shape = (int(n_sub.sum()), len(model.states))
     dw = np.stack([r.standard_normal(shape) for r in rngs], axis=2)  # (n_steps, n_states, n_replicates)
-    diffusion = np.array([_named(model, values, s.noise) for s in model.states])
+    diffusion = np.array([_noise_by_replicate(model, values, s.noise) for s in model.states])
     states = np.empty((len(rngs), inputs.t.size, len(model.states)))
     outputs = np.empty((len(rngs), inputs.t.size, len(model.outputs)))
     z, done = x.T.copy(), 0
@@ -97,37 +103,48 @@ def simulate_stochastic(
         if k == step.size:
             break
         noise = diffusion * np.sqrt(step[k] / n_sub[k]) * dw[done : done + n_sub[k]]
-        z, done = _heun(model, z, (inputs.u[k], inputs.u_next[k]), p, step[k], noise), done + n_sub[k]
-    noise_sd = np.array([_named(model, values, o.noise) for o in model.outputs])
+        z, done = _integrate_interval(model, z, (inputs.u[k], inputs.u_next[k]), p, step[k], noise), done + n_sub[k]
+    noise_sd = np.array([_noise_by_replicate(model, values, o.noise) for o in model.outputs])
     white = np.stack([r.standard_normal(outputs.shape[1:]) for r in rngs])
     return states, outputs + white * noise_sd.T[:, None, :]
 
 
-def _heun(model: Model, z: Array, ends: tuple[Array, Array], p: Sequence[Any], step: float, noise: Array) -> Array:
-    """Integrate the states over one interval and return them.
+def _integrate_interval(
+    model: Model, z: Array, ends: tuple[Array, Array], p: Sequence[Any], step: float, noise: Array
+) -> Array:
+    """Integrate the states of all replicates over one interval by stochastic Heun steps.
 
     Parameters
     ----------
+    model : Model
+        Model to simulate.
     z : Array (n_states, n_replicates)
         States at the start of the interval.
-    ends
-        Inputs at its two ends (n_inputs,).
-    step
-        Its length [s].
+    ends : tuple[Array, Array]
+        Inputs (n_inputs,) at the start and at the end of the interval.
+    p : Sequence
+        Value of each parameter: a number, or an array (n_replicates,).
+    step : float
+        Length of the interval [s].
     noise : Array (n, n_states, n_replicates)
-        Noise of each of the n steps.
+        Increments of the states by process noise in each of the n steps.
+
+    Returns
+    -------
+    Array (n_states, n_replicates)
+        States at the end of the interval.
     """
     n, (begin, end) = len(noise), ends
     h = step / n
     for i in range(n):
         a, b = (begin + (end - begin) * (i + e) / n for e in (0, 1))
-        first = _rates(model, z, a, p)
-        z = z + h / 2 * (first + _rates(model, z + h * first + noise[i], b, p)) + noise[i]
+        first = _state_rates(model, z, a, p)
+        z = z + h / 2 * (first + _state_rates(model, z + h * first + noise[i], b, p)) + noise[i]
     return z
 
 
-def _rates(model: Model, x: Array, u: Array, p: Sequence[Any]) -> Array:
-    """Return the derivatives of the states by time, as an array of the shape of ``x``."""
+def _state_rates(model: Model, x: Array, u: Array, p: Sequence[Any]) -> Array:
+    """Return the time derivatives of the states x (n_states, n_replicates) for inputs u (n_inputs,), parameters p."""
     rate = model.signals(x, u, p).rate
     out = np.empty_like(x)
     for i, state in enumerate(model.states):
@@ -135,8 +152,12 @@ def _rates(model: Model, x: Array, u: Array, p: Sequence[Any]) -> Array:
     return out
 
 
-def _start(model: Model, values: Array, rng: np.random.Generator) -> Array:
-    """Return an initial state (n_states,), drawn from the model's initial distribution."""
+def _draw_initial_state(model: Model, values: Array, rng: np.random.Generator) -> Array:
+    """Draw an initial state (n_states,) from the normal distributions with mean ``x0`` and standard deviation ``sd0``.
+
+    A state that starts from a measurement of the model has its ``x0`` without a random part. ``values`` (n_parameters,)
+    are the parameters of one replicate.
+    """
     named = dict(zip([p.name for p in model.parameters], values, strict=True))
     seen = {o.name for o in model.outputs}
     out = np.empty(len(model.states))
@@ -146,8 +167,11 @@ def _start(model: Model, values: Array, rng: np.random.Generator) -> Array:
     return out
 
 
-def _named(model: Model, values: Array, noise: float | str) -> Array:
-    """Return the noise of each replicate (n_replicates,), from a number or the name of a parameter."""
+def _noise_by_replicate(model: Model, values: Array, noise: float | str) -> Array:
+    """Return the standard deviation or diffusion of a noise for each replicate (n_replicates,).
+
+    ``noise`` is a number for all replicates, or the name of a parameter. ``values`` is (n_replicates, n_parameters).
+    """
     if not isinstance(noise, str):
         return np.full(len(values), float(noise))
     return np.asarray(values[:, [p.name for p in model.parameters].index(noise)])

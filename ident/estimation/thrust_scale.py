@@ -1,5 +1,7 @@
 """Scale of forces: its provenance, and estimates relative to the thrust if the thrust was not given.
 
+The provenance of a value is its origin: measured, given by the user, built into the model, or estimated.
+
 The motion of a boat determines only ratios. With ``f = s (c1 n|n| + c2 n^2)`` all masses, inertia and damping are
 proportional to ``s``. In the yaw equation all terms except the Munk moment ``(m_u - m_v) u v`` are also proportional to
 the arm of the thrusters. Kilograms are therefore as accurate as the thrust. If the thrust is a built-in default,
@@ -32,14 +34,14 @@ LEAST_GYRATION = 0.15  # least radius of gyration in yaw over the hull's length;
 
 @dataclass(frozen=True)
 class ThrustScale:
-    """Provenance of a model's force scale.
+    """Provenance of the values that define a model's forces in newtons and moments in newton metres.
 
     Attributes
     ----------
     thrust
-        Provenance of the thrust (``c1``); None if the model has no thrust or needs none.
+        Provenance of the thrust (``c1``); None if the model has no thrust curve or no mass.
     arm
-        Provenance of the thrusters' arms; None if the model has no arms or needs none.
+        Provenance of the thrusters' arms (lateral positions); None if the model has no arms or no yaw inertia.
     statistical
         Whether the thrust is taken as exact. Standard errors then do not include its uncertainty.
     """
@@ -50,19 +52,19 @@ class ThrustScale:
 
     @property
     def relative(self) -> bool:
-        """Whether masses, damping and forces are known only as ratios to the thrust."""
+        """Whether masses, damping and forces are known only as ratios to the thrust, because the thrust is built in."""
         return self.thrust is BUILT_IN
 
     @property
     def relative_yaw(self) -> bool:
-        """Whether inertia and damping in yaw are known only as ratios to the arm."""
+        """Whether inertia and damping in yaw are known only as ratios to the arm: the arm is built in or estimated."""
         return self.arm in (BUILT_IN, ESTIMATED)
 
     @property
     def caveats(self) -> tuple[str, ...]:
-        """Warnings about numbers in kg and N whose scale is unknown; empty if the scale is known.
+        """Lines of a warning about numbers in kg and N whose scale is unknown; empty if the scale is known.
 
-        Other programs need numbers in these units.
+        The lines are written to files in these units, which other programs need.
         """
         thrust = (
             "The thrust was not given: masses, damping and forces are right as ratios to c1 + c2 only, not in",
@@ -72,12 +74,21 @@ class ThrustScale:
         return (*(thrust if self.relative else ()), *(arms if self.relative_yaw else ()))
 
     def powers(self, unit: str) -> tuple[int, int]:
-        """Return the powers of thrust and arm by which a number with this unit is divided."""
+        """Return the powers of thrust and arm by which a number with this unit is divided when it is reported.
+
+        The power of the thrust is that of mass in the unit: 1 for ``kg``, -1 for ``1/N``, 0 for ``m/s``. The power of
+        the arm is the same for coefficients of moments, such as ``kg m2``, and 0 for those of forces. A power is 0 if
+        the thrust (or the arm) is known.
+        """
         power = force_power(unit)
         return power * self.relative, power * (self.relative_yaw and is_moment(unit))
 
     def unit(self, unit: str) -> str:
-        """Return the unit of the ratio that is reported for a number with this unit: ``kg/N``, ``kg m2/(N m)``."""
+        """Return the unit in which a number with this unit is reported.
+
+        For example, it is ``kg/N`` for ``kg`` and ``kg m2/(N m)`` for ``kg m2``. A number that is not reported as a
+        ratio keeps its unit.
+        """
         powers = self.powers(unit)
         if not any(powers):
             return unit
@@ -94,7 +105,11 @@ class ThrustScale:
         return f"{' '.join(top) or '1'}/{joined}" if bottom else " ".join(top)
 
     def name(self, name: str, unit: str) -> str:
-        """Return the name of the ratio: ``m_u/T``, ``m_r/(T y_arm)``. A number that is no ratio keeps its name."""
+        """Return the name under which the parameter ``name`` with this unit is reported: ``m_u/T``, ``m_r/(T y_arm)``.
+
+        T is the thrust of one thruster at full forward command. A number that is not reported as a ratio keeps its
+        name.
+        """
         thrust, arm = self.powers(unit)
         parts = ["T"] * (thrust > 0) + ["y_arm"] * (arm > 0)
         over = f"{name}/{parts[0]}" if len(parts) == 1 else f"{name}/({' '.join(parts)})" if parts else name
@@ -105,7 +120,9 @@ class ThrustScale:
 def thrust_scale_of(model: Model) -> ThrustScale:
     """Return the provenance of the force scale of a vehicle's model.
 
-    It is that of the thrust curve, and of the arms if the model has a yaw equation.
+    The provenance of the thrust is that of c1. The arms count only if the model has a yaw inertia. The thrust is taken
+    as exact if c1 is not built in and has no uncertainty. If the inputs are forces, it is exact unless their
+    calibration factor ``k_thrust`` is uncertain.
     """
     values, thrust, arm = model.values, None, None
     if "c1" in values and "m_u" in values:
@@ -123,7 +140,7 @@ def thrust_scale_of(model: Model) -> ThrustScale:
 def free_unknown_scale(model: Model) -> Model:
     """Return the model with the scale of forces free as far as the data can determine it.
 
-    - If c2 was not given, it gets a wide prior around zero.
+    - If c2 was not given, it is estimated with a prior around zero, of a standard deviation of 0.1 c1.
     - If no arm was given, the two arms become one symmetric arm, which the Munk moment determines. If one was given,
       the other mirrors it.
     - If c1 was not given but a mass was, c1 is estimated. If neither was given, c1 keeps its built-in value, and the
@@ -131,20 +148,21 @@ def free_unknown_scale(model: Model) -> Model:
     """
     values = model.values
     if "c1" not in values or "m_u" not in values:
-        return _with_arms(model)
+        return _with_both_arms(model)
     c1, c2 = model.parameter("c1"), model.parameter("c2")
     given_masses = [p.name for p in model.parameters if p.name in ("m_u", "m_v") and p.provenance is not ESTIMATED]
     if c1.provenance is BUILT_IN and given_masses:
         c1 = c1.freed()
     if c2.provenance is BUILT_IN:
         c2 = replace(c2.at(0.0), prior=(0.0, ASYMMETRY * c1.value), free=True)
-    return _with_arms(model.replace_parameters(c1, c2))
+    return _with_both_arms(model.replace_parameters(c1, c2))
 
 
-def _with_arms(model: Model) -> Model:
-    """Return the model with arms for both thrusters.
+def _with_both_arms(model: Model) -> Model:
+    """Return the model with arms (lateral positions) for both thrusters.
 
-    If no arm was given, it gets one symmetric arm. If one arm was given, the other mirrors it.
+    If no arm was given, both arms become one parameter, plus and minus ``y_arm``. If one arm was given, the other is
+    its negative. A user-defined model, or one without a yaw inertia or arms, is returned unchanged.
     """
     if not {"m_r", "y_left", "y_right"} <= set(model.values) or ".py:" in model.source:
         return model
@@ -166,9 +184,10 @@ class ReportedUnits:
     Attributes
     ----------
     scale
-        Provenance of the force scale.
+        Provenance of the force scale, which decides what is reported as a ratio.
     thrust, arm
-        Thrust [N] and arm [m] that ratios refer to; 1 if not needed.
+        Thrust [N] of one thruster at full forward command, and arm [m], by which numbers are divided; 1 if no number is
+        divided by it.
     """
 
     scale: ThrustScale
@@ -176,13 +195,16 @@ class ReportedUnits:
     arm: float = 1.0
 
     def factor(self, unit: str) -> float:
-        """Return the factor from a number in ``unit`` to the reported number."""
+        """Return the factor by which a number in ``unit`` is multiplied when it is reported; 1 if it is no ratio."""
         thrust, arm = self.scale.powers(unit)
         return float(self.thrust**-thrust * self.arm**-arm) if thrust or arm else 1.0
 
 
 def reported_units(model: Model) -> ReportedUnits:
-    """Return the units in which the values of a model are reported."""
+    """Return the units in which the values of a model are reported.
+
+    The thrust is c1 + c2 of the model. The arm is ``y_arm``, or half the distance between the thrusters.
+    """
     scale, p = thrust_scale_of(model), model.values
     thrust = p["c1"] + p["c2"] if scale.relative else 1.0
     if not scale.relative_yaw:
@@ -192,26 +214,35 @@ def reported_units(model: Model) -> ReportedUnits:
 
 @dataclass(frozen=True)
 class ReportedEstimates:
-    """Estimates of a fit as they are reported: as ratios to the thrust if the scale of forces is unknown."""
+    """Estimates of a fit as they are reported: as ratios to the thrust if the scale of forces is unknown.
+
+    Attributes
+    ----------
+    fit : Fit
+        Fit with the estimates in kg, N and m.
+    """
 
     fit: Fit
 
     @cached_property
     def units(self) -> ReportedUnits:
-        """Units of the reported numbers."""
+        """Units of the reported numbers, with the thrust and the arm by which they are divided."""
         return reported_units(self.fit.model)
 
     @property
     def scale(self) -> ThrustScale:
-        """Return where the thrust and the arms of the thrusters come from: measured, given, built-in or estimated."""
+        """Provenance of the thrust and of the arms of the thrusters: measured, given, built-in or estimated."""
         return self.units.scale
 
     def factor(self, unit: str) -> float:
-        """Return the factor from a number in ``unit`` to the reported number."""
+        """Return the factor by which a number in ``unit`` is multiplied when it is reported; 1 if it is no ratio."""
         return self.units.factor(unit)
 
     def estimate(self, p: Parameter, record: int = 0) -> tuple[float, float]:
-        """Return the reported value and standard error of a parameter in a record; NaN for no standard error."""
+        """Return the reported value and standard error of a parameter in the record with the index ``record``.
+
+        The error of a ratio includes the error of the estimated thrust and arm. It is NaN if there is none.
+        """
         value, error = self.fit.estimate(p.name, record)
         powers = self.scale.powers(p.unit)
         if not any(powers):
@@ -225,21 +256,21 @@ class ReportedEstimates:
 
     @cached_property
     def correlation(self) -> Array:
-        """Correlation of the reported estimates (n, n)."""
+        """Correlation of the reported estimates (n, n), in the order of ``fit.parameters``."""
         if not (self.scale.relative or self.scale.relative_yaw):
             return self.fit.correlation
         root = np.sqrt(np.diag(self._covariance))
         return np.asarray(self._covariance / np.outer(root, root))
 
     def _log_gradient(self, thrust: int, arm: int) -> Array:
-        """Return the relative derivative of ``T^a y^b`` by each estimate (n,), for the powers a and b."""
+        """Return the derivative of ``a ln T + b ln y`` by each estimate (n,), for the powers a of thrust, b of arm."""
         by_thrust, by_arm = thrust / self.units.thrust, arm / self.units.arm
         derivatives = {"c1": by_thrust, "c2": by_thrust, "y_arm": by_arm}
         return np.array([derivatives.get(p.name, 0.0) for p in self.fit.parameters])
 
     @cached_property
     def _known_covariance(self) -> Array:
-        """Covariance of the estimates (n, n), zero instead of NaN."""
+        """Covariance of the estimates of the fit (n, n) in their own units, with zero instead of NaN."""
         return np.nan_to_num(self.fit.covariance, nan=0.0)
 
     @cached_property
@@ -260,12 +291,16 @@ class ReportedEstimates:
 
 
 def contradicted_priors(fit: Fit) -> list[tuple[Parameter, float, float]]:
-    """Return parameters whose data contradict the prior that was given for this boat.
+    """Return the parameters for which the data contradict the prior that was given for this boat.
+
+    Data and prior contradict each other if they differ by more than 3 of their common standard deviations. Priors of
+    the effects in the catalogue are not tested, because they describe a usual size and not this boat.
 
     Returns
     -------
     list of (parameter, estimate, distance)
-        The distance between data and prior is in standard deviations.
+        The estimate is in the parameter's unit. The distance between data and prior is in standard deviations; it is
+        positive if the estimate is above the mean of the prior.
 
     Notes
     -----
@@ -293,8 +328,8 @@ def contradicted_priors(fit: Fit) -> list[tuple[Parameter, float, float]]:
 def least_yaw_inertia(fit: Fit, length: float | None = None) -> float | None:
     """Return the least moment of inertia in yaw [kg m2] that a rigid body with the estimated mass can have.
 
-    It is the larger of two values: a bar that reaches from thruster to thruster, and a hull whose radius of gyration is
-    ``LEAST_GYRATION`` times its ``length`` [m].
+    It is the larger of two values: that of a bar that reaches from thruster to thruster, and that of a hull whose
+    radius of gyration is 0.15 times its ``length`` [m]. Without a length, it is that of the bar.
 
     Returns
     -------

@@ -503,10 +503,10 @@ def page(result: StudyResult) -> str:
         f"{2.718281828**APART:.1f} of the true values. Errors are in the coordinates of the estimator: the logarithm "
         "for positive parameters. Numbers in brackets are 95 % intervals of the statistics.",
         "",
-        "- `bias, sd`: mean error over the standard deviation of the estimates, ± its standard error.",
-        "- `variance/reported`: variance of the estimates over the mean of the variances that the fits reported.",
-        "- `variance/bound`: variance of the estimates over the Cramér-Rao bound at the true values, or over the least "
-        "variance for parameters near their bounds (`ident/studies/monte_carlo.py`).",
+        "- `bias, sd`: mean error divided by the standard deviation of the estimates, ± its standard error.",
+        "- `variance/reported`: variance of the estimates divided by the mean of the variances that the fits reported.",
+        "- `variance/bound`: variance of the estimates divided by the Cramér-Rao bound at the true values. For "
+        "parameters near their bounds, the least variance replaces that bound (`ident/studies/monte_carlo.py`).",
         "- `coverage`: share of the 95 % intervals that contain the true value. Intervals of estimates `at bound` are "
         "one-sided.",
         f"- The last column names the statistics beyond the aim (|bias| < {BIAS}, variance within "
@@ -516,7 +516,10 @@ def page(result: StudyResult) -> str:
         "In the pictures, lines are the 95 % intervals and the light band is the aim. The dashed lines contain 95 % of "
         "the statistics of an ideal estimator with as many replicates (binomial distribution for the coverage).",
         "",
-        "The estimator is given below each title. Restricted likelihood is described in "
+        "The estimator is given below each title (PE: prediction error, OE: output error). The glossary "
+        "(`docs/glossary.md`) defines these terms and the symbols of the dynamic parameters. Parameters `s_...` are "
+        "diffusions of process noise, parameters `e_...` are standard deviations of measurement noise. Restricted "
+        "likelihood is described in "
         "`ident/estimation/restricted_likelihood.py`, the filter's second-order mean in `ident/engine/ekf_graph.py`. "
         "Both are as in the commands.",
     ]

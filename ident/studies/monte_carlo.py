@@ -224,7 +224,7 @@ def cramer_rao_errors(truth: Model, record: Record, found: Fit, method: Method, 
     """
     names = [p.name for p in found.parameters]
     problem = Problem(Likelihood(truth, process_noise=method == "prediction-error"), [record], names, 1)
-    information, z = problem.evaluate(problem.start).information, problem.start
+    information, z = problem.evaluate(problem.initial_coordinates).information, problem.initial_coordinates
     P = scaled_inverse(information)
     if truth.considered:
         follow = P @ considered_information(problem, z)

@@ -347,7 +347,7 @@ def page(rows: list[Trial]) -> str:
     for row in rows:
         cells.setdefault((row.fault, row.setting), []).append(row)
     good = sum(row.good for row in rows)
-    out = ["", f"{good} of {len(rows)} trials as they have to be."]
+    out = ["", f"{good} of {len(rows)} trials were correct."]
     late = [f"{r.fault} ({r.setting}) {r.seconds:.2f} s of {r.allowed:.2f}" for r in rows if not r.good]
     out[-1] += f" Not so: {'; '.join(late)}." if late else ""
     out += ["", "| what fails | " + " | ".join(s.name for s in SETTINGS) + " |", "|---|" + "---:|" * len(SETTINGS)]
@@ -361,8 +361,8 @@ def page(rows: list[Trial]) -> str:
         if found:
             longest = max(trial.seconds for trial in found)
             (ended if longest else refused).append((found[0].fault, longest))
-    out += ["", "Refused before any thrust: " + ", ".join(f"`{name}`" for name, _ in refused) + "."]
-    out += ["", "Ended by the comparison of outputs with commands: "]
+    out += ["", "These settings were refused before any thrust: " + ", ".join(f"`{name}`" for name, _ in refused) + "."]
+    out += ["", "With these settings, the comparison of outputs with commands ended the run: "]
     out[-1] += ", ".join(f"`{name}` after {seconds:.2f} s" for name, seconds in ended) + "."
     return "\n".join([*out, ""])
 
@@ -403,7 +403,7 @@ def main() -> None:
     if options.docs:
         into(options.docs, MARKS, page(rows))
     bad = [row for row in rows if not row.good]
-    print(f"{len(rows) - len(bad)} of {len(rows)} as they have to be")
+    print(f"{len(rows) - len(bad)} of {len(rows)} trials were correct")
     raise SystemExit(1 if bad else 0)
 
 

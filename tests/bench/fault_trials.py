@@ -144,7 +144,7 @@ def table(results: Results, kinds: Sequence[Kind]) -> str:
 def page(results: Results, kinds: Sequence[Kind]) -> str:
     """Return the Markdown table of docs/safety.md: one row per fault, one column per rig."""
     rows = [trial for kind in kinds for trial in results[kind.name].values()]
-    lines = [f"{sum(not row.wrong for row in rows)} of {len(rows)} trials as they have to be.", ""]
+    lines = [f"{sum(not row.wrong for row in rows)} of {len(rows)} trials were correct.", ""]
     lines += ["| what fails | allowed | " + " | ".join(RIGS) + " |", "|---|---:|" + "---:|" * len(RIGS)]
     for what in dict.fromkeys(kind.what for kind in kinds):
         cells, limits = dict.fromkeys(RIGS, "-"), []
@@ -194,7 +194,7 @@ def main() -> None:
     bad = sum(bool(t.wrong) for kind in kinds for t in store.results[kind.name].values())
     if store.spoilt:
         print(f"{store.spoilt} runs had ended before anything failed: the machine was too busy", file=sys.stderr)
-    print("all as they have to be" if not bad else f"{bad} trials were not as they have to be", file=sys.stderr)
+    print("all trials were correct" if not bad else f"{bad} trials were not correct", file=sys.stderr)
     sys.exit(bool(bad))
 
 

@@ -110,9 +110,9 @@ def line(row: Row) -> str:
 def verdict(row: Row) -> str:
     """Return the verdict of a case.
 
-    exact: only the true effect was named. first: the true effect was named first, with others. missed: no effect was
-    found. unknown: a nonparametric effect was first. likened: another effect, not as identified. wrong: another effect,
-    as identified.
+    exact: only the true effect was found. first: the true effect is first, followed by others. missed: no effect was
+    found. nonparametric: a nonparametric curve is first. ambiguous: another effect is first but not identified. wrong:
+    another effect is first and identified, or an effect was found on a clean bench.
     """
     truth, found = row["effect"], row["found"]
     if truth == "none" or not found:
@@ -120,8 +120,8 @@ def verdict(row: Row) -> str:
     if found[0] == truth:
         return "exact" if found == [truth] else "first"
     if found[0].startswith("unknown "):
-        return "unknown"
-    return "likened" if row["attribution"][0] != "identified" else "wrong"
+        return "nonparametric"
+    return "ambiguous" if row["attribution"][0] != "identified" else "wrong"
 
 
 def false_name(row: Row) -> bool:
@@ -130,7 +130,7 @@ def false_name(row: Row) -> bool:
     return any(attribution == "identified" and name != row["effect"] for name, attribution in found)
 
 
-VERDICTS = ("exact", "first", "likened", "unknown", "missed", "wrong")
+VERDICTS = ("exact", "first", "ambiguous", "nonparametric", "missed", "wrong")
 
 
 def rates(rows: Sequence[Row]) -> list[list[str]]:
@@ -163,12 +163,14 @@ def summary(rows: Sequence[Row]) -> list[list[str]]:
         if not some:
             continue
         for description, kinds in (
-            ("named first", ("exact", "first")),
-            ("that and nothing else", ("exact",)),
-            ("another name first, as sure", ("wrong",)),
+            ("true effect first", ("exact", "first")),
+            ("only the true effect", ("exact",)),
+            ("another effect first, identified", ("wrong",)),
         ):
             lines.append([f"{description}, size {scale:g}", f"{sum(verdict(r) in kinds for r in some)}/{len(some)}"])
-        lines.append([f"another name anywhere, as sure, size {scale:g}", f"{sum(map(false_name, some))}/{len(some)}"])
+        lines.append(
+            [f"another effect identified anywhere, size {scale:g}", f"{sum(map(false_name, some))}/{len(some)}"]
+        )
     clean = [r for r in good if r["effect"] == "none"]
     if clean:
         lines.append(["false alarms on clean benches", f"{sum(bool(r['found']) for r in clean)}/{len(clean)}"])
@@ -178,18 +180,20 @@ def summary(rows: Sequence[Row]) -> list[list[str]]:
 def report(rows: Sequence[Row], form: Any) -> str:
     """Return all tables."""
     head = "## " if form is as_markdown else ""
-    parts = [("Together", summary(rows))]
+    parts = [("Summary", summary(rows))]
     for scale in sorted({r["scale"] for r in rows}, reverse=True):
         parts.append(
             (
-                f"By effect, size {scale:g} (errors: medians, simulation on validation data)",
+                f"By effect, size {scale:g} (errors: medians of the simulation errors on validation data)",
                 rates([r for r in rows if r["scale"] == scale]),
             )
         )
     text = "\n\n".join(f"{head}{title}\n\n{form(lines)}" for title, lines in parts)
     words = (
-        "exact: this name and no other; first: this name first, and others; likened: another name, not as sure; "
-        "unknown: a table first; missed: nothing; wrong: another name, given as sure."
+        "*exact*: only the true effect was found, or no effect on a clean bench. *first*: the true effect is first, "
+        "followed by others. *ambiguous*: another effect is first, but it is not identified. *nonparametric*: a "
+        "nonparametric curve is first. *missed*: no effect was found. *wrong*: another effect is first and identified, "
+        "or an effect was found on a clean bench. A dot stands for zero."
     )
     return f"{text}\n\n{words}"
 
@@ -198,9 +202,10 @@ def document(rows: Sequence[Row], command: str) -> str:
     """Return the text of docs/recovery-bench.md."""
     return (
         "# Recovery study of the bench\n\n"
-        "Mock benches with one hidden effect each (`mocks/plant/bench.py`, in other "
-        "forms than the catalogue of `ident`), and clean ones; two runs of the plan `all` (126 s), one to fit and to "
-        "diagnose, one to validate. Every bench has its own thrust coefficients, pool and noise.\n\n"
+        "Each mock bench has one hidden effect (`mocks/plant/bench.py`, in another form than in the catalogue of "
+        "`ident`), or no hidden effect (a clean bench). Each bench runs the plan `all` (126 s) twice. The first run is "
+        "for the fit and the diagnosis, the second for validation. Every bench has its own thrust coefficients, pool "
+        "and noise.\n\n"
         f"    {command}\n\n" + report(rows, as_markdown) + "\n"
     )
 

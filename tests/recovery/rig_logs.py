@@ -337,10 +337,10 @@ RIGS: dict[str, Rig] = {
             brings={"lever-arm": frozenset({"velocity-point"})},  # The velocity is corrected to that of the antenna.
             called={"compass-filtered": "compass"},
         ),  # The heading follows the compass within two seconds.
-        replace(VESC, name="noise-third", says="sensor noise declared a third of the true one", declared=1 / 3),
-        replace(VESC, name="noise-triple", says="sensor noise declared three times the true one", declared=3.0),
-        replace(VESC, name="scale-unknown", says="thrust known to nobody", scale_known=False),
-        replace(VESC, name="no-validation", says="one log, none to validate", validation=()),
+        replace(VESC, name="noise-third", says="sensor noise declared as a third of the true noise", declared=1 / 3),
+        replace(VESC, name="noise-triple", says="sensor noise declared as three times the true noise", declared=3.0),
+        replace(VESC, name="scale-unknown", says="thrust not given", scale_known=False),
+        replace(VESC, name="no-validation", says="one log, no validation log", validation=()),
         replace(VESC, name="short", says="60 s to estimate, 60 s to validate", estimation=(60.0,), validation=(60.0,)),
         replace(
             VESC,

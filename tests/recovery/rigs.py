@@ -155,9 +155,9 @@ def truth_of(boat: Boat) -> dict[str, float]:
 
 # Verdicts of a line.
 
-RIGHT, FALSE_ALARM = "nothing, rightly", "false alarm"
-NAMED, LIKENED, DRAWN = "named", "likened", "drawn"
-MISSED, OTHER, WRONG, FAILED = "missed", "likened to others", "wrong as sure", "failed"
+RIGHT, FALSE_ALARM = "no effect, correctly", "false alarm"
+NAMED, LIKENED, DRAWN = "identified", "ambiguous", "nonparametric"
+MISSED, OTHER, WRONG, FAILED = "missed", "other effects, ambiguous", "wrong, identified", "failed"
 LACK_WORDS = (NAMED, LIKENED, DRAWN, MISSED, OTHER, WRONG, FAILED)
 
 
@@ -209,7 +209,7 @@ def _expected(row: Row, name: str) -> bool:
 # Tables.
 
 WIDTH, IN_INTERVAL = 1.96, "truth in the 95 % interval"  # Half of a 95 % interval in standard errors.
-CLEAN, LACKING, OTHERS = "Clean boats", "Boats with one effect", "Plants of other authorship"
+CLEAN, LACKING, OTHERS = "Clean boats", "Boats with one effect", "Plants by other authors"
 
 
 def sections(rows: Sequence[Row]) -> dict[str, list[Row]]:
@@ -225,9 +225,9 @@ def report(rows: Sequence[Row], form: Callable[[tables.Lines], str]) -> str:
     head = "### " if form is tables.as_markdown else ""
     boats, others = [r for r in rows if r["rig"] in RIGS], [r for r in rows if r["rig"] in PLANTS]
     parts = [
-        ("What is asked for", asked(boats)),
+        ("Requirements", asked(boats)),
         ("By rig", by_rig(boats)),
-        ("By effect, over all rigs that can see it", by_effect(boats)),
+        ("By effect, over all rigs that can measure it", by_effect(boats)),
         ("Parameters", parameters(boats)),
         ("What was found", plants(others)),
         ("What failed", failures(rows)),
@@ -241,13 +241,19 @@ def asked(rows: Sequence[Row]) -> tables.Lines:
     lacking = [verdict(r) for r in rows if r["effect"] != NONE]
     z = _z(rows)
     lines = [
-        ("clean boats told that something is missing", sum(w != RIGHT for w in clean), len(clean), "<=", 0.02),
-        ("effects named or likened", sum(w in (NAMED, LIKENED) for w in lacking), len(lacking), ">=", 0.90),
-        ("a wrong name as sure", lacking.count(WRONG), len(lacking), "<=", 0.02),
+        ("false alarms on clean boats", sum(w != RIGHT for w in clean), len(clean), "<=", 0.02),
+        ("true effects identified or ambiguous", sum(w in (NAMED, LIKENED) for w in lacking), len(lacking), ">=", 0.90),
+        ("a wrong effect identified", lacking.count(WRONG), len(lacking), "<=", 0.02),
         ("clean estimates within three standard errors", int(np.sum(np.abs(z) <= 3)), z.size, ">=", 0.99),
-        ("truths within the 95 % intervals of clean estimates", int(np.sum(np.abs(z) <= WIDTH)), z.size, ">=", 0.93),
+        (
+            "95 % intervals of clean estimates that contain the truth",
+            int(np.sum(np.abs(z) <= WIDTH)),
+            z.size,
+            ">=",
+            0.93,
+        ),
     ]
-    table = [["share", "asked for", "found", "95 % interval", "cases", "met"]]
+    table = [["share", "required", "found", "95 % interval", "cases", "met"]]
     lines += _worst_rigs(rows)
     for says, k, n, sign, limit in lines:
         if n:
@@ -269,10 +275,10 @@ def _worst_rigs(rows: Sequence[Row]) -> list[tuple[str, int, int, str, float]]:
     lines = []
     if alarms:
         rig, k, n = max(alarms, key=lambda found: found[1] / found[2])
-        lines.append((f"told that something is missing, the worst rig ({rig})", k, n, "<=", 0.05))
+        lines.append((f"false alarms on the worst rig ({rig})", k, n, "<=", 0.05))
     if within:
         rig, k, n = min(within, key=lambda found: found[1] / found[2])
-        lines.append((f"within three standard errors, the worst rig ({rig})", k, n, ">=", 0.99))
+        lines.append((f"clean estimates within three standard errors on the worst rig ({rig})", k, n, ">=", 0.99))
     return lines
 
 
@@ -280,7 +286,7 @@ def by_rig(rows: Sequence[Row]) -> tables.Lines:
     """Return a table with one line per rig, of its clean boats or of those with an effect."""
     clean = any(r["effect"] == NONE for r in rows)
     of_clean = ["false alarms", "95 %", "within 3 s.e.", IN_INTERVAL]
-    own_columns = of_clean if clean else [*LACK_WORDS, "95 % of wrong as sure"]
+    own_columns = of_clean if clean else [*LACK_WORDS, "95 % of wrong, identified"]
     lines = [["rig", "what is logged", "cases", *own_columns, "CPU s"]]
     for name, rig in RIGS.items():
         own = [r for r in rows if r["rig"] == name]
@@ -298,7 +304,7 @@ def by_rig(rows: Sequence[Row]) -> tables.Lines:
 
 def by_effect(rows: Sequence[Row]) -> tables.Lines:
     """Return a table with one line per effect, over all rigs."""
-    lines = [["truth", "cases", *LACK_WORDS, "named or likened, 95 %"]]
+    lines = [["truth", "cases", *LACK_WORDS, "identified or ambiguous, 95 %"]]
     for effect in dict.fromkeys(r["effect"] for r in rows if r["effect"] != NONE):
         own = [r for r in rows if r["effect"] == effect]
         count = Counter(verdict(r) for r in own)
@@ -318,7 +324,7 @@ def parameters(rows: Sequence[Row]) -> tables.Lines:
     contain the truth, and the rigs with values beyond three.
     """
     clean = [r for r in rows if r["effect"] == NONE and r.get("z")]
-    lines = [["parameter", "estimates", "mean z", "sd of z", IN_INTERVAL, "within 3", "rigs beyond"]]
+    lines = [["parameter", "estimates", "mean z", "sd of z", IN_INTERVAL, "within 3", "rigs with estimates beyond 3"]]
     for name in dict.fromkeys(n for r in clean for n in r["z"]):
         own = [(r["rig"], r["z"][name]) for r in clean if name in r["z"]]
         z, beyond = np.array([v for _, v in own]), Counter(rig for rig, v in own if abs(v) > 3)
@@ -339,7 +345,17 @@ def parameters(rows: Sequence[Row]) -> tables.Lines:
 
 def plants(rows: Sequence[Row]) -> tables.Lines:
     """Return a table with one line per plant: its effects and the findings."""
-    lines = [["plant", "switched on", "in its equations besides", "found", "how", "verdict", "beyond 3 s.e."]]
+    lines = [
+        [
+            "plant",
+            "effect switched on",
+            "effects always in its equations",
+            "found",
+            "attribution",
+            "verdict",
+            "beyond 3 s.e.",
+        ]
+    ]
     for r in (r for r in rows if "error" not in r):
         beyond = ", ".join(f"{n} {z:+.1f}" for n, z in r["z"].items() if abs(z) > 3)
         plant = PLANTS[r["rig"]]
@@ -386,10 +402,16 @@ def latest(rows: Sequence[Row]) -> str:
     if len(words) in (0, len(rows)):
         return ""
     clean = rows[-1]["effect"] == NONE
-    says = {"nothing found": (RIGHT,)} if clean else {"named or likened": (NAMED, LIKENED), "wrong as sure": (WRONG,)}
+    of_effects = {
+        "the true effect was identified or ambiguous": (NAMED, LIKENED),
+        "a wrong effect was identified": (WRONG,),
+    }
+    says = {"no effect was found": (RIGHT,)} if clean else of_effects
     counts = {description: sum(w in own for w in words) for description, own in says.items()}
-    shares = ", ".join(f"{description} {k} ({tables.interval(k, len(words))} %)" for description, k in counts.items())
-    return f"Of the last state alone ({rows[-1]['code']}), {len(words)} cases: {shares}."
+    shares = ", ".join(
+        f"{description} in {k} ({tables.interval(k, len(words))} %)" for description, k in counts.items()
+    )
+    return f"{len(words)} of them were computed with the latest state ({rows[-1]['code']}): {shares}."
 
 
 def held(rows: Sequence[Row], anew: Sequence[Row]) -> str:
@@ -398,12 +420,12 @@ def held(rows: Sequence[Row], anew: Sequence[Row]) -> str:
     both = [(r["key"], kept[r["key"]], verdict(r)) for r in anew if r["key"] in kept]
     if not both:
         return ""
-    changed = [f"{key} was {before}, is {now}" for key, before, now in both if before != now]
+    changed = [f"{key} was {before} and is now {now}" for key, before, now in both if before != now]
     same = len(both) - len(changed)
     states = ", ".join(sorted({str(r["code"]) for r in anew}))
     which = f": {'; '.join(changed)}" if changed else ""
     return (
-        f"{len(both)} of them, drawn at random, were run anew on another state of the code ({states}; `--again "
+        f"{len(both)} of them, selected at random, were repeated with another state of the code ({states}; `--again "
         f"{len(both)}`): the verdict is the same in {same} ({tables.interval(same, len(both))} %){which}."
     )
 
@@ -464,8 +486,8 @@ def with_section(page: str, title: str, text: str) -> str:
 def section(rows: Sequence[Row], seeds: int, anew: Sequence[Row] = ()) -> str:
     """Return the text of a section: how the cases are made, their progress, repeated verdicts, and the tables."""
     states = ", ".join(sorted({str(r["code"]) for r in rows}))
-    made = " ".join(filter(None, [f"{how_made(rows, seeds)} States of the code: {states}.", latest(rows),
-                                  held(rows, anew)]))  # fmt: skip
+    made = " ".join(filter(None, [f"{how_made(rows, seeds)} The code had these states (hashes): {states}.",
+                                  latest(rows), held(rows, anew)]))  # fmt: skip
     return f"{made}\n\n{report(rows, tables.as_markdown)}"
 
 
@@ -475,8 +497,8 @@ def how_made(rows: Sequence[Row], seeds: int) -> str:
     if not own:
         names = ",".join(n for n in PLANTS if any(r["rig"] == n for r in rows))
         return (
-            f"    python -m tests.recovery.rigs --rigs {names}\n\n{len(rows)} cases. Estimates are of `ident vehicle`, "
-            "whose model lacks what is in the plant's equations besides."
+            f"    python -m tests.recovery.rigs --rigs {names}\n\n{len(rows)} cases were run. The estimates are those "
+            "of `ident vehicle`, whose model lacks the effects that are always in the plant's equations."
         )
     rigs, effects = (
         [n for n in every if any(r[key] == n for r in own)]
@@ -493,8 +515,8 @@ def how_made(rows: Sequence[Row], seeds: int) -> str:
         c.key for names, b, n in zip(there, blocks, sizes, strict=True) for c in cases_of(names, effects, b[0], n)
     }
     done = len({r["key"] for r in own} & wanted)
-    far = f"{done} cases" if done == len(wanted) else f"{done} of its {len(wanted)} cases so far"
-    far += ", each a boat of its own" if len({r.get("boat", r["seed"]) for r in own}) == len(own) else ""
+    far = f"{done} cases were run" if done == len(wanted) else f"{done} of its {len(wanted)} cases have been run so far"
+    far += ", each with its own boat" if len({r.get("boat", r["seed"]) for r in own}) == len(own) else ""
     words = ([] if names == [*RIGS] else ["--rigs", ",".join(names)] for names in there)
     commands = (
         " ".join([*own_words, "--effects", ",".join(effects), "--seed", str(b[0]), "--seeds", str(n)])

@@ -78,15 +78,15 @@ def report(rows: Sequence[Row], form: Form) -> str:
     """Return all tables."""
     some = {kind: [r for r in rows if r["kind"] == kind] for kind in KINDS}
     parts = [
-        ("What is asked for", targets.targets(rows)),
+        ("Requirements", targets.targets(rows)),
         ("By kind", targets.kinds(rows)),
-        ("Power: named first, by size", targets.power(rows)),
-        ("Validation error over that of the model with the true structure", targets.oracles(rows)),
+        ("Power: true effect first and identified, by size of the effect", targets.power(rows)),
+        ("Validation error divided by that of the model with the true structure", targets.oracles(rows)),
         ("Outside the catalogue", targets.shapes(rows)),
         ("By effect, full size (errors: medians on validation data, before -> after)", tables.rates(some["single"])),
         ("By effect, in mixtures", tables.rates(some["mixture"])),
         ("By effect, taken out of the catalogue", tables.rates(some["leave-one-out"])),
-        ("Confusion: truth by line, first answer by column", tables.confusion(some["single"])),
+        ("Confusion: true effect by row, first answer by column", tables.confusion(some["single"])),
         ("Confusion in mixtures", tables.confusion(some["mixture"])),
         ("Confusion with the truth taken out of the catalogue", tables.confusion(some["leave-one-out"])),
         ("Estimates on clean boats", tables.coverage(some["clean"])),
@@ -105,19 +105,20 @@ def document(rows: Sequence[Row], arguments: argparse.Namespace) -> str:
     states = sorted({str(r["code"]) for r in rows})
     its = {case.key for case in cases_of(arguments.kinds, arguments.seed, arguments.seeds, arguments.effects)}
     own = sum(r["key"] in its for r in rows)
-    ran = f"{own} cases" if own == len(its) else f"{own} of its {len(its)} cases so far (it goes on where it was)"
-    ran += f", and {len(rows) - own} of earlier runs with other seeds, which the second table names" * (own < len(rows))
+    ran = f"{own} cases were run" if own == len(its) else f"{own} of its {len(its)} cases have been run so far"
+    ran += f", and {len(rows) - own} in earlier runs with other seeds, which the second table lists" * (own < len(rows))
     return (
         "# Recovery study\n\n"
-        "Mock boats with hidden effects (`mocks/hidden_effects/`, written in other forms than the catalogue of "
-        "`ident`), and clean ones: two missions each, one to estimate and one to validate. Every boat has its own "
-        "parameters, current and noise. Of boats with an effect, where the catalogue and the data are whole, the "
-        "missions are recorded as logs, and `seatrial ident vehicle` and `seatrial ident diagnose` run on them. An "
-        "answer counts as right only where it is given as sure; the oracle is the model with the true effect of the "
-        "catalogue, fitted to the same data."
+        "Each mock boat has hidden effects (`mocks/hidden_effects/`, in other forms than in the catalogue of `ident`), "
+        "or no hidden effect (a clean boat). Each boat runs two missions: the first is for estimation, the second for "
+        "validation. Every boat has its own parameters, current and noise. If a boat has an effect, and if the "
+        "catalogue is complete and the data have no gaps, the missions are recorded as logs, and `seatrial ident "
+        "vehicle` and `seatrial ident diagnose` run on them. An effect counts as right only if its attribution is "
+        "*identified*. The oracle is the model with the true effect of the catalogue, fitted to the same data. "
+        "[Blind tests](how-to/blind-tests.md) describes the kinds of boats and the columns of the tables."
         "\n\n"
         f"    python -m tests.recovery.study --seed {arguments.seed}{seeds}{chosen}{kept} --docs\n\n"
-        f"{ran}; states of the code: {', '.join(states)}.\n\n" + report(rows, tables.as_markdown) + "\n"
+        f"{ran}. The code had these states (hashes): {', '.join(states)}.\n\n" + report(rows, tables.as_markdown) + "\n"
     )
 
 

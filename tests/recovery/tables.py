@@ -23,22 +23,22 @@ def by_effect(rows: Sequence[Row]) -> dict[str, list[Row]]:
 
 
 def rates(rows: Sequence[Row]) -> Lines:
-    """Return a table with one line per effect: named first, named at all, none, unknown, another; extra names; errors;
-    CPU time.
+    """Return a table with one line per effect: first, found, none found, nonparametric, ambiguous, wrong; extra
+    effects; errors; CPU time.
     """
     lines = [
         [
             "truth",
             "cases",
             "first",
-            "among",
+            "found",
             "none",
-            "unknown",
-            "likened",
+            "nonparametric",
+            "ambiguous",
             "wrong",
-            "extra a case",
+            "extra per case",
             "10 s position error, m",
-            "free heading error, deg",
+            "heading error in simulation, deg",
             "oracle ratio",
             "CPU s",
         ]

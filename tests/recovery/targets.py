@@ -41,21 +41,26 @@ def shape_holds(row: Row) -> bool:
 
 
 TARGETS = (
-    Target(("single",), "named first, as sure", first_right, 0.95),
-    Target(("single",), "that, and nothing beside it", exactly, 0.95),
-    Target(("half",), "named first, as sure", first_right, 0.85),
-    Target(("half",), "a wrong name first, as sure", wrong_as_sure, 0.03, least=False),
-    Target(("mixture",), "right first, a likeness too", leads, 0.85),
-    Target(("mixture",), "among the chosen", all_right, 0.92),
-    Target(("pair",), "both found", all_right, 0.90),
-    Target(("outside",), "unknown, right force and variable first", first_right, 0.80),
-    Target(("outside",), "right force drawn over the right variable, no name as sure", drawn_right, 0.80),
+    Target(("single",), "true effect first, identified", first_right, 0.95),
+    Target(("single",), "true effect identified, and no other effect", exactly, 0.95),
+    Target(("half",), "true effect first, identified", first_right, 0.85),
+    Target(("half",), "wrong effect first, identified", wrong_as_sure, 0.03, least=False),
+    Target(("mixture",), "true effect first, identified or not", leads, 0.85),
+    Target(("mixture",), "true effect among the found effects", all_right, 0.92),
+    Target(("pair",), "both effects found", all_right, 0.90),
+    Target(("outside",), "curve of the right force and variable first", first_right, 0.80),
+    Target(
+        ("outside",),
+        "curve of the right force over the right variable, and no wrong effect first and identified",
+        drawn_right,
+        0.80,
+    ),
     Target(("outside",), "true curve within the band", shape_holds, 0.80),
-    Target(("beside",), "both found, the table and the name", all_right, 0.80),
-    Target(("beside",), "a wrong name first, as sure", wrong_as_sure, 0.03, least=False),
-    Target(CLEAN, "anything found on a clean boat", false_alarm, 0.02, False, False),
-    Target(tuple(NOISE), "anything found under misspecified noise", false_alarm, 0.05, False, False),
-    Target(("leave-one-out",), "a wrong name first, as sure", wrong_as_sure, 0.15, least=False),
+    Target(("beside",), "both found, the curve and the effect", all_right, 0.80),
+    Target(("beside",), "wrong effect first, identified", wrong_as_sure, 0.03, least=False),
+    Target(CLEAN, "an effect found on a clean boat", false_alarm, 0.02, False, False),
+    Target(tuple(NOISE), "an effect found on a clean boat with misspecified noise", false_alarm, 0.05, False, False),
+    Target(("leave-one-out",), "wrong effect first, identified", wrong_as_sure, 0.15, least=False),
 )
 
 
@@ -68,7 +73,7 @@ def good(rows: Sequence[Row], *kinds: str, lacking: bool | None = None) -> list[
 
 def targets(rows: Sequence[Row]) -> Lines:
     """Return a table with one line per target: requirement, result and number of cases."""
-    lines = [["kind", "share", "asked for", "found", "cases", "met"]]
+    lines = [["kind", "share", "required", "found", "cases", "met"]]
     for target in TARGETS:
         cases = good(rows, *target.kinds, lacking=target.lacking)
         if not cases:
@@ -99,7 +104,7 @@ def _oracle_line(rows: Sequence[Row]) -> Lines:
     return [
         [
             "single",
-            "validation error over the oracle's, simulation, median",
+            "validation error divided by that of the oracle, simulation, median",
             "<= 1.03",
             f"{middle:.3f}",
             f"{len(ratios)}",
@@ -113,14 +118,14 @@ def kinds(rows: Sequence[Row]) -> Lines:
     lines = [
         [
             "kind",
-            "what it is",
+            "boats",
             "seeds",
             "cases",
             "first",
             "all found",
-            "wrong as sure",
-            "unknown",
-            "nothing",
+            "wrong, identified",
+            "nonparametric",
+            "nothing found",
             "clean cases",
             "false alarms",
         ]
@@ -177,13 +182,13 @@ def power(rows: Sequence[Row]) -> Lines:
             line.append(f"{sum(map(first_right, cases))}/{len(cases)}" if cases else "")
         lines.append(line)
     every = ["all", *(_share(good(rows, kind), first_right) for kind, _ in sizes)]
-    wrong = ["wrong as sure", *(_share(good(rows, kind), wrong_as_sure) for kind, _ in sizes)]
+    wrong = ["wrong, identified", *(_share(good(rows, kind), wrong_as_sure) for kind, _ in sizes)]
     return [*lines, every, wrong]
 
 
 def oracles(rows: Sequence[Row]) -> Lines:
     """Return the error divided by that of the oracle (geometric mean over channels): median and 90 % quantile."""
-    lines = [["kind", "cases", "10 s ahead, median", "90 %", "simulation, median", "90 %"]]
+    lines = [["kind", "cases", "10 s horizon, median", "90 %", "simulation, median", "90 %"]]
     for name in KINDS:
         found = [r["ratio"] for r in good(rows, name, lacking=True) if "ratio" in r]
         if found:
@@ -199,7 +204,7 @@ def shapes(rows: Sequence[Row]) -> Lines:
     """Return, for effects outside the catalogue, the share of the drawn curve whose 95 % band contains the true
     curve.
     """
-    lines = [["truth", "cases", "right force and variable", "curve drawn", "share of the curve in the band, median"]]
+    lines = [["truth", "cases", "right force and variable", "curves", "share of the curve in the band, median"]]
     for name in dict.fromkeys(r["effect"] for r in good(rows, "outside")):
         cases = [r for r in good(rows, "outside") if r["effect"] == name]
         held = [r["shape"] for r in cases if "shape" in r]

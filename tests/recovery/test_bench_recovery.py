@@ -45,8 +45,8 @@ ROWS = [
     (fake("spin-up", 1, ["spin-up"], "identified"), "exact"),
     (fake("spin-up", 2, ["spin-up", "cell-lag"], "identified", "identified"), "first"),
     (fake("spin-up", 3, [], scale=0.5), "missed"),
-    (fake("spin-up", 4, ["unknown n_dot(slip)"], "nonparametric"), "unknown"),
-    (fake("spin-up", 5, ["slew-limit"], "ambiguous"), "likened"),
+    (fake("spin-up", 4, ["unknown n_dot(slip)"], "nonparametric"), "nonparametric"),
+    (fake("spin-up", 5, ["slew-limit"], "ambiguous"), "ambiguous"),
     (fake("spin-up", 6, ["slew-limit"], "identified"), "wrong"),
 ]
 
@@ -60,15 +60,15 @@ def test_verdict_of_a_line(row: Row, wanted: str) -> None:
 def test_tables_count_the_named_effects() -> None:
     rows = [row for row, _ in ROWS]
     together = {one[0]: one[1] for one in bench_study.summary(rows)}
-    assert together["named first, size 1"] == "2/5"
-    assert together["that and nothing else, size 1"] == "1/5"
-    assert together["another name first, as sure, size 1"] == "1/5"
-    assert together["another name anywhere, as sure, size 1"] == "2/5"
-    assert together["named first, size 0.5"] == "0/1"
+    assert together["true effect first, size 1"] == "2/5"
+    assert together["only the true effect, size 1"] == "1/5"
+    assert together["another effect first, identified, size 1"] == "1/5"
+    assert together["another effect identified anywhere, size 1"] == "2/5"
+    assert together["true effect first, size 0.5"] == "0/1"
     assert together["false alarms on clean benches"] == "1/2"
     head, *lines = bench_study.rates([r for r in rows if r["scale"] == 1.0])
     spin = dict(zip(head, lines[1], strict=True))
-    assert [spin[v] for v in ("truth", "cases", "exact", "first", "likened", "unknown", "missed", "wrong")] == [
+    assert [spin[v] for v in ("truth", "cases", "exact", "first", "ambiguous", "nonparametric", "missed", "wrong")] == [
         "spin-up", "5", "1", "1", "1", "1", ".", "1"]  # fmt: skip
     assert "| spin-up | 5 |" in bench_study.document(rows, "the command")
 
@@ -86,7 +86,7 @@ def test_interrupted_study_is_resumed(tmp_path: Path, monkeypatch: pytest.Monkey
     assert bench_study.main([*words, "--seeds", "2"]) == 0
     assert ran == ["none/1/1", "spin-up/1/1", "none/2/1", "spin-up/2/1"]
     assert [json.loads(x)["key"] for x in out.read_text().splitlines()] == ran
-    assert "## Together" in bench_study.report(list(read(out).values()), as_markdown)
+    assert "## Summary" in bench_study.report(list(read(out).values()), as_markdown)
 
 
 def test_unknown_effect_is_a_usage_error(capsys: pytest.CaptureFixture[str]) -> None:

@@ -192,11 +192,11 @@ def test_tables_count_the_named_effects() -> None:
     ]
     head, line = tables.rates(rows)
     wind = dict(zip(head, line, strict=True))
-    assert (wind["truth"], wind["first"], wind["among"], wind["likened"]) == ("wind", "1/5", "3/5", "1/5")
-    assert (wind["none"], wind["unknown"], wind["wrong"], wind["extra a case"]) == ("1/5", "1/5", "1/5", "0.20")
+    assert (wind["truth"], wind["first"], wind["found"], wind["ambiguous"]) == ("wind", "1/5", "3/5", "1/5")
+    assert (wind["none"], wind["nonparametric"], wind["wrong"], wind["extra per case"]) == ("1/5", "1/5", "1/5", "0.20")
     assert wind["10 s position error, m"] == f"{np.hypot(3, 3):.3g} -> {np.hypot(3, 3):.3g}"
     head, *lines = tables.confusion(rows)
-    assert [h.split()[-1] for h in head] == ["truth", "none", "wind", "compass", "unknown"]
+    assert [h.split()[-1] for h in head] == ["truth", "none", "wind", "compass", "nonparametric"]
     assert lines == [["wind", "1", "2", "1", "1"]]
     assert tables.coverage([fake("none", 1, [], "clean")])[1] == ["m_u", "1", "+2.50", "0.00", "0/1"]
     assert "| wind | 5 |" in study.report(rows, tables.as_markdown)
@@ -220,14 +220,17 @@ def test_targets_are_shares_of_the_right_cases() -> None:
     ]
     head, *lines = targets.targets(rows)
     found = {(line[0], line[1]): line[head.index("cases")] for line in lines}
-    assert found[("clean", "anything found on a clean boat")] == "1/2"
-    assert found[("noise-gps", "anything found under misspecified noise")] == "0/1"
-    assert found[("pair", "both found")] == "1/2"
-    assert found[("outside", "unknown, right force and variable first")] == "1/3"
-    assert found[("outside", "right force drawn over the right variable, no name as sure")] == "2/3"
+    assert found[("clean", "an effect found on a clean boat")] == "1/2"
+    assert found[("noise-gps", "an effect found on a clean boat with misspecified noise")] == "0/1"
+    assert found[("pair", "both effects found")] == "1/2"
+    assert found[("outside", "curve of the right force and variable first")] == "1/3"
+    assert (
+        found[("outside", "curve of the right force over the right variable, and no wrong effect first and identified")]
+        == "2/3"
+    )
     assert found[("outside", "true curve within the band")] == "1/3"
-    assert found[("beside", "both found, the table and the name")] == "1/3"
-    assert found[("leave-one-out", "a wrong name first, as sure")] == "1/2"
+    assert found[("beside", "both found, the curve and the effect")] == "1/3"
+    assert found[("leave-one-out", "wrong effect first, identified")] == "1/2"
     assert [line[-1] for line in lines if line[0] == "noise-gps"] == ["yes"]
     power = targets.power([fake("wind", 1, ["wind"]), fake("wind", 1, [], "half")])
     assert power[1] == ["wind", "0/1", "1/1"]

@@ -151,22 +151,22 @@ def test_changed_verdicts_of_repeated_cases_are_reported() -> None:
     assert {c.key for c in rigs.drawn(kept, 3)} == {r["key"] for r in kept}
     assert rigs.drawn(kept, 2) == rigs.drawn(kept[::-1], 2)
     state = kept[0]["code"]
-    anew = f"were run anew on another state of the code ({state}; `--again 2`): the verdict is the same in"
-    assert rigs.held(kept, kept[:2]) == f"2 of them, drawn at random, {anew} 2 (34.2-100.0 %)."
+    anew = f"were repeated with another state of the code ({state}; `--again 2`): the verdict is the same in"
+    assert rigs.held(kept, kept[:2]) == f"2 of them, selected at random, {anew} 2 (34.2-100.0 %)."
     # The last case is not among the kept ones.
     changed = [kept[0], row("ekf", "wind", ["wind"]), row("ekf", "lag", ["lag"])]
-    assert rigs.held(kept, changed).endswith(f"{anew} 1 (9.5-90.5 %): ekf/wind/1 was missed, is named.")
+    assert rigs.held(kept, changed).endswith(f"{anew} 1 (9.5-90.5 %): ekf/wind/1 was missed and is now identified.")
     assert rigs.held(kept, []) == ""
 
 
 def test_latest_code_state_has_its_own_shares() -> None:
     old, new = row("vesc", "wind", []) | {"code": "old"}, [row("ekf", "wind", ["wind"]), row("short", "wind", [])]
     assert rigs.latest([old, *new]) == (
-        f"Of the last state alone ({code_state()}), 2 cases: named or likened 1 (9.5-90.5 %), "
-        "wrong as sure 0 (0.0-65.8 %)."
+        f"2 of them were computed with the latest state ({code_state()}): the true effect was identified or ambiguous "
+        "in 1 (9.5-90.5 %), a wrong effect was identified in 0 (0.0-65.8 %)."
     )
     clean = [row("vesc", "none", []) | {"code": "old"}, row("ekf", "none", [])]
-    assert rigs.latest(clean).endswith("1 cases: nothing found 1 (20.7-100.0 %).")
+    assert rigs.latest(clean).endswith(": no effect was found in 1 (20.7-100.0 %).")
     assert rigs.latest(new) == ""
 
 
@@ -176,27 +176,29 @@ def test_section_of_the_page_is_replaced_and_the_others_are_kept() -> None:
         "# Rigs\n\n## Clean boats\n\nnew\n\n## Boats with one effect\n\nkept\n"
     )
     assert rigs.with_section(page, rigs.LACKING, "new").endswith("older\n\n## Boats with one effect\n\nnew\n")
-    assert rigs.with_section(page, rigs.OTHERS, "new") == f"{page}\n## Plants of other authorship\n\nnew\n"
+    assert rigs.with_section(page, rigs.OTHERS, "new") == f"{page}\n## Plants by other authors\n\nnew\n"
 
 
 def test_progress_of_a_stopped_study_is_reported() -> None:
     clean, lacking = [row("vesc", "none", []), row("ekf", "none", [])], [row("vesc", "wind", ["wind"])]
     command = "    python -m tests.recovery.rigs --rigs"
-    alike = "each a boat of its own"
+    alike = "each with its own boat"
     assert rigs.how_made(clean, 2) == (
-        f"{command} vesc,ekf --effects none --seed 1 --seeds 2\n\n2 of its 4 cases so far, {alike}."
+        f"{command} vesc,ekf --effects none --seed 1 --seeds 2\n\n2 of its 4 cases have been run so far, {alike}."
     )
     assert rigs.how_made(lacking, 2) == (
-        f"{command} vesc --effects wind --seed 1 --seeds 2\n\n1 of its 2 cases so far, {alike}."
+        f"{command} vesc --effects wind --seed 1 --seeds 2\n\n1 of its 2 cases have been run so far, {alike}."
     )
     more = rigs.how_made([*clean, row("ekf", "none", []) | {"key": "ekf/none/5", "seed": 5, "boat": 5}], 1)
     assert more == (
         f"{command} vesc,ekf --effects none --seed 1 --seeds 1\n"
-        f"{command} ekf --effects none --seed 5 --seeds 1\n\n3 cases, {alike}."
+        f"{command} ekf --effects none --seed 5 --seeds 1\n\n3 cases were run, {alike}."
     )
-    assert rigs.how_made(clean, 1).endswith(f"\n\n2 cases, {alike}.")
-    assert rigs.how_made([{**r, "boat": 1} for r in clean], 1).endswith("\n\n2 cases.")
-    assert rigs.how_made([row("otter-none", "none", [])], 1).startswith(f"{command} otter-none\n\n1 cases. Estimates")
+    assert rigs.how_made(clean, 1).endswith(f"\n\n2 cases were run, {alike}.")
+    assert rigs.how_made([{**r, "boat": 1} for r in clean], 1).endswith("\n\n2 cases were run.")
+    assert rigs.how_made([row("otter-none", "none", [])], 1).startswith(
+        f"{command} otter-none\n\n1 cases were run. The estimates"
+    )
 
 
 def test_cases_leave_out_effects_that_a_rig_cannot_measure() -> None:

@@ -1,4 +1,4 @@
-"""Verdict on one line of the study: right, wrong, unknown or nothing; identified or only ambiguous."""
+"""Verdict on one line of the study: right, wrong, nonparametric or nothing; identified or only ambiguous."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from seatrial.mocks.hidden_effects.catalogue import EFFECTS, OUTSIDE, make_effec
 from tests.recovery.cases import Row
 from tests.recovery.kinds import KINDS, NONE
 
-UNKNOWN = "unknown"
+UNKNOWN = "nonparametric"
 
 
 def truths(row: Row) -> list[str]:
@@ -15,7 +15,7 @@ def truths(row: Row) -> list[str]:
 
 
 def first_answer(row: Row) -> str:
-    """Return the effect named first; ``none``, or ``unknown`` for a nonparametric effect."""
+    """Return the effect named first; ``none``, or ``nonparametric`` for a nonparametric effect."""
     if not row["found"]:
         return NONE
     return UNKNOWN if row["found"][0].startswith("unknown ") else str(row["found"][0])

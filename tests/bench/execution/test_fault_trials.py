@@ -45,7 +45,7 @@ def test_an_interrupted_study_continues_where_it_stopped(tmp_path: Path) -> None
     (tmp_path / "page.md").write_text(f"before\n{MARKS[0]}\nold\n{MARKS[1]}\nafter\n", encoding="utf-8")
     into(tmp_path / "page.md", MARKS, page(again.results, kinds))
     written = (tmp_path / "page.md").read_text(encoding="utf-8")
-    assert "1 of 2 trials as they have to be." in written
+    assert "1 of 2 trials were correct." in written
     assert "old" not in written
     assert written.endswith(f"{MARKS[1]}\nafter\n")
     assert page(again.results, kinds).endswith("| runner killed | 350 ms | 1/2: 350, 400 (50) | - | - |")

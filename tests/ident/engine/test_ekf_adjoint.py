@@ -15,7 +15,7 @@ from seatrial.ident.engine.ekf_graph import EkfGraphs, pack, unpack
 from seatrial.ident.engine.expressions import reverse_mode, simplified
 from seatrial.ident.engine.filter_plans import Plans
 from seatrial.ident.engine.kernel import Kernel
-from seatrial.ident.engine.loop_plan import Factor, Plan, Product, stage
+from seatrial.ident.engine.loop_plan import Factor, Plan, ProductStage, stage
 from seatrial.ident.estimation.likelihood import Likelihood
 from seatrial.ident.estimation.output_error import simulate
 from seatrial.ident.model.outlier_density import with_outlier_model
@@ -108,25 +108,25 @@ def test_adjoints_of_the_stages_are_independent_of_the_vector_width(
     }
     update, predicted = g.updates[-1], {"s": g.predict[0]}
     pairs = [
-        (ekf_adjoint.of_update(g, update, "tape", bar), {"s": update.s, "ll": update.ll}),
-        (ekf_adjoint.of_prediction(g, "tape", bar), predicted),
+        (ekf_adjoint.adjoint_of_update(g, update, "tape", bar), {"s": update.s, "ll": update.ll}),
+        (ekf_adjoint.adjoint_of_prediction(g, "tape", bar), predicted),
     ]
     for ours, effect in pairs:
-        plain = ekf_adjoint.of_stage(g, effect, "tape", bar)
+        plain = ekf_adjoint.adjoint_of_stage(g, effect, "tape", bar)
         np.testing.assert_allclose(_run(ours, g, bar, values), _run(plain, g, bar, values), rtol=1e-9, atol=1e-9)
-    assert pairs[1][0].before  # This stage has matrix products.
+    assert pairs[1][0].products  # This stage has matrix products.
 
 
 def _run(found: ekf_adjoint.Adjoint, g: EkfGraphs, bar: ca.SX, values: dict[str, object]) -> np.ndarray:
     """Return the slopes, computed from the intermediate results that the stage keeps."""
-    kept = ca.Function("ahead", list(g.inputs.values()), list(found.keeps.values()))
-    known = dict(zip(found.keeps, kept.call([values[n] for n in g.inputs]), strict=True)) | values
-    for product in found.before:
-        left = [[float(known[f.array][f.place]) * (1 + f.twice) for f in line] for line in product.left]
+    kept = ca.Function("ahead", list(g.inputs.values()), list(found.tape_values.values()))
+    known = dict(zip(found.tape_values, kept.call([values[n] for n in g.inputs]), strict=True)) | values
+    for product in found.products:
+        left = [[float(known[f.array][f.entry]) * (1 + f.twice) for f in line] for line in product.left]
         right = np.array(ca.DM(known[product.right])).reshape(-1, product.stride)
         known[product.result] = (np.array(left) @ right).ravel()
-    inputs = {n: v for n, v in g.inputs.items() if n != "s"} | dict(found.needs) | {"bar": bar}
-    back = ca.Function("back", list(inputs.values()), [found.both])
+    inputs = {n: v for n, v in g.inputs.items() if n != "s"} | dict(found.tape_symbols) | {"bar": bar}
+    back = ca.Function("back", list(inputs.values()), [found.derivatives])
     return np.array(back.call([known[n] for n in inputs])[0]).ravel()
 
 
@@ -138,7 +138,7 @@ def test_compiled_products_equal_interpreted_products(width: int) -> None:
     plan = Plan(
         (
             stage({"a": a}, {"b": a[:2] * a[1:]}, 1),
-            Product(left, "kept", "made", width, width, 0),
+            ProductStage(left, "kept", "made", width, width, 0),
             stage({"made": kept, "b": b}, {"sum": ca.sum1(kept), "b": -b}),
         ),
         frozenset({"a", "kept"}),
@@ -200,7 +200,7 @@ def test_slopes_by_a_triangle_are_doubled_off_the_diagonal() -> None:
     X = ca.SX.sym("X", n, n)
     f = ca.dot(ca.SX(a), pack(X @ X.T))
     wanted = np.array(ca.Function("f", [X], [ca.gradient(f, X)])(A))
-    L = np.array(ca.DM(ekf_adjoint._doubled(unpack(ca.SX(a), n))))
+    L = np.array(ca.DM(ekf_adjoint._doubled_diagonal(unpack(ca.SX(a), n))))
     np.testing.assert_allclose(L @ A, wanted, rtol=1e-12)
 
 

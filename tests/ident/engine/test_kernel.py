@@ -14,7 +14,7 @@ from seatrial.ident.engine import jit
 from seatrial.ident.engine.filter_kernels import FilterKernels, filter_kernels_for
 from seatrial.ident.engine.kernel import Arena, Kernel
 from seatrial.ident.engine.llvm_operations import FLUSH_TO_ZERO, FlushToZero
-from seatrial.ident.engine.loop_plan import Gram, Plan, stage
+from seatrial.ident.engine.loop_plan import GramStage, Plan, stage
 from seatrial.ident.model.parameter import Parameter
 from seatrial.ident.model.structure import Model, Output, Sensor, State, plain_model
 from tests.ident.toys import turning, turning_record, values_of
@@ -118,7 +118,9 @@ def test_interpreted_and_compiled_kernels_agree(name: str) -> None:
 @needs_llvm
 def test_gram_sums_the_products_of_all_lanes() -> None:
     v = ca.SX.sym("v", 3)
-    plan = Plan((stage({"x": v}, {"v": 2 * v}, 0), Gram("v", "G", 3, 0)), frozenset({"x"}), frozenset({"x", "v"}), 4)
+    plan = Plan(
+        (stage({"x": v}, {"v": 2 * v}, 0), GramStage("v", "G", 3, 0)), frozenset({"x"}), frozenset({"x", "v"}), 4
+    )
     rng = np.random.default_rng(1)
     x = rng.normal(size=(7, 3, 3, 4))  # Dimensions: rows, groups, entries, width.
     mask = np.array([1, 1, 0, 1, 0, 1, 1], np.uint32)
@@ -265,5 +267,5 @@ def test_segments_equal_separate_calls(compiled: bool) -> None:
     with pytest.raises(ValueError, match="u: expected contiguous doubles"):
         kernel.segments([0], [1], arrays | {"u": np.ones(3, np.float32)}, begin[:1], ("z",))
     for first, last in ((0, 21), (5, 5), (-1, 3)):
-        with pytest.raises(ValueError, match=r"segments: each needs a start value and .* 20 given rows"):
+        with pytest.raises(ValueError, match=r"segments: each needs an initial value and .* 20 rows"):
             kernel.segments([first], [last], arrays, begin[:1], ("z",))

@@ -238,7 +238,7 @@ def test_cache_files_are_counted_once_and_then_by_the_written_size(
     monkeypatch.setenv("SEATRIAL_CACHE", str(tmp_path))
     monkeypatch.setattr(jit, "LARGEST_CACHE", 100_000 / jit.COUNT_SHARE)
     counted: list[Path] = []
-    monkeypatch.setattr(jit, "_prune", counted.append)
+    monkeypatch.setattr(jit, "_delete_least_recently_used", counted.append)
     for k in range(15):
         jit.write_cache(f"{k}.o", bytes(10_000))
     # The files are counted with the first file, and with the eleventh file after it.

@@ -38,13 +38,13 @@ def split(data: list[Record], block: float = MODEL.block) -> TimeBlocks:
 
 def test_blocks_cover_each_record_exactly_once(data: list[Record]) -> None:
     blocks = split(data)
-    assert blocks.of == (*[0] * 6, *[1] * 6)
+    assert blocks.record_indices == (*[0] * 6, *[1] * 6)
     for i, record in enumerate(data):
-        t = np.concatenate([b.t for b, of in zip(blocks.records, blocks.of, strict=True) if of == i])
+        t = np.concatenate([b.t for b, of in zip(blocks.records, blocks.record_indices, strict=True) if of == i])
         np.testing.assert_array_equal(t, record.t)
     assert len({b.name for b in blocks.records}) == 12
-    assert len(split(data, 1e-3).of) == 2 * MOST_BLOCKS
-    assert len(split(data, 1e3).of) == 2 * FEWEST_BLOCKS
+    assert len(split(data, 1e-3).record_indices) == 2 * MOST_BLOCKS
+    assert len(split(data, 1e3).record_indices) == 2 * FEWEST_BLOCKS
 
 
 def test_newton_step_equals_a_fit_to_the_other_blocks(data: list[Record]) -> None:
@@ -52,7 +52,7 @@ def test_newton_step_equals_a_fit_to_the_other_blocks(data: list[Record]) -> Non
     found = leave_one_block_out(fitted.model, blocks, fitted.record_values, fitted.parameters)
     names = list(MODEL.values)
     moved = []
-    for k in range(len(blocks.of)):
+    for k in range(len(blocks.record_indices)):
         others = fit(MODEL, [b for j, b in enumerate(blocks.records) if j != k])
         for name in ("m", "d", "e"):
             error = fitted.errors[fitted.names.index(name)]
@@ -106,14 +106,14 @@ def test_block_starts_from_the_states_of_an_effect_in_the_whole_record(data: lis
     blocks = cut_into_blocks(data, plain.estimation, MODEL.block)
     stage = fit_and_evaluate(MODEL + charging(), data, blocks)
     assert all("z" not in r.start for r in blocks.records)
-    for view, of in zip(stage.validation, blocks.of, strict=True):
+    for view, of in zip(stage.validation, blocks.record_indices, strict=True):
         states = [s.name for s in view.model.states]
         mean, sd = view.record.start["z"]
         assert mean == pytest.approx(stage.estimation[of].run.x_filt[:, states.index("z")].mean())
         assert view.run.x_pred[0, states.index("z")] == pytest.approx(mean)
         assert 0.5 < mean < 1.0
         assert sd > 0.1
-        assert view.record.start["u"] == blocks.records[0 if of == 0 else blocks.of.index(of)].start["u"]
+        assert view.record.start["u"] == blocks.records[0 if of == 0 else blocks.record_indices.index(of)].start["u"]
 
 
 def test_failed_validation_run_is_listed_and_the_others_are_kept(data: list[Record]) -> None:

@@ -39,14 +39,14 @@ def trough(z: np.ndarray) -> float:
 
 def test_flat_interval_is_found_between_its_ends() -> None:
     (found,) = flat_coordinates(trough, np.array([0.3, 0.0]), STEPPED, np.zeros((2, 2)), FREE)
-    assert (found.at, found.low, found.high) == (0, pytest.approx(0.2, abs=1e-3), pytest.approx(0.7, abs=5e-3))
+    assert (found.coordinate, found.low, found.high) == (0, pytest.approx(0.2, abs=1e-3), pytest.approx(0.7, abs=5e-3))
     assert found.information == pytest.approx((2 * 1.96 / 0.5) ** 2, rel=0.02)
 
 
 def test_bound_ends_a_flat_interval_but_does_not_create_one() -> None:
     bounds = fisher_scoring.Bounds(np.array([0.25, -0.1]), np.array([INF, 0.1]), np.zeros(2, dtype=bool))
     (found,) = flat_coordinates(trough, np.array([0.3, 0.0]), STEPPED, np.zeros((2, 2)), bounds)
-    assert (found.at, found.low) == (0, 0.25)
+    assert (found.coordinate, found.low) == (0, 0.25)
 
 
 def test_no_flat_coordinate_is_found_if_the_information_is_right() -> None:
@@ -66,7 +66,7 @@ def test_distant_fall_is_found_but_a_value_that_is_not_finite_is_not() -> None:
 
     (found,) = flat_coordinates(even, np.zeros(2), STEPPED, np.diag([1e-12, 1e-12]), FREE)
     end = (1.9207 * 1e8) ** 0.25  # 118, which is far beyond the steps of 0.1.
-    assert (found.at, found.low, found.high) == (0, pytest.approx(-end, rel=0.01), pytest.approx(end, rel=0.01))
+    assert (found.coordinate, found.low, found.high) == (0, pytest.approx(-end, rel=0.01), pytest.approx(end, rel=0.01))
 
 
 def kinked(z: np.ndarray) -> fisher_scoring.Evaluation:

@@ -253,7 +253,7 @@ def test_record_that_cannot_be_evaluated_is_named() -> None:
         fit(model, records(2), start={"m": 1e-7})
     with pytest.raises(ValueError, match="odd: no signal for the input 'N'"):
         fit(model, [records(1)[0], replace(records(1)[0], name="odd", inputs=("M",))])
-    with pytest.raises(ValueError, match="no records"):
+    with pytest.raises(ValueError, match="there is no record"):
         fit(model, [])
     with pytest.raises(ValueError, match=r"^run 0: \d measured samples for 7 free parameters of model turning without"):
         fit(model, [turning_record(0, 2, "run 0")])
@@ -272,7 +272,7 @@ def test_progress_is_reported() -> None:
 
 def test_lbfgsb_refines_a_search_in_which_scoring_stops() -> None:
     problem = Problem(Likelihood(turning()), records(1), FREE, 1)
-    z = problem.start
+    z = problem.initial_coordinates
     z[0] += 0.4
     start = fisher_scoring.Optimum(z, problem.evaluate(z), 0, 1, 1.0)
     top = fisher_scoring.refine_lbfgsb(problem.value_and_gradient, start, problem.bounds, problem.evaluate, 1e-6)
@@ -283,7 +283,7 @@ def test_lbfgsb_refines_a_search_in_which_scoring_stops() -> None:
 def test_posterior_gradients_of_adjoint_and_tangents_are_equal() -> None:
     m = replace(turning().parameter("m"), prior=(8.0, 1.0))
     problem = Problem(Likelihood(turning().replace_parameters(m)), records(2), FREE, 2)
-    z = problem.start + 0.1
+    z = problem.initial_coordinates + 0.1
     value, gradient = problem.value_and_gradient(z)
     at = problem.evaluate(z)
     assert value == pytest.approx(at.value, rel=1e-12)
@@ -301,9 +301,9 @@ def test_only_the_record_of_a_moved_per_record_parameter_is_evaluated_again(monk
 
     monkeypatch.setattr(Likelihood, "value", counted)
     problem = Problem(Likelihood(turning()), records(3), FREE, 1)
-    moved = problem.start.copy()
+    moved = problem.initial_coordinates.copy()
     moved[problem.names.index("bias@1")] += 0.01
-    for z in (problem.start, moved, problem.start):
+    for z in (problem.initial_coordinates, moved, problem.initial_coordinates):
         assert problem.value(z) == pytest.approx(problem.evaluate(z).value, rel=1e-12)
     assert seen == ["run 0", "run 1", "run 2", "run 1", "run 1"]
 

@@ -238,7 +238,7 @@ def test_parameter_that_was_not_estimated_is_rejected(few: tuple[Fit, Record]) -
     two = [turning_record(seed, 200) for seed in range(2)]
     with pytest.raises(ValueError, match="each run has its own: bias@0, bias@1"):
         profile(fit(turning().with_free(("m", "bias")), two), two, "bias")
-    with pytest.raises(ValueError, match="give the records of the fit"):
+    with pytest.raises(ValueError, match="give the records to which the model was fitted"):
         profile(fit(turning().with_free(("m", "bias")), two), two[:1], "m")
     check_names(turning(), ["m", "bias@1"], 2)
     with pytest.raises(SeatrialError, match="--profile mass: model turning has no such parameter; it has m, d"):

@@ -41,7 +41,7 @@ def test_value_at_a_bound_except_for_rounding_counts_as_at_the_bound() -> None:
     z[0] = 3.0 + (0.1 - 3.0)
     assert z[0] > 0.1
     at = Evaluation(0.0, np.array([-1.0, 1.0]), np.eye(2), np.zeros(2))
-    assert bounds.held(z, at.gradient).all()
+    assert bounds.pushed_against(z, at.gradient).all()
     found = assess(at, z, bounds, ("a", "b"), np.ones(2), np.zeros(2))
     assert [flag for _, flag in found.flags] == ["at its bound", "at its bound"]
     assert np.isfinite(found.limits).all()
