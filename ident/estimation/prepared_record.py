@@ -155,8 +155,9 @@ def _first_measurements(model: Model, record: Record, measured: NDArray[np.bool_
 
     ``measured`` (n_rows, n_outputs): whether a row has a sample of the output. The second result has the same shape,
     and is True for outliers. An output without a sample has a first measurement of NaN. Outliers are searched only for
-    outputs with ``robust``; for other outputs the first sample is returned. The outliers must be left out. While the initial state is uncertain every sample is probable: the filter would
-    accept an outlier, become certain of it, and then reject the good samples.
+    outputs with ``robust``; for other outputs the first sample is returned. The outliers must be left out. While the
+    initial state is uncertain every sample is probable: the filter would accept an outlier, become certain of it, and
+    then reject the good samples.
     """
     found, outliers = np.full(measured.shape[1], np.nan), np.zeros(measured.shape, dtype=bool)
     for j in np.flatnonzero(measured.any(axis=0)):
@@ -196,9 +197,9 @@ def _initial_noise(model: Model, record: Record, measured: NDArray[np.bool_]) ->
     """Return the standard deviation of the white noise of each output (n_outputs,), in the unit of the output.
 
     ``measured`` (n_rows, n_outputs): whether a row has a sample of the output that is no outlier. The result is zero
-    for an output that initialises no state or has no sample. The estimate uses the distance of each sample from the straight line between its neighbours. Curvature of the motion
-    inflates it, which only makes the initial state less certain. Repeated samples, as of a slow sensor that is read
-    often, are skipped.
+    for an output that initialises no state or has no sample. The estimate uses the distance of each sample from the
+    straight line between its neighbours. Curvature of the motion inflates it, which only makes the initial state less
+    certain. Repeated samples, as of a slow sensor that is read often, are skipped.
     """
     found, initial = np.zeros(measured.shape[1]), {s.from_output for s in model.states}
     for j, output in enumerate(model.outputs):
@@ -218,10 +219,10 @@ def _first_inlier(t: Array, samples: Array, angle: bool) -> int:
     ``t`` (n,): increasing times [s]. ``samples`` (n,): values of one output, without NaN. ``angle``: whether the values
     are angles [rad], so that differences are wrapped.
 
-    A robust straight line is fitted to the first `N_AGREE` samples by repeated medians (Siegel 1982: its slope is the median of
-    the median slopes of each sample to all others). The result is the first sample near this line. An earlier sample
-    also counts if the two samples after it lead to it, as in a curve. Distances are compared with the noise by second
-    differences. Second differences of zero, frequent for a sensor of coarse resolution, are ignored.
+    A robust straight line is fitted to the first `N_AGREE` samples by repeated medians (Siegel 1982: its slope is the
+    median of the median slopes of each sample to all others). The result is the first sample near this line. An earlier
+    sample also counts if the two samples after it lead to it, as in a curve. Distances are compared with the noise by
+    second differences. Second differences of zero, frequent for a sensor of coarse resolution, are ignored.
     """
     bend = wrap(np.diff(wrap(np.diff(samples), angle)), angle)
     noise = noise_from_differences(bend[bend != 0.0])

@@ -278,7 +278,8 @@ def test_good_samples_at_the_start_are_kept() -> None:
         assert not any(_first_inlier(t, moved + one, False) for one in noise)
     assert not any(_first_inlier(t, 3.0 * np.sin(3.0 * t + k) + 0.05 * one, False) for k, one in enumerate(noise))
     assert not any(_first_inlier(t, np.round(0.3 * one), False) for one in noise)
-    assert not any(_first_inlier(t, np.mod(3.1 + 2.0 * t + 0.02 * one + np.pi, 2 * np.pi) - np.pi, True) for one in noise)
+    angle = 3.1 + 2.0 * t + np.pi
+    assert not any(_first_inlier(t, np.mod(angle + 0.02 * one, 2 * np.pi) - np.pi, True) for one in noise)
     assert _first_inlier(t[:2], np.array([0.0, 9.0]), False) == 0
     assert _first_inlier(t, np.append(9.0, np.round(0.3 * noise[0][1:])), False) == 1
 
