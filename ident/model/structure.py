@@ -19,9 +19,9 @@ from functools import update_wrapper
 from types import SimpleNamespace
 from typing import Any, Literal
 
-from seatrial.ident.model.parameter import Parameter, ParameterRole, tap_name
+from seatrial.ident.model.delayed_inputs import HISTORY_STEP, tap_name
+from seatrial.ident.model.parameter import Parameter, ParameterRole
 
-HISTORY_STEP = 0.1  # s between the taps of an input
 PARAMETERS = "parameters"  # a hook with this label changes parameters before the first stage
 # Places after each stage, in order, for effects that run after all effects at the stage itself
 LATER: Mapping[str, tuple[str, ...]] = {

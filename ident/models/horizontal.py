@@ -44,10 +44,12 @@ from seatrial.ident.model import (
     Signals,
     StartGrid,
     State,
+    delay_weights,
     resolve_initial_states,
     tap_name,
+    weighted_sum,
 )
-from seatrial.ident.models.thruster import delay_weights
+from seatrial.ident.models.dead_zone import outside_dead_zone, transition_width
 
 Propulsion = Literal["shaft", "command", "force", "general"]
 SIDES = ("left", "right")
@@ -74,7 +76,6 @@ LONGEST_DELAY = DELAY_STEP * (N_DELAYS - 1)  # s
 MAX_COPY_SHIFT = 20  # largest shift of a copy of a measured input, in steps of HISTORY_STEP
 # Width of the transition at the end of the dead zone, in units of the command; the parameter is its centre
 DEAD_ZONE_EDGE = 0.05
-MIN_DEAD_ZONE_EDGE = 1e-9  # lower limit of that width, against division by zero
 SHORTEST_LAG = 0.05  # s: time constants below it are approximated, see `first_order`
 DRIVEN_SHAFT_STEP_S = 0.05  # s: longer Runge-Kutta steps would be inaccurate for a state with the shortest lag
 SHAFT = (
@@ -217,24 +218,12 @@ def driven_shaft(s: Signals) -> None:
     The delay interpolates the delayed copies of the command by cubic convolution.
     """
     weights = delay_weights(s.p.tau_n / DELAY_STEP, N_DELAYS)
+    width = transition_width(s.p.dead_zone, DEAD_ZONE_EDGE)
     s.n = {}
     for side in SIDES:
-        commanded = sum(w * getattr(s.u, tap_name(f"n_cmd_{side}", k)) for k, w in enumerate(weights))
-        s.n[side] = first_order(s, f"n_{side}", outside_dead_zone(commanded, s.p.dead_zone), s.p.T_n)
-
-
-def outside_dead_zone(command: Any, dead_zone: Any) -> Any:
-    """Return the command outside the dead zone, and zero inside it.
-
-    A smooth step of width ``DEAD_ZONE_EDGE`` is centred at the end of the dead zone. If the dead zone is smaller than
-    half that width, the step reaches from zero to twice the dead zone. Its centre is then still at the end of the dead
-    zone, and a dead zone of zero returns the command itself.
-    """
-    width = np.minimum(DEAD_ZONE_EDGE, 2.0 * dead_zone)
-    end = dead_zone + width / 2.0
-    # Measured from the outer end of the step. Without a dead zone this end is zero, so that no command lies inside.
-    inside = np.minimum(np.maximum((end - abs(command)) / np.maximum(width, MIN_DEAD_ZONE_EDGE), 0.0), 1.0)
-    return command * (1.0 - inside * inside * (3.0 - 2.0 * inside))
+        copies = [getattr(s.u, tap_name(f"n_cmd_{side}", k)) for k in range(N_DELAYS)]
+        reference = outside_dead_zone(weighted_sum(weights, copies), s.p.dead_zone, width)
+        s.n[side] = first_order(s, f"n_{side}", reference, s.p.T_n)
 
 
 def first_order(s: Signals, state: str, driven_by: Any, time_constant: Any) -> Any:
@@ -270,7 +259,7 @@ def shift_in_time(s: Signals, quantity: str) -> None:
         name = f"{quantity}_{side}"
         taps = available_taps(s, name)
         weights = delay_weights(position - taps[0], len(taps))
-        past = sum(w * getattr(s.u, tap_name(name, k)) for w, k in zip(weights, taps, strict=True))
+        past = weighted_sum(weights, [getattr(s.u, tap_name(name, k)) for k in taps])
         (s.n if quantity == "n" else s.f)[side] = past
 
 

@@ -58,7 +58,10 @@ from seatrial.ident.model import (
     Signals,
     State,
     Variable,
+    delay_weights,
     resolve_initial_states,
+    tap_name,
+    weighted_sum,
 )
 from seatrial.ident.models.disturbances import TIME, adder, disturbance
 from seatrial.ident.models.horizontal import (
@@ -74,7 +77,6 @@ from seatrial.ident.models.horizontal import (
     pair,
     unchanged,
 )
-from seatrial.ident.models.thruster import delay_weights
 
 STEP, TAPS = 0.05, range(-2, 12)  # s between the copies of the inputs, and their shifts: 0.1 s earlier to 0.55 s later
 STAMP_ERROR_TIME_S = 0.1  # s, correlation time of the time errors of the inputs
@@ -224,7 +226,7 @@ def nomoto_model(
     """
     # The inputs are not averaged: GNSS samples are not averaged either, and contain the quick motion of a light vehicle
     now = pair("n", "", hold, prefilter=False)
-    past = tuple(replace(i.delayed(k, STEP), name=_past(i.name, k)) for i in now for k in TAPS if k)
+    past = tuple(replace(i.delayed(k, STEP), name=tap_name(i.name, k, STEP)) for i in now for k in TAPS if k)
     parameters = tuple(p for p in HULL if p.name in ("m_u", "d_u", "d_uu"))
     parameters += (*(CURRENT if current else ()), *THRUST, LINEARITY, *STEERING, *TIMING)
     parameters += tuple(replace(p, free=False, considered=True, origin=BUILT_IN) for p in DATASHEET)
@@ -254,11 +256,6 @@ def nomoto_model(
     )
 
 
-def _past(name: str, k: int) -> str:
-    """Return the name of the input k steps of ``STEP`` ago."""
-    return f"{name}~{k}x{STEP:g}s" if k else name
-
-
 def _static_thrust(p: Any, n: Any) -> Any:
     """Return the steady thrust [N] at the normalised shaft speed n."""
     return p.c1 * ((1 - p.lambda_n) * n * abs(n) + p.lambda_n * n) + p.c2 * n * n
@@ -283,13 +280,13 @@ def _inputs(s: Signals, ago: Any) -> list[Any]:
     weights = delay_weights((s.p.tau_n + s.p.dt_n + ago) / STEP - TAPS[0], len(TAPS))
     inputs = []
     for side in SIDES:
-        copies = [getattr(s.u, _past(f"n_{side}", k)) for k in TAPS]
-        value = sum(w * n for w, n in zip(weights, copies, strict=True))
+        copies = [getattr(s.u, tap_name(f"n_{side}", k, STEP)) for k in TAPS]
+        value = weighted_sum(weights, copies)
         if hasattr(s.x, STAMP_ERROR_PREFIX + side):
             extended = [2 * copies[0] - copies[1], *copies, 2 * copies[-1] - copies[-2]]
             change = [(late - early) / (2 * STEP) for early, late in zip(extended[:-2], extended[2:], strict=True)]
             delay = s.p.sigma_n * getattr(s.x, STAMP_ERROR_PREFIX + side) * np.exp(-ago / STAMP_ERROR_TIME_S)
-            value = value + delay * sum(w * d for w, d in zip(weights, change, strict=True))
+            value = value + delay * weighted_sum(weights, change)
         inputs.append(value)
     return inputs
 

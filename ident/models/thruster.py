@@ -4,8 +4,8 @@
 
 ``n_ref`` is the command, delayed by ``tau``. It is zero inside the dead zone ``|n_cmd| < d``.
 
-The data set contains copies of the command with delays of multiples of a step (``delayed_channels``). The model mixes
-the two or four copies next to ``tau`` by cubic convolution (Keys 1981). The convolution keeps the mean and variance of
+The data set contains copies of the command with delays of multiples of a step (``delayed_channels``). The model
+interpolates them at ``tau`` (``seatrial.ident.model.delayed_inputs``). The convolution keeps the mean and variance of
 the delay exact, and its derivative by ``tau`` is continuous. No states are needed, and a step of the command stays a
 step in every copy.
 
@@ -32,7 +32,9 @@ from seatrial.ident.model import (
     StartGrid,
     State,
     Variable,
+    delay_weights,
 )
+from seatrial.ident.models.dead_zone import outside_dead_zone
 from seatrial.ident.models.disturbances import TIME, adder, shaft_disturbance
 
 COMMAND = "n_cmd"
@@ -165,7 +167,7 @@ def thruster_model(
         weights = enumerate(delay_weights(s.p.tau / step, n_delays))
         # Two to four weights of a numerical delay are not zero; weights of a symbolic delay are never skipped
         return sum(
-            w * past_dead_zone(getattr(s.u, f"{COMMAND}_{k}"), s.p.d)
+            w * outside_dead_zone(getattr(s.u, f"{COMMAND}_{k}"), s.p.d, DEAD_ZONE_EDGE)
             for k, w in weights
             if not (isinstance(w, float) and w == 0.0)
         )
@@ -219,34 +221,6 @@ def _parts(force: bool, swing: bool) -> tuple[tuple[State, ...], tuple[Sensor, .
         states.append(State("b_f", "N", "disturbance force", "q_f", sd0=1.0, nuisance=True))
         parameters += SWING
     return tuple(states), tuple(sensors), tuple(parameters)
-
-
-def past_dead_zone(command: Any, d: Any) -> Any:
-    """Return the command outside the dead zone d, and zero inside it.
-
-    A smooth step of width ``DEAD_ZONE_EDGE`` connects both parts.
-    """
-    along = np.minimum(np.maximum((abs(command) - d) / DEAD_ZONE_EDGE + 0.5, 0.0), 1.0)
-    return command * along * along * (3.0 - 2.0 * along)
-
-
-def delay_weights(position: Any, n: int) -> list[Any]:
-    """Return weights of n samples for the value at ``position`` (0 to n - 1) between them, by cubic convolution.
-
-    Beyond the ends, the samples are extrapolated linearly.
-    """
-    weights = [_keys(abs(position - k)) for k in range(n)]
-    before, after = _keys(position + 1.0), _keys(float(n) - position)
-    weights[0], weights[1] = weights[0] + 2.0 * before, weights[1] - before
-    weights[-1], weights[-2] = weights[-1] + 2.0 * after, weights[-2] - after
-    return weights
-
-
-def _keys(s: Any) -> Any:
-    """Return the kernel of cubic convolution at a distance s >= 0 (Keys 1981, eq. 15)."""
-    near = 1.0 + s * s * (1.5 * s - 2.5)
-    far = 2.0 + s * (-4.0 + s * (2.5 - 0.5 * s))
-    return (s < 1.0) * near + (s >= 1.0) * (s < 2.0) * far
 
 
 def _thrust(s: Signals) -> None:

@@ -18,8 +18,9 @@ from seatrial.ident.data.record import (
     held_lines,
     sample_and_hold,
 )
+from seatrial.ident.model.delayed_inputs import HISTORY_STEP
 from seatrial.ident.model.parameter import Parameter
-from seatrial.ident.model.structure import HISTORY_STEP, Effect, Input, Model, Output, Sensor, State, plain_model
+from seatrial.ident.model.structure import Effect, Input, Model, Output, Sensor, State, plain_model
 from seatrial.ident.results.answers import cut_records
 
 
