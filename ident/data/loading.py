@@ -37,7 +37,8 @@ from numpy.typing import NDArray
 from seatrial.daq.checks import Finding, unknown_times
 from seatrial.daq.config import parse_toml
 from seatrial.daq.errors import SeatrialError, SeatrialWarning, counted
-from seatrial.daq.log import Log, local_ned, open_log
+from seatrial.daq.geometry import local_ned
+from seatrial.daq.log import Log, open_log
 from seatrial.daq.rig import Rig, Thruster
 from seatrial.daq.samples import Ahrs, Command, Esc, Gnss, LoadCell, Scalar, Servo
 from seatrial.ident.data.gaps import SHORTEST_PIECE_S, clock_of, gap_line, part_of, parts_between, seconds, silent_times

@@ -24,6 +24,7 @@ from seatrial.ident.model import (
 )
 from seatrial.ident.models import rotations
 from seatrial.ident.models.horizontal import BUILT_IN, SIDES, VELOCITIES, shift_in_time
+from seatrial.ident.numerics import body_to_ned, ned_to_body
 
 ANTENNA, CURRENT_WALK, TELEMETRY_AGE = "antenna", "random-walk-current", "telemetry-age"
 THRUST_CALIBRATION = "thrust-calibration"
@@ -278,11 +279,10 @@ def estimator_error(sensors: Sequence[str]) -> Effect:
 
     def grow(s: Signals) -> None:
         """Set the rates of the scaled error states."""
-        cos, sin = np.cos(s.x.psi), np.sin(s.x.psi)
         ahead, starboard = value(s, "acceleration")
         integrated = {
             "heading": value(s, "yaw rate"),
-            "velocity": [cos * ahead - sin * starboard, sin * ahead + cos * starboard],
+            "velocity": [*body_to_ned(s.x.psi, ahead, starboard)],
             "position": value(s, "velocity"),
         }
         for of, e in errors.items():
@@ -299,8 +299,7 @@ def estimator_error(sensors: Sequence[str]) -> Effect:
                     s.y[axis] = s.y[axis] + off
         s.y["vx"], s.y["vy"] = s.y["vx"] + north, s.y["vy"] + east
         if "body_velocity" in sensors:
-            cos, sin = np.cos(turn), np.sin(turn)
-            s.y["u"], s.y["v"] = cos * s.y["u"] + sin * s.y["v"], cos * s.y["v"] - sin * s.y["u"]
+            s.y["u"], s.y["v"] = ned_to_body(turn, s.y["u"], s.y["v"])
             cos, sin = np.cos(s.x.psi + turn), np.sin(s.x.psi + turn)
             s.y["u"], s.y["v"] = s.y["u"] + cos * north + sin * east, s.y["v"] + cos * east - sin * north
 

@@ -50,6 +50,7 @@ from seatrial.ident.model import (
     weighted_sum,
 )
 from seatrial.ident.models.dead_zone import outside_dead_zone, transition_width
+from seatrial.ident.numerics import body_to_ned, ned_to_body
 
 Propulsion = Literal["shaft", "command", "force", "general"]
 SIDES = ("left", "right")
@@ -324,9 +325,8 @@ def force(s: Signals) -> None:
 def rate(s: Signals) -> None:
     """Set the rates of the states."""
     x, p = s.x, s.p
-    cos, sin = np.cos(x.psi), np.sin(x.psi)
-    s.rate["x"] = cos * x.u - sin * x.v + getattr(p, "V_x", 0.0)
-    s.rate["y"] = sin * x.u + cos * x.v + getattr(p, "V_y", 0.0)
+    north, east = body_to_ned(x.psi, x.u, x.v)
+    s.rate["x"], s.rate["y"] = north + getattr(p, "V_x", 0.0), east + getattr(p, "V_y", 0.0)
     s.rate["psi"] = x.r
     s.rate["u"] = (s.X + p.m_v * x.v * x.r) / p.m_u
     s.rate["v"] = (s.Y - p.m_u * x.u * x.r) / p.m_v
@@ -336,9 +336,8 @@ def rate(s: Signals) -> None:
 def output(s: Signals) -> None:
     """Set all outputs that a sensor could measure. The sensors of the model select theirs."""
     x, y = s.x, s.y
-    cos, sin = np.cos(x.psi), np.sin(x.psi)
     y["x"], y["y"], y["psi"], y["r"] = x.x, x.y, x.psi, x.r
     y["vx"], y["vy"] = s.rate["x"], s.rate["y"]
     # velocity over ground in the body frame: it includes every current, also a random-walk or drifting current
-    y["u"], y["v"] = cos * y["vx"] + sin * y["vy"], cos * y["vy"] - sin * y["vx"]
+    y["u"], y["v"] = ned_to_body(x.psi, y["vx"], y["vy"])
     y["ax"], y["ay"] = s.rate["u"] - x.v * x.r, s.rate["v"] + x.u * x.r

@@ -43,7 +43,8 @@ from seatrial.ident.models.horizontal import (
     shaft,
     thrust,
 )
-from seatrial.ident.models.rotations import G, oriented, rotation, turned
+from seatrial.ident.models.rotations import G, set_orientation
+from seatrial.ident.numerics import rotate, rotation_matrix
 
 STATES = (
     State("x", "m", "north", from_output="x", sd0=1.0),
@@ -123,7 +124,7 @@ def attitude(s: Signals) -> None:
     """
     u, x = s.u, s.x
     psi, r = u.psi - getattr(x, "bias_psi", 0.0), u.r - getattr(x, "bias_r", 0.0)
-    oriented(s, rotation(u.phi, u.theta, psi), (u.p, u.q, r))
+    set_orientation(s, rotation_matrix(u.phi, u.theta, psi), (u.p, u.q, r))
 
 
 def _shaft(s: Signals) -> None:
@@ -150,7 +151,7 @@ def turning(s: Signals) -> None:
 def rate(s: Signals) -> None:
     """Set the rates of the states."""
     x, p = s.x, s.p
-    north, east, _ = turned(s.R, (x.u, x.v, s.w))
+    north, east, _ = rotate(s.R, (x.u, x.v, s.w))
     s.rate["x"], s.rate["y"] = north + getattr(p, "V_x", 0.0), east + getattr(p, "V_y", 0.0)
     s.rate["u"] = (s.X + p.m_v * (x.v * s.r_rate - s.w * s.q_rate)) / p.m_u
     s.rate["v"] = (s.Y - p.m_u * x.u * s.r_rate + p.m_v * s.w * s.p_rate) / p.m_v

@@ -77,6 +77,7 @@ from seatrial.ident.models.horizontal import (
     pair,
     unchanged,
 )
+from seatrial.ident.numerics import body_to_ned
 
 STEP, TAPS = 0.05, range(-2, 12)  # s between the copies of the inputs, and their shifts: 0.1 s earlier to 0.55 s later
 STAMP_ERROR_TIME_S = 0.1  # s, correlation time of the time errors of the inputs
@@ -332,8 +333,8 @@ def _sideslip(s: Signals, u: Any, r: Any) -> Any:
 
 def _over_ground(s: Signals, psi: Any, u: Any, v: Any) -> tuple[Any, Any]:
     """Return the velocity north and east [m/s]."""
-    cos, sin = np.cos(psi), np.sin(psi)
-    return cos * u - sin * v + getattr(s.p, "V_x", 0.0), sin * u + cos * v + getattr(s.p, "V_y", 0.0)
+    north, east = body_to_ned(psi, u, v)
+    return north + getattr(s.p, "V_x", 0.0), east + getattr(s.p, "V_y", 0.0)
 
 
 def _rates_at(s: Signals, ago: Any, u: Any, n: Sequence[Any]) -> tuple[Any, Any]:

@@ -9,6 +9,7 @@ import numpy as np
 from seatrial.ident.effects.sensors.compass import turn_body_velocity
 from seatrial.ident.model import Effect, Parameter, Signals
 from seatrial.ident.models import rotations
+from seatrial.ident.numerics import Matrix, rotation_matrix
 
 
 def turn(s: Signals) -> None:
@@ -19,17 +20,17 @@ def turn(s: Signals) -> None:
     s.y["ax"], s.y["ay"] = cos * s.y["ax"] + sin * s.y["ay"], -sin * s.y["ax"] + cos * s.y["ay"]
 
 
-def _mount(s: Signals) -> rotations.Matrix:
+def _mount(s: Signals) -> Matrix:
     """Return the rotation from the axes of the AHRS to those of the boat."""
-    return rotations.rotation(s.p.phi_mount, s.p.theta_mount, s.p.psi_mount)
+    return rotation_matrix(s.p.phi_mount, s.p.theta_mount, s.p.psi_mount)
 
 
 def correct_attitude(s: Signals) -> None:
-    rotations.unmount(s, _mount(s))
+    rotations.remove_misalignment(s, _mount(s))
 
 
 def rotate_inertial(s: Signals) -> None:
-    rotations.mounted(s, _mount(s))
+    rotations.add_misalignment(s, _mount(s))
 
 
 PSI = Parameter("psi_mount", 0.0, "rad", "yaw misalignment of the AHRS, clockwise", prior=(0.0, 0.15), step=0.01)

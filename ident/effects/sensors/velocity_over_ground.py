@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
 from seatrial.ident.model import Effect, Parameter, Signals
+from seatrial.ident.numerics import body_to_ned
 
 
 def scale(s: Signals) -> None:
@@ -14,8 +13,7 @@ def scale(s: Signals) -> None:
 
 
 def turn(s: Signals) -> None:
-    cos, sin = np.cos(s.p.chi_0), np.sin(s.p.chi_0)
-    s.y["vx"], s.y["vy"] = cos * s.y["vx"] - sin * s.y["vy"], sin * s.y["vx"] + cos * s.y["vy"]
+    s.y["vx"], s.y["vy"] = body_to_ned(s.p.chi_0, s.y["vx"], s.y["vy"])
 
 
 COMMON: dict[str, Any] = {
