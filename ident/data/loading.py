@@ -141,8 +141,9 @@ def channels(log: Log) -> dict[str, Channel]:
     Returns
     -------
     dict
-        The signals with at least two samples. Times are in s since 1970. An imported signal takes precedence over a
-        device with the same name, and the first of several devices of a kind over the others.
+        The signals with at least two samples. Times are in s since 1970. An imported signal takes precedence over an
+        AHRS, a receiver or a load cell with the same signal. A thruster of the rig takes precedence over an imported
+        signal. Of several devices of a kind, the first one is used for each signal.
     """
     found: dict[str, Channel] = {}
     for source in log.sources(Scalar):
@@ -488,7 +489,10 @@ class LoadedLog:
 
 
 def _shift_positions(found: Mapping[str, Channel], north: float, east: float) -> Mapping[str, Channel]:
-    """Return the signals with ``north`` added to x and ``east`` added to y [m]. Zero distances return the same object."""
+    """Return the signals with ``north`` [m] added to x and ``east`` [m] added to y.
+
+    If both are zero, return the same object.
+    """
     if not (north or east):
         return found
     return {**found, **{n: replace(found[n], value=found[n].value + by) for n, by in (("x", north), ("y", east))}}
@@ -521,7 +525,10 @@ def share_frame(logs: Sequence[LoadedLog], reference: FrameOrigin | None = None)
 
 
 def _move_to_origin(log: LoadedLog, reference: FrameOrigin) -> LoadedLog:
-    """Return the log with x and y from the origin ``reference``, or unchanged if it begins too far away (`SHARED_WITHIN`)."""
+    """Return the log with x and y from the origin ``reference``.
+
+    A log that begins farther than `SHARED_WITHIN` from the reference is returned unchanged.
+    """
     assert log.origin is not None
     north, east = reference.offset(log.origin)
     if np.hypot(north, east) > SHARED_WITHIN:
@@ -531,9 +538,9 @@ def _move_to_origin(log: LoadedLog, reference: FrameOrigin) -> LoadedLog:
 
 
 def _with_origin(log: LoadedLog, origin: FrameOrigin) -> LoadedLog:
-    """Return the log with this origin of x and y, which is also stored in ``meta`` and ``about`` for records and results.
+    """Return the log with this origin of x and y, without a change of the positions.
 
-    The positions are not changed.
+    The origin is also stored in ``meta`` and ``about`` for records and results.
     """
     run = replace(log.run, meta={**log.run.meta, ORIGIN: origin})
     return replace(log, origin=origin, run=run, about=log.about | {ORIGIN: asdict(origin)})
@@ -778,7 +785,10 @@ def with_unique_names(loaded: Sequence[LoadedLog], files: Sequence[Path]) -> lis
 
 
 def _unique_labels(labels: Sequence[str], files: Sequence[Path]) -> list[str]:
-    """Return unique labels of files: a repeated label gets the folder's name before it, and a number if it is still equal."""
+    """Return unique labels of files, in the same order.
+
+    A repeated label gets the folder's name before it, and a number if it is still equal.
+    """
     found: list[str] = []
     for label, file in zip(labels, files, strict=True):
         name = f"{file.resolve().parent.name}/{label}" if labels.count(label) > 1 else label
@@ -854,7 +864,10 @@ def load_run(path: Path, role: str, window: TimeWindow = WHOLE, device_faults: D
 
 
 def _unknown_inputs(log: Log) -> list[tuple[float, float]]:
-    """Return begin and end [s since 1970] of the times in which an imported input has no value, sorted and without overlap."""
+    """Return begin and end [s since 1970] of the times in which an imported input has no value.
+
+    The times are sorted, and overlapping times are joined.
+    """
     found: list[tuple[float, float]] = []
     for source in log.sources(Scalar):
         if log.role(source) == "input":

@@ -288,7 +288,7 @@ def _explained_by_command(c: Channel, bad: Mask, command: Channel) -> Mask:
     """Return which outliers of a shaft speed are explained by a change of its command shortly before, (n,).
 
     ``bad`` (n,) marks the outliers. The change of the command within `COMMANDED_S` before the sample must exceed half
-    of the deviation from the interpolated good samples. Samples that are no outliers may also be True.
+    of the deviation from the interpolated good samples. Samples that are no outliers are False.
     """
     explained = np.zeros(bad.size, bool)
     typical = np.interp(c.t, c.t[~bad], c.value[~bad]) if not bad.all() else c.value

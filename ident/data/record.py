@@ -521,7 +521,10 @@ def _nearest_to_block_middles(times: Array, start: float, end: float, rate: floa
 
 
 def _median_interval(channel: Channel, start: float, end: float) -> float:
-    """Return the median sample interval [s] of a channel from start to end [s]; infinite for fewer than three samples."""
+    """Return the median sample interval [s] of a channel from start to end [s].
+
+    The interval is infinite for fewer than three samples.
+    """
     inside = (channel.t >= start) & (channel.t <= end)
     return float(np.median(np.diff(channel.t[inside]))) if inside.sum() > 2 else np.inf
 
