@@ -161,11 +161,16 @@ def horizontal_model(
         ``n_cmd_left``, ``n_cmd_right`` (normalised, held). ``force``: thrusts ``f_left``, ``f_right`` [N]. ``general``:
         force ``X`` [N] and moment ``N`` [N m].
     sensors : Sequence[str]
-        Keys of `SENSORS`.
+        Keys of `SENSORS`, for example ``gyro``.
     current : bool
         Whether the model has a constant current in each record.
     hold : "zero", "average" or "linear"
-        Hold of the inputs, except commands.
+        Hold of the inputs between their samples, except commands, which are constant between samples.
+
+    Raises
+    ------
+    KeyError
+        If a sensor or the propulsion is unknown.
     """
     states: tuple[State, ...] = (
         State("x", "m", "north", from_output="x", sd0=1.0),
@@ -205,18 +210,23 @@ def horizontal_model(
 
 
 def pair(quantity: str, unit: str, hold: Hold, *, prefilter: bool = True) -> tuple[Input, ...]:
-    """Return one input for each thruster."""
+    """Return one input for each thruster: ``QUANTITY_left`` and ``QUANTITY_right``, with this unit and hold.
+
+    ``prefilter``: whether the inputs are averaged over the same time as the sensors.
+    """
     return tuple(Input(f"{quantity}_{side}", unit, hold, prefilter=prefilter) for side in SIDES)
 
 
 def shaft(s: Signals) -> None:
+    """Set the shaft speeds ``s.n`` by side from the inputs ``n_left`` and ``n_right``."""
     s.n = {side: getattr(s.u, f"n_{side}") for side in SIDES}
 
 
 def driven_shaft(s: Signals) -> None:
-    """Set the shaft speeds that follow their commands by a delay, a dead zone and a first-order lag.
+    """Set the shaft speeds ``s.n`` by side, which follow their commands by a delay, a dead zone and a first-order lag.
 
-    The delay interpolates the delayed copies of the command by cubic convolution.
+    The delay interpolates the delayed copies of the command by cubic convolution. The lag is a state, whose rate is
+    set.
     """
     weights = delay_weights(s.p.tau_n / DELAY_STEP, N_DELAYS)
     width = transition_width(s.p.dead_zone, DEAD_ZONE_EDGE)
@@ -233,16 +243,18 @@ def first_order(s: Signals, state: str, driven_by: Any, time_constant: Any) -> A
     Parameters
     ----------
     s : Signals
-        Signals of the model.
+        Signals of the model. ``s.rate`` is changed.
     state : str
         Name of the state that follows the signal.
     driven_by : float or symbol
         Signal before the lag.
     time_constant : float or symbol
-        Time constant [s].
+        Time constant [s], >= 0. With zero, the result is the signal itself.
 
-    Notes ----- Below ``SHORTEST_LAG``, the time constant of the state stays at ``SHORTEST_LAG``, and the result is a
-    weighted mean of the state and the signal. Its delay is that of a lag with the given time constant.
+    Notes
+    -----
+    Below ``SHORTEST_LAG``, the time constant of the state stays at ``SHORTEST_LAG``, and the result is a weighted mean
+    of the state and the signal. Its delay is that of a lag with the given time constant.
     """
     x = getattr(s.x, state)
     s.rate[state] = (driven_by - x) / np.maximum(time_constant, SHORTEST_LAG)
@@ -252,8 +264,18 @@ def first_order(s: Signals, state: str, driven_by: Any, time_constant: Any) -> A
 def shift_in_time(s: Signals, quantity: str) -> None:
     """Shift the measured or given input of each thruster in time, by cubic convolution of its copies.
 
-    The shift is ``tau_delay`` to later times, minus the age ``tau_age`` of the telemetry. Every effect that shifts
-    these inputs calls this function.
+    Parameters
+    ----------
+    s : Signals
+        Signals of the model. The shift is the parameter ``tau_delay`` to later times, minus the age ``tau_age`` of the
+        telemetry [s], of which an absent one is zero.
+    quantity : "n" or "f"
+        Shaft speeds or thrusts: ``s.n`` or ``s.f`` is replaced by side.
+
+    Notes
+    -----
+    Every effect that shifts these inputs calls this function. Each call applies both shifts to the unshifted inputs, so
+    that a second call changes nothing.
     """
     position = (getattr(s.p, "tau_delay", 0.0) - getattr(s.p, "tau_age", 0.0)) / HISTORY_STEP
     for side in SIDES:
@@ -265,20 +287,21 @@ def shift_in_time(s: Signals, quantity: str) -> None:
 
 
 def available_taps(s: Signals, name: str) -> list[int]:
-    """Return the shifts of the copies of an input that the model has, in steps of
-    ``HISTORY_STEP``, in ascending order.
+    """Return the shifts of the copies of an input that the model has, in steps of ``HISTORY_STEP``, in ascending order.
+
+    The input ``name`` itself has the shift zero. Negative shifts are later values.
     """
     return [k for k in range(-MAX_COPY_SHIFT, MAX_COPY_SHIFT) if hasattr(s.u, tap_name(name, k))]
 
 
 def unchanged(s: Signals) -> None:
-    """Do nothing. Effects hook in at this stage."""
+    """Change nothing. This is a stage at which effects hook in."""
 
 
 def thrust(s: Signals) -> None:
-    """Set the thrust of each thruster from its shaft speed."""
+    """Set the thrust ``s.f`` [N] of each thruster from its shaft speed, and the lateral positions ``s.arm`` [m]."""
     s.f = {side: s.p.c1 * n * abs(n) + s.p.c2 * n * n for side, n in s.n.items()}
-    s.arm = _arms(s.p)
+    s.arm = _lateral_positions(s.p)
 
 
 CHAIN: tuple[tuple[str, ModelFunction], ...] = (
@@ -290,12 +313,13 @@ CHAIN: tuple[tuple[str, ModelFunction], ...] = (
 
 
 def given_thrust(s: Signals) -> None:
+    """Set the thrust ``s.f`` [N] of each thruster from the inputs, and the lateral positions ``s.arm`` [m]."""
     s.f = {side: getattr(s.u, f"f_{side}") for side in SIDES}
-    s.arm = _arms(s.p)
+    s.arm = _lateral_positions(s.p)
 
 
-def _arms(p: Any) -> dict[str, Any]:
-    """Return the lateral position of each thruster [m, to starboard]."""
+def _lateral_positions(p: Any) -> dict[str, Any]:
+    """Return the lateral position of each thruster [m], positive to starboard, by side."""
     if hasattr(p, "y_arm"):
         return {"left": -p.y_arm, "right": p.y_arm}
     return {side: getattr(p, f"y_{side}") for side in SIDES}
@@ -311,7 +335,10 @@ def symmetric_arms(model: Model) -> Model:
 
 
 def force(s: Signals) -> None:
-    """Set the external forces less damping: X, Y [N] and N [N m]. Effects add to them."""
+    """Set the external forces less damping: ``X``, ``Y`` [N] and ``N`` [N m]. Effects add to them.
+
+    The parts from the thrusters are ``X_thrust`` [N] and ``N_thrust`` [N m].
+    """
     x, p = s.x, s.p
     if hasattr(s, "f"):
         s.X_thrust, s.N_thrust = sum(s.f.values()), sum(-s.arm[side] * f for side, f in s.f.items())
@@ -323,7 +350,7 @@ def force(s: Signals) -> None:
 
 
 def rate(s: Signals) -> None:
-    """Set the rates of the states."""
+    """Set the rates of position [m/s], heading [rad/s] and velocities [m/s2, rad/s2]."""
     x, p = s.x, s.p
     north, east = body_to_ned(x.psi, x.u, x.v)
     s.rate["x"], s.rate["y"] = north + getattr(p, "V_x", 0.0), east + getattr(p, "V_y", 0.0)

@@ -72,7 +72,8 @@ SWING = (
 )
 
 
-def _accelerate(s: Signals, extra: Any) -> None:
+def _add_acceleration(s: Signals, extra: Any) -> None:
+    """Add ``extra`` [1/s] to the rate of the normalised shaft speed."""
     s.rate["n"] = s.rate["n"] + extra
 
 
@@ -80,7 +81,15 @@ UNEXPLAINED_FORCE = DisturbanceChannel(
     "F", "N", "b_f", 5.0, "the force on the load cell", adder("force"), "thrust", place="bench", requires=("bench",)
 )
 UNEXPLAINED_RATE = DisturbanceChannel(
-    "n_dot", "1/s", "b_n", 0.5, "the acceleration of the shaft", _accelerate, "rate", place="bench", requires=("bench",)
+    "n_dot",
+    "1/s",
+    "b_n",
+    0.5,
+    "the acceleration of the shaft",
+    _add_acceleration,
+    "rate",
+    place="bench",
+    requires=("bench",),
 )
 
 
@@ -96,13 +105,19 @@ def delayed_channels(
     step : float
         Delay between copies [s].
     n : int
-        Number of copies.
+        Number of copies. The first copy has no delay.
     name : str
         Prefix of the names.
+
+    Returns
+    -------
+    dict
+        The copies by name.
 
     Notes
     -----
     Steps of the command stay steps. Before its first sample, the command equals its first sample.
+    `seatrial.ident.model.delayed_inputs` compares these copies with those of other models.
     """
     copies = {}
     for k in range(n):
@@ -112,14 +127,15 @@ def delayed_channels(
 
 
 def delay_step(model: Model) -> float:
-    """Return the delay [s] between successive copies of the command."""
+    """Return the delay [s] between successive copies of the command in a thruster model.
+
+    The delay follows from the upper bound of the parameter ``tau`` and the number of copies.
+    """
     return model.parameter("tau").bounds[1] / (sum(i.tap_of == COMMAND for i in model.inputs) - 1)
 
 
 def pace_with_copy_at(tau: float, step: float) -> str:
     """Return the ``pace`` of a thruster model in which one of the copies of the command has exactly the delay ``tau``.
-
-    Return an empty text if the delay is shorter than half of ``step``.
 
     Parameters
     ----------
@@ -127,6 +143,11 @@ def pace_with_copy_at(tau: float, step: float) -> str:
         Delay [s].
     step : float
         Desired delay between copies [s].
+
+    Returns
+    -------
+    str
+        Delay between copies [s] as text, near ``step``. Empty if ``tau`` is shorter than half of ``step``.
 
     Notes
     -----
@@ -146,24 +167,28 @@ def thruster_model(
     ----------
     pace : str
         ``slow`` for delays beyond 0.6 s. Otherwise the delay [s] between copies of the command as text
-        (``pace_with_copy_at``).
-        Empty: ``step`` is used.
+        (``pace_with_copy_at``). Empty: ``step`` is used.
     force : bool
         Whether the bench has a load cell.
     swing : bool
-        Whether the model has the disturbance force ``b_f``.
+        Whether the model has the disturbance force ``b_f``. It is ignored without a load cell.
     step : float
         Delay between copies of the command [s].
     n_delays : int
-        Number of copies.
+        Number of copies. The largest delay is ``step`` times one less.
+
+    Raises
+    ------
+    ValueError
+        If ``pace`` is neither ``slow`` nor a number.
     """
     step = SLOW_STEP if pace == "slow" else float(pace or step)
     top = step * (n_delays - 1)
     delay = Parameter("tau", min(0.1, top / 2), "s", "delay of the command", bounds=(0.0, top), step=0.005)
-    states, sensors, parameters = _parts(force, force and swing)
+    states, sensors, parameters = _components(force, force and swing)
 
     def reference(s: Signals) -> Any:
-        """Return the delayed command outside the dead zone."""
+        """Return the delayed command outside the dead zone, by interpolation of the copies."""
         weights = enumerate(delay_weights(s.p.tau / step, n_delays))
         # Two to four weights of a numerical delay are not zero; weights of a symbolic delay are never skipped
         return sum(
@@ -173,6 +198,7 @@ def thruster_model(
         )
 
     def shaft(s: Signals) -> None:
+        """Set the reference ``n_ref`` of the shaft, and its speed ``n``."""
         s.n_ref, s.n = reference(s), s.x.n
 
     return Model(
@@ -184,7 +210,7 @@ def thruster_model(
         ),
         sensors,
         (delay, *parameters),
-        (("shaft", shaft), ("thrust", _thrust), ("rate", _rate), ("output", _output)),
+        (("shaft", shaft), ("thrust", _set_thrust), ("rate", _set_rates), ("output", _set_outputs)),
         provides=("bench", "thrust") if force else ("bench",),
         source=f"thruster:{pace}" if pace else "thruster",
         residuals=(UNEXPLAINED_FORCE, UNEXPLAINED_RATE) if force and swing else (UNEXPLAINED_RATE,),
@@ -203,14 +229,18 @@ def thruster_model(
 
 
 def _start_grid(longest: float) -> StartGrid:
-    """Return initial delays [s] and poles [1/s]. With low-rate telemetry, the likelihood has several maxima."""
+    """Return initial delays, from 0 to ``longest`` [s], and initial poles [1/s]. All combinations are tried.
+
+    With low-rate telemetry, the likelihood has several maxima.
+    """
     delays = np.arange(0.0, longest, START_DELAY_SPACING_S)
     return StartGrid(("tau", "a"), (tuple(delays.tolist()), tuple(START_POLES.tolist())), START_DELAY_SPACING_S)
 
 
-def _parts(force: bool, swing: bool) -> tuple[tuple[State, ...], tuple[Sensor, ...], tuple[Parameter, ...]]:
-    """Return states, sensors and parameters, with a load cell if ``force``, and with its
-    disturbance force if ``swing``.
+def _components(force: bool, swing: bool) -> tuple[tuple[State, ...], tuple[Sensor, ...], tuple[Parameter, ...]]:
+    """Return the states, sensors and parameters of a thruster.
+
+    ``force``: with a load cell. ``swing``: with the disturbance force ``b_f`` of the load cell.
     """
     states = [State("n", "", "shaft speed, normalised", "s_n", from_output="n", sd0=0.1)]
     sensors, parameters = [Sensor("rpm", (Output("n", "", "e_n"),))], [*SHAFT]
@@ -223,18 +253,24 @@ def _parts(force: bool, swing: bool) -> tuple[tuple[State, ...], tuple[Sensor, .
     return tuple(states), tuple(sensors), tuple(parameters)
 
 
-def _thrust(s: Signals) -> None:
+def _set_thrust(s: Signals) -> None:
+    """Set the thrust ``force`` [N] from the shaft speed. A model without a load cell has none."""
     if hasattr(s.p, "c1"):
         s.force = s.p.c1 * s.n * abs(s.n) + s.p.c2 * s.n * s.n
 
 
-def _rate(s: Signals) -> None:
+def _set_rates(s: Signals) -> None:
+    """Set the rates of the shaft speed [1/s] and of the disturbance force [N/s]."""
     s.rate["n"] = s.p.a * (s.n_ref - s.x.n)
     if hasattr(s.x, "b_f"):
         s.rate["b_f"] = -s.x.b_f / s.p.tau_f
 
 
-def _output(s: Signals) -> None:
+def _set_outputs(s: Signals) -> None:
+    """Set the outputs: shaft speed, and the measured force [N] if the model has a load cell.
+
+    The measured force includes the offset of the load cell and the disturbance force.
+    """
     s.y["n"] = s.x.n
     if hasattr(s, "force"):
         s.y["force"] = s.force + s.p.bias + getattr(s.x, "b_f", 0.0)
