@@ -7,6 +7,7 @@ from seatrial.ident.models import beyond_dead_band
 
 
 def cut(s: Signals) -> None:
+    """Reduce the shaft speed that determines the thrust by the dead band; inside the band it is zero."""
     s.n = beyond_dead_band(s.n, s.p.n_band)
 
 

@@ -11,7 +11,7 @@ CORNER_WIDTH = 0.1  # width of the rounded corner at the slack length, relative 
 
 
 def pull(s: Signals) -> None:
-    """Add the force of the line.
+    """Add the force of the line [N] to the forces in body axes.
 
     The force of a spring without slack is linear in the parameters. The slack reduces the tension by k_m l_slack.
     """

@@ -7,6 +7,7 @@ from seatrial.ident.models import rotations
 
 
 def add_gravity(s: Signals) -> None:
+    """Add the part of gravity [m/s2] that the accelerometers measure in pitch and roll to ``ax`` and ``ay``."""
     s.y["ax"] = s.y["ax"] + rotations.G * s.p.k_pitch * s.X_thrust
     s.y["ay"] = s.y["ay"] + rotations.G * s.p.k_roll * s.x.u * s.x.r
 
