@@ -583,7 +583,7 @@ def load_all(
     same = {p.resolve() for p in logs} & {p.resolve() for p in validate}
     if same:
         name = sorted(same)[0].name
-        raise SeatrialError(f"{name}: the same log to fit and to validate proves nothing; give another")
+        raise SeatrialError(f"{name}: the same log is given to fit and to validate; validate with another log")
     estimation = [(p, part) for p in logs for part in usable_parts(load_run(p, "estimation", window, device_faults))]
     validation = [(p, part) for p in validate for part in usable_parts(load_run(p, "validation", WHOLE, device_faults))]
     files = [p for p, _ in (*estimation, *validation)]

@@ -237,7 +237,10 @@ class Record:
         inputs, outputs = [i.name for i in model.inputs], [o.name for o in model.outputs]
         missing = [n for n in inputs if n not in self.inputs]
         if missing:
-            raise ValueError(f"{self.name}: no signal for the input {missing[0]!r} of model {model.name}")
+            raise ValueError(
+                f"{self.name}: no signal for the input {missing[0]!r} of model {model.name}; "
+                f"the record has {', '.join(self.inputs) or 'no inputs'}"
+            )
         columns, y = [self.inputs.index(n) for n in inputs], self.y
         if tuple(outputs) != self.outputs:
             y = np.full((self.n_rows, len(outputs)), np.nan)
@@ -337,7 +340,10 @@ def build_record(
     ends = _signal_ends(present, own, channels)
     end = min(ends.values()) if t_to is None else t_to
     if end - start < 2.0 / rate:
-        raise ValueError(f"{name}: inputs and sensors overlap for only {end - start:.2f} s")
+        raise ValueError(
+            f"{name}: inputs and sensors overlap for only {end - start:.2f} s, and {2.0 / rate:g} s are needed: "
+            "check the time stamps, or use a longer part of the log"
+        )
     windows = {
         s.name: _averaging_window(_median_interval(channels[s.outputs[0].name], start, end), rate) for s in present
     }
@@ -378,7 +384,7 @@ def _present_sensors(model: Model, channels: Mapping[str, Channel], name: str) -
     present = [s for s in model.sensors if all(o.name in channels for o in s.outputs)]
     if not present:
         names = ", ".join(s.name for s in model.sensors)
-        raise ValueError(f"{name}: none of the sensors of model {model.name} is in the log: {names}")
+        raise ValueError(f"{name}: none of the sensors of model {model.name} is in the log; it needs one of {names}")
     return present
 
 

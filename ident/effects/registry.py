@@ -84,5 +84,5 @@ def _register_module(module: ModuleType, effects: dict[str, Effect]) -> None:
     """
     for effect in getattr(module, "EFFECTS", ()) or (module.EFFECT,):
         if effect.name in effects:
-            raise ValueError(f"two effects are called {effect.name!r}")
+            raise ValueError(f"two effects of the catalogue are called {effect.name!r}; rename one of them")
         effects[effect.name] = effect

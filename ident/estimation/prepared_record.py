@@ -138,7 +138,7 @@ class Preparer:
             if getattr(record, name).shape != shape:
                 raise ValueError(
                     f"record {record.name}: {name} is {getattr(record, name).shape}, but model "
-                    f"{model.name} needs {shape}"
+                    f"{model.name} needs the shape {shape}"
                 )
         if n < 2 or not (np.diff(record.t) > 0).all():
             raise ValueError(f"record {record.name}: its times do not increase, or it has fewer than two rows")

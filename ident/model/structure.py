@@ -547,7 +547,7 @@ class Model:
         ):
             repeated = sorted({n for n in names if names.count(n) > 1})
             if repeated:
-                raise ValueError(f"model {self.name}: {kind} {repeated[0]} is defined twice")
+                raise ValueError(f"model {self.name}: {kind} {repeated[0]} is defined twice; rename one of them")
         parameters, outputs = {p.name for p in self.parameters}, {o.name for o in self.outputs}
         for field_name, name in (
             *((f"the noise of {s.name}", s.noise) for s in self.states),
@@ -666,7 +666,9 @@ class Model:
         """
         unknown = set(values) - set(self.values)
         if unknown:
-            raise KeyError(f"model {self.name} has no parameter {sorted(unknown)[0]!r}")
+            raise KeyError(
+                f"model {self.name} has no parameter {sorted(unknown)[0]!r}; it has {', '.join(self.values)}"
+            )
         return replace(self, parameters=tuple(p.at(values.get(p.name, p.value)) for p in self.parameters))
 
     def with_free(self, names: Iterable[str]) -> Model:
@@ -680,7 +682,9 @@ class Model:
         wanted = set(names)
         unknown = wanted - set(self.values)
         if unknown:
-            raise KeyError(f"model {self.name} has no parameter {sorted(unknown)[0]!r}")
+            raise KeyError(
+                f"model {self.name} has no parameter {sorted(unknown)[0]!r}; it has {', '.join(self.values)}"
+            )
         return replace(self, parameters=tuple(replace(p, free=p.name in wanted) for p in self.parameters))
 
     @property

@@ -356,8 +356,13 @@ def test_missing_sensor_is_left_out_and_reported() -> None:
     ("drop", "change", "says"),
     [
         (("w",), {}, "run 7: no signal for the input 'w' of model cart; the log has a, b, psi"),
-        (("psi", "a"), {}, "run 7: none of the sensors of model cart is in the log: compass, pair"),
-        ((), {"w": channel(1.0, 10.0, 20.0)}, "run 7: inputs and sensors overlap for only -10.00 s"),
+        (("psi", "a"), {}, "run 7: none of the sensors of model cart is in the log; it needs one of compass, pair"),
+        (
+            (),
+            {"w": channel(1.0, 10.0, 20.0)},
+            "run 7: inputs and sensors overlap for only -10.00 s, and 0.2 s are needed: check the time stamps, or use a "
+            "longer part of the log",
+        ),
         (
             (),
             {"b": channel(4.0, 9.0, 0.1)},
