@@ -212,7 +212,7 @@ def ahrs_channels(table: Table, source: str) -> dict[str, Channel]:
 
 
 def _rows_with_position(table: Table) -> Table:
-    """Return the samples of a GNSS receiver with a fix and a position.
+    """Return the samples of a GNSS receiver (table, (n,)) that have a fix and a position.
 
     A receiver without a fix may report latitude and longitude zero as valid. Such samples are dropped.
     """
@@ -222,7 +222,7 @@ def _rows_with_position(table: Table) -> Table:
 
 
 def _origin_row(table: Table) -> int:
-    """Return the row of the fix that is the origin of x and y: the first one after a receiver has settled."""
+    """Return the row of a table of fixes that is the origin of x and y: the first one after the receiver has settled."""
     x, y = local_ned(table["lat"], table["lon"])
     return int(np.argmin(sections_elsewhere(table["t"], x, y, np.ones(x.size, bool))))
 
@@ -290,7 +290,17 @@ def _resample_output(output: Channel) -> Channel:
 
 
 def _channel_of_column(table: Table, column: str, unit: str, source: str) -> Channel:
-    """Return a column of a table of samples as a channel, without the rows in which it is NaN."""
+    """Return a column of a table of samples as a channel, without the samples in which it is NaN.
+
+    Parameters
+    ----------
+    table
+        Samples of a device (n,), with the times ``t`` [s since 1970].
+    column
+        Name of the column.
+    unit, source
+        Unit of the values and name of the device, which are stored in the channel.
+    """
     good = np.isfinite(table[column])
     t, value = table["t"][good], table[column][good]
     return Channel(np.ascontiguousarray(t, float), np.ascontiguousarray(value, float), unit, source)
@@ -386,7 +396,7 @@ def shaft_speed(t: Array, speed: Array, t_command: Array, command: Array) -> tup
         return float(size @ speed) / max(float(size @ size), 1e-12)
 
     def misfit(lagged: Array, delay: float) -> float:
-        """Return the sum of the squared errors of the command after lag and delay [s] against the shaft speed."""
+        """Return the sum of the squared errors of the shaft speed against the lagged command, later by ``delay`` [s]."""
         size = np.abs(np.interp(t - delay, clock, lagged))
         return float(np.sum((speed - scale(size) * size) ** 2))
 
@@ -489,7 +499,7 @@ class LoadedLog:
 
 
 def _shift_positions(found: Mapping[str, Channel], north: float, east: float) -> Mapping[str, Channel]:
-    """Return the signals with ``north`` [m] added to x and ``east`` [m] added to y.
+    """Return the signals ``found`` with ``north`` [m] added to x and ``east`` [m] added to y.
 
     If both are zero, return the same object.
     """

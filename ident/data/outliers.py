@@ -233,8 +233,22 @@ def _heading_change(rate: Channel, t: Array) -> Array:
 def _long_bursts(name: str, t: Array, value: Array, least: float, span: float) -> list[tuple[int, int, float]]:
     """Return first sample, length and least difference of each burst longer than `LONGEST`, from a jump to a jump back.
 
-    The parameters are those of `_burst_mask`. The difference is that from the straight line between both sides, in the
-    unit of the signal. Return [] if more than `MAX_JUMPS` of the samples are jumps.
+    Parameters
+    ----------
+    name
+        Name of the signal. Headings and attitudes are wrapped.
+    t, value
+        Times [s] and values of the samples (n,).
+    least
+        Least difference of an outlier from the straight line between both sides, in the unit of the signal. A jump is a
+        larger step.
+    span
+        Longest time [s] from the sample before a burst to the sample after it.
+
+    Returns
+    -------
+    list
+        Empty if more than `MAX_JUMPS` of the samples are jumps. The difference is in the unit of the signal.
     """
     jumps = np.flatnonzero(np.abs(_wrapped_difference(name, value[1:], value[:-1])) > least) + 1
     if jumps.size > MAX_JUMPS * t.size + 2:
@@ -261,10 +275,27 @@ def _long_bursts(name: str, t: Array, value: Array, least: float, span: float) -
 def _burst_candidates(
     name: str, t: Array, value: Array, length: int, least: float, span: float
 ) -> tuple[NDArray[np.intp], Array]:
-    """Return the possible bursts of ``length`` samples: the first sample of each (m,), and its least difference (m,).
+    """Return the possible bursts of ``length`` samples. A comparison with their neighbours has to confirm each.
 
-    The other parameters are those of `_burst_mask`. The difference is that from the straight line between both sides,
-    in the unit of the signal. A candidate is confirmed only by a comparison with its neighbours.
+    Parameters
+    ----------
+    name
+        Name of the signal. Headings and attitudes are wrapped.
+    t, value
+        Times [s] and values of the samples (n,).
+    length
+        Number of samples of a burst.
+    least
+        Least difference of an outlier from the straight line between both sides, in the unit of the signal.
+    span
+        Longest time [s] from the sample before a burst to the sample after it.
+
+    Returns
+    -------
+    first : Array (m,)
+        Index of the first sample of each possible burst.
+    size : Array (m,)
+        Least difference of its samples from the straight line between both sides, in the unit of the signal.
     """
     before, after = value[: -length - 1], value[length + 1 :]
     duration = t[length + 1 :] - t[: -length - 1]
@@ -362,5 +393,8 @@ def sections_elsewhere(t: Array, x: Array, y: Array, regular: Mask) -> Mask:
 
 
 def _is_reachable(t: Array, x: Array, y: Array, i: int, j: int) -> bool:
-    """Return whether a craft can move from fix i to fix j in the time between them: at most 5 m/s, or `JUMP` metres."""
+    """Return whether a craft can move from fix i to fix j: at most 5 m/s on average, or `JUMP` metres in all.
+
+    ``t`` (n,) [s], ``x``, ``y`` (n,) [m]: times and positions of the fixes.
+    """
     return bool(np.hypot(x[j] - x[i], y[j] - y[i]) < max(JUMP, 5.0 * (t[j] - t[i])))

@@ -393,6 +393,17 @@ def _signal_ends(
 ) -> dict[str, float]:
     """Return the time up to which each signal is known [s], by the names of outputs and inputs.
 
+    Parameters
+    ----------
+    present
+        Sensors of which all channels exist.
+    inputs
+        Inputs of the model that are in the log.
+    channels
+        The signals by name.
+
+    Notes
+    -----
     The time is that of the last sample. A command that is logged only when it changes is held until the last sample of
     the sensors, if it was held for at least half of that time before. Otherwise its source may have failed.
     """
@@ -590,7 +601,10 @@ def _row_times(
 
 
 def _change_times(channel: Channel) -> Array:
-    """Return the times [s] of the samples that differ from the sample before. A repeated command thus adds no row."""
+    """Return the times [s] of the samples of a channel that differ from the sample before.
+
+    A repeated command thus adds no row.
+    """
     return np.asarray(channel.t[1:][np.diff(channel.value) != 0.0])
 
 
@@ -728,9 +742,17 @@ def _cumulative_integral(t: Array, value: Array, after: Array) -> Array:
 def _integral_up_to(t: Array, value: Array, after: Array, whole: Array, at: Array) -> Array:
     """Return the integral (m,) of a signal from its first time up to the times ``at`` (m,) [s].
 
-    ``t``, ``value`` and ``after`` describe the signal as in `_cumulative_integral`, and ``whole`` (n,) is its result.
-    The signal is constant before its first time and after its last time. The integral to an earlier time is negative
-    for a positive signal.
+    Parameters
+    ----------
+    t
+        Times of the signal (n,) [s].
+    value, after
+        The signal is linear from ``value`` (n,) at each time to ``after`` (n - 1,) just before the next time. It is
+        constant before its first time and after its last time.
+    whole
+        Integral (n,) up to each of its times (`_cumulative_integral`).
+    at
+        Times (m,) [s]. The integral up to a time before the first time of a positive signal is negative.
     """
     k = np.clip(np.searchsorted(t, at, side="right") - 1, 0, max(t.size - 2, 0))
     since, slope = np.clip(at, t[0], t[-1]) - t[k], np.zeros(k.size)

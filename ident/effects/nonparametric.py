@@ -122,8 +122,17 @@ def _rounded_abs(z: Any) -> Any:
 def _curve_basis(residual: DisturbanceChannel, z: Any, angle: bool, span: tuple[float, float]) -> list[Any]:
     """Return the basis functions of a curve at the value z of its variable.
 
-    ``angle`` and ``span`` are as in `spline_basis`. For a relative residual (a factor on the thrust), their values at
-    zero are subtracted: a constant factor belongs to the scale of the thrust.
+    Parameters
+    ----------
+    residual : DisturbanceChannel
+        Quantity that the curve describes. If it is relative (a factor on the thrust), the values of the basis functions
+        at zero are subtracted: a constant factor belongs to the scale of the thrust.
+    z : float, Array or symbol
+        Value of the variable.
+    angle : bool
+        Whether the variable is an angle [rad]. The basis functions are then harmonics, and otherwise splines.
+    span : tuple[float, float]
+        Range of the knots of splines, in the unit of the variable.
     """
     basis = spline_basis(z, angle, span)
     if not residual.relative:
@@ -343,10 +352,10 @@ def input_response_effects(model: Model) -> list[Effect]:
 
 
 def _drive_reader(pair: ThrusterPair) -> Signal:
-    """Return the function that reads the mean or half difference of two thrusts from the signals.
+    """Return the function that reads the mean or half difference of the thrusts of a pair of thrusters from the signals.
 
-    Shaft speeds are converted to thrust relative to full thrust, quadratic in the shaft speed. Thrusts are used as
-    given [N].
+    If the pair is of shaft speeds, they are converted to thrust relative to full thrust, quadratic in the shaft speed.
+    Thrusts are used as given [N].
     """
 
     def read(s: Signals) -> Any:

@@ -54,11 +54,20 @@ def catalogue() -> Mapping[str, Effect]:
 
 
 def _effects_of_plugin(loaded: object, place: str) -> tuple[Effect, ...]:
-    """Return the effects that the object of an entry point contains: an Effect, a sequence of them, or a module.
+    """Return the effects that the object of an entry point contains.
 
-    A module has them in ``EFFECTS`` or ``EFFECT``. ``place`` is the text of the entry point, for messages. If the
-    object, or an element of it, is no Effect, return () and warn. Return () without a warning for None, which is an
-    entry point that could not be imported.
+    Parameters
+    ----------
+    loaded : object
+        An Effect, a sequence of them, or a module with ``EFFECTS`` or ``EFFECT``. None: the entry point could not be
+        imported.
+    place : str
+        Text of the entry point, for messages.
+
+    Returns
+    -------
+    tuple[Effect, ...]
+        If the object, or an element of it, is no Effect, return () and warn. For None, return () without a warning.
     """
     if isinstance(loaded, ModuleType):
         loaded = getattr(loaded, "EFFECTS", None) or getattr(loaded, "EFFECT", None)

@@ -76,6 +76,10 @@ class Preparer:
     """
 
     def __init__(self, model: Model) -> None:
+        """Create a converter with an empty store of results.
+
+        ``model``: the model whose inputs, sensors and states determine the arrays.
+        """
         self.model = model
         self._cache: dict[int, tuple[weakref.ref[Record], Prepared]] = {}
 
@@ -101,7 +105,14 @@ class Preparer:
         return prepared
 
     def _prepare(self, record: Record) -> Prepared:
-        """Check the record, and compute its mask, first measurements, noise and outliers without the cache."""
+        """Check the record, and compute its mask, first measurements, noise and outliers without the cache.
+
+        Raises
+        ------
+        ValueError
+            If an input is missing, if the arrays are invalid, or if a row has some outputs of a sensor and lacks
+            others.
+        """
         model = self.model
         names = tuple(i.name for i in model.inputs), tuple(o.name for o in model.outputs)
         if (record.inputs, record.outputs) != names:
@@ -131,7 +142,14 @@ class Preparer:
         return Prepared(record.n_rows, contiguous, mask, first, moved, noise, int(used.sum()), outliers, record.start)
 
     def _check_arrays(self, record: Record) -> None:
-        """Raise ValueError for a wrong shape, fewer than two rows, times that do not increase, or an input with NaN."""
+        """Check the arrays of a record, whose names of inputs and outputs are those of the model.
+
+        Raises
+        ------
+        ValueError
+            If an array has the wrong shape, if there are fewer than two rows, if the times do not increase, or if an
+            input has a value that is not finite.
+        """
         model, n = self.model, record.n_rows
         shapes = {"u": (n, len(model.inputs)), "u_next": (n, len(model.inputs)), "y": (n, len(model.outputs))}
         for name, shape in shapes.items():

@@ -289,7 +289,13 @@ class EffectKind(StrEnum):
 def curve_name(kind: EffectKind, curve: ForceCurve) -> str:
     """Return the display name of an effect without a catalogue name, for example ``X(u)`` or ``N(u, r)``.
 
-    A lagged response is ``X(past of n_sum)``, and a resonant response ``X(swing after n_sum)``.
+    Parameters
+    ----------
+    kind : EffectKind
+        A lagged response is ``X(past of n_sum)``, and a resonant response ``X(swing after n_sum)``. For any other kind,
+        there are only the variables in the parentheses.
+    curve : ForceCurve
+        Names of the force and of its variables.
     """
     response = {EffectKind.LAGGED: "past of ", EffectKind.RESONANT: "swing after "}.get(kind, "")
     return f"{curve.force}({response}{curve.variables})"
@@ -633,7 +639,7 @@ class Model:
     def _run_stage(self, label: str, stage: ModelFunction, s: Signals) -> None:
         """Run one stage, then the hooks of the effects at the stage and at its ``LATER`` places.
 
-        The functions change the signals ``s`` in place.
+        ``label`` is the label of the stage, to which the hooks refer. The functions change the signals ``s`` in place.
         """
         stage(s)
         for place in (label, *LATER.get(label, ())):
@@ -672,7 +678,7 @@ class Model:
         return replace(self, parameters=tuple(p.at(values.get(p.name, p.value)) for p in self.parameters))
 
     def with_free(self, names: Iterable[str]) -> Model:
-        """Return the model with exactly the named parameters free. All others are fixed.
+        """Return the model with exactly the parameters ``names`` free. All others are fixed at their values.
 
         Raises
         ------
@@ -730,9 +736,9 @@ class Model:
         return self.noises | disturbance
 
     def replace_parameters(self, *new: Parameter) -> Model:
-        """Return the model with these parameters in the place of those with the same names.
+        """Return the model with the parameters ``new`` in the place of those with the same names.
 
-        A parameter whose name the model lacks is ignored.
+        A new parameter whose name the model lacks is ignored.
         """
         by_name = {p.name: p for p in new}
         return replace(self, parameters=tuple(by_name.get(p.name, p) for p in self.parameters))

@@ -73,10 +73,7 @@ def make_model(source: str, sensors: Sequence[str] | None = None) -> Model:
 
 
 def is_own_model(source: str) -> bool:
-    """Return whether a model is user-defined, ``FILE.py:NAME``, and not a name in the catalogue.
-
-    The file is not read.
-    """
+    """Return whether the text ``source`` names a user-defined model, ``FILE.py:NAME``. The file is not read."""
     return source.rpartition(":")[0].endswith(".py")
 
 
@@ -151,9 +148,9 @@ def _model_of_package(source: str, kind: str, options: Sequence[str]) -> Model:
 
 
 def _is_delay_step(options: Sequence[str]) -> bool:
-    """Return whether the only option is a number between 1e-4 and 1.
+    """Return whether the options of a thruster model are one number between 1e-4 and 1.
 
-    It is then the delay [s] between copies of a thruster's command.
+    It is then the delay [s] between copies of the thruster's command.
     """
     try:
         return len(options) == 1 and 1e-4 < float(options[0]) < 1.0
@@ -162,7 +159,16 @@ def _is_delay_step(options: Sequence[str]) -> bool:
 
 
 def _horizontal_by_options(source: str, options: Sequence[str], sensors: Sequence[str] | None) -> Model:
-    """Return a horizontal model with the options of its name; ``source`` is the whole name, for messages.
+    """Return a horizontal model with the options of its name.
+
+    Parameters
+    ----------
+    source : str
+        Whole name, for messages.
+    options : Sequence[str]
+        Options behind the name, for example ``shaft`` and ``no-current``, in any order.
+    sensors : Sequence[str], optional
+        Sensors of the log. Other sensors are left out. None, or no sensor of the model: the standard sensors.
 
     Raises
     ------
@@ -185,7 +191,16 @@ def _horizontal_by_options(source: str, options: Sequence[str], sensors: Sequenc
 
 
 def _nomoto_by_options(source: str, options: Sequence[str], sensors: Sequence[str] | None) -> Model:
-    """Return a Nomoto model with the options of its name; ``source`` is the whole name, for messages.
+    """Return a Nomoto model with the options of its name.
+
+    Parameters
+    ----------
+    source : str
+        Whole name, for messages.
+    options : Sequence[str]
+        Options behind the name: ``sampled``, and ``no-current`` or ``random-walk-current``.
+    sensors : Sequence[str], optional
+        Sensors of the log. Other sensors are left out. None, or no sensor of the model: all sensors of the model.
 
     Raises
     ------
@@ -204,7 +219,16 @@ def _nomoto_by_options(source: str, options: Sequence[str], sensors: Sequence[st
 
 
 def _kinematic_by_options(source: str, options: Sequence[str], sensors: Sequence[str] | None) -> Model:
-    """Return a kinematic model with the options of its name; ``source`` is the whole name, for messages.
+    """Return a kinematic model with the options of its name.
+
+    Parameters
+    ----------
+    source : str
+        Whole name, for messages.
+    options : Sequence[str]
+        Options behind the name: ``shaft`` or ``force``, then others such as ``yaw`` and ``no-current`` in any order.
+    sensors : Sequence[str], optional
+        Sensors of the log. Other sensors are left out. None, or no sensor of the model: all sensors of the model.
 
     Raises
     ------
@@ -232,7 +256,7 @@ def _kinematic_by_options(source: str, options: Sequence[str], sensors: Sequence
 
 
 def own_model(source: str) -> Model:
-    """Run the file of ``FILE.py:NAME`` and return its model.
+    """Run the file of the text ``source``, ``FILE.py:NAME``, and return its model.
 
     The model is evaluated once with symbols, so that errors in its functions are found here.
 

@@ -210,9 +210,16 @@ def horizontal_model(
 
 
 def pair(quantity: str, unit: str, hold: Hold, *, prefilter: bool = True) -> tuple[Input, ...]:
-    """Return one input for each thruster: ``QUANTITY_left`` and ``QUANTITY_right``, with this unit and hold.
+    """Return one input for each thruster, for example ``n_left`` and ``n_right`` for the quantity ``n``.
 
-    ``prefilter``: whether the inputs are averaged over the same time as the sensors.
+    Parameters
+    ----------
+    quantity, unit : str
+        Start of the names, and unit.
+    hold : "zero", "average" or "linear"
+        Hold of the inputs between their samples.
+    prefilter : bool
+        Whether the inputs are averaged over the same time as the sensors.
     """
     return tuple(Input(f"{quantity}_{side}", unit, hold, prefilter=prefilter) for side in SIDES)
 

@@ -74,7 +74,7 @@ def dimension(unit: str) -> Dimension:
 
 
 def unit_over(unit: str, *others: str) -> str:
-    """Return ``unit`` divided by the other units. For example, ``N m`` over ``N`` is ``m``.
+    """Return ``unit`` divided by the units ``others``. For example, ``N m`` over ``N`` is ``m``.
 
     The result is in kg, m and s: ``N`` over nothing is ``kg m/s2``. It is empty for a number without a unit.
     """
