@@ -222,7 +222,10 @@ def _rows_with_position(table: Table) -> Table:
 
 
 def _origin_row(table: Table) -> int:
-    """Return the row of a table of fixes that is the origin of x and y: the first one after the receiver has settled."""
+    """Return the row of a table of fixes that is the origin of x and y.
+
+    It is the first fix after the receiver has settled.
+    """
     x, y = local_ned(table["lat"], table["lon"])
     return int(np.argmin(sections_elsewhere(table["t"], x, y, np.ones(x.size, bool))))
 
@@ -396,7 +399,7 @@ def shaft_speed(t: Array, speed: Array, t_command: Array, command: Array) -> tup
         return float(size @ speed) / max(float(size @ size), 1e-12)
 
     def misfit(lagged: Array, delay: float) -> float:
-        """Return the sum of the squared errors of the shaft speed against the lagged command, later by ``delay`` [s]."""
+        """Return the sum of squared errors of the shaft speed against the lagged command, later by ``delay`` [s]."""
         size = np.abs(np.interp(t - delay, clock, lagged))
         return float(np.sum((speed - scale(size) * size) ** 2))
 

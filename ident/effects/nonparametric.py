@@ -352,7 +352,7 @@ def input_response_effects(model: Model) -> list[Effect]:
 
 
 def _drive_reader(pair: ThrusterPair) -> Signal:
-    """Return the function that reads the mean or half difference of the thrusts of a pair of thrusters from the signals.
+    """Return the function that reads the mean or half difference of the thrusts of a pair from the signals.
 
     If the pair is of shaft speeds, they are converted to thrust relative to full thrust, quadratic in the shaft speed.
     Thrusts are used as given [N].

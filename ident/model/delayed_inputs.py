@@ -1,9 +1,10 @@
 """Delayed inputs: names of the delayed copies of an input, and interpolation between the copies.
 
-A model is evaluated row by row and knows no past. A delay that is a parameter therefore needs copies of the input, each
-delayed by a multiple of a step. The model interpolates the copies at the delay by cubic convolution (`delay_weights`,
-`weighted_sum`), so that its derivative by the delay is continuous. There are three kinds of copies. They differ in what
-a step of the input does to the rows of a record, and cannot be merged without a change of the estimates:
+A model is evaluated row by row, without access to earlier rows. A delay that is a parameter therefore needs copies of
+the input, each delayed by a multiple of a step. The model interpolates the copies at the delay by cubic convolution
+(`delay_weights`, `weighted_sum`), so that its derivative by the delay is continuous. Only the effect ``gnss-latency``
+interpolates linearly. There are three kinds of copies. They differ in what a step of the input does to the rows of a
+record, and in their step. They cannot be merged without a change of the estimates:
 
 - ``NAME~k`` (`seatrial.ident.model.structure.Input.delayed`): the value ``k`` steps of `HISTORY_STEP` ago, for effects
   that delay a measured shaft speed or a given thrust (``delay``, ``telemetry-age``, ``gnss-latency``). With steps of

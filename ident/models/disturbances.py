@@ -128,9 +128,10 @@ MOTION = (
 
 
 def _pair_variable(name: str, unit: str, pair: ThrusterPair) -> Variable:
-    """Return the variable of a pair of thrusters, with this name and unit: the mean, or the difference left minus right.
+    """Return the variable of a pair of thrusters with this name and unit.
 
-    It is read from the states of the thrusters if they are states, otherwise from the inputs.
+    The variable is the mean, or the difference left minus right. It is read from the states of the thrusters if they
+    are states, otherwise from the inputs.
     """
 
     def read(s: Signals) -> Any:
