@@ -2,6 +2,9 @@
 
 Outside a dead zone, the command passes unchanged: a shaft that does not turn for small commands. Outside a dead band,
 the shaft speed is reduced by the width of the band: a propeller that gives no thrust at low speed.
+
+The transition at the end of a dead zone is smooth, because estimators need its derivative. The check of a log
+(`seatrial.ident.checks.shafts`) tries dead zones on a grid, and has no transition.
 """
 
 from __future__ import annotations
