@@ -12,10 +12,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 NAN = float("nan")
-# WGS 84 (NIMA TR8350.2, tables 3.1 and 3.3); the first eccentricity squared with the digits of the table.
-WGS84_SEMI_MAJOR_AXIS = 6378137.0  # m
-WGS84_FLATTENING = 1.0 / 298.257223563
-WGS84_ECCENTRICITY_2 = 6.69437999014e-3
 
 
 def wrap_angle(angle: float) -> float:

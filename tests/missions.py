@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from seatrial.bench.mission_generators import bench_plan, make_mission
 from seatrial.daq.config.mission_file import Mission, dump_mission
 from seatrial.daq.config.rig_file import parse_rig
+from seatrial.daq.geometry import local_ned
 from seatrial.daq.log.recorder import Recorder
-from seatrial.daq.log.schema import local_ned
 from seatrial.daq.rig import Rig
 from seatrial.daq.samples import NAN, Ahrs, Frame, LoadCell
 from seatrial.ident.data.record import Channel

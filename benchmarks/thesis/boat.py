@@ -21,7 +21,8 @@ from seatrial.ident.models.horizontal import ARMS, CURRENT, HULL, NOISE, SIDES, 
 from seatrial.ident.models.kinematic import output as kinematic_output
 from seatrial.ident.models.kinematic import rate as kinematic_rate
 from seatrial.ident.models.kinematic import turning
-from seatrial.ident.models.rotations import oriented, rotation
+from seatrial.ident.models.rotations import set_orientation
+from seatrial.ident.numerics import rotation_matrix
 from seatrial.ident.numerics.linear_algebra import Array
 from seatrial.ident.numerics.signal_processing import first_order_lag
 from seatrial.ident.studies.cases import random_levels
@@ -83,7 +84,7 @@ def rolling_boat(truth: Mapping[str, float]) -> Model:
 def _force(s: Signals) -> None:
     """Compute the rotation of the body and the forces of the turning motion."""
     x = s.x
-    oriented(s, rotation(x.phi, x.theta, x.psi), (x.p, x.q, x.r))
+    set_orientation(s, rotation_matrix(x.phi, x.theta, x.psi), (x.p, x.q, x.r))
     turning(s)
 
 

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from seatrial.daq.checks import held_signals, is_measured
 from seatrial.daq.errors import SeatrialError, counted
+from seatrial.daq.geometry import euler_angles, local_ned
 from seatrial.daq.importers.import_map import Signal, Source, TimeColumn
 from seatrial.daq.importers.missing_inputs import input_gaps
 from seatrial.daq.importers.row_times import row_times
 from seatrial.daq.importers.table import Column, Table
 from seatrial.daq.importers.units import UNITS
-from seatrial.daq.log import local_ned, schema
 
 # Signals whose sign differs between ENU and FLU (east, north, up; forward, left, up) and NED and FRD
 _TURNED = {"v", "w", "q", "r", "ay", "az", "theta", "N", "Y"}
@@ -244,7 +244,7 @@ def _raw(table: Table, signal: Signal) -> Column:
     parts = [table.numbers(c) * UNITS[unit][1] for c, unit in zip(signal.columns, signal.units, strict=True)]
     if signal.make in _ATTITUDE:
         size = np.sqrt(sum(part**2 for part in parts))
-        yaw, pitch, roll = schema.angles(*(np.where(size > 0.0, part, np.nan) for part in parts))
+        yaw, pitch, roll = euler_angles(*(np.where(size > 0.0, part, np.nan) for part in parts))
         return {"roll": roll, "pitch": pitch, "yaw": yaw}[signal.make]
     if signal.make in ("velocity_north", "velocity_east"):
         # A receiver at rest reports no course, but its velocity is zero.

@@ -11,8 +11,6 @@ from .recorder import Recorder as Recorder
 from .recorder import check_room as check_room
 from .recovery import recover_log as recover_log
 from .schema import NODE_TOPICS as NODE_TOPICS
-from .schema import local_ned as local_ned
-from .schema import quaternion as quaternion
 from .segments import first_of as first_of
 from .segments import first_segments as first_segments
 from .tables import LogTable as LogTable

@@ -15,10 +15,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from seatrial.daq.geometry import euler_angles, quaternion
 from seatrial.daq.log.cdr import cdr_layout, doubles
 from seatrial.daq.samples import (
-    WGS84_ECCENTRICITY_2,
-    WGS84_SEMI_MAJOR_AXIS,
     Ahrs,
     Autopilot,
     Battery,
@@ -179,51 +178,12 @@ def _gnss(device: str, s: Gnss) -> list[Message]:
     return found
 
 
-def quaternion(yaw: float, pitch: float, roll: float) -> tuple[float, float, float, float]:
-    """Return the quaternion (x, y, z, w) of the rotation from the body frame (FRD) to NED.
-
-    The angles [rad] are Euler angles in the order ZYX. Source: Diebel 2006, eq. 290.
-    """
-    cy, sy = math.cos(yaw / 2), math.sin(yaw / 2)
-    cp, sp = math.cos(pitch / 2), math.sin(pitch / 2)
-    cr, sr = math.cos(roll / 2), math.sin(roll / 2)
-    return (
-        sr * cp * cy - cr * sp * sy,
-        cr * sp * cy + sr * cp * sy,
-        cr * cp * sy - sr * sp * cy,
-        cr * cp * cy + sr * sp * sy,
-    )
-
-
-def angles(
-    x: NDArray[np.float64], y: NDArray[np.float64], z: NDArray[np.float64], w: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return yaw, pitch and roll [rad] of quaternions, each shape (n,). Yaw and roll are within -pi..pi."""
-    yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-    pitch = np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0))
-    roll = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
-    return yaw, pitch, roll
-
-
-def local_ned(lat: NDArray[np.float64], lon: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Convert latitude and longitude [deg], shape (n,), to metres north and east of the first point.
-
-    The radii of curvature of the WGS84 ellipsoid at the first point are used (Groves 2013, 2.4.2).
-    """
-    phi = np.radians(lat[0])
-    w = 1 - WGS84_ECCENTRICITY_2 * np.sin(phi) ** 2
-    meridian = WGS84_SEMI_MAJOR_AXIS * (1 - WGS84_ECCENTRICITY_2) / w**1.5
-    normal = WGS84_SEMI_MAJOR_AXIS / np.sqrt(w)
-    east = np.radians(np.mod(lon - lon[0] + 180, 360) - 180)
-    return meridian * np.radians(lat - lat[0]), normal * np.cos(phi) * east
-
-
 def imu_columns(rows: NDArray[np.void]) -> Columns:
     """Return the columns of `Ahrs`, except the magnetic field, from decoded Imu messages.
 
     Unknown angles are NaN. Angular rates and accelerations are copied without change.
     """
-    yaw, pitch, roll = angles(*(rows[f"orientation.{axis}"] for axis in "xyzw"))
+    yaw, pitch, roll = euler_angles(*(rows[f"orientation.{axis}"] for axis in "xyzw"))
     unknown = rows["orientation_covariance"][:, 0] == -1.0
     columns: Columns = {"yaw": yaw, "pitch": pitch, "roll": roll}
     for column in columns.values():

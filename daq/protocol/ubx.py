@@ -20,8 +20,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from seatrial.daq.geometry import ecef_to_ned, geodetic
 from seatrial.daq.protocol import nmea
-from seatrial.daq.samples import NAN, WGS84_FLATTENING, WGS84_SEMI_MAJOR_AXIS, Ahrs, Frame, Gnss, wrap_angle
+from seatrial.daq.samples import NAN, Ahrs, Frame, Gnss, wrap_angle
 
 SYNC = b"\xb5\x62"
 HEAD = 6  # bytes of sync, class, id and length
@@ -361,8 +362,8 @@ def _sol(v: dict[str, float], payload: bytes) -> None:
     if flags & 0x0C == 0x0C and week > 0:  # week and time of week are valid
         v["sol_utc"] = gps_to_utc(GPS_EPOCH + week * WEEK + 1e-3 * i_tow + 1e-9 * f_tow)
     v["n_sat"] = n_sat
-    v["sol_lat"], v["sol_lon"] = lat, lon = _geodetic(1e-2 * x, 1e-2 * y, 1e-2 * z)
-    v["sol_vel_n"], v["sol_vel_e"], v["sol_vel_d"] = _local(1e-2 * vel_x, 1e-2 * vel_y, 1e-2 * vel_z, lat, lon)
+    v["sol_lat"], v["sol_lon"] = lat, lon = geodetic(1e-2 * x, 1e-2 * y, 1e-2 * z)
+    v["sol_vel_n"], v["sol_vel_e"], v["sol_vel_d"] = ecef_to_ned(1e-2 * vel_x, 1e-2 * vel_y, 1e-2 * vel_z, lat, lon)
 
 
 def _status(v: dict[str, float], payload: bytes) -> None:
@@ -426,26 +427,6 @@ def _utc(year: int, month: int, day: int, hour: int, minute: int, second: int, n
 def gps_to_utc(seconds: float) -> float:
     """Convert GPS time, in s since 1970 of a clock without leap seconds, to UTC in s since 1970."""
     return seconds - bisect_right([leap + k for k, leap in enumerate(LEAPS, start=1)], seconds)
-
-
-def _geodetic(x: float, y: float, z: float) -> tuple[float, float]:
-    """Convert a point in ECEF [m] to latitude and longitude [deg] of WGS 84 (Bowring 1976)."""
-    a, f = WGS84_SEMI_MAJOR_AXIS, WGS84_FLATTENING
-    b, e2 = a * (1.0 - f), f * (2.0 - f)
-    p = math.hypot(x, y)
-    if p < 1.0:
-        return NAN, NAN
-    theta = math.atan2(z * a, p * b)
-    lat = math.atan2(z + e2 / (1.0 - e2) * b * math.sin(theta) ** 3, p - e2 * a * math.cos(theta) ** 3)
-    return math.degrees(lat), math.degrees(math.atan2(y, x))
-
-
-def _local(x: float, y: float, z: float, lat: float, lon: float) -> tuple[float, float, float]:
-    """Rotate a vector from ECEF to NED at a latitude and longitude [deg] (Farrell 2008, eq. 2.24)."""
-    phi, lam = math.radians(lat), math.radians(lon)
-    outward = math.cos(lam) * x + math.sin(lam) * y
-    north = math.cos(phi) * z - math.sin(phi) * outward
-    return north, math.cos(lam) * y - math.sin(lam) * x, -math.cos(phi) * outward - math.sin(phi) * z
 
 
 _READ: dict[int, Callable[[dict[str, float], bytes], None]] = {

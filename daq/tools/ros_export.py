@@ -32,7 +32,8 @@ from numpy.typing import NDArray
 
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.files import write_output
-from seatrial.daq.log import NANO, NODE_TOPICS, Log, local_ned, quaternion, schema
+from seatrial.daq.geometry import local_ned, quaternion
+from seatrial.daq.log import NANO, NODE_TOPICS, Log, schema
 from seatrial.daq.samples import Ahrs, Command, Esc, Frame, Gnss, LoadCell, Scalar, Servo
 
 PACKAGE = "seatrial_msgs"

@@ -42,7 +42,7 @@ from seatrial.ident.checks.sensors import (
     grid,
 )
 from seatrial.ident.data import Channel
-from seatrial.ident.numerics import Array, cumulative_integral
+from seatrial.ident.numerics import Array, cumulative_integral, ned_to_body
 
 YAW_WINDOW, SURGE_WINDOW = 0.5, 2.0  # s, of the increments of yaw rate and of speed
 MAX_LAG = 2.5  # s, of the search in both directions; longer than delays in practice, so that no estimate is at the end
@@ -226,7 +226,7 @@ def _motion(c: Channels, thrusts: Sequence[Channel], half_r: float = HEADING_HAL
         else:
             half = max(half, POSITION_HALF)
             north, east = (_slope(np.interp(t, c[n].t, c[n].value), POSITION_HALF) for n in ("x", "y"))
-        u, v = north * np.cos(psi) + east * np.sin(psi), east * np.cos(psi) - north * np.sin(psi)
+        u, v = ned_to_body(psi, north, east)
     return _Motion(t, r, psi, u, v, half)
 
 

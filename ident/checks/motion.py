@@ -20,7 +20,7 @@ from seatrial.daq.checks import Finding
 from seatrial.ident.checks.frames import half_turn
 from seatrial.ident.checks.sensors import Channels
 from seatrial.ident.data import Channel, block_mean
-from seatrial.ident.numerics import Array, first_order_lag
+from seatrial.ident.numerics import Array, first_order_lag, ned_to_body
 
 RATE = 10.0  # Hz, of the regressions
 YAW_LAGS, SURGE_LAGS = (0.3, 0.6, 1.0, 1.7, 3.0), (1.0, 2.0, 4.0, 8.0)  # s, time constants of the search
@@ -404,7 +404,7 @@ def ahead(c: Channels, t: Array) -> Array | None:
         vx, vy = (np.interp(t, c[n].t, c[n].value) for n in ("vx", "vy"))
     else:
         vx, vy = (_difference(c[n].t, c[n].value, t) for n in ("x", "y"))
-    return np.asarray(np.cos(psi) * vx + np.sin(psi) * vy)
+    return np.asarray(ned_to_body(psi, vx, vy)[0])
 
 
 def fill_gaps(t: Array, values: Array) -> Array:

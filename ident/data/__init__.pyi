@@ -25,13 +25,9 @@ from .record import TIME_INPUT as TIME_INPUT
 from .record import WORK_INPUT as WORK_INPUT
 from .record import WORK_UNIT as WORK_UNIT
 from .record import Channel as Channel
-from .record import InitialCondition as InitialCondition
 from .record import LogSegment as LogSegment
-from .record import Prepared as Prepared
-from .record import Preparer as Preparer
 from .record import Record as Record
 from .record import block_mean as block_mean
 from .record import build_record as build_record
-from .record import initial_condition as initial_condition
 from .record import make_record as make_record
 from .record import sample_and_hold as sample_and_hold

@@ -26,8 +26,10 @@ def is_held(name: str, channel: Channel) -> bool:
 
     Parameters
     ----------
-    name, channel
-        Name and samples of the signal. Commands hold, and so do imported inputs with a hold other than ``linear``.
+    name
+        Name of the signal. Commands (``n_cmd_...``) hold.
+    channel
+        Samples of the signal. Imported inputs with a hold other than ``linear`` hold. An unknown hold (empty) does not.
     """
     return name.startswith(COMMAND) or channel.hold not in ("", "linear")
 
@@ -43,7 +45,8 @@ def silent_times(channels: Mapping[str, Channel]) -> list[tuple[float, float]]:
     Returns
     -------
     list
-        Begin and end [s] of each gap that is longer than `LONGEST_GAP_S` and than `USUAL_INTERVALS` median intervals.
+        Begin and end [s] of each gap, in order of time. A gap is longer than `LONGEST_GAP_S` and than `USUAL_INTERVALS`
+        median intervals of all samples. Empty for a log without gaps or without signals.
 
     Notes
     -----
@@ -69,17 +72,18 @@ def parts_between(channels: Mapping[str, Channel], gaps: Sequence[tuple[float, f
     channels
         The signals of the log by name.
     gaps
-        Begin and end [s] of each gap, as `silent_times` returns them.
+        Begin and end [s] of each gap in order of time, as `silent_times` returns them. Without gaps, there is one part.
 
     Returns
     -------
     list
-        The signals of each part. A signal with fewer than two samples in a part is left out of it.
+        The signals of each part of the log between two gaps, one entry more than gaps. A signal with fewer than two
+        samples in a part is left out of it.
 
     Notes
     -----
     A command that is logged only when it changes holds across the gap. Its last value is the first sample of the next
-    part. Any other signal is unknown until its first sample after the gap.
+    part, at the end of the gap. Any other signal is unknown until its first sample after the gap.
     """
     edges = [-np.inf, *(t for gap in gaps for t in gap), np.inf]
     silent = sum(end - begin for begin, end in gaps)
@@ -89,7 +93,7 @@ def parts_between(channels: Mapping[str, Channel], gaps: Sequence[tuple[float, f
         for name, c in channels.items():
             # A sample inside a gap belongs to no part, since no sensor has a sample near it.
             a, b = int(np.searchsorted(c.t, begin)), int(np.searchsorted(c.t, end, side="right"))
-            cut = part_of(c, a, b)
+            cut = slice_channel(c, a, b)
             if a and is_held(name, c) and c.t[-1] - c.t[0] - silent > ON_CHANGE * c.t.size:
                 cut = replace(cut, t=np.append(begin, cut.t), value=np.append(c.value[a - 1], cut.value))
             if cut.t.size > 1:
@@ -98,15 +102,15 @@ def parts_between(channels: Mapping[str, Channel], gaps: Sequence[tuple[float, f
     return parts
 
 
-def part_of(channel: Channel, a: int, b: int) -> Channel:
-    """Return a part of a signal, with the left-out samples of the same time.
+def slice_channel(channel: Channel, a: int, b: int) -> Channel:
+    """Return the samples a to b - 1 of a signal, with the left-out samples from the same time.
 
     Parameters
     ----------
     channel
         The signal.
     a, b
-        Index of the first sample, and of the first sample after the part.
+        Index of the first sample, and index after the last sample. The result may have no sample.
     """
     t, left_out = channel.t[a:b], channel.left_out
     if left_out is not None and t.size:
@@ -117,12 +121,12 @@ def part_of(channel: Channel, a: int, b: int) -> Channel:
 
 
 def gap_line(gaps: Sequence[tuple[float, float]]) -> str:
-    """Return the sentence that reports the gaps at which a log is cut.
+    """Return the warning for the user about the gaps at which a log is cut.
 
     Parameters
     ----------
     gaps
-        Begin and end [s] of each gap, at least one.
+        Begin and end [s] of each gap, at least one. The warning contains the times of the longest gap.
     """
     begin, end = max(gaps, key=lambda gap: gap[1] - gap[0])
     where = f"no sensor has a sample from {seconds(begin)} to {seconds(end)} s"
@@ -132,26 +136,30 @@ def gap_line(gaps: Sequence[tuple[float, float]]) -> str:
 
 
 def seconds(t: float) -> str:
-    """Return the text of a time [s] with tenths of a second, which keep names of parts unique in logs of years."""
+    """Return a time [s] as text with at most one decimal, for example ``12.3`` or ``12``.
+
+    Tenths of a second keep the names of parts unique in logs of years.
+    """
     return f"{round(t, 1) + 0.0:.1f}".removesuffix(".0")  # no "-0"
 
 
 def clock_of(t: Array, step: float, before: float = 0.0) -> Array:
-    """Return a fine grid of times over the samples of a signal, without its gaps.
+    """Return a fine grid of times over the samples of a signal, without its gaps longer than `LONGEST_GAP_S`.
 
     Parameters
     ----------
     t
         Times of the samples (n,), never decreasing [s].
     step
-        Interval of the clock [s].
+        Interval of the grid [s].
     before
-        Time [s] by which the clock begins before the first sample, and before the first sample after each gap.
+        Time [s] by which the grid begins before the first sample, and before the first sample after each gap.
 
     Returns
     -------
     Array
-        Times (m,), increasing [s]. Without a gap they are `step` apart from `t[0] - before` to the last sample.
+        Times (m,), increasing [s]. Without a gap they are `step` apart from `t[0] - before` to the last sample. Empty
+        without samples.
     """
     if not t.size:
         return t

@@ -39,10 +39,19 @@ from numpy.typing import NDArray
 from seatrial.daq.checks import Finding, unknown_times
 from seatrial.daq.config import parse_toml
 from seatrial.daq.errors import SeatrialError, SeatrialWarning, counted
-from seatrial.daq.log import Log, local_ned, open_log
+from seatrial.daq.geometry import local_ned
+from seatrial.daq.log import Log, open_log
 from seatrial.daq.rig import Rig, Thruster
 from seatrial.daq.samples import Ahrs, Command, Esc, Gnss, LoadCell, Scalar, Servo
-from seatrial.ident.data.gaps import SHORTEST_PIECE_S, clock_of, gap_line, part_of, parts_between, seconds, silent_times
+from seatrial.ident.data.gaps import (
+    SHORTEST_PIECE_S,
+    clock_of,
+    gap_line,
+    parts_between,
+    seconds,
+    silent_times,
+    slice_channel,
+)
 from seatrial.ident.data.outliers import sections_elsewhere, without_outliers
 from seatrial.ident.data.record import Channel, LogSegment
 from seatrial.ident.numerics import Array, LagData, first_order_lag, fit_first_order_lag
@@ -60,7 +69,7 @@ NEAR_TIME_CONSTANTS = np.array([0.7, 0.8, 0.9, 1.0, 1.1, 1.25, 1.4])
 
 
 class PropulsionInput(StrEnum):
-    """Kind of thruster signals in a log, best first."""
+    """Kind of thruster signals in a log, best first: what drives a model of the boat."""
 
     MEASURED = "measured"  # shaft speeds with their sign and the time of measurement
     TELEMETRY = "telemetry"  # shaft speeds relayed by an autopilot, with an unknown delay and without a sign
@@ -68,7 +77,15 @@ class PropulsionInput(StrEnum):
 
 
 class TimeWindow(NamedTuple):
-    """Part of a log, ``t_from <= t < t_to`` [s from the first sample of the log]."""
+    """Interval of time of a log, ``t_from <= t < t_to``.
+
+    Attributes
+    ----------
+    t_from : float
+        Start [s], from the first sample of the log.
+    t_to : float
+        End [s], from the first sample of the log; infinite: to the end of the log.
+    """
 
     t_from: float = 0.0
     t_to: float = inf
@@ -88,16 +105,17 @@ def propulsion_input(log: Log, found: Mapping[str, Channel], holds: Mapping[str,
     Parameters
     ----------
     log
-        An open log.
+        An open log. Its rig file shows whether an autopilot drives the thrusters.
     found
         Its signals by name.
     holds
-        Hold of each signal by name.
+        Hold of each signal by name: ``zero``, ``average``, ``linear``, or empty.
 
     Returns
     -------
     PropulsionInput or None
-        None if the log has neither shaft speeds nor commands of both thrusters.
+        None if the log has neither shaft speeds nor commands of both thrusters. ``COMMAND`` also if the log has
+        commands and its shaft speeds come less often than every `SLOWEST_TELEMETRY` seconds.
 
     Notes
     -----
@@ -115,7 +133,7 @@ def propulsion_input(log: Log, found: Mapping[str, Channel], holds: Mapping[str,
 
 
 def channels(log: Log) -> dict[str, Channel]:
-    """Return all signals of a log by the names in the table above, without outliers.
+    """Return all signals of a log by the names in the table at the top of this module, without outliers.
 
     Parameters
     ----------
@@ -125,15 +143,17 @@ def channels(log: Log) -> dict[str, Channel]:
     Returns
     -------
     dict
-        The signals with at least two samples. Times are in s since 1970.
+        The signals with at least two samples. Times are in s since 1970. An imported signal takes precedence over an
+        AHRS, a receiver or a load cell with the same signal. A thruster of the rig takes precedence over an imported
+        signal. Of several devices of a kind, the first one is used for each signal.
     """
     found: dict[str, Channel] = {}
     for source in log.sources(Scalar):
         table = log.table(Scalar, source)
-        channel = _channel(table, "value", log.unit(source), source)
+        channel = _channel_of_column(table, "value", log.unit(source), source)
         if log.role(source) == "input" and log.hold(source) != "sampled":
             channel = replace(channel, hold=log.hold(source))
-        found[source] = _sampled(channel) if log.hold(source) == "sampled" else channel
+        found[source] = _resample_output(channel) if log.hold(source) == "sampled" else channel
     rig = log.rig
     for source in log.sources(Ahrs):
         table = log.table(Ahrs, source)
@@ -147,17 +167,21 @@ def channels(log: Log) -> dict[str, Channel]:
             ("ax", "ax", "m/s2"),
             ("ay", "ay", "m/s2"),
         ):
-            found.setdefault(name, _channel(table, column, unit, source))
+            found.setdefault(name, _channel_of_column(table, column, unit, source))
     for source in log.sources(Gnss):
-        found = _gnss(log.table(Gnss, source), source) | found
+        found = _gnss_channels(log.table(Gnss, source), source) | found
     for thruster in rig.thrusters if rig else ():
-        _thruster(log, thruster, found)
+        _add_thruster(log, thruster, found)
     if rig is None:
         for source in log.sources(Servo):
             for node in log.nodes(Servo, source):
-                found.setdefault(f"servo_{node}", _channel(log.table(Servo, source, node), "pwm", "us", source))
+                found.setdefault(
+                    f"servo_{node}", _channel_of_column(log.table(Servo, source, node), "pwm", "us", source)
+                )
     for source in log.sources(LoadCell):
-        found.setdefault("force", _channel(_good(log.table(LoadCell, source)), "force", "N", source))
+        found.setdefault(
+            "force", _channel_of_column(_without_error_flags(log.table(LoadCell, source)), "force", "N", source)
+        )
     found = without_outliers({name: c for name, c in found.items() if c.t.size > 1})
     for pair in (("speed_x", "speed_y"), ("vx", "vy")):
         if "speed" not in found and all(n in found for n in pair):
@@ -168,7 +192,7 @@ def channels(log: Log) -> dict[str, Channel]:
 
 
 def ahrs_channels(table: Table, source: str) -> dict[str, Channel]:
-    """Return all axes that an AHRS reported.
+    """Return all axes that an AHRS reported, without outlier removal.
 
     Parameters
     ----------
@@ -176,29 +200,46 @@ def ahrs_channels(table: Table, source: str) -> dict[str, Channel]:
         Samples of the AHRS (n,).
     source
         Name of the device.
+
+    Returns
+    -------
+    dict
+        ``psi``, ``theta``, ``phi`` [rad], ``p``, ``q``, ``r`` [rad/s], ``ax``, ``ay``, ``az`` [m/s2], each only with at
+        least two samples that are not NaN.
     """
     names = {"yaw": "psi", "pitch": "theta", "roll": "phi"}
     rows = (("rad", ("yaw", "pitch", "roll")), ("rad/s", ("p", "q", "r")), ("m/s2", ("ax", "ay", "az")))
-    found = {names.get(c, c): _channel(table, c, unit, source) for unit, columns in rows for c in columns}
+    found = {names.get(c, c): _channel_of_column(table, c, unit, source) for unit, columns in rows for c in columns}
     return {name: c for name, c in found.items() if c.t.size > 1}
 
 
-def _fixes(table: Table) -> Table:
-    """Return the rows with a position. A receiver without a fix may report latitude and longitude zero as valid."""
+def _rows_with_position(table: Table) -> Table:
+    """Return the samples of a GNSS receiver (table, (n,)) that have a fix and a position.
+
+    A receiver without a fix may report latitude and longitude zero as valid. Such samples are dropped.
+    """
     somewhere = (table["lat"] != 0.0) | (table["lon"] != 0.0)
     good: Table = table[(table["fix"] >= 2) & np.isfinite(table["lat"]) & somewhere]
     return good
 
 
 def _origin_row(table: Table) -> int:
-    """Return the row of the fix that is the origin: the first one after a receiver has settled."""
+    """Return the row of a table of fixes that is the origin of x and y.
+
+    It is the first fix after the receiver has settled.
+    """
     x, y = local_ned(table["lat"], table["lon"])
     return int(np.argmin(sections_elsewhere(table["t"], x, y, np.ones(x.size, bool))))
 
 
-def _gnss(table: Table, source: str) -> dict[str, Channel]:
-    """Return position [m] from the first fix, and velocity or speed over ground [m/s], of a GNSS receiver."""
-    table = _fixes(table)
+def _gnss_channels(table: Table, source: str) -> dict[str, Channel]:
+    """Return the signals of a GNSS receiver; {} if it never had a fix.
+
+    ``table`` (n,) has the samples, and ``source`` is the name of the device. The signals are ``x``, ``y`` [m] from the
+    origin (`_origin_row`), and ``vx``, ``vy`` [m/s] if the receiver reports them. Without a velocity north, ``speed``
+    [m/s] is the speed over ground.
+    """
+    table = _rows_with_position(table)
     if not len(table):
         return {}
     origin = _origin_row(table)
@@ -208,40 +249,44 @@ def _gnss(table: Table, source: str) -> dict[str, Channel]:
     found = {"x": Channel(t, x, "m", source), "y": Channel(t, y, "m", source)}
     for name, column in (("vx", "vel_n"), ("vy", "vel_e")):
         if np.isfinite(table[column]).any():
-            found[name] = _channel(table, column, "m/s", source)
+            found[name] = _channel_of_column(table, column, "m/s", source)
     if "vx" not in found and np.isfinite(table["speed"]).any():
-        found["speed"] = _channel(table, "speed", "m/s", source)
+        found["speed"] = _channel_of_column(table, "speed", "m/s", source)
     return found
 
 
-def _thruster(log: Log, thruster: Thruster, found: dict[str, Channel]) -> None:
-    """Add shaft speed, voltage and command of a thruster to the signals ``found``."""
+def _add_thruster(log: Log, thruster: Thruster, found: dict[str, Channel]) -> None:
+    """Add shaft speed, voltage and command of a thruster to the signals ``found``, in place.
+
+    The names are ``n_NAME``, ``voltage_NAME`` and ``n_cmd_NAME``, with the name of the thruster in the rig file. The
+    shaft speed needs ``rpm_max`` of the rig. Signals that the log does not contain are not added.
+    """
     device, node = thruster.device, thruster.node
     shaft = None
     if node in log.nodes(Esc, device):
         state = log.table(Esc, device, node=node)
-        shaft = _channel(state, "rpm", "", device)
+        shaft = _channel_of_column(state, "rpm", "", device)
         if node in log.nodes(Servo, device) and follows_command(state["rpm"], state["duty"]):
             # The telemetry has the sign of the present command, but a real shaft follows its command late.
-            output = _channel(log.table(Servo, device, node=node), "n", "", device)
+            output = _channel_of_column(log.table(Servo, device, node=node), "n", "", device)
             t, rpm = shaft_speed(shaft.t, shaft.value, output.t, output.value)
             shaft = Channel(t, rpm, "", device, "average")
-        found[f"voltage_{thruster.name}"] = _channel(state, "voltage", "V", device)
+        found[f"voltage_{thruster.name}"] = _channel_of_column(state, "voltage", "V", device)
     if shaft is not None and shaft.t.size > 1 and np.isfinite(thruster.rpm_max):
         found[f"n_{thruster.name}"] = replace(shaft, value=shaft.value / thruster.rpm_max)
     if node in log.nodes(Servo, device):
         # The output of the autopilot is the command of the thruster. Our command reaches the output with a delay.
-        output = _channel(log.table(Servo, device, node=node), "n", "", device)
-        found[f"n_cmd_{thruster.name}"] = _sampled(output)
+        output = _channel_of_column(log.table(Servo, device, node=node), "n", "", device)
+        found[f"n_cmd_{thruster.name}"] = _resample_output(output)
     elif node in log.nodes(Command, device):
-        found[f"n_cmd_{thruster.name}"] = _channel(log.table(Command, device, node=node), "n_cmd", "", device)
+        found[f"n_cmd_{thruster.name}"] = _channel_of_column(log.table(Command, device, node=node), "n_cmd", "", device)
 
 
-def _sampled(output: Channel) -> Channel:
-    """Resample an output to a fine clock by linear interpolation.
+def _resample_output(output: Channel) -> Channel:
+    """Resample an output of an autopilot to a clock of `GRID_STEP` by linear interpolation.
 
     A sampled output changed at an unknown time since the sample before. The straight line is the mean of all such
-    changes.
+    changes. The result has the hold ``average`` and the original sample interval in `Channel.sampled`.
     """
     clock = clock_of(output.t, GRID_STEP)
     mean = np.interp(clock + GRID_STEP / 2, output.t, output.value) if output.t.size else output.value
@@ -249,14 +294,24 @@ def _sampled(output: Channel) -> Channel:
     return replace(output, t=clock, value=mean, hold="average", sampled=interval)
 
 
-def _channel(table: Table, column: str, unit: str, source: str) -> Channel:
-    """Return a column of a table as a channel, without NaN."""
+def _channel_of_column(table: Table, column: str, unit: str, source: str) -> Channel:
+    """Return a column of a table of samples as a channel, without the samples in which it is NaN.
+
+    Parameters
+    ----------
+    table
+        Samples of a device (n,), with the times ``t`` [s since 1970].
+    column
+        Name of the column.
+    unit, source
+        Unit of the values and name of the device, which are stored in the channel.
+    """
     good = np.isfinite(table[column])
     t, value = table["t"][good], table[column][good]
     return Channel(np.ascontiguousarray(t, float), np.ascontiguousarray(value, float), unit, source)
 
 
-def _good(table: Table) -> Table:
+def _without_error_flags(table: Table) -> Table:
     """Return the samples of a load cell without error flags."""
     good: Table = table[table["flags"] == 0]
     return good
@@ -275,7 +330,7 @@ def along_track(t: Array, vx: Array, vy: Array) -> Array:
     Returns
     -------
     Array (n,)
-        Speed [m/s], negative for motion astern.
+        Speed [m/s], negative for motion astern. Zero where the mean velocity is zero.
 
     Notes
     -----
@@ -297,9 +352,14 @@ def follows_command(rpm: Array, n: Array) -> bool:
     Parameters
     ----------
     rpm
-        Reported shaft speeds (k,).
+        Reported shaft speeds (k,). Zeros and NaN are ignored.
     n
-        Commands at the same times (k,).
+        Commands at the same times (k,). Zeros and NaN are ignored.
+
+    Returns
+    -------
+    bool
+        False for commands of one sign only, which do not show it.
     """
     both = (rpm != 0) & (n != 0) & np.isfinite(rpm) & np.isfinite(n)
     signs = np.sign(n[both])
@@ -314,7 +374,7 @@ def shaft_speed(t: Array, speed: Array, t_command: Array, command: Array) -> tup
     t
         Times of the telemetry (k,) [s].
     speed
-        Magnitude of the shaft speed (k,).
+        Shaft speed (k,), of which only the magnitude is used.
     t_command
         Times of the commands (m,) [s].
     command
@@ -325,21 +385,23 @@ def shaft_speed(t: Array, speed: Array, t_command: Array, command: Array) -> tup
     t : Array (n,)
         Times [s], ``GRID_STEP`` apart.
     speed : Array (n,)
-        Shaft speed with its sign, each value held until the next one.
+        Shaft speed with its sign, each value held until the next one, in the unit of the telemetry.
 
     Notes
     -----
-    The result is the response of the command through the delay and first-order lag that fit best, plus the
-    interpolated residuals, which are small and smooth. Interpolation of slow telemetry alone would smooth each step.
+    The result is the response of the command through the delay and first-order lag that fit best, plus the interpolated
+    residuals, which are small and smooth. Interpolation of slow telemetry alone would smooth each step.
     """
     speed = np.abs(speed)
     clock = clock_of(t, GRID_STEP, before=DELAYS[-1])
     held = command[np.maximum(np.searchsorted(t_command, clock, side="right") - 1, 0)]
 
     def scale(size: Array) -> float:
+        """Return the factor on ``size`` (k,) that fits the magnitude of the shaft speed best (least squares)."""
         return float(size @ speed) / max(float(size @ size), 1e-12)
 
     def misfit(lagged: Array, delay: float) -> float:
+        """Return the sum of squared errors of the shaft speed against the lagged command, later by ``delay`` [s]."""
         size = np.abs(np.interp(t - delay, clock, lagged))
         return float(np.sum((speed - scale(size) * size) ** 2))
 
@@ -361,14 +423,22 @@ def shaft_speed(t: Array, speed: Array, t_command: Array, command: Array) -> tup
 
 
 class FrameOrigin(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Origin of the NED frame, where x = y = 0."""
+    """Origin of the NED frame, where x = y = 0.
+
+    Attributes
+    ----------
+    latitude, longitude : float
+        Position of the origin [deg].
+    log : str
+        Name of the log whose first fix is the origin. Empty if no log is named.
+    """
 
     latitude: Annotated[float, Meta(description="[deg]")]
     longitude: Annotated[float, Meta(description="[deg]")]
     log: Annotated[str, Meta(description="name of the log whose first fix is the origin")] = ""
 
     def offset(self, other: FrameOrigin) -> tuple[float, float]:
-        """Return the distance north and east [m] from this origin to another one.
+        """Return the distance north and east [m] from this origin to another origin.
 
         The radii of the ellipsoid are those half way between both origins.
         """
@@ -381,35 +451,62 @@ class FrameOrigin(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 @dataclass(frozen=True)
 class LoadedLog:
-    """A log in memory: its signals, and its description for reports."""
+    """A log in memory: its signals, and its description for reports.
+
+    Attributes
+    ----------
+    run : LogSegment
+        The signals, with times [s] from the first sample of the log.
+    about : dict
+        Description for results: path, hash, role, name, duration [s], rig, mission, warnings, origin.
+    holds : Mapping
+        Hold of each signal by name; empty text if it is unknown.
+    rig : Rig or None
+        Rig file of the log. None for an imported log.
+    propulsion : PropulsionInput or None
+        Kind of the thruster signals. None without signals of both thrusters.
+    segments : tuple
+        Start [s] and name of each step of the mission.
+    vehicle : Mapping
+        Parameters of the boat by name, from the rig file or the import map.
+    device_faults : tuple of Finding or None
+        Findings on the devices. None if the devices were not checked.
+    origin : FrameOrigin or None
+        Origin of x and y. None without latitude and longitude.
+    shift : tuple of float
+        Distance north and east [m] from the origin to the log's own first fix.
+    unknown : tuple
+        Begin and end [s] of each time in which an input has no value.
+    """
 
     run: LogSegment
-    about: dict[str, Any]  # description for results: path, hash, role, name, duration, rig, mission, warnings
-    holds: Mapping[str, str]  # hold of each signal by name
+    about: dict[str, Any]
+    holds: Mapping[str, str]
     rig: Rig | None
-    propulsion: PropulsionInput | None = None  # kind of the thruster signals
-    segments: tuple[tuple[float, str], ...] = ()  # start [s of the log] and name of each step of the mission
-    vehicle: Mapping[str, float] = field(default_factory=dict)  # parameters of the boat by name, from rig or map
-    device_faults: tuple[Finding, ...] | None = None  # None if the devices were not checked
-    origin: FrameOrigin | None = None  # of x and y; None without latitude and longitude
-    shift: tuple[float, float] = (0.0, 0.0)  # m north, m east: origin to the log's own first fix
-    unknown: tuple[
-        tuple[float, float], ...
-    ] = ()  # begin and end [s of the log] of times in which an input has no value
+    propulsion: PropulsionInput | None = None
+    segments: tuple[tuple[float, str], ...] = ()
+    vehicle: Mapping[str, float] = field(default_factory=dict)
+    device_faults: tuple[Finding, ...] | None = None
+    origin: FrameOrigin | None = None
+    shift: tuple[float, float] = (0.0, 0.0)
+    unknown: tuple[tuple[float, float], ...] = ()
 
     @property
     def own_channels(self) -> Mapping[str, Channel]:
         """The signals, with x and y relative to the log's own first fix."""
-        return _moved(self.run.channels, -self.shift[0], -self.shift[1])
+        return _shift_positions(self.run.channels, -self.shift[0], -self.shift[1])
 
     @property
     def unplaced(self) -> bool:
-        """Return whether the log has positions with an unknown origin."""
+        """Whether the log has positions with an unknown origin."""
         return self.origin is None and "x" in self.run.channels
 
 
-def _moved(found: Mapping[str, Channel], north: float, east: float) -> Mapping[str, Channel]:
-    """Return the signals with x and y moved by these distances [m]."""
+def _shift_positions(found: Mapping[str, Channel], north: float, east: float) -> Mapping[str, Channel]:
+    """Return the signals ``found`` with ``north`` [m] added to x and ``east`` [m] added to y.
+
+    If both are zero, return the same object.
+    """
     if not (north or east):
         return found
     return {**found, **{n: replace(found[n], value=found[n].value + by) for n, by in (("x", north), ("y", east))}}
@@ -425,7 +522,7 @@ def share_frame(logs: Sequence[LoadedLog], reference: FrameOrigin | None = None)
     logs
         The logs.
     reference
-        The origin. By default it is the first fix of the first log that has latitude and longitude.
+        The origin. None: the first fix of the first log that has latitude and longitude.
 
     Returns
     -------
@@ -438,27 +535,33 @@ def share_frame(logs: Sequence[LoadedLog], reference: FrameOrigin | None = None)
     Each log is moved as a whole, so that its motion is unchanged except for rounding.
     """
     reference = reference or next((log.origin for log in logs if log.origin is not None), None)
-    return [log if log.origin is None or reference is None else _placed(log, reference) for log in logs]
+    return [log if log.origin is None or reference is None else _move_to_origin(log, reference) for log in logs]
 
 
-def _placed(log: LoadedLog, reference: FrameOrigin) -> LoadedLog:
-    """Return the log with x and y from the reference, or unchanged if it begins too far away."""
+def _move_to_origin(log: LoadedLog, reference: FrameOrigin) -> LoadedLog:
+    """Return the log with x and y from the origin ``reference``.
+
+    A log that begins farther than `SHARED_WITHIN` from the reference is returned unchanged.
+    """
     assert log.origin is not None
     north, east = reference.offset(log.origin)
     if np.hypot(north, east) > SHARED_WITHIN:
         return log
-    run = replace(log.run, channels=_moved(log.run.channels, north, east))
-    return _at(replace(log, run=run, shift=(log.shift[0] + north, log.shift[1] + east)), reference)
+    run = replace(log.run, channels=_shift_positions(log.run.channels, north, east))
+    return _with_origin(replace(log, run=run, shift=(log.shift[0] + north, log.shift[1] + east)), reference)
 
 
-def _at(log: LoadedLog, origin: FrameOrigin) -> LoadedLog:
-    """Return the log with this origin of x and y, noted also in ``meta`` and ``about`` for records and results."""
+def _with_origin(log: LoadedLog, origin: FrameOrigin) -> LoadedLog:
+    """Return the log with this origin of x and y, without a change of the positions.
+
+    The origin is also stored in ``meta`` and ``about`` for records and results.
+    """
     run = replace(log.run, meta={**log.run.meta, ORIGIN: origin})
     return replace(log, origin=origin, run=run, about=log.about | {ORIGIN: msgspec.structs.asdict(origin)})
 
 
 def far_apart(origins: Sequence[object]) -> bool:
-    """Return whether origins (`FrameOrigin`) differ. An unknown origin (None) is ignored."""
+    """Return whether the origins (`FrameOrigin`) of several logs differ. An unknown origin (None) is ignored."""
     return len({o for o in origins if o is not None}) > 1
 
 
@@ -477,9 +580,9 @@ def load_all(
     validate
         Logs of the validation data.
     window
-        Part of each estimation log to use. Validation logs are used as a whole.
+        Interval of time of each estimation log to use. Validation logs are used as a whole.
     device_faults
-        Function that returns the findings on the devices of an open log.
+        Function that returns the findings on the devices of an open log. None: the devices are not checked.
 
     Returns
     -------
@@ -494,7 +597,7 @@ def load_all(
     same = {p.resolve() for p in logs} & {p.resolve() for p in validate}
     if same:
         name = sorted(same)[0].name
-        raise SeatrialError(f"{name}: the same log to fit and to validate proves nothing; give another")
+        raise SeatrialError(f"{name}: the same log is given to fit and to validate; validate with another log")
     estimation = [(p, part) for p in logs for part in usable_parts(load_run(p, "estimation", window, device_faults))]
     validation = [(p, part) for p in validate for part in usable_parts(load_run(p, "validation", WHOLE, device_faults))]
     files = [p for p, _ in (*estimation, *validation)]
@@ -530,7 +633,10 @@ def usable_parts(log: LoadedLog) -> list[LoadedLog]:
 
 
 def parts_with_sensors(log: LoadedLog) -> list[LoadedLog]:
-    """Cut a log only at times without a sample of any sensor, as `usable_parts` does.
+    """Cut a log only at times without a sample of any sensor, as the first step of `usable_parts`.
+
+    Parts shorter than `SHORTEST_PIECE_S` are left out. A warning lists the gaps. Only the first part has the findings
+    on the devices. A log without such times is returned unchanged and without a warning.
 
     Raises
     ------
@@ -553,7 +659,7 @@ def parts_with_sensors(log: LoadedLog) -> list[LoadedLog]:
         t_from = log.run.t_from if log.run.t_from is not None and log.run.t_from > begin else None
         t_to = log.run.t_to if log.run.t_to is not None and log.run.t_to < end else None
         unknown = tuple((max(x, a), min(y, b)) for x, y in log.unknown if x < b and y > a)
-        found.append(_as_part(log, replace(log.run, channels=signals, t_from=t_from, t_to=t_to), (a, b), unknown))
+        found.append(_named_part(log, replace(log.run, channels=signals, t_from=t_from, t_to=t_to), (a, b), unknown))
     path, short = log.about["path"], counted(n_short, "part") + f" shorter than {SHORTEST_PIECE_S:g} s"
     if not found:
         raise SeatrialError(f"{path}: no part with samples is as long as {SHORTEST_PIECE_S:g} s; {gap_line(gaps)}")
@@ -564,7 +670,16 @@ def parts_with_sensors(log: LoadedLog) -> list[LoadedLog]:
 
 
 def _parts_with_inputs(log: LoadedLog) -> list[LoadedLog]:
-    """Cut a log at times in which an input is unknown."""
+    """Cut a log at times in which an input is unknown, and leave out parts shorter than `SHORTEST_PIECE_S`.
+
+    A log without such times is returned unchanged. A signal with fewer than two samples in a part is left out of it.
+    Only the first part has the findings on the devices.
+
+    Raises
+    ------
+    SeatrialError
+        If all parts are too short.
+    """
     if not log.unknown:
         return [log]
     first = min(float(c.t[0]) for c in log.run.channels.values()) if log.run.t_from is None else log.run.t_from
@@ -577,16 +692,28 @@ def _parts_with_inputs(log: LoadedLog) -> list[LoadedLog]:
         )
     found = []
     for k, (a, b) in enumerate(spans):
-        parts = {name: part for name, c in log.run.channels.items() if (part := _piece(c, a, b)).t.size > 1}
-        piece = _as_part(log, replace(log.run, channels=parts, t_from=a, t_to=b), (a, b), ())
+        parts = {name: part for name, c in log.run.channels.items() if (part := _samples_within(c, a, b)).t.size > 1}
+        piece = _named_part(log, replace(log.run, channels=parts, t_from=a, t_to=b), (a, b), ())
         found.append(replace(piece, device_faults=log.device_faults if k == 0 else ()))
     return found
 
 
-def _as_part(
+def _named_part(
     log: LoadedLog, run: LogSegment, span: tuple[float, float], unknown: tuple[tuple[float, float], ...]
 ) -> LoadedLog:
-    """Return a part of a log, with its times [s] in its name."""
+    """Return a part of a log, with its times [s] at the end of its name and path, for example ``run[0:60]``.
+
+    Parameters
+    ----------
+    log
+        The log. Times at the end of its name are replaced.
+    run
+        Signals of the part.
+    span
+        Begin and end of the part [s].
+    unknown
+        Begin and end [s] of each time in the part in which an input has no value.
+    """
     a, b = span
     file, name = (TIMES.sub("", str(log.about[key])) for key in ("path", "name"))
     times = f"[{seconds(a)}:{seconds(b)}]"
@@ -594,11 +721,11 @@ def _as_part(
     return replace(log, run=replace(run, name=f"{name}{times}"), about=about, unknown=unknown)
 
 
-def _piece(channel: Channel, begin: float, end: float) -> Channel:
-    """Return a signal from begin to end [s], and its last sample before begin, which still holds for a command."""
+def _samples_within(channel: Channel, begin: float, end: float) -> Channel:
+    """Return a signal from begin to end [s], with its last sample before begin, which still holds for a command."""
     a = max(int(np.searchsorted(channel.t, begin, side="right")) - 1, 0)
     b = int(np.searchsorted(channel.t, end, side="right"))
-    return part_of(channel, a, b)
+    return slice_channel(channel, a, b)
 
 
 def load_runs(
@@ -614,12 +741,23 @@ def load_runs(
 
     Parameters
     ----------
-    logs, role, window, device_faults
-        As for `load_run`.
+    logs
+        Files or folders of the logs.
+    role
+        ``estimation`` or ``validation``, for reports.
+    window
+        Interval of time of each log to load.
     reference
-        Origin of x and y, as for `share_frame`.
+        Origin of x and y. None: the first fix of the first log that has latitude and longitude.
+    device_faults
+        Function that returns the findings on the devices of an open log. None: the devices are not checked.
     cut
         Whether to cut the logs at their gaps (`usable_parts`).
+
+    Raises
+    ------
+    SeatrialError
+        If a log cannot be used.
     """
     whole = [(p, load_run(p, role, window, device_faults)) for p in logs]
     loaded = [(p, part) for p, log in whole for part in (usable_parts(log) if cut else [log])]
@@ -627,7 +765,7 @@ def load_runs(
 
 
 def with_unique_names(loaded: Sequence[LoadedLog], files: Sequence[Path]) -> list[LoadedLog]:
-    """Give each log a unique name.
+    """Give each log a unique name and path.
 
     Parameters
     ----------
@@ -639,14 +777,15 @@ def with_unique_names(loaded: Sequence[LoadedLog], files: Sequence[Path]) -> lis
     Returns
     -------
     list
-        The logs. Logs of the same name get the name of their folder before their own (``mon/run``).
+        The logs. Logs of the same name get the name of their folder before their own (``mon/run``), and a number if the
+        names are still equal (``mon/run (2)``).
 
     Notes
     -----
     Runs are compared, paired and shown by name, so that two runs of the same name would be confused.
     """
-    names = _unique([log.run.name for log in loaded], files)
-    paths = _unique([log.about["path"] for log in loaded], files)
+    names = _unique_labels([log.run.name for log in loaded], files)
+    paths = _unique_labels([log.about["path"] for log in loaded], files)
     named = (
         replace(log, run=replace(log.run, name=name), about=log.about | {"name": name, "path": path})
         for log, name, path in zip(loaded, names, paths, strict=True)
@@ -654,13 +793,16 @@ def with_unique_names(loaded: Sequence[LoadedLog], files: Sequence[Path]) -> lis
     return [
         log
         if log.origin is None or log.origin.log != before.run.name
-        else _at(log, msgspec.structs.replace(log.origin, log=log.run.name))
+        else _with_origin(log, msgspec.structs.replace(log.origin, log=log.run.name))
         for log, before in zip(named, loaded, strict=True)
     ]
 
 
-def _unique(labels: Sequence[str], files: Sequence[Path]) -> list[str]:
-    """Return unique labels of files: repeated labels get the folder's name, and a number if they are still equal."""
+def _unique_labels(labels: Sequence[str], files: Sequence[Path]) -> list[str]:
+    """Return unique labels of files, in the same order.
+
+    A repeated label gets the folder's name before it, and a number if it is still equal.
+    """
     found: list[str] = []
     for label, file in zip(labels, files, strict=True):
         name = f"{file.resolve().parent.name}/{label}" if labels.count(label) > 1 else label
@@ -679,9 +821,10 @@ def load_run(path: Path, role: str, window: TimeWindow = WHOLE, device_faults: D
     role
         ``estimation`` or ``validation``, for reports.
     window
-        Part of the log to load. The other parts are not read, so that the result has no ``sha256``.
+        Interval of time of the log to load. The rest of the log is not read, so that the result has no ``sha256``.
     device_faults
-        Function that returns the findings on the devices of an open log. It uses the tables that are read here.
+        Function that returns the findings on the devices of an open log. It uses the tables that are read here. None:
+        the devices are not checked.
 
     Returns
     -------
@@ -691,7 +834,7 @@ def load_run(path: Path, role: str, window: TimeWindow = WHOLE, device_faults: D
     Raises
     ------
     SeatrialError
-        If the log is no log, has no signal for an identification, or ends before the window.
+        If the file is not a log, has no signal for an identification, or ends before the window.
     """
     with open_log(path) as whole:
         log, start = whole, None
@@ -704,7 +847,7 @@ def load_run(path: Path, role: str, window: TimeWindow = WHOLE, device_faults: D
             log = whole.part(start + window.t_from - MARGIN_S, start + window.t_to + MARGIN_S)
         with log.keeping_tables():
             found = channels(log)
-            origin = _first_fix(log, found, path.stem)
+            origin = _origin_of_positions(log, found, path.stem)
             unknown = _unknown_inputs(log)
             faults = tuple(device_faults(log)) if device_faults is not None and found else None
         if not found:
@@ -724,18 +867,21 @@ def load_run(path: Path, role: str, window: TimeWindow = WHOLE, device_faults: D
             "mission": _mission_name(log),
             "warnings": list(log.warnings),
         }
-        holds = {n: c.hold or _hold(log, n) for n, c in found.items()}
+        holds = {n: c.hold or _hold_in_log(log, n) for n, c in found.items()}
         segments = tuple((t - start, text) for t, kind, text in log.events() if kind == "segment")
         propulsion = propulsion_input(log, moved, holds)
         t_to = min(window.t_to, last) if window.t_to < inf else None
         run = LogSegment(path.stem, moved, window.t_from or None, t_to)
         gaps = tuple((float(a - start), float(b - start)) for a, b in unknown)
         loaded = LoadedLog(run, about, holds, log.rig, propulsion, segments, log.vehicle, faults, unknown=gaps)
-        return loaded if origin is None else _at(loaded, origin)
+        return loaded if origin is None else _with_origin(loaded, origin)
 
 
 def _unknown_inputs(log: Log) -> list[tuple[float, float]]:
-    """Return begin and end [s since 1970] of the times in which an imported input has no value, without overlap."""
+    """Return begin and end [s since 1970] of the times in which an imported input has no value.
+
+    The times are sorted, and overlapping times are joined.
+    """
     found: list[tuple[float, float]] = []
     for source in log.sources(Scalar):
         if log.role(source) == "input":
@@ -750,17 +896,20 @@ def _unknown_inputs(log: Log) -> list[tuple[float, float]]:
     return joined
 
 
-def _first_fix(log: Log, found: Mapping[str, Channel], name: str) -> FrameOrigin | None:
-    """Return the origin of x and y if they come from latitude and longitude of a receiver; else None."""
+def _origin_of_positions(log: Log, found: Mapping[str, Channel], name: str) -> FrameOrigin | None:
+    """Return the origin of x and y if they come from latitude and longitude of a receiver; else None.
+
+    ``found`` has the signals by name, and ``name`` is the name of the log.
+    """
     if "x" not in found or found["x"].source not in log.sources(Gnss):
         return None
-    table = _fixes(log.table(Gnss, found["x"].source))
+    table = _rows_with_position(log.table(Gnss, found["x"].source))
     first = table[_origin_row(table)]
     return FrameOrigin(float(first["lat"]), float(first["lon"]), name)
 
 
-def _hold(log: Log, name: str) -> str:
-    """Return the hold of a signal by the log; empty if it is unknown."""
+def _hold_in_log(log: Log, name: str) -> str:
+    """Return the hold of the signal ``name`` that the log states; an empty text if it states none."""
     try:
         return str(log.hold(name))
     except (KeyError, SeatrialError):

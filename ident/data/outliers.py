@@ -68,7 +68,7 @@ def without_outliers(found: Mapping[str, Channel]) -> dict[str, Channel]:
     -------
     dict
         The signals without outliers, which are kept in `Channel.left_out`. A signal without an outlier is the same
-        object.
+        object. So is a signal of which all samples are outliers.
 
     Notes
     -----
@@ -81,11 +81,16 @@ def without_outliers(found: Mapping[str, Channel]) -> dict[str, Channel]:
         both = masks.get("x", np.zeros(pair[0].t.size, bool)) | masks.get("y", np.zeros(pair[0].t.size, bool))
         both |= sections_elsewhere(pair[0].t, pair[0].value, pair[1].value, ~both)
         masks["x"] = masks["y"] = both
-    return {name: _without(c, masks[name]) if name in masks and masks[name].any() else c for name, c in found.items()}
+    return {
+        name: _remove_samples(c, masks[name]) if name in masks and masks[name].any() else c for name, c in found.items()
+    }
 
 
-def _without(c: Channel, bad: Mask) -> Channel:
-    """Return the signal without the bad samples (n,), which are noted as left out."""
+def _remove_samples(c: Channel, bad: Mask) -> Channel:
+    """Return the signal without the samples that ``bad`` (n,) marks, which become `Channel.left_out`.
+
+    If all samples are marked, return the signal unchanged.
+    """
     if bad.all():
         return c  # the checks of ranges and units name a signal that is wrong throughout
     left_out = LeftOut(c.t[bad] - c.t[0], c.value[bad])
@@ -98,17 +103,18 @@ def outliers(name: str, c: Channel, found: Mapping[str, Channel]) -> Mask:
     Parameters
     ----------
     name, c
-        Name and samples of the signal.
+        Name and samples (n,) of the signal. The name determines the limits (`LEAST`).
     found
-        All signals by name. A gyro and the commands help to judge headings and shaft speeds.
+        All signals by name. A gyro ``r`` helps to judge a heading, and a command helps to judge its shaft speed.
 
     Returns
     -------
     Array (n,)
-        True for an outlier. A command has no outliers.
+        True for an outlier. All False for a command, for a signal that is stepped like a command, and for a signal with
+        fewer than two times `NEIGHBOURS` samples.
     """
     none = np.zeros(c.t.size, bool)
-    least, span = _limits(name, c)
+    least, span = _outlier_limits(name, c)
     if not np.isfinite(least) or c.t.size < 2 * NEIGHBOURS:
         return none
     impossible = ~(np.abs(c.value) < IMPOSSIBLE) if name in LEAST or name.startswith("n_") else none
@@ -119,10 +125,10 @@ def outliers(name: str, c: Channel, found: Mapping[str, Channel]) -> Mask:
     value = c.value
     if name == "psi" and "r" in found and found["r"].t.size > 1:
         # The gyro excludes that the craft turned there and back, so that a longer burst can be detected.
-        value, span = np.unwrap(value) - _turned(found["r"], c.t), HEADING_SPAN
-    bad[kept] = _bursts(name, c.t[kept], value[kept], least, span)
+        value, span = np.unwrap(value) - _heading_change(found["r"], c.t), HEADING_SPAN
+    bad[kept] = _burst_mask(name, c.t[kept], value[kept], least, span)
     if name.startswith("n_") and f"n_cmd_{name[2:]}" in found:
-        bad &= ~_commanded(c, bad, found[f"n_cmd_{name[2:]}"])
+        bad &= ~_explained_by_command(c, bad, found[f"n_cmd_{name[2:]}"])
     elif name not in LEAST and bad.any() and is_stepped(c.value, least, int(bad.sum())):
         return none
     return bad
@@ -136,9 +142,10 @@ def is_stepped(value: Array, least: float, n_bad: int) -> bool:
     value
         The signal (n,).
     least
-        Smallest step that counts.
+        Smallest step that counts, in the unit of the signal.
     n_bad
-        Number of suspected outliers. At least half as many single steps are required.
+        Number of suspected outliers. At least half as many single steps are required, and at least
+        `FEWEST_COMMAND_STEPS`.
 
     Notes
     -----
@@ -152,11 +159,12 @@ def is_stepped(value: Array, least: float, n_bad: int) -> bool:
     return n_steps >= FEWEST_COMMAND_STEPS and n_steps >= 0.5 * n_bad
 
 
-def _limits(name: str, c: Channel) -> tuple[float, float]:
+def _outlier_limits(name: str, c: Channel) -> tuple[float, float]:
     """Return the minimum deviation of an outlier from its neighbours, and the maximum duration [s] of a burst.
 
     The deviation is in the unit of the channel. It is infinite, and the duration zero, for channels that may jump:
-    commands, given forces, sampled and averaged channels.
+    commands, given forces, sampled and averaged channels. It is also infinite for a signal without a limit in `LEAST`
+    whose middle 98 % of samples are constant.
     """
     if name.startswith(("n_cmd_", "servo_", "f_", "pwm_")) or c.sampled or c.hold == "average":
         return np.inf, 0.0
@@ -168,13 +176,27 @@ def _limits(name: str, c: Channel) -> tuple[float, float]:
     return (TIMES_RANGE * float(high - low) if high > low else np.inf), OTHER_SPAN_S
 
 
-def _bursts(name: str, t: Array, value: Array, least: float, span: float) -> Mask:
-    """Return which samples (n,) belong to a burst of outliers.
+def _burst_mask(name: str, t: Array, value: Array, least: float, span: float) -> Mask:
+    """Return which samples (n,) of a signal belong to a burst of outliers.
 
-    ``least``, ``span``: least difference of an outlier and longest time [s] between the samples around a burst.
+    Parameters
+    ----------
+    name
+        Name of the signal. Headings and attitudes are wrapped.
+    t, value
+        Times [s] and values of the samples (n,).
+    least
+        Least difference of an outlier from the straight line between both sides, in the unit of the signal.
+    span
+        Longest time [s] from the sample before a burst to the sample after it.
+
+    Returns
+    -------
+    Array (n,)
+        All False if more than 20 % of the samples are suspects, which are then noise.
     """
     bad = np.zeros(t.size, bool)
-    candidates = [_candidates(name, t, value, length, least, span) for length in range(1, LONGEST + 1)]
+    candidates = [_burst_candidates(name, t, value, length, least, span) for length in range(1, LONGEST + 1)]
     long_bursts = _long_bursts(name, t, value, least, span)
     suspect = np.zeros(t.size, bool)
     for length, (starts, _) in enumerate(candidates, start=1):
@@ -184,7 +206,7 @@ def _bursts(name: str, t: Array, value: Array, least: float, span: float) -> Mas
         suspect[first : first + length] = True
     if suspect.mean() > 0.2:
         return bad  # so many suspects are noise, not outliers
-    steps = np.abs(_difference(name, value[1:], value[:-1]))
+    steps = np.abs(_wrapped_difference(name, value[1:], value[:-1]))
     regular = ~(suspect[1:] | suspect[:-1])
     short = [
         (first, length, size)
@@ -199,15 +221,36 @@ def _bursts(name: str, t: Array, value: Array, least: float, span: float) -> Mas
     return bad
 
 
-def _turned(rate: Channel, t: Array) -> Array:
-    """The integral of a yaw rate at times t (n,) [rad]."""
+def _heading_change(rate: Channel, t: Array) -> Array:
+    """Return the integral of a yaw rate [rad/s] from its first sample to the times t (n,) [rad].
+
+    The trapezoidal rule is used. Before the first and after the last sample, the integral is constant.
+    """
     steps = 0.5 * (rate.value[1:] + rate.value[:-1]) * np.diff(rate.t)
     return np.asarray(np.interp(t, rate.t, np.append(0.0, np.cumsum(steps))))
 
 
 def _long_bursts(name: str, t: Array, value: Array, least: float, span: float) -> list[tuple[int, int, float]]:
-    """First sample, length and least difference of bursts longer than `LONGEST`, from a jump to a jump back."""
-    jumps = np.flatnonzero(np.abs(_difference(name, value[1:], value[:-1])) > least) + 1
+    """Return first sample, length and least difference of each burst longer than `LONGEST`, from a jump to a jump back.
+
+    Parameters
+    ----------
+    name
+        Name of the signal. Headings and attitudes are wrapped.
+    t, value
+        Times [s] and values of the samples (n,).
+    least
+        Least difference of an outlier from the straight line between both sides, in the unit of the signal. A jump is a
+        larger step.
+    span
+        Longest time [s] from the sample before a burst to the sample after it.
+
+    Returns
+    -------
+    list
+        Empty if more than `MAX_JUMPS` of the samples are jumps. The difference is in the unit of the signal.
+    """
+    jumps = np.flatnonzero(np.abs(_wrapped_difference(name, value[1:], value[:-1])) > least) + 1
     if jumps.size > MAX_JUMPS * t.size + 2:
         return []
     found, end = [], 0
@@ -219,9 +262,9 @@ def _long_bursts(name: str, t: Array, value: Array, least: float, span: float) -
         for after in reversed(jumps[i + 1 : int(lasts[i])].tolist()):
             if after - first <= LONGEST or t[after] - t[first - 1] > span:
                 continue
-            sides = _difference(name, value[after : after + 1], value[first - 1 : first])
+            sides = _wrapped_difference(name, value[after : after + 1], value[first - 1 : first])
             part = (t[first:after] - t[first - 1]) / (t[after] - t[first - 1])
-            size = float(np.min(np.abs(_difference(name, value[first:after], value[first - 1] + part * sides))))
+            size = float(np.min(np.abs(_wrapped_difference(name, value[first:after], value[first - 1] + part * sides))))
             if size > max(least, TIMES_SIDES * abs(float(sides[0]))):
                 found.append((first, after - first, size))
                 end = after
@@ -229,29 +272,55 @@ def _long_bursts(name: str, t: Array, value: Array, least: float, span: float) -
     return found
 
 
-def _candidates(
+def _burst_candidates(
     name: str, t: Array, value: Array, length: int, least: float, span: float
 ) -> tuple[NDArray[np.intp], Array]:
-    """Return the first sample of each burst of this length (m,), and its least difference from the line (m,)."""
+    """Return the possible bursts of ``length`` samples. A comparison with their neighbours has to confirm each.
+
+    Parameters
+    ----------
+    name
+        Name of the signal. Headings and attitudes are wrapped.
+    t, value
+        Times [s] and values of the samples (n,).
+    length
+        Number of samples of a burst.
+    least
+        Least difference of an outlier from the straight line between both sides, in the unit of the signal.
+    span
+        Longest time [s] from the sample before a burst to the sample after it.
+
+    Returns
+    -------
+    first : Array (m,)
+        Index of the first sample of each possible burst.
+    size : Array (m,)
+        Least difference of its samples from the straight line between both sides, in the unit of the signal.
+    """
     before, after = value[: -length - 1], value[length + 1 :]
     duration = t[length + 1 :] - t[: -length - 1]
-    sides = _difference(name, after, before)
+    sides = _wrapped_difference(name, after, before)
     size = np.full(before.size, np.inf)
     for k in range(1, length + 1):
         inside = slice(k, k + before.size)
         part = (t[inside] - t[: -length - 1]) / np.maximum(duration, 1e-9)
-        size = np.minimum(size, np.abs(_difference(name, value[inside], before + part * sides)))
+        size = np.minimum(size, np.abs(_wrapped_difference(name, value[inside], before + part * sides)))
     there = (size > least) & (size > TIMES_SIDES * np.abs(sides)) & (duration <= span)
     starts = np.flatnonzero(there)
     return starts + 1, size[starts]
 
 
-def _difference(name: str, a: Array, b: Array) -> Array:
+def _wrapped_difference(name: str, a: Array, b: Array) -> Array:
+    """Return a - b (n,), wrapped to -pi..pi if the name is that of an angle [rad]."""
     return wrap(a - b, angle=name in ANGLES)
 
 
-def _commanded(c: Channel, bad: Mask, command: Channel) -> Mask:
-    """Return which outliers (n,) of a shaft speed are explained by a change of its command shortly before."""
+def _explained_by_command(c: Channel, bad: Mask, command: Channel) -> Mask:
+    """Return which outliers of a shaft speed are explained by a change of its command shortly before, (n,).
+
+    ``bad`` (n,) marks the outliers. The change of the command within `COMMANDED_S` before the sample must exceed half
+    of the deviation from the interpolated good samples. Samples that are no outliers are False.
+    """
     explained = np.zeros(bad.size, bool)
     typical = np.interp(c.t, c.t[~bad], c.value[~bad]) if not bad.all() else c.value
     for k in np.flatnonzero(bad).tolist():
@@ -274,7 +343,7 @@ def position_jumps(t: Array, x: Array, y: Array) -> NDArray[np.intp]:
     Returns
     -------
     Array (n_jumps,)
-        Index of the first sample after each jump: a change of position that no craft can make.
+        Index of the first sample after each jump: a change of position that no craft can make (`JUMP` and `FASTEST`).
     """
     moved = np.hypot(np.diff(x), np.diff(y))
     return np.flatnonzero((moved > JUMP) & (moved > FASTEST * np.diff(t))) + 1
@@ -290,12 +359,13 @@ def sections_elsewhere(t: Array, x: Array, y: Array, regular: Mask) -> Mask:
     x, y
         Position (n,) [m].
     regular
-        Fixes to consider (n,), without the outliers that are already known.
+        True (n,) for fixes to consider, False for outliers that are already known.
 
     Returns
     -------
     Array (n,)
-        True for fixes between a jump and the jump back, and for fixes at the start before the receiver has settled.
+        True for fixes between a jump and the jump back, and for fixes at the start before the receiver has settled. All
+        False if more than 2 % of the fixes are jumps, since the unit or the column is then wrong.
     """
     bad = np.zeros(t.size, bool)
     rows = np.flatnonzero(regular)
@@ -306,7 +376,9 @@ def sections_elsewhere(t: Array, x: Array, y: Array, regular: Mask) -> Mask:
     k = 0
     while k < len(jumps):
         first = jumps[k]
-        back = next((j for j in jumps[k + 1 :] if t[j] - t[first - 1] <= AWAY and _near(t, x, y, first - 1, j)), None)
+        back = next(
+            (j for j in jumps[k + 1 :] if t[j] - t[first - 1] <= AWAY and _is_reachable(t, x, y, first - 1, j)), None
+        )
         if back is not None:
             bad[rows[first:back]] = True
             k = jumps.index(back) + 1
@@ -320,6 +392,9 @@ def sections_elsewhere(t: Array, x: Array, y: Array, regular: Mask) -> Mask:
     return bad
 
 
-def _near(t: Array, x: Array, y: Array, i: int, j: int) -> bool:
-    """Return whether a craft can move from fix i to fix j in the time between them."""
+def _is_reachable(t: Array, x: Array, y: Array, i: int, j: int) -> bool:
+    """Return whether a craft can move from fix i to fix j: at most 5 m/s on average, or `JUMP` metres in all.
+
+    ``t`` (n,) [s], ``x``, ``y`` (n,) [m]: times and positions of the fixes.
+    """
     return bool(np.hypot(x[j] - x[i], y[j] - y[i]) < max(JUMP, 5.0 * (t[j] - t[i])))

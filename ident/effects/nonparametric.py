@@ -44,12 +44,12 @@ Signal = Callable[[Signals], Any]
 
 @dataclass(frozen=True)
 class NonparametricForce:
-    """Fitted nonparametric curve.
+    """Fitted nonparametric curve of a residual force or a sensor error.
 
     Attributes
     ----------
     force, variable : str
-        Residual quantity and its variable.
+        Names of the residual quantity and of its variable, for example ``X`` and ``u``.
     grid : Array (n,)
         Values of the variable [variable_unit].
     value : Array (n,)
@@ -58,6 +58,10 @@ class NonparametricForce:
         Pointwise standard deviation [unit].
     band : Array (n,)
         Half width of the simultaneous 95 % band [unit].
+    unit, variable_unit : str
+        Units of the quantity and of the variable.
+    reading : bool
+        Whether the quantity is a sensor error instead of a force.
     """
 
     force: str
@@ -72,7 +76,7 @@ class NonparametricForce:
 
 
 def harmonics(z: Any) -> list[Any]:
-    """Return the sines and cosines of an angle [rad], of twice and of three times the angle."""
+    """Return the sines and cosines of an angle z [rad] and its multiples: sin z, cos z, sin 2z, ..., cos 3z."""
     return [f(k * z) for k in range(1, N_HARMONICS + 1) for f in (np.sin, np.cos)]
 
 
@@ -86,11 +90,19 @@ def spline_basis(z: Any, angle: bool, span: tuple[float, float]) -> list[Any]:
     angle : bool
         Whether the variable is an angle [rad].
     span : tuple[float, float]
-        Range of the knots. Beyond this range the curve is constant.
+        Range of the knots, in the unit of the variable. Beyond this range the curve is constant. It is ignored for an
+        angle.
 
-    Notes ----- The slope of a linear spline jumps at its knots, and the filter linearises by the slope. The likelihood
-    would therefore jump when a sample passes a knot (by 2.4 on a boat with a steep curve), and a search would stop at
-    the jump, below the maximum. Each spline is therefore replaced by its moving average over ROUNDING of the spacing in
+    Returns
+    -------
+    list
+        Values of `N_KNOTS` splines, or of six harmonics.
+
+    Notes
+    -----
+    The slope of a linear spline jumps at its knots, and the filter linearises by the slope. The likelihood would
+    therefore jump when a sample passes a knot (by 2.4 on a boat with a steep curve), and a search would stop at the
+    jump, below the maximum. Each spline is therefore replaced by its moving average over ROUNDING of the spacing in
     both directions. Straight lines, and the sum of one of all splines, are not changed by the average.
     """
     if angle:
@@ -103,14 +115,24 @@ def spline_basis(z: Any, angle: bool, span: tuple[float, float]) -> list[Any]:
 
 
 def _rounded_abs(z: Any) -> Any:
-    """Return the moving average of the absolute value over ROUNDING in both directions."""
+    """Return the moving average of the absolute value |z| over ROUNDING in both directions."""
     return abs(z) + (ROUNDING - abs(z)) ** 2 / (2 * ROUNDING) * (abs(z) < ROUNDING)
 
 
-def _basis(residual: DisturbanceChannel, z: Any, angle: bool, span: tuple[float, float]) -> list[Any]:
-    """Return the basis functions of the variable.
+def _curve_basis(residual: DisturbanceChannel, z: Any, angle: bool, span: tuple[float, float]) -> list[Any]:
+    """Return the basis functions of a curve at the value z of its variable.
 
-    For a relative residual, their values at zero are subtracted: a constant factor belongs to the scale of the thrust.
+    Parameters
+    ----------
+    residual : DisturbanceChannel
+        Quantity that the curve describes. If it is relative (a factor on the thrust), the values of the basis functions
+        at zero are subtracted: a constant factor belongs to the scale of the thrust.
+    z : float, Array or symbol
+        Value of the variable.
+    angle : bool
+        Whether the variable is an angle [rad]. The basis functions are then harmonics, and otherwise splines.
+    span : tuple[float, float]
+        Range of the knots of splines, in the unit of the variable.
     """
     basis = spline_basis(z, angle, span)
     if not residual.relative:
@@ -118,13 +140,13 @@ def _basis(residual: DisturbanceChannel, z: Any, angle: bool, span: tuple[float,
     return [b - b0 for b, b0 in zip(basis, spline_basis(0.0, angle, span), strict=True)]
 
 
-def partition(model: Model, curve: ForceCurve) -> tuple[DisturbanceChannel, list[Variable]]:
-    """Return the residual of a curve and its variable, or the two variables of a product.
+def residual_and_variables(model: Model, curve: ForceCurve) -> tuple[DisturbanceChannel, list[Variable]]:
+    """Return the residual quantity of a curve, and its variable in a list, or the two variables of a product.
 
     Raises
     ------
     ValueError
-        If the model lacks the residual or a variable.
+        If the model lacks the residual quantity or a variable. The message lists those it has.
     """
     residuals = {r.name: r for r in (*residuals_of(model), *sensor_errors_of(model), *thrust_losses_of(model))}
     variables = {v.name: v for v in (*variables_of(model), TIME)}
@@ -137,8 +159,8 @@ def partition(model: Model, curve: ForceCurve) -> tuple[DisturbanceChannel, list
     return residuals[curve.force], [variables[name] for name in of]
 
 
-def _terms(of: Sequence[Variable]) -> list[str]:
-    """Return the meaning of each coefficient of a curve, by its term."""
+def _term_meanings(of: Sequence[Variable]) -> list[str]:
+    """Return the meaning of each coefficient of a curve of one variable, or of the products of two, for reports."""
     a = of[0].name
     if len(of) == 2:
         b = of[1].name
@@ -154,30 +176,31 @@ def nonparametric_effect(model: Model, curve: ForceCurve, span: tuple[float, flo
     Parameters
     ----------
     model : Model
-        Model with the residual and the variables.
+        Model with the residual quantity and the variables.
     curve : ForceCurve
-        Residual quantity and its variable. With two variables, the terms are products of them. For a relative residual,
-        the sum is a relative change of the thrust.
+        Names of the residual quantity and of its variable. With two variables a and b, the terms are a b, |a| b and a
+        |b|. For a relative residual, the sum is a relative change of the thrust.
     span : tuple[float, float]
-        Range of the variable that the knots cover.
+        Range of the variable that the knots cover, in the unit of the variable. It is not used for angles and products.
 
     Raises
     ------
     ValueError
-        If the model lacks the residual or a variable.
+        If the model lacks the residual quantity or a variable.
     """
-    residual, of = partition(model, curve)
+    residual, of = residual_and_variables(model, curve)
     force, variable = curve.force, curve.variables
-    terms_of = _terms(of)
+    terms_of = _term_meanings(of)
     unit = unit_over(residual.unit, *(v.unit for v in of)) if len(of) == 2 else residual.unit
     names = [f"{force}_{curve.variable}{curve.second}_{k}" for k in range(len(terms_of))]
 
     def add(s: Signals) -> None:
+        """Add the sum of the terms to the residual quantity."""
         if len(of) == 2:
             a, b = (v.read(s) for v in of)
             terms = [a * b, abs(a) * b, a * abs(b)]
         else:
-            terms = _basis(residual, of[0].read(s), of[0].angle, span)
+            terms = _curve_basis(residual, of[0].read(s), of[0].angle, span)
         residual.add(s, sum(getattr(s.p, name) * term for name, term in zip(names, terms, strict=True)))
 
     return Effect(
@@ -221,17 +244,17 @@ def shape(
     Parameters
     ----------
     model : Model
-        Model with the residual and the variable.
+        Model with the residual quantity and the variable.
     effect : Effect
         Nonparametric effect.
     values : Mapping[str, float]
         Fitted parameters by name.
     names : Sequence[str]
-        Names of the parameters of `covariance`, in order.
+        Names of the parameters of `covariance`, in order. They include those of the effect.
     covariance : Array (n_parameters, n_parameters)
         Covariance of the estimates.
     n : int
-        Number of points.
+        Number of points of the curve.
 
     Returns
     -------
@@ -242,16 +265,16 @@ def shape(
     span, curve = effect.span, effect.curve
     if span is None or curve is None or curve.second:
         return None
-    residual, of = partition(model, curve)
+    residual, of = residual_and_variables(model, curve)
     grid = np.linspace(-np.pi, np.pi, n) if of[0].angle else np.linspace(*span, n)
-    B = np.column_stack([b * np.ones(n) for b in _basis(residual, grid, of[0].angle, span)])
+    B = np.column_stack([b * np.ones(n) for b in _curve_basis(residual, grid, of[0].angle, span)])
     B = B if residual.relative else B - B.mean(0)
     own = [p.name for p in effect.parameters]
     at = [list(names).index(name) for name in own]
     P = covariance[np.ix_(at, at)]
     value = B @ np.array([values[name] for name in own])
     sd = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", B, P, B), 0))
-    band = whole_band(B, P) * sd
+    band = simultaneous_critical_value(B, P) * sd
     if not of[0].angle:
         band = band + between_knots(np.array([values[name] for name in own]), grid, span)
     return NonparametricForce(
@@ -259,7 +282,7 @@ def shape(
     )
 
 
-def whole_band(B: Array, P: Array, n: int = 4000) -> float:
+def simultaneous_critical_value(B: Array, P: Array, n: int = 4000) -> float:
     """Return the critical value of the simultaneous 95 % band of a curve ``B t``.
 
     The critical value is the number of pointwise standard deviations within which the whole curve lies with a
@@ -282,19 +305,19 @@ def whole_band(B: Array, P: Array, n: int = 4000) -> float:
 
 
 def between_knots(knots: Array, grid: Array, span: tuple[float, float]) -> Array:
-    """Return a bound of the error of linear interpolation between knots, shape (n_points,).
+    """Return a bound of the error of linear interpolation between knots, shape (n_points,), in the unit of the curve.
 
-    The bound is an eighth of the second difference of the knots at the middle of an interval, and less towards the
-    knots.
+    The bound is an eighth of the second difference of the knots at the middle of an interval, and half of that at the
+    knots. The larger second difference of both ends of an interval counts.
 
     Parameters
     ----------
     knots : Array (N_KNOTS,)
-        Values at the knots.
+        Values of the curve at the knots.
     grid : Array (n_points,)
-        Values of the variable.
+        Values of the variable. Values outside the knots get the bound at the nearest knot.
     span : tuple[float, float]
-        First and last knot.
+        First and last knot, in the unit of the variable.
     """
     bend = np.abs(np.diff(knots, 2))
     # second difference of each interval: the larger value of its two ends
@@ -307,9 +330,10 @@ def between_knots(knots: Array, grid: Array, span: tuple[float, float]) -> Array
 
 
 def input_response_effects(model: Model) -> list[Effect]:
-    """Return the lagged and the resonant response to each pair of thrusters that the model does not have yet.
+    """Return the lagged and the resonant response to each pair of thrusters that can be added to the model.
 
-    Return [] for a model without a pair of thrusters.
+    The mean of a pair acts on the surge force, and its difference on the yaw moment. Responses that the model has
+    already are left out. Return [] for a model without a pair of thrusters.
     """
     forces = {r.name: r for r in residuals_of(model)}
     effects = []
@@ -317,7 +341,7 @@ def input_response_effects(model: Model) -> list[Effect]:
         pair = variable.pair
         force = forces.get("N" if pair.difference else "X") if pair is not None else None
         if pair is not None and force is not None:
-            drive, unit = _thrust(pair), variable.unit
+            drive, unit = _drive_reader(pair), variable.unit
             for effect in (
                 lagged_response(force, variable.name, drive, unit),
                 resonant_response(force, variable.name, drive, unit),
@@ -327,14 +351,15 @@ def input_response_effects(model: Model) -> list[Effect]:
     return effects
 
 
-def _thrust(pair: ThrusterPair) -> Signal:
-    """Return the function that reads the mean or half difference of two thrusts.
+def _drive_reader(pair: ThrusterPair) -> Signal:
+    """Return the function that reads the mean or half difference of the thrusts of a pair from the signals.
 
-    Shaft speeds are converted to thrust relative to full thrust, quadratic in the shaft speed. Thrusts are used as
-    given [N].
+    If the pair is of shaft speeds, they are converted to thrust relative to full thrust, quadratic in the shaft speed.
+    Thrusts are used as given [N].
     """
 
     def read(s: Signals) -> Any:
+        """Return the mean thrust, or half of the difference left minus right."""
         left, right = (s.state_or_input(f"{pair.quantity}_{side}") for side in ("left", "right"))
         if pair.quantity == "n":
             left, right = left * abs(left), right * abs(right)
@@ -343,29 +368,45 @@ def _thrust(pair: ThrusterPair) -> Signal:
     return read
 
 
-def _per_drive(force: DisturbanceChannel, unit: str) -> tuple[str, float, float]:
-    """Return unit and scale of a coefficient of force per drive, and the scale of the drive.
+def _coefficient_scale(force: DisturbanceChannel, unit: str) -> tuple[str, float, float]:
+    """Return the unit and scale of a coefficient of force per drive, and the scale of the drive.
 
-    ``unit`` is the unit of the drive. A drive without a unit is thrust relative to full thrust.
+    ``force`` is the quantity on which the drive acts. ``unit`` is the unit of the drive. A drive without a unit is
+    thrust relative to full thrust and has the scale one; a drive in newtons has the scale 40 N.
     """
     full = FULL_THRUST_N if unit else 1.0
     return unit_over(force.unit, unit), force.scale / full, full
 
 
 def lagged_response(force: DisturbanceChannel, of: str, drive: Signal, unit: str) -> Effect:
-    """Return the first-order lagged response to w [``unit``]: ``F += sum_k t_k (z_k - w)``,
-    ``z_k' = (w - z_k) / T_k``.
+    """Return the first-order lagged response of a force to a drive w, with three time constants T_k: 0.25, 1 and 4 s.
+
+    The equations are ``F += sum_k t_k (z_k - w)`` and ``z_k' = (w - z_k) / T_k``. In steady state, the response is
+    zero.
+
+    Parameters
+    ----------
+    force : DisturbanceChannel
+        Force F or moment on which the drive acts.
+    of : str
+        Name of the variable of the drive, for example ``n_sum``.
+    drive : Callable
+        Reads w from the signals.
+    unit : str
+        Unit of w: empty for thrust relative to full thrust, or ``N``.
     """
-    of_drive, scale, full = _per_drive(force, unit)
+    of_drive, scale, full = _coefficient_scale(force, unit)
     names = [f"{force.name}_{of}_late_{k}" for k in range(len(TIME_CONSTANTS))]
     states = [f"late_{of}_{k}" for k in range(len(TIME_CONSTANTS))]
 
     def add(s: Signals) -> None:
+        """Add the response to the force."""
         w = drive(s)
         terms = zip(names, states, strict=True)
         force.add(s, sum(getattr(s.p, name) * (getattr(s.x, state) - w) for name, state in terms))
 
     def follow(s: Signals) -> None:
+        """Set the rates of the lagged drives."""
         for state, time_constant in zip(states, TIME_CONSTANTS, strict=True):
             s.rate[state] = (drive(s) - getattr(s.x, state)) / time_constant
 
@@ -400,18 +441,32 @@ def lagged_response(force: DisturbanceChannel, of: str, drive: Signal, unit: str
 
 
 def resonant_response(force: DisturbanceChannel, of: str, drive: Signal, unit: str) -> Effect:
-    """Return the resonant response to w [``unit``]: ``F += a (z - w) + b z' / omega``, z a
-    second-order mode driven by w.
+    """Return the resonant response of a force to a drive w, by a second-order mode z with a damping ratio of 0.1.
+
+    The equation is ``F += a (z - w) + b z' / omega``. In steady state, the response is zero.
+
+    Parameters
+    ----------
+    force : DisturbanceChannel
+        Force F or moment on which the drive acts.
+    of : str
+        Name of the variable of the drive, for example ``n_sum``.
+    drive : Callable
+        Reads w from the signals.
+    unit : str
+        Unit of w: empty for thrust relative to full thrust, or ``N``.
     """
-    of_drive, scale, full = _per_drive(force, unit)
+    of_drive, scale, full = _coefficient_scale(force, unit)
     names = (f"{force.name}_{of}_swing", f"{force.name}_{of}_swing_rate")
     states, f_name = (f"swing_{of}", f"swing_{of}_rate"), f"f_{force.name}_{of}"
 
     def add(s: Signals) -> None:
+        """Add the response to the force."""
         z, quadrature = (getattr(s.x, n) for n in states)
         force.add(s, getattr(s.p, names[0]) * (z - drive(s)) + getattr(s.p, names[1]) * quadrature)
 
     def swing(s: Signals) -> None:
+        """Set the rates of the two states of the mode."""
         omega = 2 * math.pi * getattr(s.p, f_name)
         z, quadrature = (getattr(s.x, n) for n in states)
         s.rate[states[0]] = omega * quadrature

@@ -26,16 +26,22 @@ GROUP = "seatrial.effects"  # entry points by which other packages add effects
 def catalogue() -> Mapping[str, Effect]:
     """Return all effects by name, in alphabetical order. All callers share the mapping, so it is read-only.
 
-    Effects of other packages are included. A package is left out with a warning if it cannot be imported, defines no
-    effect, or uses the name of a built-in effect.
+    The modules of the effects are imported at the first call, and the result is kept. Effects of other packages are
+    included. A package is left out with a warning if it cannot be imported, defines no effect, or uses the name of a
+    built-in effect.
+
+    Raises
+    ------
+    ValueError
+        If two built-in effects have the same name.
     """
     found: dict[str, Effect] = {}
     for folder in pkgutil.iter_modules(seatrial.ident.effects.__path__, "seatrial.ident.effects."):
         if folder.ispkg:
             for file in pkgutil.iter_modules(importlib.import_module(folder.name).__path__, f"{folder.name}."):
-                _register(importlib.import_module(file.name), found)
+                _register_module(importlib.import_module(file.name), found)
     for point in plugins(GROUP).values():
-        for effect in _effects_of(load_or_warn(point, object), point.value):
+        for effect in _effects_of_plugin(load_or_warn(point, object), point.value):
             if effect.name in found:
                 warnings.warn(
                     f"the effect {effect.name!r} of {point.value} is left out: the name is in use; rename it",
@@ -47,8 +53,22 @@ def catalogue() -> Mapping[str, Effect]:
     return MappingProxyType(dict(sorted(found.items())))
 
 
-def _effects_of(loaded: object, place: str) -> tuple[Effect, ...]:
-    """Return the effects that the object of an entry point contains: an Effect, a sequence of them, or a module."""
+def _effects_of_plugin(loaded: object, place: str) -> tuple[Effect, ...]:
+    """Return the effects that the object of an entry point contains.
+
+    Parameters
+    ----------
+    loaded : object
+        An Effect, a sequence of them, or a module with ``EFFECTS`` or ``EFFECT``. None: the entry point could not be
+        imported.
+    place : str
+        Text of the entry point, for messages.
+
+    Returns
+    -------
+    tuple[Effect, ...]
+        If the object, or an element of it, is no Effect, return () and warn. For None, return () without a warning.
+    """
     if isinstance(loaded, ModuleType):
         loaded = getattr(loaded, "EFFECTS", None) or getattr(loaded, "EFFECT", None)
     effects = loaded if isinstance(loaded, (list, tuple)) else (loaded,)
@@ -63,9 +83,15 @@ def _effects_of(loaded: object, place: str) -> tuple[Effect, ...]:
     return found
 
 
-def _register(module: ModuleType, effects: dict[str, Effect]) -> None:
-    """Add the effects of a module. Raise ValueError if a name is already in use."""
+def _register_module(module: ModuleType, effects: dict[str, Effect]) -> None:
+    """Add the effects in ``EFFECTS`` or ``EFFECT`` of a module to ``effects``, in place.
+
+    Raises
+    ------
+    ValueError
+        If a name is already in use.
+    """
     for effect in getattr(module, "EFFECTS", ()) or (module.EFFECT,):
         if effect.name in effects:
-            raise ValueError(f"two effects are called {effect.name!r}")
+            raise ValueError(f"two effects of the catalogue are called {effect.name!r}; rename one of them")
         effects[effect.name] = effect

@@ -18,8 +18,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from seatrial.ident.data import InitialCondition, Prepared, Preparer, Record, initial_condition
+from seatrial.ident.data import Record
 from seatrial.ident.engine import ArenaPool, FilterKernels, Kernel, filter_kernels_for
+from seatrial.ident.estimation.prepared_record import InitialCondition, Prepared, Preparer, initial_condition
 from seatrial.ident.model import LIKELY, Model, robust_weight
 from seatrial.ident.numerics import Array
 

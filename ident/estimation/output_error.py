@@ -13,9 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from seatrial.ident.data import Preparer, Record, initial_condition
+from seatrial.ident.data import Record
 from seatrial.ident.engine import Kernel, filter_kernels_for
 from seatrial.ident.estimation.likelihood import Likelihood
+from seatrial.ident.estimation.prepared_record import Preparer, initial_condition
 from seatrial.ident.model import Model, Parameter, segment_name
 from seatrial.ident.numerics import Array
 

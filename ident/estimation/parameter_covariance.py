@@ -18,10 +18,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from seatrial.ident.data import Preparer, Record
+from seatrial.ident.data import Record
 from seatrial.ident.estimation.likelihood import Likelihood
 from seatrial.ident.estimation.maximum_likelihood import Fit
 from seatrial.ident.estimation.output_error import simulate
+from seatrial.ident.estimation.prepared_record import Preparer
 from seatrial.ident.model import Model
 from seatrial.ident.numerics import Array, covariance_root
 

@@ -1,4 +1,8 @@
 from . import outlier_density as outlier_density
+from .delayed_inputs import HISTORY_STEP as HISTORY_STEP
+from .delayed_inputs import delay_weights as delay_weights
+from .delayed_inputs import tap_name as tap_name
+from .delayed_inputs import weighted_sum as weighted_sum
 from .outlier_density import LIKELY as LIKELY
 from .outlier_density import outlier_notes as outlier_notes
 from .outlier_density import robust_sensors as robust_sensors
@@ -9,8 +13,6 @@ from .parameter import Parameter as Parameter
 from .parameter import ParameterOrigin as ParameterOrigin
 from .parameter import ParameterRole as ParameterRole
 from .parameter import segment_name as segment_name
-from .parameter import tap_name as tap_name
-from .structure import HISTORY_STEP as HISTORY_STEP
 from .structure import PARAMETERS as PARAMETERS
 from .structure import DisturbanceChannel as DisturbanceChannel
 from .structure import Effect as Effect

@@ -32,43 +32,47 @@ MANY_OUTLIERS = 0.1  # share of the samples; with more outliers, the model is wr
 
 
 def log_density(z: Any) -> Any:
-    """Return ln p of a standardised innovation. The argument is a number or a symbol."""
-    return np.log(_good(z) + _outlier(z))
+    """Return the logarithm of the density ``ln p`` at the standardised innovation z: a number, an array or a symbol."""
+    return np.log(_inlier_density(z) + _outlier_density(z))
 
 
 def robust_weight(z: Any) -> Any:
-    """Return the probability that the sample is good, given its standardised innovation."""
-    return _good(z) / (_good(z) + _outlier(z))
+    """Return the probability (0 to 1) that a sample is good, given its standardised innovation z."""
+    return _inlier_density(z) / (_inlier_density(z) + _outlier_density(z))
 
 
 def score(z: Any) -> Any:
-    """Return ``psi = -d ln p / dz``."""
+    """Return ``psi = -d ln p / dz`` at the standardised innovation z.
+
+    The score is z for good samples and falls to zero for outliers.
+    """
     w = robust_weight(z)
     return w * z + (1.0 - w) * _outlier_score(z)
 
 
 def score_slope(z: Any) -> Any:
-    """Return ``psi'``, which never exceeds 1, so that P stays positive.
+    """Return ``psi' = d psi / dz`` at the standardised innovation z.
 
-    The slope is 1 for good samples and about 0 for outliers. The slope is negative in between, if a sample may be good
-    or an outlier. The update then increases the variance of the state, because two values of the state are plausible.
+    The slope never exceeds 1, so that P stays positive. The slope is 1 for good samples and about 0 for outliers. The
+    slope is negative in between, if a sample may be good or an outlier. The update then increases the variance of the
+    state, because two values of the state are plausible.
     """
     w, apart, square = robust_weight(z), z - _outlier_score(z), WIDTH**2 + z * z
     return w + (1.0 - w) * 2.0 * (WIDTH**2 - z * z) / (square * square) - w * (1.0 - w) * apart * apart
 
 
-def _good(z: Any) -> Any:
-    """Return the part of the density that describes good samples."""
+def _inlier_density(z: Any) -> Any:
+    """Return the normal part ``(1 - e) N(z; 0, 1)`` of the density, which describes good samples."""
     return (1.0 - SHARE) / np.sqrt(2.0 * np.pi) * np.exp(-0.5 * z * z)
 
 
-def _outlier(z: Any) -> Any:
-    """Return the part of the density that describes outliers."""
+def _outlier_density(z: Any) -> Any:
+    """Return the wide part ``e C(z; 0, c)`` of the density, which describes outliers."""
     return SHARE / (np.pi * WIDTH) / (1.0 + z * z / WIDTH**2)
 
 
 def _outlier_score(z: Any) -> Any:
-    """Return ``-d ln C / dz``."""
+    """Return ``-d ln C / dz``: the score of the wide part alone."""
     return 2.0 * z / (WIDTH**2 + z * z)
 
 
@@ -85,7 +89,7 @@ def with_outlier_model(model: Model, sensors: Iterable[str] | None = None) -> Mo
     Raises
     ------
     KeyError
-        If the model has no sensor of that name.
+        If the model has no sensor of that name. The message lists the sensors of the model.
     """
     available = [s.name for s in model.sensors]
     chosen = available if sensors is None else list(sensors)
@@ -102,23 +106,29 @@ def with_outlier_model(model: Model, sensors: Iterable[str] | None = None) -> Mo
 
 
 def robust_sensors(model: Model) -> tuple[str, ...]:
-    """Return the names of the sensors in which outliers are allowed."""
+    """Return the names of the sensors in which outliers are allowed, in the order of the model."""
     return tuple(s.name for s in model.sensors if any(o.robust for o in s.outputs))
 
 
 def outlier_notes(
     model: Model, outliers: Sequence[NDArray[np.bool_]], measured: Sequence[NDArray[np.bool_]]
 ) -> list[str]:
-    """Return one line for each robust channel with the number of its outliers.
+    """Return one sentence for each output with outliers allowed, with the number and share of its outliers.
 
     Parameters
     ----------
     model : Model
         Fitted model.
     outliers : Sequence[Array (n_rows, n_outputs) of bool]
-        ``FilterRun.outliers`` of each record.
+        True for samples that the fit treated as outliers, for each record.
     measured : Sequence[Array (n_rows, n_outputs) of bool]
         Whether a row has a sample of the output, for each record.
+
+    Returns
+    -------
+    list of str
+        An output without a sample has no sentence. If more than 10 % of the samples are outliers, the sentence warns
+        that the model lacks an effect.
     """
     notes = []
     for j, output in enumerate(model.outputs):

@@ -1,7 +1,7 @@
 """Parameters of a model: the value, and separately its properties (unit, transform, prior, free or fixed).
 
-This module also composes the names of per-record parameters and delayed inputs. No other code parses these names; their
-components are stored in typed fields.
+This module also composes the names of per-record parameters. No other code parses these names; their components are
+stored in typed fields.
 """
 
 from __future__ import annotations
@@ -13,13 +13,11 @@ from typing import Literal
 
 
 def segment_name(name: str, segment: int | None) -> str:
-    """Return the name of a per-record parameter, for example ``V_x@0``. ``segment`` None: return the name itself."""
+    """Return the name of a parameter in a fit: ``V_x@0`` for its value in record 0.
+
+    ``segment`` is the index of the record. None: the result is ``name``, for a parameter that all records share.
+    """
     return name if segment is None else f"{name}@{segment}"
-
-
-def tap_name(name: str, tap: int) -> str:
-    """Return the name of an input ``tap`` steps ago, for example ``n_left~3``. ``tap`` 0: return the name itself."""
-    return f"{name}~{tap}" if tap else name
 
 
 INF = math.inf
@@ -28,7 +26,11 @@ ROUNDING = 1e-9  # relative to a bound: a value outside by less, for example a r
 
 
 class ParameterRole(StrEnum):
-    """Role of a parameter. The model derives the roles of noise and initial states from their use (`Model.role`)."""
+    """Role of a parameter in a model.
+
+    A model declares ``DYNAMICS`` or ``DISTURBANCE``. The roles of noise and initial states follow from the use of the
+    parameter (`Model.role`).
+    """
 
     DYNAMICS = "dynamics"  # rates and outputs depend on it
     NOISE = "noise"  # a standard deviation or a diffusion
@@ -63,17 +65,28 @@ class Parameter:
         "log" estimates the logarithm of a positive parameter.
     prior : tuple[float, float] or None
         Mean and standard deviation in `unit`. The prior is normal. With the transform "log", it is normal in the
-        logarithm with the relative standard deviation.
+        logarithm with the relative standard deviation. None: no prior.
     bounds : tuple[float, float]
-        Lower and upper bound in `unit`.
+        Lower and upper bound in `unit`. A value outside by a relative rounding of 1e-9 is moved onto the bound.
     free : bool
         Whether the parameter is estimated.
     considered : bool
         Whether the parameter is held at its value while the errors of all other parameters include the uncertainty of
         its prior (consider covariance: Schmidt 1966; Tapley, Schutz and Born 2004, section 6.3). It is for parameters
-        that the data cannot inform.
+        that the data cannot inform. It has no effect on a free parameter.
     per_record : bool
         Whether the parameter has a separate value in each record, such as a current or a bias.
+    step : float
+        Characteristic step: the smallest change that matters, in `unit`. 0: a hundredth of the value.
+    role : ParameterRole
+        Declared role: dynamics, or a property of a zero-mean disturbance.
+    segment : int or None
+        Index of the record, for a `per_record` parameter in a fit. None for a parameter that all records share.
+    origin : ParameterOrigin
+        Origin of the value before a fit, or of its prior.
+    scales : bool
+        Whether the value scales with the size of the boat, by its unit (`seatrial.ident.models.scaling`). False if it
+        is a property of a device, the water or the sea.
     """
 
     name: str
@@ -86,23 +99,28 @@ class Parameter:
     free: bool = True
     considered: bool = False
     per_record: bool = False
-    step: float = 0.0  # characteristic step: the smallest change that matters; 0: a hundredth of the value
+    step: float = 0.0
     role: ParameterRole = ParameterRole.DYNAMICS
-    segment: int | None = None  # index of the record, for a ``per_record`` parameter in a fit
-    origin: ParameterOrigin = ParameterOrigin.GIVEN  # origin of the value or of its prior, see ``provenance``
-    # Whether the value scales with the size of the boat, by its unit (`seatrial.ident.models.scaling`).
-    # False if it is a property of a device, the water or the sea.
+    segment: int | None = None
+    origin: ParameterOrigin = ParameterOrigin.GIVEN
     scales: bool = True
 
     def __post_init__(self) -> None:
-        """Check the parameter. Raise ValueError if its value, prior or bounds are inconsistent."""
+        """Check the parameter, and move a value that is outside its bounds only by rounding onto the bound.
+
+        Raises
+        ------
+        ValueError
+            If the value is outside its bounds, if it is not positive with the transform "log", or if a considered
+            parameter has no prior or is `per_record`.
+        """
         low, high = self.bounds
         if self.considered and (self.prior is None or self.per_record):
             raise ValueError(
                 f"parameter {self.name}: a considered parameter needs a prior and one value for all records"
             )
         if self.transform == "log" and self.value <= 0:
-            raise ValueError(f"parameter {self.name}: {self.value} is not positive, but its transform is log")
+            raise ValueError(f"parameter {self.name}: {self.value} is not positive, as its transform log requires")
         nearest = min(max(self.value, low), high)
         if 0 < abs(self.value - nearest) <= ROUNDING * abs(nearest):
             object.__setattr__(self, "value", nearest)
@@ -111,24 +129,29 @@ class Parameter:
 
     @property
     def exact(self) -> bool:
-        """Return whether the value is assumed to have no error."""
+        """Whether the value is assumed to have no error: the parameter is neither free nor considered."""
         return not (self.free or self.considered)
 
     @property
     def considered_sd(self) -> float | None:
-        """Standard deviation of the prior of a considered parameter; None if the parameter is estimated or exact."""
+        """Standard deviation of the prior of a considered parameter, in its unit; None if it is estimated or exact."""
         return self.prior[1] if self.considered and not self.free and self.prior is not None else None
 
     @property
     def full_name(self) -> str:
-        """Name with the index of its record, for example ``V_x@0``. It is the plain name if all records share the
-        parameter.
+        """Name with the index of its record, for example ``V_x@0``.
+
+        It is the plain name if all records share the parameter.
         """
         return segment_name(self.name, self.segment)
 
     @property
     def provenance(self) -> ParameterOrigin:
-        """Origin of the value after a fit."""
+        """Origin of the value after a fit.
+
+        The declared origin is kept for a parameter that is not free, and for a free parameter whose prior is from a
+        measurement or from the user. Any other free parameter is estimated.
+        """
         informative = self.prior is not None and self.origin in (
             ParameterOrigin.MEASURED,
             ParameterOrigin.PRIOR,
@@ -136,37 +159,55 @@ class Parameter:
         return self.origin if informative or not self.free else ParameterOrigin.ESTIMATED
 
     def to_free(self, value: float) -> float:
-        """Convert a value to the coordinate of the estimator."""
+        """Convert a value in the unit of the parameter to the coordinate of the estimator: its logarithm with "log"."""
         return math.log(value) if self.transform == "log" else value
 
     def from_free(self, coordinate: float) -> float:
-        """Convert a coordinate of the estimator to a value."""
+        """Convert a coordinate of the estimator to a value in the unit of the parameter; the inverse of `to_free`.
+
+        With the transform "log", the coordinate is limited to 700, so that the value is finite.
+        """
         return math.exp(min(coordinate, LARGEST)) if self.transform == "log" else coordinate
 
     def slope(self, value: float) -> float:
-        """Return d value / d coordinate."""
+        """Return the derivative of the value with respect to the estimator's coordinate, at this value.
+
+        The derivative is the value itself with the transform "log", and otherwise one.
+        """
         return value if self.transform == "log" else 1.0
 
     def free_prior(self) -> tuple[float, float] | None:
-        """Return the mean and standard deviation of the prior in the estimator's coordinate."""
+        """Return the mean and standard deviation of the prior in the estimator's coordinate; None without a prior."""
         if self.prior is None:
             return None
         mean, sd = self.prior
         return (math.log(mean), sd / mean) if self.transform == "log" else (mean, sd)
 
     def free_bounds(self) -> tuple[float, float]:
-        """Return the bounds in the estimator's coordinate."""
+        """Return the lower and upper bound in the estimator's coordinate.
+
+        With the transform "log", a lower bound of zero or less becomes minus infinity.
+        """
         low, high = self.bounds
         if self.transform == "log":
             return (math.log(low) if low > 0 else -INF, math.log(high) if high < INF else INF)
         return low, high
 
     def at(self, value: float) -> Parameter:
-        """Return the parameter with another value."""
+        """Return the parameter with another value.
+
+        Raises
+        ------
+        ValueError
+            If the value is outside the bounds.
+        """
         return replace(self, value=float(value))
 
     def fixed(self) -> Parameter:
-        """Return the parameter as a fixed parameter."""
+        """Return the parameter as one that is not estimated, at its present value.
+
+        A considered parameter stays considered.
+        """
         return replace(self, free=False)
 
     def known(self, value: float, sd: float, origin: ParameterOrigin) -> Parameter:
@@ -175,12 +216,17 @@ class Parameter:
         Parameters
         ----------
         value : float
-            Known value.
+            Known value, in the unit of the parameter. With ``sd`` > 0 it is also the mean of the prior.
         sd : float
-            0: the parameter is fixed. Otherwise: standard deviation of its prior.
-            The parameter is then estimated, unless it is a considered parameter.
+            0: the parameter is fixed. Otherwise: standard deviation of its prior, in the unit of the parameter. The
+            parameter is then estimated, unless it is a considered parameter.
         origin : ParameterOrigin
             Origin of the value.
+
+        Raises
+        ------
+        ValueError
+            If the value is outside the bounds.
         """
         if sd == 0.0:
             return replace(self, value=float(value), free=False, considered=False, origin=origin)
@@ -188,5 +234,5 @@ class Parameter:
         return replace(self, value=float(value), prior=prior, free=self.considered_sd is None, origin=origin)
 
     def freed(self) -> Parameter:
-        """Return the parameter as a free parameter."""
+        """Return the parameter as one that is estimated, even if it was a considered parameter."""
         return replace(self, free=True, considered=False)

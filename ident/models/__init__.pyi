@@ -17,6 +17,7 @@ from .components import navigation_errors as navigation_errors
 from .components import shift as shift
 from .components import telemetry_age as telemetry_age
 from .components import thrust_calibration as thrust_calibration
+from .dead_zone import beyond_dead_band as beyond_dead_band
 from .disturbances import SENSOR_ERRORS as SENSOR_ERRORS
 from .disturbances import THRUST_LOSSES as THRUST_LOSSES
 from .disturbances import TIME as TIME
@@ -51,7 +52,6 @@ from .surge import surge_model as surge_model
 from .thruster import DELAY_STEP as DELAY_STEP
 from .thruster import START_POLES as START_POLES
 from .thruster import delay_step as delay_step
-from .thruster import delay_weights as delay_weights
 from .thruster import delayed_channels as delayed_channels
 from .thruster import pace_with_copy_at as pace_with_copy_at
 from .thruster import thruster_model as thruster_model

@@ -55,56 +55,57 @@ KNOWN_SIGNALS = {
 
 
 def make_model(source: str, sensors: Sequence[str] | None = None) -> Model:
-    """Return a model by name.
+    """Return a model by name: a model of the catalogue, or a user-defined model, whose file is run.
 
     Parameters
     ----------
     source : str
-        Name in the catalogue, or ``FILE.py:NAME``. NAME is a Model or a function that returns a Model.
+        Name in the catalogue with options, or ``FILE.py:NAME``. NAME is a Model or a function that returns a Model.
     sensors : Sequence[str], optional
-        Sensors of the log. Other sensors of a catalogue model are left out.
+        Sensors of the log. Other sensors of a catalogue model are left out. None: all sensors are kept.
 
     Raises
     ------
     SeatrialError
-        If there is no such model.
+        If there is no such model, or if its file cannot be used.
     """
     return own_model(source) if is_own_model(source) else catalogue_model(source, sensors)
 
 
 def is_own_model(source: str) -> bool:
-    """Return whether a model is user-defined, ``FILE.py:NAME``, and not a name in the catalogue."""
+    """Return whether the text ``source`` names a user-defined model, ``FILE.py:NAME``. The file is not read."""
     return source.rpartition(":")[0].endswith(".py")
 
 
 def catalogue_model(source: str, sensors: Sequence[str] | None = None) -> Model:
-    """Return a model of the catalogue by name. No file is loaded, whatever the name.
+    """Return a model of the catalogue, or of another installed package, by name. No Python file of the user is run.
 
     Parameters
     ----------
     source : str
         Name with options, for example ``horizontal:shaft``, ``horizontal:force:no-current``, ``kinematic:shaft:yaw``.
     sensors : Sequence[str], optional
-        Sensors of the log. Other sensors of the model are left out.
+        Sensors of the log. Other sensors of the model are left out. None: all sensors are kept. If the log has none of
+        the sensors of the model, all are kept.
 
     Raises
     ------
     SeatrialError
-        If there is no such model.
+        If there is no such model or option. The message lists the choices.
     """
     kind, *options = source.split(":")
     if kind not in BUILT_IN:
-        return _plugin_model(source, kind, options)
+        return _model_of_package(source, kind, options)
     if kind == "horizontal":
-        return _horizontal(source, options, sensors)
-    if kind == "thruster" and (options in ([], ["slow"]) or _is_step(options)):
+        return _horizontal_by_options(source, options, sensors)
+    if kind == "thruster" and (options in ([], ["slow"]) or _is_delay_step(options)):
         from seatrial.ident.models.thruster import thruster_model
 
         return thruster_model(*options, force=sensors is None or "load_cell" in sensors)
     if kind == "nomoto":
-        return _nomoto(source, options, sensors)
+        return _nomoto_by_options(source, options, sensors)
     if kind == "kinematic":
-        return _kinematic(source, options, sensors)
+        return _kinematic_by_options(source, options, sensors)
     module = importlib.import_module(f"seatrial.ident.models.{kind}")
     make: Callable[..., Model] = getattr(module, f"{kind}_model")
     for place, option in enumerate(options):
@@ -115,8 +116,17 @@ def catalogue_model(source: str, sensors: Sequence[str] | None = None) -> Model:
     return make(*options)
 
 
-def _plugin_model(source: str, kind: str, options: Sequence[str]) -> Model:
+def _model_of_package(source: str, kind: str, options: Sequence[str]) -> Model:
     """Return a model of another package: the result of its function, called with the options behind the name.
+
+    Parameters
+    ----------
+    source : str
+        Name with options, for messages. It becomes the source of the model.
+    kind : str
+        Name of the entry point.
+    options : Sequence[str]
+        Positional arguments of the function.
 
     Raises
     ------
@@ -137,16 +147,34 @@ def _plugin_model(source: str, kind: str, options: Sequence[str]) -> Model:
     return replace(model, source=source)  # model.toml finds the model again by its source
 
 
-def _is_step(options: Sequence[str]) -> bool:
-    """Return whether the only option is the delay [s] from one copy of a thruster's command to the next."""
+def _is_delay_step(options: Sequence[str]) -> bool:
+    """Return whether the options of a thruster model are one number between 1e-4 and 1.
+
+    It is then the delay [s] between copies of the thruster's command.
+    """
     try:
         return len(options) == 1 and 1e-4 < float(options[0]) < 1.0
     except ValueError:
         return False
 
 
-def _horizontal(source: str, options: Sequence[str], sensors: Sequence[str] | None) -> Model:
-    """Return a horizontal model with the options of its name."""
+def _horizontal_by_options(source: str, options: Sequence[str], sensors: Sequence[str] | None) -> Model:
+    """Return a horizontal model with the options of its name.
+
+    Parameters
+    ----------
+    source : str
+        Whole name, for messages.
+    options : Sequence[str]
+        Options behind the name, for example ``shaft`` and ``no-current``, in any order.
+    sensors : Sequence[str], optional
+        Sensors of the log. Other sensors are left out. None, or no sensor of the model: the standard sensors.
+
+    Raises
+    ------
+    SeatrialError
+        If an option is unknown, or if options contradict each other.
+    """
     from seatrial.ident.models.horizontal import SENSORS, STANDARD, SYMMETRIC, horizontal_model, symmetric_arms
 
     kinds, currents = ("shaft", "command", "force", "general"), ("no-current", "random-walk-current")
@@ -162,8 +190,23 @@ def _horizontal(source: str, options: Sequence[str], sensors: Sequence[str] | No
     return replace(model + current_walk(), source=source) if "random-walk-current" in options else model
 
 
-def _nomoto(source: str, options: Sequence[str], sensors: Sequence[str] | None) -> Model:
-    """Return a Nomoto model with the options of its name."""
+def _nomoto_by_options(source: str, options: Sequence[str], sensors: Sequence[str] | None) -> Model:
+    """Return a Nomoto model with the options of its name.
+
+    Parameters
+    ----------
+    source : str
+        Whole name, for messages.
+    options : Sequence[str]
+        Options behind the name: ``sampled``, and ``no-current`` or ``random-walk-current``.
+    sensors : Sequence[str], optional
+        Sensors of the log. Other sensors are left out. None, or no sensor of the model: all sensors of the model.
+
+    Raises
+    ------
+    SeatrialError
+        If an option is unknown.
+    """
     from seatrial.ident.models.nomoto import SEEN, nomoto_model
 
     if [o for o in options if o != "sampled"] not in ([], ["no-current"], ["random-walk-current"]):
@@ -175,8 +218,23 @@ def _nomoto(source: str, options: Sequence[str], sensors: Sequence[str] | None) 
     return replace(model + current_walk(), source=source) if "random-walk-current" in options else model
 
 
-def _kinematic(source: str, options: Sequence[str], sensors: Sequence[str] | None) -> Model:
-    """Return a kinematic model with the options of its name."""
+def _kinematic_by_options(source: str, options: Sequence[str], sensors: Sequence[str] | None) -> Model:
+    """Return a kinematic model with the options of its name.
+
+    Parameters
+    ----------
+    source : str
+        Whole name, for messages.
+    options : Sequence[str]
+        Options behind the name: ``shaft`` or ``force``, then others such as ``yaw`` and ``no-current`` in any order.
+    sensors : Sequence[str], optional
+        Sensors of the log. Other sensors are left out. None, or no sensor of the model: all sensors of the model.
+
+    Raises
+    ------
+    SeatrialError
+        If an option is unknown or at the wrong place.
+    """
     from seatrial.ident.models.horizontal import SYMMETRIC, symmetric_arms
     from seatrial.ident.models.kinematic import SEEN, kinematic_model
 
@@ -198,7 +256,9 @@ def _kinematic(source: str, options: Sequence[str], sensors: Sequence[str] | Non
 
 
 def own_model(source: str) -> Model:
-    """Run the file of ``FILE.py:NAME`` and return its model.
+    """Run the file of the text ``source``, ``FILE.py:NAME``, and return its model.
+
+    The model is evaluated once with symbols, so that errors in its functions are found here.
 
     Raises
     ------

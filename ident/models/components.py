@@ -24,6 +24,7 @@ from seatrial.ident.model import (
 )
 from seatrial.ident.models import rotations
 from seatrial.ident.models.horizontal import BUILT_IN, SIDES, VELOCITIES, shift_in_time
+from seatrial.ident.numerics import body_to_ned, ned_to_body
 
 ANTENNA, CURRENT_WALK, TELEMETRY_AGE = "antenna", "random-walk-current", "telemetry-age"
 THRUST_CALIBRATION = "thrust-calibration"
@@ -36,15 +37,19 @@ class NavigationError(NamedTuple):
     Attributes
     ----------
     of, name : str
-        Quantity with the error, and suffix of the parameters.
+        Quantity with the error (``heading``), and suffix of the parameters (``psi``).
     axes : tuple[str, ...]
         Axes of the error, with one state each.
     sensors : tuple[str, ...]
         Sensors with this quantity. A model needs one of them.
-    sd, unit, tau : float, str, float
-        Typical standard deviation [unit] of the error's own part, and its correlation time [s], on a small boat.
+    sd : float
+        Typical standard deviation of the error's own part on a small boat, in ``unit``.
+    unit : str
+        Unit of the error.
+    tau : float
+        Typical correlation time of the error's own part [s].
     whole : float
-        Typical standard deviation [unit] of the whole error, including the integral of another error.
+        Typical standard deviation of the whole error, including the integral of another error, in ``unit``.
     shortest : float
         Shortest correlation time [s] that rows 0.1 s apart can represent.
     """
@@ -74,12 +79,12 @@ N_LATER_SAMPLES = 5  # later samples of a shaft speed, one step each, for ages u
 
 
 def shift(s: Signals, l_x: Any, l_y: Any) -> None:
-    """Move the measured position and velocity over ground to a point of the hull (Groves 2013, 2.5).
+    """Move the measured position and velocity over ground to a point of the hull (Groves 2013, 2.5), for a level boat.
 
     Parameters
     ----------
     s : Signals
-        Signals whose outputs are changed.
+        Signals whose outputs ``x``, ``y`` [m] and ``vx``, ``vy`` [m/s] are changed.
     l_x, l_y : float or symbol
         Position of the point from the origin, forward and to starboard [m].
     """
@@ -91,7 +96,7 @@ def shift(s: Signals, l_x: Any, l_y: Any) -> None:
 
 
 def antenna(x: float = 0.0, y: float = 0.0, z: float | None = None) -> Effect:
-    """Return the component of the antenna position from the rig file.
+    """Return the component of the antenna position from the rig file, as fixed parameters.
 
     An error of this position is a separate effect, ``lever-arm``.
 
@@ -100,14 +105,15 @@ def antenna(x: float = 0.0, y: float = 0.0, z: float | None = None) -> Effect:
     x, y : float
         Position of the antenna from the origin, forward and to starboard [m].
     z : float, optional
-        Position below the origin [m], for a model with measured attitude. The height has no effect in a level model.
+        Position below the origin [m], for a model with measured attitude. None: for a level model, in which the height
+        has no effect.
     """
     places = [("x", x, "antenna forward of the origin"), ("y", y, "antenna to starboard of the origin")]
     places += [] if z is None else [("z", z, "antenna below the origin")]
     return Effect(
         ANTENNA,
         "the antenna position from the rig file",
-        {"output": _level if z is None else _tilted},
+        {"output": _shift_level if z is None else _shift_tilted},
         parameters=tuple(
             Parameter(f"antenna_{axis}", value, "m", f"{meaning}, from the rig file", free=False, step=0.01)
             for axis, value, meaning in places
@@ -123,25 +129,31 @@ def antenna_component(model: Model, arm: Sequence[float] = (0.0, 0.0, 0.0)) -> E
     Parameters
     ----------
     model : Model
-        Model to extend.
+        Model to extend. With measured attitude, the component has the height of the antenna.
     arm : Sequence[float] (3,)
         Position of the antenna from the origin: forward, to starboard and down [m].
     """
     return antenna(*arm) if "attitude" in model.provides else antenna(*arm[:2])
 
 
-def _level(s: Signals) -> None:
+def _shift_level(s: Signals) -> None:
+    """Move the outputs to the antenna of a level boat."""
     shift(s, s.p.antenna_x, s.p.antenna_y)
 
 
-def _tilted(s: Signals) -> None:
+def _shift_tilted(s: Signals) -> None:
+    """Move the outputs to the antenna of a boat with measured attitude."""
     rotations.shift(s, (s.p.antenna_x, s.p.antenna_y, s.p.antenna_z))
 
 
 def current_walk() -> Effect:
-    """Return a random-walk current in NED, in addition to the constant current (Fossen 2011, section 8.3)."""
+    """Return a random-walk current in NED, in addition to the constant current (Fossen 2011, section 8.3).
+
+    It has a state [m/s] for north and east each, which starts at zero, and a common diffusion ``q_V``.
+    """
 
     def drift(s: Signals) -> None:
+        """Add the current to the rates of position. Only noise changes the current."""
         s.rate["x"], s.rate["y"] = s.rate["x"] + s.x.drift_x, s.rate["y"] + s.x.drift_y
         s.rate["drift_x"] = s.rate["drift_y"] = 0.0
 
@@ -170,6 +182,7 @@ def telemetry_age() -> Effect:
     """
 
     def earlier(s: Signals) -> None:
+        """Replace the shaft speeds by those of the telemetry ``tau_age`` later."""
         shift_in_time(s, "n")
 
     now = [Input(f"n_{side}", "", "linear") for side in SIDES]
@@ -204,15 +217,17 @@ def thrust_calibration(model: Model, sd: float = 0.05) -> Effect:
     Parameters
     ----------
     model : Model
-        Model to extend.
+        Model to extend: with given thrusts by side, or with a given force X.
     sd : float
         Relative standard uncertainty of the calibration.
     """
 
     def scale_each(s: Signals) -> None:
+        """Multiply the thrust of each thruster by the factor."""
         s.f = {side: s.p.k_thrust * f for side, f in s.f.items()}
 
     def scale_sum(s: Signals) -> None:
+        """Multiply the part of the force X from the thrusters by the factor."""
         s.X = s.X + (s.p.k_thrust - 1.0) * s.X_thrust
 
     return Effect(
@@ -247,8 +262,10 @@ def estimator_error(sensors: Sequence[str]) -> Effect:
     sensors : Sequence[str]
         Sensors of the model. Yaw rate, heading, velocity and position have errors if one of the sensors measures them.
 
-    Notes ----- The errors are those of inertial navigation (Groves 2013, chapter 14). They are states in addition to
-    the white noise (Gelb 1974, section 4.5).
+    Notes
+    -----
+    The errors are those of inertial navigation (Groves 2013, chapter 14). They are states in addition to the white
+    noise (Gelb 1974, section 4.5).
 
     An autopilot's filter combines a GNSS receiver, a gyro and accelerometers. Its output is smooth from sample to
     sample, but has errors that last for seconds in all channels. The heading error integrates the gyro error, the
@@ -267,22 +284,21 @@ def estimator_error(sensors: Sequence[str]) -> Effect:
     errors = {e.of: e for e in navigation_errors(sensors)}
 
     def size(s: Signals, e: NavigationError) -> Any:
-        """Return the factor from the scaled states, which unit noise drives, to the error."""
+        """Return the factor from the scaled states, which unit noise drives, to the error in its unit."""
         return getattr(s.p, f"A_{e.name}") * np.sqrt(2 / getattr(s.p, f"tau_{e.name}"))
 
     def value(s: Signals, of: str) -> list[Any]:
-        """Return the error of a quantity in its axes, or zeros if the quantity has no error."""
+        """Return the error of a quantity in its axes, or two zeros if the quantity has no error."""
         if of not in errors:
             return [0.0, 0.0]
         return [size(s, errors[of]) * getattr(s.x, f"error_{axis}") for axis in errors[of].axes]
 
     def grow(s: Signals) -> None:
         """Set the rates of the scaled error states."""
-        cos, sin = np.cos(s.x.psi), np.sin(s.x.psi)
         ahead, starboard = value(s, "acceleration")
         integrated = {
             "heading": value(s, "yaw rate"),
-            "velocity": [cos * ahead - sin * starboard, sin * ahead + cos * starboard],
+            "velocity": [*body_to_ned(s.x.psi, ahead, starboard)],
             "position": value(s, "velocity"),
         }
         for of, e in errors.items():
@@ -291,7 +307,7 @@ def estimator_error(sensors: Sequence[str]) -> Effect:
                 s.rate[state] = rate / size(s, e) - getattr(s.x, state) / getattr(s.p, f"tau_{e.name}")
 
     def add(s: Signals) -> None:
-        """Add the errors to the outputs."""
+        """Add the errors to the outputs, and rotate the body velocity by the heading error."""
         turn, (north, east) = value(s, "heading")[0], value(s, "velocity")
         for of in ("yaw rate", "heading", "position"):
             if of in errors:
@@ -299,8 +315,7 @@ def estimator_error(sensors: Sequence[str]) -> Effect:
                     s.y[axis] = s.y[axis] + off
         s.y["vx"], s.y["vy"] = s.y["vx"] + north, s.y["vy"] + east
         if "body_velocity" in sensors:
-            cos, sin = np.cos(turn), np.sin(turn)
-            s.y["u"], s.y["v"] = cos * s.y["u"] + sin * s.y["v"], cos * s.y["v"] - sin * s.y["u"]
+            s.y["u"], s.y["v"] = ned_to_body(turn, s.y["u"], s.y["v"])
             cos, sin = np.cos(s.x.psi + turn), np.sin(s.x.psi + turn)
             s.y["u"], s.y["v"] = s.y["u"] + cos * north + sin * east, s.y["v"] + cos * east - sin * north
 

@@ -31,9 +31,10 @@ TIME = Variable("t", "s", lambda s: s.u.t)
 
 
 def adder(name: str) -> Callable[[Signals, Any], None]:
-    """Return a function that adds a value to the signal of this name."""
+    """Return a function of (signals, value) that adds the value to the signal of this name (``X``)."""
 
     def add(s: Signals, extra: Any) -> None:
+        """Add ``extra`` to the signal, in place."""
         setattr(s, name, getattr(s, name) + extra)
 
     return add
@@ -45,10 +46,11 @@ HULL = tuple(
 )
 
 
-def _reader(name: str) -> Callable[[Signals, Any], None]:
-    """Return a function that adds a value to the measurement of this channel."""
+def _measurement_adder(name: str) -> Callable[[Signals, Any], None]:
+    """Return a function of (signals, value) that adds the value to the output of this name, for example to ``psi``."""
 
     def add(s: Signals, extra: Any) -> None:
+        """Add ``extra`` to the output, in place."""
         s.y[name] = s.y[name] + extra
 
     return add
@@ -62,7 +64,7 @@ SENSOR_ERRORS = tuple(
         f"bias_{name}",
         scale,
         f"the measured {quantity}",
-        _reader(name),
+        _measurement_adder(name),
         "reading",
         of,
         place="sensor",
@@ -77,10 +79,11 @@ SENSOR_ERRORS = tuple(
 )
 
 
-def _factor(*sides: str) -> Callable[[Signals, Any], None]:
-    """Return a function that changes the thrust of these sides by a relative amount."""
+def _thrust_scaler(*sides: str) -> Callable[[Signals, Any], None]:
+    """Return a function of (signals, value) that multiplies the thrust of these sides by one plus the value."""
 
     def add(s: Signals, extra: Any) -> None:
+        """Multiply the thrusts by ``1 + extra``, in place."""
         for side in sides:
             s.f[side] = s.f[side] * (1 + extra)
 
@@ -95,7 +98,7 @@ THRUST_LOSSES = tuple(
         "",
         0.3,
         title,
-        _factor(*sides),
+        _thrust_scaler(*sides),
         "thrust_loss",
         ("v", "r"),
         place="actuator",
@@ -110,34 +113,45 @@ THRUST_LOSSES = tuple(
 )
 
 
-def _state(name: str) -> Callable[[Signals], Any]:
+def _state_reader(name: str) -> Callable[[Signals], Any]:
+    """Return a function that reads the state of this name from the signals."""
     return lambda s: getattr(s.x, name)
 
 
 MOTION = (
-    Variable("u", "m/s", _state("u"), functions=7),
-    Variable("v", "m/s", _state("v")),
-    Variable("r", "rad/s", _state("r")),
-    Variable("psi", "rad", _state("psi"), angle=True),
+    Variable("u", "m/s", _state_reader("u"), functions=7),
+    Variable("v", "m/s", _state_reader("v")),
+    Variable("r", "rad/s", _state_reader("r")),
+    Variable("psi", "rad", _state_reader("psi"), angle=True),
     TIME,
 )
 
 
-def _of_pair(name: str, unit: str, pair: ThrusterPair) -> Variable:
+def _pair_variable(name: str, unit: str, pair: ThrusterPair) -> Variable:
+    """Return the variable of a pair of thrusters with this name and unit.
+
+    The variable is the mean, or the difference left minus right. It is read from the states of the thrusters if they
+    are states, otherwise from the inputs.
+    """
+
     def read(s: Signals) -> Any:
+        """Return the mean, or the difference left minus right."""
         left, right = (s.state_or_input(f"{pair.quantity}_{side}") for side in ("left", "right"))
         return left - right if pair.difference else (left + right) / 2
 
     return Variable(name, unit, read, pair=pair)
 
 
-SHAFTS = (_of_pair("n_sum", "", ThrusterPair("n", False)), _of_pair("n_diff", "", ThrusterPair("n", True)))
-THRUSTS = (_of_pair("f_sum", "N", ThrusterPair("f", False)), _of_pair("f_diff", "N", ThrusterPair("f", True)))
+SHAFTS = (_pair_variable("n_sum", "", ThrusterPair("n", False)), _pair_variable("n_diff", "", ThrusterPair("n", True)))
+THRUSTS = (
+    _pair_variable("f_sum", "N", ThrusterPair("f", False)),
+    _pair_variable("f_diff", "N", ThrusterPair("f", True)),
+)
 PRODUCTS = (("u", "r"), ("u", "v"), ("v", "r"))
 
 
 def disturbance(forces: Sequence[str] = ("X", "Y", "N")) -> Effect:
-    """Return first-order Gauss-Markov (Ornstein-Uhlenbeck) forces on surge, sway and yaw.
+    """Return first-order Gauss-Markov (Ornstein-Uhlenbeck) forces on surge, sway and yaw, as states of the filter.
 
     The forces represent the part of the motion that the model does not explain. The smoother turns them into residual
     forces with a covariance (Kristensen, Madsen and Jorgensen 2004).
@@ -145,18 +159,20 @@ def disturbance(forces: Sequence[str] = ("X", "Y", "N")) -> Effect:
     Parameters
     ----------
     forces : Sequence[str]
-        Forces of the model (``forces_of``), or ``r_ref``, a steady yaw rate. Their stationary standard deviations start
-        at ``SIZES``.
+        Forces of the model (``X``, ``Y``, ``N``), or ``r_ref``, a steady yaw rate. Their stationary standard deviations
+        start at ``SIZES``. The common correlation time starts at 1.5 s.
     """
     tau = 1.5
     names = tuple(forces)
     sd, units = zip(*(SIZES[n] for n in names), strict=True)
 
     def add(s: Signals) -> None:
+        """Add the disturbance states to the forces."""
         for name in names:
             setattr(s, name, getattr(s, name) + getattr(s.x, f"b_{name}"))
 
     def decay(s: Signals) -> None:
+        """Set the rates of the disturbance states: they decay with the correlation time."""
         for name in names:
             s.rate[f"b_{name}"] = -getattr(s.x, f"b_{name}") / s.p.tau_b
 
@@ -165,7 +181,10 @@ def disturbance(forces: Sequence[str] = ("X", "Y", "N")) -> Effect:
         "disturbance forces",
         {"force": add, "rate": decay},
         parameters=(
-            *(_diffusion(n, s0 * float(np.sqrt(2 / tau)), unit) for n, s0, unit in zip(names, sd, units, strict=True)),
+            *(
+                _diffusion_parameter(n, s0 * float(np.sqrt(2 / tau)), unit)
+                for n, s0, unit in zip(names, sd, units, strict=True)
+            ),
             Parameter(
                 "tau_b",
                 tau,
@@ -186,20 +205,23 @@ def disturbance(forces: Sequence[str] = ("X", "Y", "N")) -> Effect:
     )
 
 
-def _diffusion(force: str, q: float, unit: str) -> Parameter:
-    """Return the parameter of the diffusion of a disturbance force."""
+def _diffusion_parameter(force: str, q: float, unit: str) -> Parameter:
+    """Return the parameter of the diffusion of a disturbance force, with the value and prior mean q [``unit``]."""
     return Parameter(f"q_{force}", q, unit, f"diffusion of the unexplained {force}", "log", prior=(q, 3 * q))
 
 
 def forces_of(model: Model) -> tuple[str, ...]:
-    """Return the forces of a model to which disturbance forces are added. Return () if the model has no hull."""
+    """Return the forces of a model to which disturbance forces are added.
+
+    They are ``X, Y, N`` for a model with a yaw moment, ``X, Y`` for one without, and () for a model without a hull.
+    """
     if {"hull", "turn"} & set(model.provides):
         return ("X", "Y", "N")
     return ("X", "Y") if "plane" in model.provides else ()
 
 
 def shaft_disturbance() -> Effect:
-    """Return an Ornstein-Uhlenbeck acceleration ``b_n`` [1/s] of a shaft on the bench.
+    """Return an Ornstein-Uhlenbeck acceleration ``b_n`` [1/s] of a shaft on the bench, as a state of the filter.
 
     The acceleration represents deviations from the first-order response to the command. The model has its own
     disturbance force ``b_f``.
@@ -208,6 +230,7 @@ def shaft_disturbance() -> Effect:
     q = sd * float(np.sqrt(2 / tau))
 
     def add(s: Signals) -> None:
+        """Add the state to the rate of the shaft speed, and set the rate of the state."""
         s.rate["n"] = s.rate["n"] + s.x.b_n
         s.rate["b_n"] = -s.x.b_n / s.p.tau_n
 
@@ -235,12 +258,16 @@ def shaft_disturbance() -> Effect:
 
 
 def disturbance_of(model: Model) -> Effect:
-    """Return the disturbance that the model declares, otherwise the disturbance forces of a vehicle."""
+    """Return the disturbance states that the model declares, otherwise those of a vehicle (`disturbance`)."""
     return model.disturbance or disturbance(forces_of(model))
 
 
 def sensor_bias(sensors: Sequence[str]) -> Effect:
-    """Return random-walk biases of gyro, heading and accelerometers, in addition to their white noise (thesis 4.1)."""
+    """Return random-walk biases of gyro, heading and accelerometers, in addition to their white noise (thesis 4.1).
+
+    ``sensors`` are names of sensors. Others than ``attitude``, ``gyro`` and ``accelerometer`` have no bias and are
+    ignored.
+    """
     table: dict[str, tuple[tuple[str, str, float, float], ...]] = {
         "attitude": (("psi", "rad", 0.005, 1.7e-4),),
         "gyro": (("r", "rad/s", 0.01, 1e-5),),
@@ -249,10 +276,12 @@ def sensor_bias(sensors: Sequence[str]) -> Effect:
     rows = [row for s in sensors for row in table.get(s, ())]
 
     def add(s: Signals) -> None:
+        """Add the biases to the outputs."""
         for name, *_ in rows:
             s.y[name] = s.y[name] + getattr(s.x, f"bias_{name}")
 
     def hold_bias(s: Signals) -> None:
+        """Set the rates of the biases to zero, because only noise changes them."""
         for name, *_ in rows:
             s.rate[f"bias_{name}"] = 0.0
 
@@ -269,7 +298,13 @@ def sensor_bias(sensors: Sequence[str]) -> Effect:
 def with_disturbances(model: Model) -> Model:
     """Return the model with disturbance forces and sensor biases.
 
-    The white process noise of the velocities is fixed at a negligible value.
+    The white process noise of the velocities (``s_u``, ``s_v``, ``s_r``, ``s_n``) is fixed at a negligible value of
+    1e-4.
+
+    Raises
+    ------
+    ValueError
+        If the model has them already.
     """
     out: Model = model + disturbance_of(model)
     present = [s.name for s in model.sensors]
@@ -280,20 +315,28 @@ def with_disturbances(model: Model) -> Model:
 
 
 def residuals_of(model: Model) -> tuple[DisturbanceChannel, ...]:
-    """Return the quantities to which an unexplained part can be added. Return () for a model
-    that cannot be diagnosed.
+    """Return the quantities of a model to which an unexplained part can be added.
+
+    These are the quantities that the model declares, otherwise the forces of a hull. Return () for a model that cannot
+    be diagnosed.
     """
     return model.residuals or (HULL if "hull" in model.provides else ())
 
 
 def sensor_errors_of(model: Model) -> tuple[DisturbanceChannel, ...]:
-    """Return the sensor channels that may have errors beyond their modelled biases."""
+    """Return the sensor channels that may have errors beyond their modelled biases.
+
+    Return () for a model without a hull.
+    """
     states = {s.name for s in model.states}
     return tuple(r for r in SENSOR_ERRORS if r.state in states) if "hull" in model.provides else ()
 
 
 def thrust_losses_of(model: Model) -> tuple[DisturbanceChannel, ...]:
-    """Return the thrusts of a vehicle that may decrease in turns."""
+    """Return the thrusts of a vehicle that may decrease in turns.
+
+    Return () for a model without a hull or without thrusters.
+    """
     return THRUST_LOSSES if {"hull", "f"} <= set(model.provides) else ()
 
 
@@ -301,7 +344,7 @@ def variables_of(model: Model) -> tuple[Variable, ...]:
     """Return the variables on which residuals may depend.
 
     These are the variables that the model declares. For a hull without such a list, they are motion, time and
-    thrusters.
+    thrusters. Return () for any other model.
     """
     if model.variables or "hull" not in model.provides:
         return model.variables
@@ -311,5 +354,8 @@ def variables_of(model: Model) -> tuple[Variable, ...]:
 
 
 def products_of(model: Model) -> tuple[tuple[str, str], ...]:
-    """Return the pairs of variables whose products are also tested."""
+    """Return the pairs of names of variables whose products are also tested; () if there are none.
+
+    These are the pairs that the model declares, otherwise those of u, v and r for a hull.
+    """
     return model.products or (PRODUCTS if "hull" in model.provides else ())

@@ -44,10 +44,13 @@ from seatrial.ident.model import (
     Signals,
     StartGrid,
     State,
+    delay_weights,
     resolve_initial_states,
     tap_name,
+    weighted_sum,
 )
-from seatrial.ident.models.thruster import delay_weights
+from seatrial.ident.models.dead_zone import outside_dead_zone, transition_width
+from seatrial.ident.numerics import body_to_ned, ned_to_body
 
 Propulsion = Literal["shaft", "command", "force", "general"]
 SIDES = ("left", "right")
@@ -74,7 +77,6 @@ LONGEST_DELAY = DELAY_STEP * (N_DELAYS - 1)  # s
 MAX_COPY_SHIFT = 20  # largest shift of a copy of a measured input, in steps of HISTORY_STEP
 # Width of the transition at the end of the dead zone, in units of the command; the parameter is its centre
 DEAD_ZONE_EDGE = 0.05
-MIN_DEAD_ZONE_EDGE = 1e-9  # lower limit of that width, against division by zero
 SHORTEST_LAG = 0.05  # s: time constants below it are approximated, see `first_order`
 DRIVEN_SHAFT_STEP_S = 0.05  # s: longer Runge-Kutta steps would be inaccurate for a state with the shortest lag
 SHAFT = (
@@ -159,11 +161,16 @@ def horizontal_model(
         ``n_cmd_left``, ``n_cmd_right`` (normalised, held). ``force``: thrusts ``f_left``, ``f_right`` [N]. ``general``:
         force ``X`` [N] and moment ``N`` [N m].
     sensors : Sequence[str]
-        Keys of `SENSORS`.
+        Keys of `SENSORS`, for example ``gyro``.
     current : bool
         Whether the model has a constant current in each record.
     hold : "zero", "average" or "linear"
-        Hold of the inputs, except commands.
+        Hold of the inputs between their samples, except commands, which are constant between samples.
+
+    Raises
+    ------
+    KeyError
+        If a sensor or the propulsion is unknown.
     """
     states: tuple[State, ...] = (
         State("x", "m", "north", from_output="x", sd0=1.0),
@@ -203,38 +210,38 @@ def horizontal_model(
 
 
 def pair(quantity: str, unit: str, hold: Hold, *, prefilter: bool = True) -> tuple[Input, ...]:
-    """Return one input for each thruster."""
+    """Return one input for each thruster, for example ``n_left`` and ``n_right`` for the quantity ``n``.
+
+    Parameters
+    ----------
+    quantity, unit : str
+        Start of the names, and unit.
+    hold : "zero", "average" or "linear"
+        Hold of the inputs between their samples.
+    prefilter : bool
+        Whether the inputs are averaged over the same time as the sensors.
+    """
     return tuple(Input(f"{quantity}_{side}", unit, hold, prefilter=prefilter) for side in SIDES)
 
 
 def shaft(s: Signals) -> None:
+    """Set the shaft speeds ``s.n`` by side from the inputs ``n_left`` and ``n_right``."""
     s.n = {side: getattr(s.u, f"n_{side}") for side in SIDES}
 
 
 def driven_shaft(s: Signals) -> None:
-    """Set the shaft speeds that follow their commands by a delay, a dead zone and a first-order lag.
+    """Set the shaft speeds ``s.n`` by side, which follow their commands by a delay, a dead zone and a first-order lag.
 
-    The delay interpolates the delayed copies of the command by cubic convolution.
+    The delay interpolates the delayed copies of the command by cubic convolution. The lag is a state, whose rate is
+    set.
     """
     weights = delay_weights(s.p.tau_n / DELAY_STEP, N_DELAYS)
+    width = transition_width(s.p.dead_zone, DEAD_ZONE_EDGE)
     s.n = {}
     for side in SIDES:
-        commanded = sum(w * getattr(s.u, tap_name(f"n_cmd_{side}", k)) for k, w in enumerate(weights))
-        s.n[side] = first_order(s, f"n_{side}", outside_dead_zone(commanded, s.p.dead_zone), s.p.T_n)
-
-
-def outside_dead_zone(command: Any, dead_zone: Any) -> Any:
-    """Return the command outside the dead zone, and zero inside it.
-
-    A smooth step of width ``DEAD_ZONE_EDGE`` is centred at the end of the dead zone. If the dead zone is smaller than
-    half that width, the step reaches from zero to twice the dead zone. Its centre is then still at the end of the dead
-    zone, and a dead zone of zero returns the command itself.
-    """
-    width = np.minimum(DEAD_ZONE_EDGE, 2.0 * dead_zone)
-    end = dead_zone + width / 2.0
-    # Measured from the outer end of the step. Without a dead zone this end is zero, so that no command lies inside.
-    inside = np.minimum(np.maximum((end - abs(command)) / np.maximum(width, MIN_DEAD_ZONE_EDGE), 0.0), 1.0)
-    return command * (1.0 - inside * inside * (3.0 - 2.0 * inside))
+        copies = [getattr(s.u, tap_name(f"n_cmd_{side}", k)) for k in range(N_DELAYS)]
+        reference = outside_dead_zone(weighted_sum(weights, copies), s.p.dead_zone, width)
+        s.n[side] = first_order(s, f"n_{side}", reference, s.p.T_n)
 
 
 def first_order(s: Signals, state: str, driven_by: Any, time_constant: Any) -> Any:
@@ -243,16 +250,18 @@ def first_order(s: Signals, state: str, driven_by: Any, time_constant: Any) -> A
     Parameters
     ----------
     s : Signals
-        Signals of the model.
+        Signals of the model. ``s.rate`` is changed.
     state : str
         Name of the state that follows the signal.
     driven_by : float or symbol
         Signal before the lag.
     time_constant : float or symbol
-        Time constant [s].
+        Time constant [s], >= 0. With zero, the result is the signal itself.
 
-    Notes ----- Below ``SHORTEST_LAG``, the time constant of the state stays at ``SHORTEST_LAG``, and the result is a
-    weighted mean of the state and the signal. Its delay is that of a lag with the given time constant.
+    Notes
+    -----
+    Below ``SHORTEST_LAG``, the time constant of the state stays at ``SHORTEST_LAG``, and the result is a weighted mean
+    of the state and the signal. Its delay is that of a lag with the given time constant.
     """
     x = getattr(s.x, state)
     s.rate[state] = (driven_by - x) / np.maximum(time_constant, SHORTEST_LAG)
@@ -262,33 +271,44 @@ def first_order(s: Signals, state: str, driven_by: Any, time_constant: Any) -> A
 def shift_in_time(s: Signals, quantity: str) -> None:
     """Shift the measured or given input of each thruster in time, by cubic convolution of its copies.
 
-    The shift is ``tau_delay`` to later times, minus the age ``tau_age`` of the telemetry. Every effect that shifts
-    these inputs calls this function.
+    Parameters
+    ----------
+    s : Signals
+        Signals of the model. The shift is the parameter ``tau_delay`` to later times, minus the age ``tau_age`` of the
+        telemetry [s], of which an absent one is zero.
+    quantity : "n" or "f"
+        Shaft speeds or thrusts: ``s.n`` or ``s.f`` is replaced by side.
+
+    Notes
+    -----
+    Every effect that shifts these inputs calls this function. Each call applies both shifts to the unshifted inputs, so
+    that a second call changes nothing.
     """
     position = (getattr(s.p, "tau_delay", 0.0) - getattr(s.p, "tau_age", 0.0)) / HISTORY_STEP
     for side in SIDES:
         name = f"{quantity}_{side}"
         taps = available_taps(s, name)
         weights = delay_weights(position - taps[0], len(taps))
-        past = sum(w * getattr(s.u, tap_name(name, k)) for w, k in zip(weights, taps, strict=True))
+        past = weighted_sum(weights, [getattr(s.u, tap_name(name, k)) for k in taps])
         (s.n if quantity == "n" else s.f)[side] = past
 
 
 def available_taps(s: Signals, name: str) -> list[int]:
-    """Return the shifts of the copies of an input that the model has, in steps of
-    ``HISTORY_STEP``, in ascending order.
+    """Return the shifts of the copies of an input that the model has, in steps of ``HISTORY_STEP``, in ascending order.
+
+    The input ``name`` itself has the shift zero. Negative shifts are later values.
     """
     return [k for k in range(-MAX_COPY_SHIFT, MAX_COPY_SHIFT) if hasattr(s.u, tap_name(name, k))]
 
 
 def unchanged(s: Signals) -> None:
-    """Do nothing. Effects hook in at this stage."""
+    """Change nothing. This is a stage at which effects hook in."""
 
 
 def thrust(s: Signals) -> None:
-    """Set the thrust of each thruster from its shaft speed."""
+    """Set the thrust ``s.f`` [N] of each thruster from its shaft speed, and the lateral positions ``s.arm`` [m]."""
     s.f = {side: s.p.c1 * n * abs(n) + s.p.c2 * n * n for side, n in s.n.items()}
-    s.arm = _arms(s.p)
+    s.arm = _lateral_positions(s.p)
 
 
 CHAIN: tuple[tuple[str, ModelFunction], ...] = (
@@ -300,12 +320,13 @@ CHAIN: tuple[tuple[str, ModelFunction], ...] = (
 
 
 def given_thrust(s: Signals) -> None:
+    """Set the thrust ``s.f`` [N] of each thruster from the inputs, and the lateral positions ``s.arm`` [m]."""
     s.f = {side: getattr(s.u, f"f_{side}") for side in SIDES}
-    s.arm = _arms(s.p)
+    s.arm = _lateral_positions(s.p)
 
 
-def _arms(p: Any) -> dict[str, Any]:
-    """Return the lateral position of each thruster [m, to starboard]."""
+def _lateral_positions(p: Any) -> dict[str, Any]:
+    """Return the lateral position of each thruster [m], positive to starboard, by side."""
     if hasattr(p, "y_arm"):
         return {"left": -p.y_arm, "right": p.y_arm}
     return {side: getattr(p, f"y_{side}") for side in SIDES}
@@ -321,7 +342,10 @@ def symmetric_arms(model: Model) -> Model:
 
 
 def force(s: Signals) -> None:
-    """Set the external forces less damping: X, Y [N] and N [N m]. Effects add to them."""
+    """Set the external forces less damping: ``X``, ``Y`` [N] and ``N`` [N m]. Effects add to them.
+
+    The parts from the thrusters are ``X_thrust`` [N] and ``N_thrust`` [N m].
+    """
     x, p = s.x, s.p
     if hasattr(s, "f"):
         s.X_thrust, s.N_thrust = sum(s.f.values()), sum(-s.arm[side] * f for side, f in s.f.items())
@@ -333,11 +357,10 @@ def force(s: Signals) -> None:
 
 
 def rate(s: Signals) -> None:
-    """Set the rates of the states."""
+    """Set the rates of position [m/s], heading [rad/s] and velocities [m/s2, rad/s2]."""
     x, p = s.x, s.p
-    cos, sin = np.cos(x.psi), np.sin(x.psi)
-    s.rate["x"] = cos * x.u - sin * x.v + getattr(p, "V_x", 0.0)
-    s.rate["y"] = sin * x.u + cos * x.v + getattr(p, "V_y", 0.0)
+    north, east = body_to_ned(x.psi, x.u, x.v)
+    s.rate["x"], s.rate["y"] = north + getattr(p, "V_x", 0.0), east + getattr(p, "V_y", 0.0)
     s.rate["psi"] = x.r
     s.rate["u"] = (s.X + p.m_v * x.v * x.r) / p.m_u
     s.rate["v"] = (s.Y - p.m_u * x.u * x.r) / p.m_v
@@ -347,9 +370,8 @@ def rate(s: Signals) -> None:
 def output(s: Signals) -> None:
     """Set all outputs that a sensor could measure. The sensors of the model select theirs."""
     x, y = s.x, s.y
-    cos, sin = np.cos(x.psi), np.sin(x.psi)
     y["x"], y["y"], y["psi"], y["r"] = x.x, x.y, x.psi, x.r
     y["vx"], y["vy"] = s.rate["x"], s.rate["y"]
     # velocity over ground in the body frame: it includes every current, also a random-walk or drifting current
-    y["u"], y["v"] = cos * y["vx"] + sin * y["vy"], cos * y["vy"] - sin * y["vx"]
+    y["u"], y["v"] = ned_to_body(x.psi, y["vx"], y["vy"])
     y["ax"], y["ay"] = s.rate["u"] - x.v * x.r, s.rate["v"] + x.u * x.r

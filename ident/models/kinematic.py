@@ -43,7 +43,8 @@ from seatrial.ident.models.horizontal import (
     shaft,
     thrust,
 )
-from seatrial.ident.models.rotations import G, oriented, rotation, turned
+from seatrial.ident.models.rotations import G, set_orientation
+from seatrial.ident.numerics import rotate, rotation_matrix
 
 STATES = (
     State("x", "m", "north", from_output="x", sd0=1.0),
@@ -86,7 +87,7 @@ def kinematic_model(
     yaw : bool
         Whether the model has the yaw equation.
     hold : "zero", "average" or "linear"
-        Hold of the shaft speeds or thrusts.
+        Hold of the shaft speeds or thrusts between their samples. Attitude and body rates are interpolated linearly.
     """
     letter, unit = ("n", "") if propulsion == "shaft" else ("f", "N")
     chosen = [SENSORS[s] for s in SEEN if s in sensors]
@@ -95,7 +96,7 @@ def kinematic_model(
         chosen, noise = [*chosen, TURN], [*noise, NOISE["gyro"]]
     unused = () if yaw else ("m_r", "d_r", "d_rr", "s_r")
     own = HULL + (CURRENT if current else ()) + (THRUST if propulsion == "shaft" else ()) + ARMS + DIFFUSION
-    first = (("shaft", _shaft), ("thrust", thrust))
+    first = (("shaft", _shaft_and_attitude), ("thrust", thrust))
     if propulsion == "force":
         first = (("shaft", attitude), ("thrust", given_thrust))
     options = [propulsion, *(["yaw"] if yaw else []), *([] if current else ["no-current"])]
@@ -117,22 +118,24 @@ def kinematic_model(
 
 
 def attitude(s: Signals) -> None:
-    """Set the orientation and the body rates from the measurements, less their offsets.
+    """Set the orientation of the boat from the measurements, less their offsets (`set_orientation`).
 
-    An exported model has no offsets.
+    The orientation includes the body rates [rad/s] and the heave velocity ``w`` [m/s]. An exported model has no
+    offsets.
     """
     u, x = s.u, s.x
     psi, r = u.psi - getattr(x, "bias_psi", 0.0), u.r - getattr(x, "bias_r", 0.0)
-    oriented(s, rotation(u.phi, u.theta, psi), (u.p, u.q, r))
+    set_orientation(s, rotation_matrix(u.phi, u.theta, psi), (u.p, u.q, r))
 
 
-def _shaft(s: Signals) -> None:
+def _shaft_and_attitude(s: Signals) -> None:
+    """Set the shaft speeds by side, and the orientation and the body rates."""
     shaft(s)
     attitude(s)
 
 
 def force(s: Signals) -> None:
-    """Set the external forces less damping: X, Y [N]. Disturbance forces are added to them."""
+    """Set the forces less damping ``X``, ``Y`` [N], and the thrust ``X_thrust`` [N]. Effects add to X and Y."""
     x, p = s.x, s.p
     s.X_thrust = sum(s.f.values())
     s.X = s.X_thrust - p.d_u * x.u - p.d_uu * abs(x.u) * x.u
@@ -140,7 +143,10 @@ def force(s: Signals) -> None:
 
 
 def turning(s: Signals) -> None:
-    """Set X, Y [N] and the yaw moment N [N m]."""
+    """Set ``X``, ``Y`` [N] as `force` does, and the yaw moments [N m].
+
+    ``N_thrust`` is the moment of the thrusters, and ``N`` is ``N_thrust`` less damping.
+    """
     force(s)
     x, p = s.x, s.p
     s.N_thrust = sum(-s.arm[side] * f for side, f in s.f.items())
@@ -148,9 +154,9 @@ def turning(s: Signals) -> None:
 
 
 def rate(s: Signals) -> None:
-    """Set the rates of the states."""
+    """Set the rates of position, velocities and offsets, and that of the yaw rate if the model has the yaw equation."""
     x, p = s.x, s.p
-    north, east, _ = turned(s.R, (x.u, x.v, s.w))
+    north, east, _ = rotate(s.R, (x.u, x.v, s.w))
     s.rate["x"], s.rate["y"] = north + getattr(p, "V_x", 0.0), east + getattr(p, "V_y", 0.0)
     s.rate["u"] = (s.X + p.m_v * (x.v * s.r_rate - s.w * s.q_rate)) / p.m_u
     s.rate["v"] = (s.Y - p.m_u * x.u * s.r_rate + p.m_v * s.w * s.p_rate) / p.m_v
@@ -160,7 +166,10 @@ def rate(s: Signals) -> None:
 
 
 def output(s: Signals) -> None:
-    """Set the outputs."""
+    """Set the outputs: position, velocity over ground and specific force.
+
+    A model with the yaw equation also has the yaw rate, with the offset of the gyro.
+    """
     x, y = s.x, s.y
     y["x"], y["y"] = x.x, x.y
     y["vx"], y["vy"] = s.rate["x"], s.rate["y"]

@@ -58,7 +58,10 @@ from seatrial.ident.model import (
     Signals,
     State,
     Variable,
+    delay_weights,
     resolve_initial_states,
+    tap_name,
+    weighted_sum,
 )
 from seatrial.ident.models.disturbances import TIME, adder, disturbance
 from seatrial.ident.models.horizontal import (
@@ -74,7 +77,7 @@ from seatrial.ident.models.horizontal import (
     pair,
     unchanged,
 )
-from seatrial.ident.models.thruster import delay_weights
+from seatrial.ident.numerics import body_to_ned
 
 STEP, TAPS = 0.05, range(-2, 12)  # s between the copies of the inputs, and their shifts: 0.1 s earlier to 0.55 s later
 STAMP_ERROR_TIME_S = 0.1  # s, correlation time of the time errors of the inputs
@@ -218,13 +221,13 @@ def nomoto_model(
     current : bool
         Whether the model has a constant current in each record.
     sampled : bool
-        Whether the inputs are uncertain in time.
+        Whether the inputs are uncertain in time: states for the errors of their time stamps are added.
     hold : "zero", "average" or "linear"
-        Hold of the inputs.
+        Hold of the inputs between their samples.
     """
     # The inputs are not averaged: GNSS samples are not averaged either, and contain the quick motion of a light vehicle
     now = pair("n", "", hold, prefilter=False)
-    past = tuple(replace(i.delayed(k, STEP), name=_past(i.name, k)) for i in now for k in TAPS if k)
+    past = tuple(replace(i.delayed(k, STEP), name=tap_name(i.name, k, STEP)) for i in now for k in TAPS if k)
     parameters = tuple(p for p in HULL if p.name in ("m_u", "d_u", "d_uu"))
     parameters += (*(CURRENT if current else ()), *THRUST, LINEARITY, *STEERING, *TIMING)
     parameters += tuple(replace(p, free=False, considered=True, origin=BUILT_IN) for p in DATASHEET)
@@ -254,70 +257,68 @@ def nomoto_model(
     )
 
 
-def _past(name: str, k: int) -> str:
-    """Return the name of the input k steps of ``STEP`` ago."""
-    return f"{name}~{k}x{STEP:g}s" if k else name
-
-
 def _static_thrust(p: Any, n: Any) -> Any:
-    """Return the steady thrust [N] at the normalised shaft speed n."""
+    """Return the steady thrust [N] of one thruster at the normalised shaft speed n, by the parameters p."""
     return p.c1 * ((1 - p.lambda_n) * n * abs(n) + p.lambda_n * n) + p.c2 * n * n
 
 
-def _steady_rate(s: Signals, u: Any, n: Sequence[Any]) -> Any:
+def _steady_yaw_rate(s: Signals, u: Any, n: Sequence[Any]) -> Any:
     """Return the steady yaw rate [rad/s] at speed u [m/s] and inputs n (left, right)."""
     delta, p = (n[0] - n[1]) / 2, s.p
     return (p.K + p.K_u * u) * delta * (1 - p.k_3 * delta * delta)
 
 
-def _damping(s: Signals, u: Any) -> Any:
-    """Return the damping force [N] at speed u [m/s]."""
+def _damping_force(s: Signals, u: Any) -> Any:
+    """Return the damping force [N] at speed u [m/s]. It is positive at positive speed."""
     return s.p.d_u * u + s.p.d_uu * abs(u) * u
 
 
-def _inputs(s: Signals, ago: Any) -> list[Any]:
+def _inputs_at(s: Signals, ago: Any) -> list[Any]:
     """Return the inputs (left, right) that acted a time ``ago`` [s], by cubic convolution of their copies.
 
-    The current estimate of their time errors is included.
+    The delay ``tau_n`` and the current estimate of the errors of the time stamps are included.
     """
     weights = delay_weights((s.p.tau_n + s.p.dt_n + ago) / STEP - TAPS[0], len(TAPS))
     inputs = []
     for side in SIDES:
-        copies = [getattr(s.u, _past(f"n_{side}", k)) for k in TAPS]
-        value = sum(w * n for w, n in zip(weights, copies, strict=True))
+        copies = [getattr(s.u, tap_name(f"n_{side}", k, STEP)) for k in TAPS]
+        value = weighted_sum(weights, copies)
         if hasattr(s.x, STAMP_ERROR_PREFIX + side):
             extended = [2 * copies[0] - copies[1], *copies, 2 * copies[-1] - copies[-2]]
             change = [(late - early) / (2 * STEP) for early, late in zip(extended[:-2], extended[2:], strict=True)]
             delay = s.p.sigma_n * getattr(s.x, STAMP_ERROR_PREFIX + side) * np.exp(-ago / STAMP_ERROR_TIME_S)
-            value = value + delay * sum(w * d for w, d in zip(weights, change, strict=True))
+            value = value + delay * weighted_sum(weights, change)
         inputs.append(value)
     return inputs
 
 
 def delayed(s: Signals) -> None:
-    """Set the inputs that act now: those of ``tau_n`` ago."""
-    s.n_now = _inputs(s, 0.0)  # kept unchanged: effects change s.n
+    """Set the inputs that act now, which are those of ``tau_n`` ago.
+
+    Effects change ``s.n`` (by side). ``s.n_now`` keeps the values (left, right) without effects.
+    """
+    s.n_now = _inputs_at(s, 0.0)  # kept unchanged: effects change s.n
     s.n = dict(zip(SIDES, s.n_now, strict=True))
 
 
 def thrust(s: Signals) -> None:
-    """Set the thrust of each thruster."""
+    """Set the thrust ``s.f`` [N] of each thruster from its shaft speed."""
     s.f = {side: _static_thrust(s.p, n) for side, n in s.n.items()}
 
 
 def force(s: Signals) -> None:
-    """Set the thrust less damping X [N] and the steady yaw rate r_ref [rad/s]."""
+    """Set the thrust less damping ``X`` [N], the steady yaw rate ``r_ref`` [rad/s], and a ``slip_time`` of zero."""
     s.slip_time = 0.0  # s, sideslip divided by speed and yaw rate: effects set it
-    s.X = sum(s.f.values()) - _damping(s, s.x.u)
-    s.r_ref = _steady_rate(s, s.x.u, list(s.n.values()))
+    s.X = sum(s.f.values()) - _damping_force(s, s.x.u)
+    s.r_ref = _steady_yaw_rate(s, s.x.u, list(s.n.values()))
 
 
 def rate(s: Signals) -> None:
-    """Set the rates of the states."""
+    """Set the rates of all states, and the yaw rate ``s.r`` [rad/s] after its lag."""
     x = s.x
     s.r = first_order(s, "r", s.r_ref, s.p.T)
     v = _sideslip(s, x.u, s.r)
-    s.rate["x"], s.rate["y"] = _over_ground(s, x.psi, x.u, v)
+    s.rate["x"], s.rate["y"] = _velocity_over_ground(s, x.psi, x.u, v)
     s.rate["psi"], s.rate["u"] = s.r, s.X / s.p.m_u + v * s.r
     corner = ROOT_2 / np.maximum(s.p.T_r + s.p.dt_r, SHORTEST_LAG)  # rad/s
     s.rate["r_gyro"] = x.r_gyro_rate
@@ -329,64 +330,82 @@ def rate(s: Signals) -> None:
 
 
 def _sideslip(s: Signals, u: Any, r: Any) -> Any:
-    """Return the sway [m/s]: the disturbance state if there is one, and the sideslip that effects add."""
+    """Return the sway [m/s]: the disturbance state if there is one, plus the sideslip that effects add.
+
+    ``u`` [m/s] and ``r`` [rad/s] are speed and yaw rate. Positive sway is to starboard.
+    """
     return getattr(s.x, "v", 0.0) - s.slip_time * u * r
 
 
-def _over_ground(s: Signals, psi: Any, u: Any, v: Any) -> tuple[Any, Any]:
-    """Return the velocity north and east [m/s]."""
-    cos, sin = np.cos(psi), np.sin(psi)
-    return cos * u - sin * v + getattr(s.p, "V_x", 0.0), sin * u + cos * v + getattr(s.p, "V_y", 0.0)
+def _velocity_over_ground(s: Signals, psi: Any, u: Any, v: Any) -> tuple[Any, Any]:
+    """Return the velocity north and east [m/s], with the current, at heading psi [rad], surge u and sway v [m/s]."""
+    north, east = body_to_ned(psi, u, v)
+    return north + getattr(s.p, "V_x", 0.0), east + getattr(s.p, "V_y", 0.0)
 
 
 def _rates_at(s: Signals, ago: Any, u: Any, n: Sequence[Any]) -> tuple[Any, Any]:
-    """Return the yaw rate [rad/s] and the acceleration [m/s2] a time ``ago`` [s], with the present disturbances.
+    """Return the yaw rate [rad/s] and the surge acceleration [m/s2] a time ``ago`` [s], with the present disturbances.
 
-    Influences of effects on the inputs are treated like disturbances: only the inputs themselves are changed to their
-    earlier values. A change of thrust is therefore reverted without effects such as a lag, a dead band or a loss. The
-    result is exact in steady state.
+    ``u`` [m/s] and ``n`` (left, right) are the speed and the inputs at that time. Influences of effects on the inputs
+    are treated like disturbances: only the inputs themselves are changed to their earlier values. A change of thrust is
+    therefore reverted without effects such as a lag, a dead band or a loss. The result is exact in steady state.
     """
     x, p, now = s.x, s.p, s.n_now
     direct = 1 - np.minimum(p.T / SHORTEST_LAG, 1.0)  # part of the yaw rate that follows the inputs without a lag
-    r = s.r - (1 - direct) * ago * s.rate["r"] + direct * (_steady_rate(s, u, n) - _steady_rate(s, x.u, now))
+    r = s.r - (1 - direct) * ago * s.rate["r"] + direct * (_steady_yaw_rate(s, u, n) - _steady_yaw_rate(s, x.u, now))
     gain = sum(_static_thrust(p, n_side) for n_side in n) - sum(_static_thrust(p, n_side) for n_side in now)
-    gain = gain - _damping(s, u) + _damping(s, x.u)
+    gain = gain - _damping_force(s, u) + _damping_force(s, x.u)
     return r, (s.X + gain) / p.m_u + _sideslip(s, u, r) * r
 
 
-def _back(s: Signals, since: tuple[Any, ...], ago: Any, span: Any, steps: int) -> tuple[Any, ...]:
-    """Integrate the model backwards over ``span`` [s] by the explicit midpoint rule.
+def _integrate_backwards(s: Signals, since: tuple[Any, ...], ago: Any, span: Any, steps: int) -> tuple[Any, ...]:
+    """Integrate the model backwards over ``span`` [s] in ``steps`` steps, by the explicit midpoint rule.
 
-    ``since`` is (north, east, heading, speed, sideslip) a time ``ago`` [s]. The result is the same tuple at an earlier
-    time, ``ago + span``.
+    Parameters
+    ----------
+    s : Signals
+        Present signals.
+    since : tuple
+        North [m], east [m], heading [rad], speed [m/s] and sideslip [m/s] a time ``ago`` [s].
+    ago : float or symbol
+        Age [s] of ``since``.
+    span : float or symbol
+        Time [s] to go back from there.
+    steps : int
+        Number of steps.
+
+    Returns
+    -------
+    tuple
+        The same five values at the time ``ago + span`` before now.
     """
     north, east, psi, u, _ = since
     step = span / steps
     for k in range(steps):
         middle = ago + (k + 0.5) * step
-        n = _inputs(s, middle)
+        n = _inputs_at(s, middle)
         slower = u - step / 2 * _rates_at(s, middle, u, n)[1]
         r, gain = _rates_at(s, middle, slower, n)
-        v_n, v_e = _over_ground(s, psi - step / 2 * r, slower, _sideslip(s, slower, r))
+        v_n, v_e = _velocity_over_ground(s, psi - step / 2 * r, slower, _sideslip(s, slower, r))
         north, east, psi, u = north - step * v_n, east - step * v_e, psi - step * r, u - step * gain
-    r = _rates_at(s, ago + span, u, _inputs(s, ago + span))[0]
+    r = _rates_at(s, ago + span, u, _inputs_at(s, ago + span))[0]
     return north, east, psi, u, _sideslip(s, u, r)
 
 
 def output(s: Signals) -> None:
-    """Set the outputs."""
+    """Set the outputs: heading, yaw rate after the gyro's filter, and position and velocity of the GNSS fix."""
     x, y, p = s.x, s.y, s.p
     v = _sideslip(s, x.u, s.r)
     y["psi"] = x.psi
     # below SHORTEST_LAG, the filter is approximated as in `first_order`
     y["r"] = (1 + p.k_r) * (s.r + np.minimum((p.T_r + p.dt_r) / SHORTEST_LAG, 1.0) * (x.r_gyro - s.r))
     first = p.tau_gnss + p.dt_gnss - p.sigma_gnss
-    late = _back(s, (x.x, x.y, x.psi, x.u, v), 0.0, first, 2)
-    early = _back(s, late, first, 2 * p.sigma_gnss, 4)
+    late = _integrate_backwards(s, (x.x, x.y, x.psi, x.u, v), 0.0, first, 2)
+    early = _integrate_backwards(s, late, first, 2 * p.sigma_gnss, 4)
     y["x"], y["y"] = (late[0] + early[0]) / 2, (late[1] + early[1]) / 2
-    (a_n, a_e), (b_n, b_e) = (_over_ground(s, *place[2:]) for place in (late, early))
+    (a_n, a_e), (b_n, b_e) = (_velocity_over_ground(s, *place[2:]) for place in (late, early))
     y["vx"], y["vy"] = (a_n + b_n) / 2, (a_e + b_e) / 2
-    for axis, own in zip("xy", _over_ground(s, x.psi, x.u, v), strict=True):
+    for axis, own in zip("xy", _velocity_over_ground(s, x.psi, x.u, v), strict=True):
         added = s.rate[axis] - own  # velocity by effects, such as a random-walk current: constant over the age of a fix
         age = p.tau_gnss + p.dt_gnss  # mean of the two points
         y[axis], y[f"v{axis}"] = y[axis] - age * added, y[f"v{axis}"] + added

@@ -1,6 +1,7 @@
-"""Rotation matrices of zyx Euler angles, for the lever arm and the misaligned AHRS of a boat with measured attitude.
+"""Attitude of a boat in the signals of a model: lever arm of an antenna, and an AHRS with misaligned axes.
 
-Source: Fossen 2011, eq. 2.18. Entries are scalars or symbols. A matrix is a list of its rows.
+The functions are for models with measured roll, pitch and heading (`seatrial.ident.models.kinematic`). The matrices are
+those of `seatrial.ident.numerics.rotations`.
 """
 
 from __future__ import annotations
@@ -8,44 +9,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
-
 from seatrial.ident.model import Signals
+from seatrial.ident.numerics import Matrix, matrix_product, rotate, transposed
 
 G = 9.81  # m/s2
-Matrix = list[list[Any]]
 
 
-def rotation(phi: Any, theta: Any, psi: Any) -> Matrix:
-    """Return the rotation matrix R(psi) R(theta) R(phi) from the rotated axes to the original axes. Angles in rad."""
-    (c_f, s_f), (c_t, s_t), (c_p, s_p) = ((np.cos(a), np.sin(a)) for a in (phi, theta, psi))
-    return [
-        [c_p * c_t, c_p * s_t * s_f - s_p * c_f, c_p * s_t * c_f + s_p * s_f],
-        [s_p * c_t, s_p * s_t * s_f + c_p * c_f, s_p * s_t * c_f - c_p * s_f],
-        [-s_t, c_t * s_f, c_t * c_f],
-    ]
-
-
-def turned(R: Matrix, z: Sequence[Any]) -> list[Any]:
-    """Return the product R z."""
-    return [sum(a * b for a, b in zip(row, z, strict=True)) for row in R]
-
-
-def transposed(R: Matrix) -> Matrix:
-    """Return the transposed matrix."""
-    return [list(column) for column in zip(*R, strict=True)]
-
-
-def oriented(s: Signals, R: Matrix, omega: Sequence[Any]) -> None:
-    """Set the orientation of the boat.
+def set_orientation(s: Signals, R: Matrix, omega: Sequence[Any]) -> None:
+    """Set the orientation of the boat: ``s.R``, the body rates ``s.p_rate, s.q_rate, s.r_rate``, and ``s.w``.
 
     Parameters
     ----------
     s : Signals
-        Signals whose orientation is set. The heave velocity w [m/s] is set such that the hull stays on the surface
-        (z' = 0).
+        Signals to change. The heave velocity ``s.w`` [m/s] is set such that the hull stays on the surface (z' = 0).
     R : Matrix (3, 3)
-        Rotation from the body frame to NED.
+        Rotation from body axes to NED.
     omega : Sequence (3,)
         Body rates p, q, r [rad/s].
     """
@@ -60,40 +38,47 @@ def shift(s: Signals, arm: Sequence[Any]) -> None:
     Parameters
     ----------
     s : Signals
-        Signals whose outputs are changed.
+        Signals whose outputs ``x``, ``y`` [m] and ``vx``, ``vy`` [m/s] are changed. The orientation is set
+        (`set_orientation`).
     arm : Sequence (3,)
         Position of the point from the origin: forward, to starboard and down [m].
     """
     (x, y, z), (p, q, r) = arm, (s.p_rate, s.q_rate, s.r_rate)
     about = (q * z - r * y, r * x - p * z, p * y - q * x)
-    for axis, row in zip("xy", turned(s.R, arm), strict=False):
+    for axis, row in zip("xy", rotate(s.R, arm), strict=False):
         s.y[axis] = s.y[axis] + row
-    for axis, row in zip(("vx", "vy"), turned(s.R, about), strict=False):
+    for axis, row in zip(("vx", "vy"), rotate(s.R, about), strict=False):
         s.y[axis] = s.y[axis] + row
 
 
-def unmount(s: Signals, mount: Matrix) -> None:
-    """Convert attitude and body rates of an AHRS to those of the boat.
+def remove_misalignment(s: Signals, mount: Matrix) -> None:
+    """Convert the measured attitude and body rates of a misaligned AHRS to those of the boat.
 
-    ``mount`` rotates vectors from the axes of the AHRS to the axes of the boat.
+    Parameters
+    ----------
+    s : Signals
+        Signals with the orientation of the AHRS (`set_orientation`), which is replaced by the orientation of the boat.
+    mount : Matrix (3, 3)
+        Rotation of vectors from the axes of the AHRS to the axes of the boat.
     """
-    oriented(s, _product(s.R, transposed(mount)), turned(mount, (s.p_rate, s.q_rate, s.r_rate)))
+    set_orientation(s, matrix_product(s.R, transposed(mount)), rotate(mount, (s.p_rate, s.q_rate, s.r_rate)))
 
 
-def mounted(s: Signals, mount: Matrix) -> None:
-    """Convert specific force and yaw rate of the boat to the measurements of a misaligned AHRS.
+def add_misalignment(s: Signals, mount: Matrix) -> None:
+    """Convert the outputs ``ax``, ``ay`` [m/s2] and ``r`` [rad/s] to what a misaligned AHRS measures.
 
-    ``mount`` is as in `unmount`. The vertical specific force, which the rotation needs, follows from zero vertical
-    acceleration of the hull.
+    Parameters
+    ----------
+    s : Signals
+        Signals with the orientation of the boat, whose outputs are changed. A model without the output ``r`` has only
+        its accelerations changed. The vertical specific force, which the rotation needs, follows from zero vertical
+        acceleration of the hull.
+    mount : Matrix (3, 3)
+        Rotation of vectors from the axes of the AHRS to the axes of the boat.
     """
     R, ax, ay = s.R, s.y["ax"], s.y["ay"]
     az = -(G + R[2][0] * ax + R[2][1] * ay) / R[2][2]
     own = transposed(mount)
-    s.y["ax"], s.y["ay"], _ = turned(own, (ax, ay, az))
+    s.y["ax"], s.y["ay"], _ = rotate(own, (ax, ay, az))
     if "r" in s.y:
-        s.y["r"] = s.y["r"] - s.x.r + turned(own, (s.p_rate, s.q_rate, s.x.r))[2]
-
-
-def _product(A: Matrix, B: Matrix) -> Matrix:
-    columns = transposed(B)
-    return [turned(columns, row) for row in A]
+        s.y["r"] = s.y["r"] - s.x.r + rotate(own, (s.p_rate, s.q_rate, s.x.r))[2]

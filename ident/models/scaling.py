@@ -28,7 +28,13 @@ MASS, INERTIA = 37.0, 9.69  # kg, kg m2: the boat of the thesis, with added mass
 
 
 class Dimension(NamedTuple):
-    """Exponents of kg, m and s. All exponents of an angle are zero."""
+    """Exponents of kg, m and s in a unit. All exponents of an angle are zero.
+
+    Attributes
+    ----------
+    mass, length, time : float
+        Exponents of kg, m and s: (1, 1, -2) for a force.
+    """
 
     mass: float = 0.0
     length: float = 0.0
@@ -36,7 +42,10 @@ class Dimension(NamedTuple):
 
     @property
     def unit(self) -> str:
-        """Unit as text that `dimension` can parse, for example ``kg m2/s``. The exponents must be integers."""
+        """Unit as text that `dimension` can parse, for example ``kg m2/s``.
+
+        Exponents must be integers. Empty without a dimension.
+        """
         above, below = list[str](), list[str]()
         for word, power in zip(("kg", "m", "s"), self, strict=True):
             if power:
@@ -52,7 +61,8 @@ WORDS = {"kg": Dimension(1, 0, 0), "N": Dimension(1, 1, -2), "m": Dimension(0, 1
 def dimension(unit: str) -> Dimension:
     """Return the dimension of a unit such as ``kg m2/s``, ``N s2/m2`` or ``m/s/sqrt(s)``.
 
-    Words that are not in ``WORDS`` have no dimension.
+    Every word after the first ``/`` is in the denominator. Words that are not in ``WORDS``, such as ``rad``, have no
+    dimension.
     """
     mass = length = time = 0.0
     for i, part in enumerate(unit.split("/")):
@@ -64,7 +74,10 @@ def dimension(unit: str) -> Dimension:
 
 
 def unit_over(unit: str, *others: str) -> str:
-    """Return ``unit`` divided by the other units. For example, ``N m`` over ``N`` is ``m``."""
+    """Return ``unit`` divided by the units ``others``. For example, ``N m`` over ``N`` is ``m``.
+
+    The result is in kg, m and s: ``N`` over nothing is ``kg m/s2``. It is empty for a number without a unit.
+    """
     result = dimension(unit)
     for other in others:
         result = Dimension(*(a - b for a, b in zip(result, dimension(other), strict=True)))
@@ -73,38 +86,50 @@ def unit_over(unit: str, *others: str) -> str:
 
 @dataclass(frozen=True)
 class VesselScale:
-    """Mass and length of a boat, relative to the boat of the catalogue."""
+    """Mass and length of a boat, relative to the boat of the catalogue (37 kg).
+
+    Attributes
+    ----------
+    mass, length : float
+        Factors, > 0; one for the boat of the catalogue.
+    """
 
     mass: float = 1.0
     length: float = 1.0
 
     def of(self, unit: str) -> float:
-        """Return the factor by which a quantity of this unit scales."""
+        """Return the factor by which a quantity of this unit (``N m``) scales from the boat of the catalogue."""
         exponents = dimension(unit)
         return float(self.mass**exponents.mass * self.length ** (exponents.length + 0.5 * exponents.time))
 
 
 def force_power(unit: str) -> int:
-    """Return the exponent with which a coefficient of this unit scales with forces and masses."""
+    """Return the exponent with which a coefficient of this unit scales with forces and masses.
+
+    The exponent is that of kg: 1 for ``kg/m`` or ``N``, 0 for ``m``.
+    """
     return round(dimension(unit).mass)
 
 
 def is_moment(unit: str) -> bool:
-    """Return whether a coefficient of this unit belongs to a moment. Otherwise it belongs to a force."""
-    return "N m" in unit.partition("/")[0] or _lengths(unit) >= 2
+    """Return whether a coefficient of this unit belongs to a moment. Otherwise it belongs to a force.
+
+    Moments have ``N m`` in the numerator, or metres with an exponent of two or more (``kg m2/s``).
+    """
+    return "N m" in unit.partition("/")[0] or _metre_exponent(unit) >= 2
 
 
-def _lengths(unit: str) -> int:
-    """Return the exponent of metres in a unit, counting only ``m`` and ``m2``."""
+def _metre_exponent(unit: str) -> int:
+    """Return the exponent of metres in a unit, counting only ``m`` and ``m2``: 2 for ``kg m2/s``."""
     above, _, below = unit.partition("/")
     return len(re.findall(r"\bm\b", above)) + 2 * len(re.findall(r"\bm2\b", above)) - len(re.findall(r"\bm2?\b", below))
 
 
 def size_of(model: Model) -> VesselScale:
-    """Return the size of the boat of a fitted model.
+    """Return the size of the boat of a fitted model, relative to the boat of the catalogue.
 
-    The length follows from the radius of gyration. Without a moment of inertia, the boat has the shape of the boat of
-    the catalogue. Without a mass, it has the size of that boat.
+    The length follows from the radius of gyration. Without a moment of inertia ``m_r``, the boat has the shape of the
+    boat of the catalogue. Without a mass ``m_u``, it has the size of that boat.
     """
     values = model.values
     if "m_u" not in values:
@@ -114,10 +139,11 @@ def size_of(model: Model) -> VesselScale:
 
 
 def rescale(model: Model, size: VesselScale) -> Model:
-    """Return the model with disturbance forces for a boat of this size.
+    """Return the model with the priors of its disturbance forces for a boat of this size.
 
     The initial standard deviation of the forces and the prior of their diffusion scale by one factor, because their
-    correlation time does not change.
+    correlation time does not change. A diffusion at the mean of its prior moves with the prior. A fitted diffusion is
+    kept.
     """
     factors = {"X": size.of("N"), "Y": size.of("N"), "N": size.of("N m")}
     of_state = {f"b_{name}": name for name in factors}
@@ -138,19 +164,21 @@ def rescale(model: Model, size: VesselScale) -> Model:
 
 
 def scale_priors(effect: Effect, size: VesselScale) -> Effect:
-    """Return the effect for a boat of this size: priors, steps, bounds, scanned values and
-    initial states are scaled.
+    """Return the effect for a boat of this size.
+
+    Values, priors, steps, bounds, scanned values and initial states are multiplied by the factors of their units.
+    Parameters with ``scales`` False are unchanged.
     """
     factors = {p.name: size.of(p.unit) if p.scales else 1.0 for p in effect.parameters}
     return replace(
         effect,
-        parameters=tuple(_sized(p, factors[p.name]) for p in effect.parameters),
-        states=tuple(_sized_state(s, size.of(s.unit)) for s in effect.states),
+        parameters=tuple(_scaled_parameter(p, factors[p.name]) for p in effect.parameters),
+        states=tuple(_scaled_state(s, size.of(s.unit)) for s in effect.states),
         scan={name: tuple(factors.get(name, 1.0) * z for z in tried) for name, tried in effect.scan.items()},
     )
 
 
-def _sized(p: Parameter, factor: float) -> Parameter:
+def _scaled_parameter(p: Parameter, factor: float) -> Parameter:
     """Return the parameter with its value, prior, step and bounds multiplied by the factor."""
     if factor == 1.0:
         return p
@@ -159,10 +187,10 @@ def _sized(p: Parameter, factor: float) -> Parameter:
     return replace(p, value=factor * p.value, prior=prior, step=factor * p.step, bounds=(factor * low, factor * high))
 
 
-def _sized_state(s: State, factor: float) -> State:
-    """Return the state with mean, standard deviation and diffusion multiplied by the factor.
+def _scaled_state(s: State, factor: float) -> State:
+    """Return the state with initial mean, initial standard deviation and diffusion multiplied by the factor.
 
-    Values that are parameters are not changed here; `_sized` scales them.
+    Entries that are names of parameters are not changed here; `_scaled_parameter` scales those parameters.
     """
     if factor == 1.0:
         return s

@@ -49,9 +49,9 @@ def surge_model(
     propulsion : "force" or "shaft"
         Input: force X [N], or shaft speed n (normalised, common to both thrusters).
     measured : "position", "speed" or "both"
-        Outputs of the sensors.
+        Outputs of the sensors: x [m], u [m/s], or both.
     hold : "zero" or "linear"
-        Hold of the input.
+        Hold of the input between its samples: constant, or linear interpolation.
     """
     sensors, noise = [], []
     if measured != "speed":
@@ -67,28 +67,33 @@ def surge_model(
         (Input("n", "", hold) if shaft else Input("X", "N", hold),),
         tuple(sensors),
         (*HULL, *(THRUST if shaft else ()), NOISE, *noise),
-        (("force", _shaft_force if shaft else _given_force), ("rate", _rate), ("output", _output)),
+        (("force", _set_force_of_shaft if shaft else _set_given_force), ("rate", _set_rates), ("output", _set_outputs)),
         source=f"surge:{propulsion}:{measured}",
     )
 
 
-def _shaft_force(s: Signals) -> None:
+def _set_force_of_shaft(s: Signals) -> None:
+    """Set the thrust ``X_thrust`` [N] from the shaft speed, and the force ``X`` [N] less damping."""
     s.X_thrust = s.p.c1 * s.u.n * abs(s.u.n) + s.p.c2 * s.u.n**2
-    _drag(s)
+    _subtract_drag(s)
 
 
-def _given_force(s: Signals) -> None:
+def _set_given_force(s: Signals) -> None:
+    """Set the thrust ``X_thrust`` [N] from the input, and the force ``X`` [N] less damping."""
     s.X_thrust = s.u.X
-    _drag(s)
+    _subtract_drag(s)
 
 
-def _drag(s: Signals) -> None:
+def _subtract_drag(s: Signals) -> None:
+    """Set the force ``X`` [N]: the thrust less linear and quadratic damping."""
     s.X = s.X_thrust - s.p.d_u * s.x.u - s.p.d_uu * abs(s.x.u) * s.x.u
 
 
-def _rate(s: Signals) -> None:
+def _set_rates(s: Signals) -> None:
+    """Set the rates of the distance x and the speed u."""
     s.rate["x"], s.rate["u"] = s.x.u, s.X / s.p.m_u
 
 
-def _output(s: Signals) -> None:
+def _set_outputs(s: Signals) -> None:
+    """Set the outputs x [m] and u [m/s]. The sensors of the model select theirs."""
     s.y["x"], s.y["u"] = s.x.x, s.x.u

@@ -4,8 +4,8 @@
 
 ``n_ref`` is the command, delayed by ``tau``. It is zero inside the dead zone ``|n_cmd| < d``.
 
-The data set contains copies of the command with delays of multiples of a step (``delayed_channels``). The model mixes
-the two or four copies next to ``tau`` by cubic convolution (Keys 1981). The convolution keeps the mean and variance of
+The data set contains copies of the command with delays of multiples of a step (``delayed_channels``). The model
+interpolates them at ``tau`` (``seatrial.ident.model.delayed_inputs``). The convolution keeps the mean and variance of
 the delay exact, and its derivative by ``tau`` is continuous. No states are needed, and a step of the command stays a
 step in every copy.
 
@@ -32,7 +32,9 @@ from seatrial.ident.model import (
     StartGrid,
     State,
     Variable,
+    delay_weights,
 )
+from seatrial.ident.models.dead_zone import outside_dead_zone
 from seatrial.ident.models.disturbances import TIME, adder, shaft_disturbance
 
 COMMAND = "n_cmd"
@@ -70,7 +72,8 @@ SWING = (
 )
 
 
-def _accelerate(s: Signals, extra: Any) -> None:
+def _add_acceleration(s: Signals, extra: Any) -> None:
+    """Add ``extra`` [1/s] to the rate of the normalised shaft speed."""
     s.rate["n"] = s.rate["n"] + extra
 
 
@@ -78,7 +81,15 @@ UNEXPLAINED_FORCE = DisturbanceChannel(
     "F", "N", "b_f", 5.0, "the force on the load cell", adder("force"), "thrust", place="bench", requires=("bench",)
 )
 UNEXPLAINED_RATE = DisturbanceChannel(
-    "n_dot", "1/s", "b_n", 0.5, "the acceleration of the shaft", _accelerate, "rate", place="bench", requires=("bench",)
+    "n_dot",
+    "1/s",
+    "b_n",
+    0.5,
+    "the acceleration of the shaft",
+    _add_acceleration,
+    "rate",
+    place="bench",
+    requires=("bench",),
 )
 
 
@@ -94,13 +105,19 @@ def delayed_channels(
     step : float
         Delay between copies [s].
     n : int
-        Number of copies.
+        Number of copies. The first copy has no delay.
     name : str
         Prefix of the names.
+
+    Returns
+    -------
+    dict
+        The copies by name.
 
     Notes
     -----
     Steps of the command stay steps. Before its first sample, the command equals its first sample.
+    `seatrial.ident.model.delayed_inputs` compares these copies with those of other models.
     """
     copies = {}
     for k in range(n):
@@ -110,14 +127,15 @@ def delayed_channels(
 
 
 def delay_step(model: Model) -> float:
-    """Return the delay [s] between successive copies of the command."""
+    """Return the delay [s] between successive copies of the command in a thruster model.
+
+    The delay follows from the upper bound of the parameter ``tau`` and the number of copies.
+    """
     return model.parameter("tau").bounds[1] / (sum(i.tap_of == COMMAND for i in model.inputs) - 1)
 
 
 def pace_with_copy_at(tau: float, step: float) -> str:
     """Return the ``pace`` of a thruster model in which one of the copies of the command has exactly the delay ``tau``.
-
-    Return an empty text if the delay is shorter than half of ``step``.
 
     Parameters
     ----------
@@ -125,6 +143,11 @@ def pace_with_copy_at(tau: float, step: float) -> str:
         Delay [s].
     step : float
         Desired delay between copies [s].
+
+    Returns
+    -------
+    str
+        Delay between copies [s] as text, near ``step``. Empty if ``tau`` is shorter than half of ``step``.
 
     Notes
     -----
@@ -144,33 +167,38 @@ def thruster_model(
     ----------
     pace : str
         ``slow`` for delays beyond 0.6 s. Otherwise the delay [s] between copies of the command as text
-        (``pace_with_copy_at``).
-        Empty: ``step`` is used.
+        (``pace_with_copy_at``). Empty: ``step`` is used.
     force : bool
         Whether the bench has a load cell.
     swing : bool
-        Whether the model has the disturbance force ``b_f``.
+        Whether the model has the disturbance force ``b_f``. It is ignored without a load cell.
     step : float
         Delay between copies of the command [s].
     n_delays : int
-        Number of copies.
+        Number of copies. The largest delay is ``step`` times one less.
+
+    Raises
+    ------
+    ValueError
+        If ``pace`` is neither ``slow`` nor a number.
     """
     step = SLOW_STEP if pace == "slow" else float(pace or step)
     top = step * (n_delays - 1)
     delay = Parameter("tau", min(0.1, top / 2), "s", "delay of the command", bounds=(0.0, top), step=0.005)
-    states, sensors, parameters = _parts(force, force and swing)
+    states, sensors, parameters = _components(force, force and swing)
 
     def reference(s: Signals) -> Any:
-        """Return the delayed command outside the dead zone."""
+        """Return the delayed command outside the dead zone, by interpolation of the copies."""
         weights = enumerate(delay_weights(s.p.tau / step, n_delays))
         # Two to four weights of a numerical delay are not zero; weights of a symbolic delay are never skipped
         return sum(
-            w * past_dead_zone(getattr(s.u, f"{COMMAND}_{k}"), s.p.d)
+            w * outside_dead_zone(getattr(s.u, f"{COMMAND}_{k}"), s.p.d, DEAD_ZONE_EDGE)
             for k, w in weights
             if not (isinstance(w, float) and w == 0.0)
         )
 
     def shaft(s: Signals) -> None:
+        """Set the reference ``n_ref`` of the shaft, and its speed ``n``."""
         s.n_ref, s.n = reference(s), s.x.n
 
     return Model(
@@ -182,7 +210,7 @@ def thruster_model(
         ),
         sensors,
         (delay, *parameters),
-        (("shaft", shaft), ("thrust", _thrust), ("rate", _rate), ("output", _output)),
+        (("shaft", shaft), ("thrust", _set_thrust), ("rate", _set_rates), ("output", _set_outputs)),
         provides=("bench", "thrust") if force else ("bench",),
         source=f"thruster:{pace}" if pace else "thruster",
         residuals=(UNEXPLAINED_FORCE, UNEXPLAINED_RATE) if force and swing else (UNEXPLAINED_RATE,),
@@ -201,14 +229,18 @@ def thruster_model(
 
 
 def _start_grid(longest: float) -> StartGrid:
-    """Return initial delays [s] and poles [1/s]. With low-rate telemetry, the likelihood has several maxima."""
+    """Return initial delays, from 0 to ``longest`` [s], and initial poles [1/s]. All combinations are tried.
+
+    With low-rate telemetry, the likelihood has several maxima.
+    """
     delays = np.arange(0.0, longest, START_DELAY_SPACING_S)
     return StartGrid(("tau", "a"), (tuple(delays.tolist()), tuple(START_POLES.tolist())), START_DELAY_SPACING_S)
 
 
-def _parts(force: bool, swing: bool) -> tuple[tuple[State, ...], tuple[Sensor, ...], tuple[Parameter, ...]]:
-    """Return states, sensors and parameters, with a load cell if ``force``, and with its
-    disturbance force if ``swing``.
+def _components(force: bool, swing: bool) -> tuple[tuple[State, ...], tuple[Sensor, ...], tuple[Parameter, ...]]:
+    """Return the states, sensors and parameters of a thruster.
+
+    ``force``: with a load cell. ``swing``: with the disturbance force ``b_f`` of the load cell.
     """
     states = [State("n", "", "shaft speed, normalised", "s_n", from_output="n", sd0=0.1)]
     sensors, parameters = [Sensor("rpm", (Output("n", "", "e_n"),))], [*SHAFT]
@@ -221,46 +253,24 @@ def _parts(force: bool, swing: bool) -> tuple[tuple[State, ...], tuple[Sensor, .
     return tuple(states), tuple(sensors), tuple(parameters)
 
 
-def past_dead_zone(command: Any, d: Any) -> Any:
-    """Return the command outside the dead zone d, and zero inside it.
-
-    A smooth step of width ``DEAD_ZONE_EDGE`` connects both parts.
-    """
-    along = np.minimum(np.maximum((abs(command) - d) / DEAD_ZONE_EDGE + 0.5, 0.0), 1.0)
-    return command * along * along * (3.0 - 2.0 * along)
-
-
-def delay_weights(position: Any, n: int) -> list[Any]:
-    """Return weights of n samples for the value at ``position`` (0 to n - 1) between them, by cubic convolution.
-
-    Beyond the ends, the samples are extrapolated linearly.
-    """
-    weights = [_keys(abs(position - k)) for k in range(n)]
-    before, after = _keys(position + 1.0), _keys(float(n) - position)
-    weights[0], weights[1] = weights[0] + 2.0 * before, weights[1] - before
-    weights[-1], weights[-2] = weights[-1] + 2.0 * after, weights[-2] - after
-    return weights
-
-
-def _keys(s: Any) -> Any:
-    """Return the kernel of cubic convolution at a distance s >= 0 (Keys 1981, eq. 15)."""
-    near = 1.0 + s * s * (1.5 * s - 2.5)
-    far = 2.0 + s * (-4.0 + s * (2.5 - 0.5 * s))
-    return (s < 1.0) * near + (s >= 1.0) * (s < 2.0) * far
-
-
-def _thrust(s: Signals) -> None:
+def _set_thrust(s: Signals) -> None:
+    """Set the thrust ``force`` [N] from the shaft speed. A model without a load cell has none."""
     if hasattr(s.p, "c1"):
         s.force = s.p.c1 * s.n * abs(s.n) + s.p.c2 * s.n * s.n
 
 
-def _rate(s: Signals) -> None:
+def _set_rates(s: Signals) -> None:
+    """Set the rates of the shaft speed [1/s] and of the disturbance force [N/s]."""
     s.rate["n"] = s.p.a * (s.n_ref - s.x.n)
     if hasattr(s.x, "b_f"):
         s.rate["b_f"] = -s.x.b_f / s.p.tau_f
 
 
-def _output(s: Signals) -> None:
+def _set_outputs(s: Signals) -> None:
+    """Set the outputs: shaft speed, and the measured force [N] if the model has a load cell.
+
+    The measured force includes the offset of the load cell and the disturbance force.
+    """
     s.y["n"] = s.x.n
     if hasattr(s, "force"):
         s.y["force"] = s.force + s.p.bias + getattr(s.x, "b_f", 0.0)

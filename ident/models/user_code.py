@@ -57,9 +57,9 @@ def trusted_file(named_by: Path, file: str, digest: str | None) -> Path:
     named_by : Path
         The model.toml.
     file : str
-        Path in it, relative to its folder.
+        Path of the Python file in model.toml, relative to the folder of model.toml.
     digest : str or None
-        First 16 digits of the SHA-256 in it.
+        First 16 digits of the SHA-256 of the Python file in model.toml. None: model.toml has no hash.
 
     Raises
     ------
@@ -88,18 +88,19 @@ def trusted_file(named_by: Path, file: str, digest: str | None) -> Path:
 
 
 def known_file() -> Path:
-    """Return the file with the hashes of Python files that this user has run.
+    """Return the path of the file with the hashes of Python files that this user has run. The file may not exist.
 
-    The file is ``SEATRIAL_KNOWN_CODE``, or ``~/.local/state/seatrial/known-code``.
+    It is the environment variable ``SEATRIAL_KNOWN_CODE``, or ``~/.local/state/seatrial/known-code``.
     """
     chosen = os.environ.get("SEATRIAL_KNOWN_CODE")
     return Path(chosen) if chosen else Path.home() / ".local" / "state" / "seatrial" / "known-code"
 
 
 def remember_trusted_file(path: Path) -> None:
-    """Store the hash of a Python file that the user trusts. Models that name the file are run from then on.
+    """Append the hash of a Python file that the user trusts to the file of known hashes (`known_file`).
 
-    If the hash cannot be written, the file stays unknown, without an error.
+    Models that name the Python file are run from then on. If the hash cannot be written, the file stays unknown,
+    without an error.
     """
     digest = _full_digest(path)
     if digest in _known_digests():
@@ -112,7 +113,10 @@ def remember_trusted_file(path: Path) -> None:
 
 
 def _known_digests() -> set[str]:
-    """Return the hashes of known files. Return the empty set if another user may have written them."""
+    """Return the SHA-256 hashes of known Python files.
+
+    Return the empty set if the file of hashes is missing, cannot be read, or may have been written by another user.
+    """
     try:
         about = known_file().stat()
         if about.st_uid != os.getuid() or about.st_mode & 0o022:
@@ -123,16 +127,17 @@ def _known_digests() -> set[str]:
 
 
 def _full_digest(path: Path) -> str:
+    """Return the SHA-256 of a file, as 64 hexadecimal digits."""
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def file_digest(path: Path) -> str:
-    """Return the first 16 digits of a file's SHA-256."""
+    """Return the first 16 hexadecimal digits of a file's SHA-256."""
     return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
 
 
 def load_python(path: Path) -> ModuleType:
-    """Run a Python file and return it as a module.
+    """Run a Python file and return it as a module, which is not added to ``sys.modules``.
 
     Raises
     ------
@@ -152,12 +157,14 @@ def load_python(path: Path) -> ModuleType:
 
 
 def load_object(source: str) -> Any:
-    """Return the object NAME of ``FILE.py:NAME``. If NAME is a function, call it and return its result.
+    """Run the file of ``FILE.py:NAME`` and return the object NAME.
+
+    If NAME is a function or class, return the result of its call.
 
     Raises
     ------
     SeatrialError
-        If the file or the object cannot be loaded.
+        If the file cannot be loaded, has no such object, or if the call fails.
     """
     file, _, name = source.rpartition(":")
     module = load_python(Path(file))
@@ -171,12 +178,12 @@ def load_object(source: str) -> Any:
 
 
 def load_effects(path: Path) -> dict[str, Effect]:
-    """Return the effects in ``EFFECT`` or ``EFFECTS`` of a Python file, by name.
+    """Run a Python file and return the effects in its ``EFFECTS``, or otherwise its ``EFFECT``, by name.
 
     Raises
     ------
     SeatrialError
-        If the file cannot be loaded or defines no effects.
+        If the file cannot be loaded, defines no effects, or one of them is no Effect.
     """
     module = load_python(path)
     effects = getattr(module, "EFFECTS", None) or ((module.EFFECT,) if hasattr(module, "EFFECT") else ())
@@ -186,9 +193,9 @@ def load_effects(path: Path) -> dict[str, Effect]:
 
 
 def effects_for(model: Model, path: Path) -> dict[str, Effect]:
-    """Return the effects of a Python file, by name, after evaluating each with the model.
+    """Run a Python file and return its effects, by name, after evaluating each with the model.
 
-    Effects that the model cannot have are not evaluated.
+    Effects that the model cannot have are returned too, but are not evaluated.
 
     Raises
     ------
@@ -229,7 +236,20 @@ def check_user_model(model: Model, path: Path) -> Model:
 def error_place(problem: BaseException, path: Path, model: Model | None = None) -> str:
     """Return ``FILE:LINE`` of an error: the last line of the user's file in the traceback.
 
-    If the traceback has no such line, return the first line of the function for the rates or outputs of the model.
+    Parameters
+    ----------
+    problem : BaseException
+        The error.
+    path : Path
+        Python file of the user.
+    model : Model or None
+        Model whose functions failed. If the traceback has no line of the file, the result has the first line of the
+        function for the rates or outputs.
+
+    Returns
+    -------
+    str
+        Only the file if no line is known.
     """
     if isinstance(problem, SyntaxError) and problem.lineno:
         return f"{problem.filename or path}:{problem.lineno}"
@@ -251,11 +271,16 @@ def _first_lines(function: Any, path: Path) -> list[int]:
 
 
 def _same_file(file: str, path: Path) -> bool:
+    """Return whether two paths are the same file after resolving symbolic links."""
     return Path(file).resolve() == path.resolve()
 
 
 def error_message(problem: BaseException) -> str:
-    """Return the message for an error in the user's code, with advice if the error comes from the use of symbols."""
+    """Return the message for an error in the user's code, in one line.
+
+    If the error comes from the use of symbols, the message is advice. The name of the type is added if the message is
+    empty or not clear without it.
+    """
     message = " ".join(str(problem).split())
     for fragment, advice in ADVICE.items():
         if fragment in message:

@@ -24,7 +24,7 @@ def yaw_model(measured: Literal["rate", "both"] = "rate", *, hold: Literal["zero
     measured : "rate" or "both"
         Sensors: yaw rate r [rad/s], or also the heading psi [rad], which is then a second state.
     hold : "zero" or "linear"
-        Hold of the input.
+        Hold of the input between its samples: constant, or linear interpolation.
     """
     heading = measured == "both"
     states = [State("r", "rad/s", "yaw rate", "s_r", from_output="r", sd0=0.1)]
@@ -38,20 +38,23 @@ def yaw_model(measured: Literal["rate", "both"] = "rate", *, hold: Literal["zero
         (Input("N", "N m", hold),),
         tuple(sensors),
         (*HULL, GYRO, *((COMPASS,) if heading else ())),
-        (("force", _force), ("rate", _rate), ("output", _output)),
+        (("force", _set_moment), ("rate", _set_rates), ("output", _set_outputs)),
         source=f"yaw:{measured}",
     )
 
 
-def _force(s: Signals) -> None:
+def _set_moment(s: Signals) -> None:
+    """Set the yaw moment ``N`` [N m]: the input less linear and quadratic damping."""
     s.N = s.u.N - s.p.d_r * s.x.r - s.p.d_rr * abs(s.x.r) * s.x.r
 
 
-def _rate(s: Signals) -> None:
+def _set_rates(s: Signals) -> None:
+    """Set the rates of the yaw rate and of the heading. The latter is ignored in a model without heading."""
     s.rate["r"] = s.N / s.p.m_r
     s.rate["psi"] = s.x.r
 
 
-def _output(s: Signals) -> None:
+def _set_outputs(s: Signals) -> None:
+    """Set the outputs r [rad/s] and psi [rad]. In a model without heading, psi is zero and no sensor selects it."""
     s.y["r"] = s.x.r
     s.y["psi"] = getattr(s.x, "psi", 0.0)

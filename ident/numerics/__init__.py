@@ -1,4 +1,4 @@
-"""Numerical methods for any field: signal processing, autocorrelation, linear algebra, pattern search."""
+"""Numerical methods for any field: signal processing, autocorrelation, linear algebra, rotations, pattern search."""
 
 import lazy_loader
 

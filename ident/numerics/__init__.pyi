@@ -12,6 +12,13 @@ from .pattern_search import EvaluateAbove as EvaluateAbove
 from .pattern_search import PatternSearch as PatternSearch
 from .pattern_search import SearchResult as SearchResult
 from .pattern_search import violates_constraint as violates_constraint
+from .rotations import Matrix as Matrix
+from .rotations import body_to_ned as body_to_ned
+from .rotations import matrix_product as matrix_product
+from .rotations import ned_to_body as ned_to_body
+from .rotations import rotate as rotate
+from .rotations import rotation_matrix as rotation_matrix
+from .rotations import transposed as transposed
 from .signal_processing import NORMAL_MAD as NORMAL_MAD
 from .signal_processing import SECOND_DIFFERENCE as SECOND_DIFFERENCE
 from .signal_processing import LagData as LagData

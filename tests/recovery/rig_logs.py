@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from seatrial import command_line
 from seatrial.bench.mission_generators import make_mission
 from seatrial.daq.clock import ClockMap
+from seatrial.daq.geometry import local_ned
 from seatrial.daq.log.recorder import Recorder
-from seatrial.daq.log.schema import local_ned
 from seatrial.daq.protocol import Codec, dialect
 from seatrial.daq.protocol.mavlink import MavlinkDecoder, make_samples
 from seatrial.daq.samples import NAN, Ahrs, Command, Esc, Frame, Gnss

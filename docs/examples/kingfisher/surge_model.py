@@ -24,8 +24,19 @@ from typing import Any
 
 import numpy as np
 
-from seatrial.ident.model import INF, Input, Model, Output, Parameter, Sensor, State, plain_model, tap_name
-from seatrial.ident.models import delay_weights
+from seatrial.ident.model import (
+    INF,
+    Input,
+    Model,
+    Output,
+    Parameter,
+    Sensor,
+    State,
+    delay_weights,
+    plain_model,
+    tap_name,
+    weighted_sum,
+)
 
 STEP, N_DELAYS = 0.1, 16  # s, and number of delayed taps of an input, which seatrial makes; tap k is k steps old
 SMALL = 1e-6  # N; makes the root smooth at zero thrust
@@ -50,7 +61,7 @@ SHIFT = Parameter("d", 0.0, "", "dead band on the water less that on the bench",
 def delayed_input(u: Any, name: str, tau: Any) -> Any:
     """Return an input ``tau`` seconds ago, by cubic convolution of its delayed taps."""
     taps = [getattr(u, tap_name(name, k)) for k in range(N_DELAYS)]
-    return sum(w * c for w, c in zip(delay_weights(tau / STEP, N_DELAYS), taps, strict=True))
+    return weighted_sum(delay_weights(tau / STEP, N_DELAYS), taps)
 
 
 def make(*more: Parameter) -> Model:

@@ -8,6 +8,7 @@ from seatrial.ident.model import Effect, Input, Parameter, Signals
 
 
 def creep(s: Signals) -> None:
+    """Add the drift [N] since the start of the record to the measured force."""
     s.y["force"] = s.y["force"] + s.p.F_creep * (1 - np.exp(-s.u.t / s.p.T_creep))
 
 

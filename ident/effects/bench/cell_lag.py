@@ -6,10 +6,12 @@ from seatrial.ident.model import Effect, Parameter, Signals, State
 
 
 def smooth(s: Signals) -> None:
+    """Replace a share of the measured force by the filtered force."""
     s.y["force"] = s.y["force"] + s.p.k_cell * (s.x.cell - s.force)
 
 
 def follow(s: Signals) -> None:
+    """Set the rate of the filtered force [N/s], which follows the thrust."""
     s.rate["cell"] = (s.force - s.x.cell) / s.p.T_cell
 
 

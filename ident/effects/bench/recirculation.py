@@ -6,10 +6,12 @@ from seatrial.ident.model import Effect, Parameter, Signals, State
 
 
 def lose(s: Signals) -> None:
+    """Reduce the thrust in proportion to the recirculation of the water."""
     s.force = s.force * (1 - s.p.k_wash * s.x.wash)
 
 
 def drive_recirculation(s: Signals) -> None:
+    """Set the rate of the recirculation, which follows the squared shaft speed with a lag."""
     s.rate["wash"] = (s.x.n * s.x.n - s.x.wash) / s.p.T_wash
 
 

@@ -6,6 +6,7 @@ from seatrial.ident.model import Effect, Parameter, Signals
 
 
 def lose(s: Signals) -> None:
+    """Reduce the thrust in reverse, in proportion to the shaft speed."""
     s.force = s.force * (1 - s.p.rho_astern * abs(s.n) * (s.n < 0))
 
 

@@ -8,11 +8,16 @@ from seatrial.ident.model import Effect, Parameter, Signals, State
 
 
 def filter_force(s: Signals) -> None:
+    """Replace a share of the thrust by the force after the resonance of the rod.
+
+    ``s.pushed`` keeps the thrust before.
+    """
     s.pushed = s.force
     s.force = s.force + s.p.g_rod * (s.x.rod - s.force)
 
 
 def swing(s: Signals) -> None:
+    """Set the rates of the two states of the resonance."""
     omega = 2 * math.pi * s.p.f_rod
     s.rate["rod"] = omega * s.x.rod_rate
     s.rate["rod_rate"] = omega * (s.pushed - s.x.rod) - 2 * s.p.zeta_rod * omega * s.x.rod_rate

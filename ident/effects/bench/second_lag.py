@@ -6,11 +6,16 @@ from seatrial.ident.model import Effect, Parameter, Signals, State
 
 
 def filter_command(s: Signals) -> None:
+    """Replace a share of the reference speed by its value after the lag.
+
+    ``s.n_commanded`` keeps the reference before.
+    """
     s.n_commanded = s.n_ref
     s.n_ref = s.n_ref + s.p.k_lag * (s.x.n_late - s.n_ref)
 
 
 def follow(s: Signals) -> None:
+    """Set the rate of the state after the lag."""
     s.rate["n_late"] = (s.n_commanded - s.x.n_late) / s.p.T_late
 
 

@@ -8,6 +8,7 @@ from seatrial.ident.model import Effect, Parameter, Signals
 
 
 def limit(s: Signals) -> None:
+    """Reduce the rate of the shaft speed [1/s] smoothly to the slew-rate limit, by a share of the excess."""
     unlimited = s.p.a * (s.n_ref - s.x.n)
     square = (unlimited / s.p.n_slew) * (unlimited / s.p.n_slew)
     fourth = square * square

@@ -6,6 +6,7 @@ from seatrial.ident.model import Effect, Parameter, Signals
 
 
 def change_gain(s: Signals) -> None:
+    """Multiply the reference speed by a gain that depends on its magnitude and sign."""
     change = s.p.g_1 * abs(s.n_ref) + s.p.g_3 * s.n_ref * s.n_ref
     s.n_ref = s.n_ref * (1 + s.p.g_0 + change + s.p.g_2 * ((s.n_ref > 0) - 1.0 * (s.n_ref < 0)))
 

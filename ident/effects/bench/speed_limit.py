@@ -8,6 +8,7 @@ from seatrial.ident.model import Effect, Parameter, Signals
 
 
 def saturate(s: Signals) -> None:
+    """Reduce the magnitude of the reference speed smoothly to its limit, by a share of the excess."""
     square = (s.n_ref / s.p.n_top) * (s.n_ref / s.p.n_top)
     eighth = square * square * square * square
     power = eighth * eighth * eighth * eighth

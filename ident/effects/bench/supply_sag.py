@@ -8,10 +8,12 @@ WORK_UNIT_S = 30.0  # s at full power: the unit of work
 
 
 def reduce_speed(s: Signals) -> None:
+    """Reduce the reference speed in proportion to the work that the thruster has done since the start."""
     s.n_ref = s.n_ref * (1 - s.p.k_sag * s.x.used)
 
 
 def discharge(s: Signals) -> None:
+    """Set the rate of the work, relative to that of 30 s at full power: the cubed magnitude of the shaft speed."""
     s.rate["used"] = abs(s.x.n) * s.x.n * s.x.n / WORK_UNIT_S
 
 

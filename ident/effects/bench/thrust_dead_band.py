@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from seatrial.ident.model import Effect, Parameter, Signals
+from seatrial.ident.models import beyond_dead_band
 
 
 def cut(s: Signals) -> None:
-    beyond = abs(s.n) - s.p.n_band
-    s.n = (beyond > 0) * beyond * ((s.n > 0) - 1.0 * (s.n < 0))
+    """Reduce the shaft speed that determines the thrust by the dead band; inside the band it is zero."""
+    s.n = beyond_dead_band(s.n, s.p.n_band)
 
 
 EFFECT = Effect(

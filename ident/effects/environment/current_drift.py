@@ -6,6 +6,7 @@ from seatrial.ident.model import Effect, Input, Parameter, Signals
 
 
 def drift(s: Signals) -> None:
+    """Add the change of the current since the middle of 600 s to the rates of position."""
     elapsed = s.u.t / 600.0 - 0.5  # centred, so that V_x and V_y are the current in the middle of 600 s
     s.rate["x"] = s.rate["x"] + s.p.V_dx * elapsed
     s.rate["y"] = s.rate["y"] + s.p.V_dy * elapsed

@@ -8,6 +8,7 @@ from seatrial.ident.model import Effect, ForceCurve, Parameter, Signals
 
 
 def add(s: Signals) -> None:
+    """Add a moment [N m] to the yaw moment: the first two harmonics of the heading."""
     psi = s.x.psi
     s.N = s.N + s.p.N_s * np.sin(psi) + s.p.N_c * np.cos(psi) + s.p.N_2s * np.sin(2 * psi) + s.p.N_2c * np.cos(2 * psi)
 

@@ -5,23 +5,24 @@ from __future__ import annotations
 import numpy as np
 
 from seatrial.ident.model import INF, Effect, Parameter, Signals
+from seatrial.ident.numerics import ned_to_body
 
 CORNER_WIDTH = 0.1  # width of the rounded corner at the slack length, relative to k_m l_slack
 
 
 def pull(s: Signals) -> None:
-    """Add the force of the line.
+    """Add the force of the line [N] to the forces in body axes.
 
     The force of a spring without slack is linear in the parameters. The slack reduces the tension by k_m l_slack.
     """
-    p, cos, sin = s.p, np.cos(s.x.psi), np.sin(s.x.psi)
+    p = s.p
     north, east = p.F_mx - p.k_m * s.x.x, p.F_my - p.k_m * s.x.y
     tension, slack_tension = np.sqrt(north * north + east * east + 1e-12), p.k_m * p.l_slack
     taut = tension - slack_tension
     # remaining share of the tension: one without slack, about zero inside the slack length
     part = (taut + np.sqrt(taut * taut + CORNER_WIDTH * CORNER_WIDTH * slack_tension * slack_tension)) / (2 * tension)
-    s.X = s.X + part * (cos * north + sin * east)
-    s.Y = s.Y + part * (cos * east - sin * north)
+    forward, starboard = ned_to_body(s.x.psi, north, east)
+    s.X, s.Y = s.X + part * forward, s.Y + part * starboard
 
 
 EFFECT = Effect(

@@ -8,7 +8,7 @@ from seatrial.ident.model import INF, Effect, Parameter, Signals
 
 
 def drag(s: Signals) -> None:
-    """Add a drag force against the velocity over ground, in proportion to the distance from the fixed end."""
+    """Add a drag force [N] against the velocity over ground, in proportion to the distance from the fixed end."""
     p, x = s.p, s.x
     cos, sin = np.cos(x.psi), np.sin(x.psi)
     over_x = cos * x.u - sin * x.v + getattr(p, "V_x", 0.0)

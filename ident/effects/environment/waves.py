@@ -18,7 +18,7 @@ FORCES = {"X": ("N", 5.0), "Y": ("N", 5.0), "N": ("N m", 0.6)}  # units and typi
 
 
 def push(s: Signals) -> None:
-    """Add the wave forces to the forces of the boat.
+    """Add the wave forces X, Y [N] and N [N m] to the forces of the boat.
 
     Unit white noise drives the second-order filter of each force. Its output has the variance 1 / (4 zeta omega), so
     the gain makes ``A`` the standard deviation of the force.
@@ -29,7 +29,7 @@ def push(s: Signals) -> None:
 
 
 def shape(s: Signals) -> None:
-    """Set the rates of the wave filters."""
+    """Set the rates of the two states of each wave filter."""
     omega = 2 * np.pi * s.p.f_wave
     for force in FORCES:
         wave, quadrature = getattr(s.x, f"wave_{force}"), getattr(s.x, f"wave_{force}_rate")
@@ -89,9 +89,14 @@ def waves_at(frequency: float, size: float = 0.4) -> Effect:
     Parameters
     ----------
     frequency : float
-        Peak frequency [Hz].
+        Peak frequency [Hz], within 0.1 to 2.5.
     size : float
         Initial standard deviation of each wave force, as a multiple of its typical size (N, N m) in ``FORCES``.
+
+    Raises
+    ------
+    ValueError
+        If the frequency is outside its bounds.
     """
     start = {f"A_{force}": size * typical for force, (_, typical) in FORCES.items()} | {"f_wave": frequency}
     return replace(EFFECT, parameters=tuple(p.at(start.get(p.name, p.value)) for p in EFFECT.parameters))

@@ -8,7 +8,7 @@ from seatrial.ident.model import Effect, Parameter, Signals
 
 
 def blow(s: Signals) -> None:
-    """Add the wind force and moment.
+    """Add the wind force [N] and moment [N m].
 
     (F_wx, F_wy) is the wind force in NED on a boat at rest with the wind on the broadside. The wind velocity follows
     from this force and k_air.

@@ -10,7 +10,10 @@ from seatrial.ident.model import Effect, Parameter, Signals
 
 
 def couple(s: Signals) -> None:
-    """Replace the rates of surge, sway and yaw by those of a body with an offset centre of gravity."""
+    """Replace the rates of surge, sway and yaw by those of a body with an offset centre of gravity.
+
+    Added forces of other effects at the stage ``force`` are included.
+    """
     x, p = s.x, s.p
     m_xg, m_yg = p.x_g * p.m_u, p.y_g * p.m_u
     X = s.X + p.m_v * x.v * x.r + m_xg * x.r * x.r

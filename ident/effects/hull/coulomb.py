@@ -8,6 +8,10 @@ from seatrial.ident.model import INF, Effect, ForceCurve, Parameter, Signals
 
 
 def resist(s: Signals) -> None:
+    """Subtract a friction force [N] from the surge force.
+
+    It has the sign of the surge speed, smoothed within 0.05 m/s.
+    """
     s.X = s.X - s.p.f_C * np.tanh(s.x.u / 0.05)
 
 

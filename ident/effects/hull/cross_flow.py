@@ -6,6 +6,7 @@ from seatrial.ident.model import Effect, Parameter, Signals
 
 
 def couple(s: Signals) -> None:
+    """Subtract cross-flow drag from the sway force [N] and the yaw moment [N m]."""
     s.Y = s.Y - s.p.d_vr * abs(s.x.r) * s.x.v
     s.N = s.N - s.p.n_vr * abs(s.x.v) * s.x.r
 

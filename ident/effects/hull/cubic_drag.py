@@ -6,6 +6,7 @@ from seatrial.ident.model import Effect, ForceCurve, Parameter, Signals
 
 
 def resist(s: Signals) -> None:
+    """Subtract a drag in proportion to the cube of the surge speed from the surge force [N]."""
     s.X = s.X - s.p.d_uuu * s.x.u * s.x.u * s.x.u
 
 

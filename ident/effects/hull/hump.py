@@ -8,6 +8,7 @@ from seatrial.ident.model import INF, Effect, ForceCurve, Parameter, Signals
 
 
 def resist(s: Signals) -> None:
+    """Subtract a resistance [N] with a maximum at one speed from the surge force, against the direction of motion."""
     u, p = s.x.u, s.p
     off = (abs(u) - p.u_hump) / p.w_hump
     s.X = s.X - p.A_hump * np.exp(-off * off / 2) * np.tanh(u / 0.1)

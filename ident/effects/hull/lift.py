@@ -6,6 +6,7 @@ from seatrial.ident.model import Effect, Parameter, Signals
 
 
 def damp(s: Signals) -> None:
+    """Subtract damping that grows with surge speed from the sway force [N] and yaw moment [N m]."""
     speed = abs(s.x.u)
     s.Y = s.Y - s.p.Y_uv * speed * s.x.v
     s.N = s.N - s.p.N_ur * speed * s.x.r

@@ -17,15 +17,25 @@ FREQUENCIES_HZ = tuple(round(0.25 * 1.12**k, 2) for k in range(16))
 LARGEST_MASS_KG = 30.0
 
 
-def _hooks(force: str, of: str) -> dict[str, ModelFunction]:
+def _moving_mass_hooks(force: str, of: str) -> dict[str, ModelFunction]:
     """Return the hooks of a moving mass along one axis.
 
+    Parameters
+    ----------
+    force : str
+        ``X`` for motion along the boat, ``Y`` for motion across it.
+    of : str
+        Letter in the names of the parameters and states.
+
+    Notes
+    -----
     The moving mass is a part of the masses m_u and m_v. Along one axis it moves freely, and only its spring and damper
     accelerate it: (m - m_p) a = F + m_p (2 zeta w z' + w^2 z). The hook adds the force that gives the whole mass m this
     acceleration a.
     """
 
     def pull(s: Signals) -> None:
+        """Add the force [N] of the moving mass to the total force along the axis."""
         omega, x, p = 2 * math.pi * getattr(s.p, f"f_{of}"), s.x, s.p
         z, z_rate = getattr(x, f"swing_{of}"), getattr(x, f"swing_rate_{of}")
         spring = 2 * getattr(p, f"zeta_{of}") * omega * z_rate + omega * omega * z
@@ -34,6 +44,7 @@ def _hooks(force: str, of: str) -> dict[str, ModelFunction]:
         setattr(s, force, getattr(s, force) + free * (rigid + mass * spring) / (mass - free))
 
     def swing(s: Signals) -> None:
+        """Set the rates of the displacement [m/s] and velocity [m/s2] of the moving mass."""
         omega = 2 * math.pi * getattr(s.p, f"f_{of}")
         z, z_rate = getattr(s.x, f"swing_{of}"), getattr(s.x, f"swing_rate_{of}")
         acceleration = s.rate["u"] - s.x.v * s.x.r if force == "X" else s.rate["v"] + s.x.u * s.x.r
@@ -43,13 +54,25 @@ def _hooks(force: str, of: str) -> dict[str, ModelFunction]:
     return {"loose_mass": pull, "carried": swing}
 
 
-def _effect(name: str, title: str, force: str, of: str, alternatives: tuple[str, ...]) -> Effect:
-    """Return the effect of a moving mass along the axis of ``force``."""
+def _moving_mass_effect(name: str, title: str, force: str, of: str, alternatives: tuple[str, ...]) -> Effect:
+    """Return the effect of a moving mass along the axis of ``force``.
+
+    Parameters
+    ----------
+    name, title : str
+        Name in the catalogue and in reports.
+    force : str
+        ``X`` for motion along the boat, ``Y`` for motion across it.
+    of : str
+        Letter in the names of the parameters and states.
+    alternatives : tuple[str, ...]
+        Names of competing effects.
+    """
     axis, chirp = ("x", "equal") if force == "X" else ("y", "opposite")
     return Effect(
         name=name,
         title=title,
-        hooks=_hooks(force, of),
+        hooks=_moving_mass_hooks(force, of),
         parameters=(
             Parameter(
                 f"m_{of}", 0.0, "kg", "oscillating mass", prior=(0.0, 10.0), bounds=(0.0, LARGEST_MASS_KG), step=0.2
@@ -72,6 +95,8 @@ def _effect(name: str, title: str, force: str, of: str, alternatives: tuple[str,
 
 
 EFFECTS = (
-    _effect("pendulum", "a sloshing or suspended mass", "X", "p", ("waves", "lag")),
-    _effect("sway-slosh", "a sloshing mass that moves sideways", "Y", "s", ("waves", "pendulum", "sway-yaw")),
+    _moving_mass_effect("pendulum", "a sloshing or suspended mass", "X", "p", ("waves", "lag")),
+    _moving_mass_effect(
+        "sway-slosh", "a sloshing mass that moves sideways", "Y", "s", ("waves", "pendulum", "sway-yaw")
+    ),
 )

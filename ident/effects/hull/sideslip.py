@@ -6,6 +6,7 @@ from seatrial.ident.model import INF, Effect, Parameter, Signals
 
 
 def slide(s: Signals) -> None:
+    """Add the time constant of sway to ``slip_time`` [s], by which a Nomoto model computes its sideslip."""
     s.slip_time = s.slip_time + s.p.tau_s
 
 

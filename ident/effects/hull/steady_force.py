@@ -6,6 +6,7 @@ from seatrial.ident.model import Effect, Parameter, Signals
 
 
 def add(s: Signals) -> None:
+    """Add constant forces [N] in surge and sway."""
     s.X, s.Y = s.X + s.p.X_0, s.Y + s.p.Y_0
 
 

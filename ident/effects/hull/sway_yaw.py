@@ -6,6 +6,7 @@ from seatrial.ident.model import Effect, Parameter, Signals
 
 
 def couple(s: Signals) -> None:
+    """Subtract damping by yaw rate from the sway force [N], and by sway speed from the yaw moment [N m]."""
     speed = abs(s.x.u)
     s.Y = s.Y - (s.p.Y_r + s.p.Y_ur * speed) * s.x.r
     s.N = s.N - (s.p.N_v + s.p.N_uv * speed) * s.x.v

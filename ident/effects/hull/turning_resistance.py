@@ -6,6 +6,7 @@ from seatrial.ident.model import Effect, Parameter, Signals
 
 
 def resist(s: Signals) -> None:
+    """Subtract a resistance in proportion to the squared yaw rate from the surge force [N]."""
     s.X = s.X - s.p.X_rr * s.x.r * s.x.r
 
 

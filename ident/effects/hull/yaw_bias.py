@@ -6,6 +6,7 @@ from seatrial.ident.model import Effect, Parameter, Signals
 
 
 def add(s: Signals) -> None:
+    """Add a constant moment and a moment in proportion to the signed squared surge speed to the yaw moment [N m]."""
     s.N = s.N + s.p.N_0 + s.p.N_uu * s.x.u * abs(s.x.u)
 
 

@@ -6,6 +6,7 @@ from seatrial.ident.model import INF, Effect, Parameter, Signals
 
 
 def lose(s: Signals) -> None:
+    """Reduce the thrust [N] of each thruster by |shaft speed| times its forward speed through the water."""
     for side, n in s.n.items():
         inflow = s.x.u - s.arm[side] * s.x.r  # forward speed of the thruster through the water
         s.f[side] = s.f[side] - s.p.k_J * abs(n) * inflow

@@ -6,6 +6,7 @@ from seatrial.ident.model import INF, Effect, Input, Parameter, Signals
 
 
 def sag(s: Signals) -> None:
+    """Reduce the thrust of each thruster in proportion to the work that the thrusters have done since the start."""
     for side, f in s.f.items():
         s.f[side] = f * (1 - s.p.beta_E * s.u.work)
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from seatrial.ident.model import Effect, Parameter, Signals
+from seatrial.ident.models import beyond_dead_band
 
 
 def cut(s: Signals) -> None:
+    """Reduce the magnitude of each shaft speed by the dead band; inside the band it is zero."""
     for side, n in s.n.items():
-        beyond = abs(n) - s.p.n_dead
-        s.n[side] = (beyond > 0) * beyond * ((n > 0) - 1.0 * (n < 0))
+        s.n[side] = beyond_dead_band(n, s.p.n_dead)
 
 
 EFFECT = Effect(

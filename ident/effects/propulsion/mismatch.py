@@ -6,6 +6,7 @@ from seatrial.ident.model import Effect, Parameter, Signals
 
 
 def scale(s: Signals) -> None:
+    """Multiply the thrust of the left thruster by one plus the mismatch, and that of the right one by one minus it."""
     s.f["left"] = s.f["left"] * (1 + s.p.eps_LR)
     s.f["right"] = s.f["right"] * (1 - s.p.eps_LR)
 

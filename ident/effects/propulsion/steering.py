@@ -6,6 +6,10 @@ from seatrial.ident.model import Effect, Parameter, Signals
 
 
 def steer(s: Signals) -> None:
+    """Add the steering moment to the yaw moment [N m].
+
+    It is in proportion to the difference of the shaft speeds, left minus right, and to the signed squared surge speed.
+    """
     n = list(s.n.values())
     s.N = s.N + s.p.N_delta * abs(s.x.u) * s.x.u * (n[0] - n[1]) / 2
 

@@ -22,10 +22,23 @@ FULL = {"n": 1.0, "f": 40.0}  # full shaft speed (normalised) and typical full t
 Quantity = Literal["n", "f"]
 
 
-def _delay(name: str, quantity: Quantity, requires: tuple[str, ...], **described: Any) -> Effect:
-    """Return the effect of a delay of the shaft speeds (n) or thrusts (f)."""
+def _delay_effect(name: str, quantity: Quantity, requires: tuple[str, ...], **described: Any) -> Effect:
+    """Return the effect of a delay of the shaft speeds (n) or thrusts (f) of 0 to 0.75 s.
+
+    Parameters
+    ----------
+    name : str
+        Name in the catalogue.
+    quantity : "n" or "f"
+        Input of the model that is delayed.
+    requires : tuple[str, ...]
+        Signals that the model must provide.
+    described
+        Further fields of the `Effect`.
+    """
 
     def late(s: Signals) -> None:
+        """Replace the shaft speeds or thrusts by their delayed values."""
         shift_in_time(s, quantity)
 
     now = [Input(f"{quantity}_{side}", "", "linear") for side in SIDES]
@@ -56,10 +69,23 @@ def _delay(name: str, quantity: Quantity, requires: tuple[str, ...], **described
     )
 
 
-def _lag(name: str, title: str, quantity: Quantity, requires: tuple[str, ...], **described: Any) -> Effect:
-    """Return the effect of a first-order lag of the shaft speeds (n) or thrusts (f)."""
+def _lag_effect(name: str, title: str, quantity: Quantity, requires: tuple[str, ...], **described: Any) -> Effect:
+    """Return the effect of a first-order lag of the shaft speeds (n) or thrusts (f).
+
+    Parameters
+    ----------
+    name, title : str
+        Name in the catalogue and in reports.
+    quantity : "n" or "f"
+        Signal of the model that passes the lag.
+    requires : tuple[str, ...]
+        Signals that the model must provide.
+    described
+        Further fields of the `Effect`.
+    """
 
     def lagged(s: Signals) -> None:
+        """Replace the shaft speeds or thrusts by their values after the lag, and set the rates of its states."""
         bag = s.n if quantity == "n" else s.f
         for side in bag:
             bag[side] = first_order(s, f"late_{side}", bag[side], s.p.T_lag)
@@ -99,8 +125,8 @@ EXPERIMENT = "chirp of both thrusters: a delay shifts the phase without limit, a
 MEASURED, GIVEN = ("n", "f", "n_input"), ("f_input",)
 EFFECTS = (
     # only with a hull, because a Nomoto model already has a delay
-    _delay("delay", "n", (*MEASURED, "hull"), alternatives=("lag", "gnss-latency")),
-    _lag("lag", "a first-order thrust lag behind the shaft", "n", MEASURED, alternatives=("delay",)),
-    _delay("force-delay", "f", GIVEN, alternatives=("force-lag",)),
-    _lag("force-lag", "a first-order thrust lag", "f", GIVEN, alternatives=("force-delay",)),
+    _delay_effect("delay", "n", (*MEASURED, "hull"), alternatives=("lag", "gnss-latency")),
+    _lag_effect("lag", "a first-order thrust lag behind the shaft", "n", MEASURED, alternatives=("delay",)),
+    _delay_effect("force-delay", "f", GIVEN, alternatives=("force-lag",)),
+    _lag_effect("force-lag", "a first-order thrust lag", "f", GIVEN, alternatives=("force-delay",)),
 )

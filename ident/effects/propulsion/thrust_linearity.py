@@ -6,6 +6,7 @@ from seatrial.ident.model import Effect, Parameter, Signals
 
 
 def bend(s: Signals) -> None:
+    """Replace a share of the quadratic thrust of each thruster by a thrust that is linear in shaft speed."""
     for side, n in s.n.items():
         s.f[side] = s.f[side] + s.p.lambda_n * s.p.c1 * (n - n * abs(n))
 

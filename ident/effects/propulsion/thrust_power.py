@@ -7,6 +7,7 @@ from seatrial.ident.model import Effect, Signals
 
 
 def bend(s: Signals) -> None:
+    """Multiply the quadratic thrust of each thruster by a power of the shaft speed."""
     for side, n in s.n.items():
         s.f[side] = s.f[side] + (s.p.c1 * n * abs(n) + s.p.c2 * n * n) * (factor(n, s.p.p_n) - 1)
 

@@ -5,10 +5,14 @@ from __future__ import annotations
 from seatrial.ident.model import INF, Effect, ForceCurve, ModelFunction, Parameter, Signals
 
 
-def _lose(parameter: str, variable: str) -> ModelFunction:
-    """Return the hook that reduces the thrust by a variable of the motion."""
+def _thrust_reducer(parameter: str, variable: str) -> ModelFunction:
+    """Return the hook that divides the thrusts by ``1 + parameter |variable|``.
+
+    ``parameter`` is the name of a parameter, and ``variable`` that of a state: ``r`` or ``v``.
+    """
 
     def lose(s: Signals) -> None:
+        """Reduce the thrust of each thruster."""
         remaining = 1 / (1 + getattr(s.p, parameter) * abs(getattr(s.x, variable)))
         for side, f in s.f.items():
             s.f[side] = f * remaining
@@ -16,15 +20,29 @@ def _lose(parameter: str, variable: str) -> ModelFunction:
     return lose
 
 
-def _effect(
+def _loss_effect(
     name: str, title: str, variable: str, parameter: Parameter, requires: tuple[str, ...], alternatives: tuple[str, ...]
 ) -> Effect:
-    """Return the effect of a thrust loss with one variable of the motion."""
+    """Return the effect of a thrust loss with one variable of the motion.
+
+    Parameters
+    ----------
+    name, title : str
+        Name in the catalogue and in reports.
+    variable : str
+        State on which the loss depends: ``r`` (yaw rate) or ``v`` (sway speed).
+    parameter : Parameter
+        Relative loss per unit of the variable.
+    requires : tuple[str, ...]
+        Signals that the model must provide.
+    alternatives : tuple[str, ...]
+        Names of competing effects.
+    """
     return Effect(
         name=name,
         title=title,
         place="actuator",
-        hooks={"thrust_loss": _lose(parameter.name, variable)},
+        hooks={"thrust_loss": _thrust_reducer(parameter.name, variable)},
         parameters=(parameter,),
         formula=f"f_i /= 1 + {parameter.name} |{variable}|",
         source="propellers in oblique inflow and ventilation, Carlton 2018, chapters 6 and 11",
@@ -43,7 +61,7 @@ BY_SWAY = Parameter(
     "loss_v", 0.0, "s/m", "relative loss of thrust per sway speed", prior=(0.0, 3.0), bounds=(0.0, INF), step=0.05
 )
 EFFECTS = (
-    _effect(
+    _loss_effect(
         "turn-loss",
         "the loss of thrust with yaw rate",
         "r",
@@ -51,7 +69,7 @@ EFFECTS = (
         ("f",),
         ("inflow-loss", "turning-resistance", "sideslip", "advance-ratio", "cg-offset"),
     ),
-    _effect(
+    _loss_effect(
         "inflow-loss",
         "the loss of thrust in sway inflow",
         "v",

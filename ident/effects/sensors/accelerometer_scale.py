@@ -6,6 +6,7 @@ from seatrial.ident.model import Effect, Parameter, Signals
 
 
 def scale(s: Signals) -> None:
+    """Multiply the outputs ``ax`` and ``ay`` by one plus the scale-factor error."""
     s.y["ax"] = s.y["ax"] * (1 + s.p.k_acc)
     s.y["ay"] = s.y["ay"] * (1 + s.p.k_acc)
 

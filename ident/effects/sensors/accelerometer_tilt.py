@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from seatrial.ident.model import Effect, Parameter, Signals
-
-G = 9.81
+from seatrial.ident.models import rotations
 
 
 def add_gravity(s: Signals) -> None:
-    s.y["ax"] = s.y["ax"] + G * s.p.k_pitch * s.X_thrust
-    s.y["ay"] = s.y["ay"] + G * s.p.k_roll * s.x.u * s.x.r
+    """Add the part of gravity [m/s2] that the accelerometers measure in pitch and roll to ``ax`` and ``ay``."""
+    s.y["ax"] = s.y["ax"] + rotations.G * s.p.k_pitch * s.X_thrust
+    s.y["ay"] = s.y["ay"] + rotations.G * s.p.k_roll * s.x.u * s.x.r
 
 
 EFFECT = Effect(

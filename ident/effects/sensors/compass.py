@@ -21,7 +21,7 @@ def turn_body_velocity(s: Signals, angle: Any) -> None:
     Parameters
     ----------
     s : Signals
-        Signals whose outputs u, v are changed.
+        Signals whose outputs u, v [m/s] are changed.
     angle : float or symbol
         Measured less true heading [rad].
     """
@@ -30,6 +30,7 @@ def turn_body_velocity(s: Signals, angle: Any) -> None:
 
 
 def deviate(s: Signals) -> None:
+    """Add the compass deviation [rad] to the measured heading, and rotate the measured body velocity by it."""
     p, psi = s.p, s.x.psi
     quadrantal = p.dev_2s * np.sin(2 * psi) + p.dev_2c * np.cos(2 * psi)
     deviation = p.dev_s * np.sin(psi) + p.dev_c * np.cos(psi) + quadrantal

@@ -15,10 +15,10 @@ from seatrial.ident.model import Effect, Parameter, Signals, State
 TERMS = (("1s", "sin psi", 0.15), ("1c", "cos psi", 0.15), ("2s", "sin 2 psi", 0.05), ("2c", "cos 2 psi", 0.05))
 
 
-def _behind(s: Signals) -> None:
+def _set_filter_rates(s: Signals) -> None:
     """Set the rates of the part of each term that the filter has not yet reached.
 
-    Each state is the term less the term after the filter. It is zero on a straight track.
+    Each state is the term (for example sin psi) less the term after the filter. It is zero on a straight track.
     """
     psi, r = s.x.psi, s.x.r
     s.rate["behind_1s"] = np.cos(psi) * r - s.x.behind_1s / s.p.T_head
@@ -27,8 +27,8 @@ def _behind(s: Signals) -> None:
     s.rate["behind_2c"] = -2 * np.sin(2 * psi) * r - s.x.behind_2c / s.p.T_head
 
 
-def _deviate(s: Signals) -> None:
-    """Add the filtered deviation to the heading, and rotate the body velocity by it."""
+def _add_deviation(s: Signals) -> None:
+    """Add the filtered deviation [rad] to the measured heading, and rotate the measured body velocity by it."""
     p, x, psi = s.p, s.x, s.x.psi
     deviation = p.dev_f1s * (np.sin(psi) - x.behind_1s) + p.dev_f1c * (np.cos(psi) - x.behind_1c)
     deviation = deviation + p.dev_f2s * (np.sin(2 * psi) - x.behind_2s) + p.dev_f2c * (np.cos(2 * psi) - x.behind_2c)
@@ -40,7 +40,7 @@ EFFECT = Effect(
     name="compass-filtered",
     title="compass deviation behind a heading filter",
     place="sensor",
-    hooks={"rate": _behind, "axes": _deviate},
+    hooks={"rate": _set_filter_rates, "axes": _add_deviation},
     parameters=(
         *(
             Parameter(f"dev_f{name}", 0.0, "rad", f"amplitude of {f}", prior=(0.0, sd), step=0.01)

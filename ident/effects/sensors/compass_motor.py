@@ -15,12 +15,14 @@ from seatrial.ident.model import Effect, Parameter, Signals, State
 
 
 def follow(s: Signals) -> None:
+    """Set the rates of the two filtered regressors: sum of |shaft speed| times sin psi and times cos psi."""
     load = sum(abs(n) for n in s.n.values())
     s.rate["drawn_s"] = (load * np.sin(s.x.psi) - s.x.drawn_s) / s.p.T_dev
     s.rate["drawn_c"] = (load * np.cos(s.x.psi) - s.x.drawn_c) / s.p.T_dev
 
 
 def turn(s: Signals) -> None:
+    """Add the heading error by the motors to the measured heading, and rotate the body velocity by it."""
     error = s.p.dev_ms * s.x.drawn_s + s.p.dev_mc * s.x.drawn_c
     s.y["psi"] = s.y["psi"] + error
     turn_body_velocity(s, error)

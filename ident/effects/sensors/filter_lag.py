@@ -8,7 +8,7 @@ from seatrial.ident.model import INF, Effect, Parameter, Signals
 
 
 def lag(s: Signals) -> None:
-    """Delay body velocities and yaw rate by their lag, to first order."""
+    """Delay the measured body velocities and yaw rate by their lag, to first order: subtract lag times rate."""
     x, T = s.x, s.p.T_uv
     cos, sin = np.cos(x.psi), np.sin(x.psi)
     V_x, V_y = getattr(s.p, "V_x", 0.0), getattr(s.p, "V_y", 0.0)

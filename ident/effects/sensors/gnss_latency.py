@@ -20,15 +20,18 @@ from seatrial.ident.models import LONGEST_DELAY, SHORTEST_LAG, SIDES, available_
 N_PAST = 5  # number of earlier samples of each input
 
 
-def _before(past: list[Any], tau: Any) -> Any:
-    """Return the value a time ``tau`` [s] ago, by linear interpolation. ``past[k]`` is the value k steps ago."""
+def _value_ago(past: list[Any], tau: Any) -> Any:
+    """Return the value a time ``tau`` [s] ago, by linear interpolation. ``past[k]`` is the value k steps of 0.1 s ago.
+
+    Beyond the last value, the result falls to zero within one step; the callers keep ``tau`` below that.
+    """
     at = tau / HISTORY_STEP
     near = [1 - abs(at - k) for k in range(len(past))]
     return sum(value * w * (w > 0) for value, w in zip(past, near, strict=True))
 
 
-def _delay(s: Signals, then: Signals) -> None:
-    """Delay the position and velocity of the antenna by the latency.
+def _delay_fix(s: Signals, then: Signals) -> None:
+    """Delay the measured position and velocity of the antenna by the latency, in place.
 
     ``then`` has the present rates, computed with the thrust of half the latency earlier.
     """
@@ -44,7 +47,10 @@ def _delay(s: Signals, then: Signals) -> None:
 
 
 def delay_shaft(s: Signals) -> None:
-    """Delay the fix in a model with measured shaft speeds."""
+    """Delay the fix in a model with measured shaft speeds.
+
+    The earlier shaft speeds are interpolated between their delayed copies. Before the oldest copy, they are constant.
+    """
     half, earlier = s.p.tau_gnss / 2, {}
     for side in SIDES:
         name = f"n_{side}"
@@ -52,28 +58,34 @@ def delay_shaft(s: Signals) -> None:
         copies = [getattr(s.u, tap_name(name, k)) for k in taps]
         copies += N_PAST * copies[-1:]  # before the oldest copy, the input is assumed constant
         for i, k in enumerate(taps):
-            earlier[tap_name(name, k)] = _before(copies[i : i + N_PAST + 1], half)
-    _delay(s, s.again(_earlier_lag_states(s, earlier), earlier, {}))
+            earlier[tap_name(name, k)] = _value_ago(copies[i : i + N_PAST + 1], half)
+    _delay_fix(s, s.again(_earlier_lag_states(s, earlier), earlier, {}))
 
 
 def delay_driven_shaft(s: Signals) -> None:
     """Delay the fix in a model whose shaft speeds are states.
 
-    The earlier shaft speeds are extrapolated backwards with their present rates.
+    The earlier shaft speeds are extrapolated backwards with their present rates. The delay of the command is increased
+    by half the latency, up to the longest delay of its copies (0.8 s).
     """
     half = s.p.tau_gnss / 2
     shafts = {f"n_{side}": getattr(s.x, f"n_{side}") - half * s.rate[f"n_{side}"] for side in SIDES}
     command = {"tau_n": np.minimum(s.p.tau_n + half, LONGEST_DELAY)}
-    _delay(s, s.again(shafts, {}, command))
+    _delay_fix(s, s.again(shafts, {}, command))
 
 
 def delay_force(s: Signals) -> None:
-    """Delay the fix in a model with given thrusts."""
-    _delay(s, s.again(_earlier_lag_states(s, {}), {}, {}))
+    """Delay the fix in a model with given thrusts.
+
+    The earlier thrusts are unknown, and are assumed equal to the present ones.
+    """
+    _delay_fix(s, s.again(_earlier_lag_states(s, {}), {}, {}))
 
 
 def _earlier_lag_states(s: Signals, inputs: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the states of the thrust lag half the latency earlier, with earlier ``inputs``. Return {} without a lag.
+    """Return the states of the thrust lag half the latency earlier, with earlier ``inputs`` by name.
+
+    Return {} without a lag.
 
     Up to one time constant back, the states are extrapolated with their rates. Beyond that, the exponential response
     has forgotten earlier values, and the states follow their earlier inputs with a delay of one time constant. Both

@@ -9,10 +9,12 @@ from seatrial.ident.models import rotations, shift
 
 
 def move(s: Signals) -> None:
+    """Move the measured position and velocity to the antenna of a level boat."""
     shift(s, s.p.l_x, s.p.l_y)
 
 
 def move_tilted(s: Signals) -> None:
+    """Move the measured position and velocity to the antenna of a boat with measured attitude."""
     rotations.shift(s, (s.p.l_x, s.p.l_y, s.p.l_z))
 
 

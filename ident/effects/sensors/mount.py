@@ -9,27 +9,33 @@ import numpy as np
 from seatrial.ident.effects.sensors.compass import turn_body_velocity
 from seatrial.ident.model import Effect, Parameter, Signals
 from seatrial.ident.models import rotations
+from seatrial.ident.numerics import Matrix, rotation_matrix
 
 
 def turn(s: Signals) -> None:
-    """Rotate heading, body velocity and accelerations by the yaw misalignment."""
+    """Rotate the measured heading, body velocity and accelerations by the yaw misalignment, in a level model."""
     cos, sin = np.cos(s.p.psi_mount), np.sin(s.p.psi_mount)
     s.y["psi"] = s.y["psi"] + s.p.psi_mount
     turn_body_velocity(s, s.p.psi_mount)
     s.y["ax"], s.y["ay"] = cos * s.y["ax"] + sin * s.y["ay"], -sin * s.y["ax"] + cos * s.y["ay"]
 
 
-def _mount(s: Signals) -> rotations.Matrix:
-    """Return the rotation from the axes of the AHRS to those of the boat."""
-    return rotations.rotation(s.p.phi_mount, s.p.theta_mount, s.p.psi_mount)
+def _mounting_rotation(s: Signals) -> Matrix:
+    """Return the rotation matrix (3, 3) from the axes of the AHRS to those of the boat.
+
+    Its angles are the misalignments in roll, pitch and yaw.
+    """
+    return rotation_matrix(s.p.phi_mount, s.p.theta_mount, s.p.psi_mount)
 
 
 def correct_attitude(s: Signals) -> None:
-    rotations.unmount(s, _mount(s))
+    """Convert the measured attitude and body rates, which are inputs, to those of the boat."""
+    rotations.remove_misalignment(s, _mounting_rotation(s))
 
 
 def rotate_inertial(s: Signals) -> None:
-    rotations.mounted(s, _mount(s))
+    """Convert the accelerations and the yaw rate of the boat to the outputs of the misaligned AHRS."""
+    rotations.add_misalignment(s, _mounting_rotation(s))
 
 
 PSI = Parameter("psi_mount", 0.0, "rad", "yaw misalignment of the AHRS, clockwise", prior=(0.0, 0.15), step=0.01)

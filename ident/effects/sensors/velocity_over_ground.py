@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
 from seatrial.ident.model import Effect, Parameter, Signals
+from seatrial.ident.numerics import body_to_ned
 
 
 def scale(s: Signals) -> None:
+    """Multiply the measured velocity north and east by one plus the scale-factor error."""
     s.y["vx"], s.y["vy"] = s.y["vx"] * (1 + s.p.k_V), s.y["vy"] * (1 + s.p.k_V)
 
 
 def turn(s: Signals) -> None:
-    cos, sin = np.cos(s.p.chi_0), np.sin(s.p.chi_0)
-    s.y["vx"], s.y["vy"] = cos * s.y["vx"] - sin * s.y["vy"], sin * s.y["vx"] + cos * s.y["vy"]
+    """Rotate the measured velocity north and east clockwise by the offset of the course."""
+    s.y["vx"], s.y["vy"] = body_to_ned(s.p.chi_0, s.y["vx"], s.y["vy"])
 
 
 COMMON: dict[str, Any] = {

@@ -6,6 +6,7 @@ from seatrial.ident.model import Effect, Parameter, Signals
 
 
 def move(s: Signals) -> None:
+    """Move the measured body velocity [m/s] from the origin to the point of measurement."""
     s.y["u"], s.y["v"] = s.y["u"] - s.p.b_y * s.x.r, s.y["v"] + s.p.b_x * s.x.r
 
 

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
+from seatrial.daq.geometry import euler_angles, quaternion
 from seatrial.daq.log import schema
 from seatrial.daq.log.cdr import cdr_layout, flatten, full_definition
 from seatrial.daq.log.reader import open_log
@@ -103,9 +104,9 @@ angle = st.floats(-math.pi, math.pi)
 
 @given(yaw=angle, pitch=st.floats(-1.57, 1.57), roll=angle)
 def test_quaternion_and_angles_are_converted_both_ways(yaw: float, pitch: float, roll: float) -> None:
-    q = schema.quaternion(yaw, pitch, roll)
+    q = quaternion(yaw, pitch, roll)
     assert math.hypot(*q) == pytest.approx(1.0)
-    found = schema.angles(*(np.array([part]) for part in q))
+    found = euler_angles(*(np.array([part]) for part in q))
     # asin loses half of the digits at the poles
     for one, other, tolerance in zip(found, (yaw, pitch, roll), (1e-9, 1e-7, 1e-9), strict=True):
         difference = math.remainder(float(one[0]) - other, 2.0 * math.pi)
@@ -113,10 +114,10 @@ def test_quaternion_and_angles_are_converted_both_ways(yaw: float, pitch: float,
 
 
 def test_quaternion_rotates_body_to_ned() -> None:
-    x, y, z, w = schema.quaternion(math.pi / 2, 0.0, 0.0)  # bow to the east
+    x, y, z, w = quaternion(math.pi / 2, 0.0, 0.0)  # bow to the east
     bow = np.array([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)])
     np.testing.assert_allclose(bow, [0.0, 1.0, 0.0], atol=1e-15)
-    x, y, z, w = schema.quaternion(0.0, math.pi / 6, 0.0)  # bow raised, so the down component is negative
+    x, y, z, w = quaternion(0.0, math.pi / 6, 0.0)  # bow raised, so the down component is negative
     assert 2 * (x * z - w * y) == pytest.approx(-0.5)
 
 

@@ -18,9 +18,9 @@ from click.testing import CliRunner
 from seatrial.daq import cli
 from seatrial.daq.config.rig_file import parse_rig
 from seatrial.daq.errors import SeatrialError
+from seatrial.daq.geometry import local_ned
 from seatrial.daq.log.reader import Log, open_log
 from seatrial.daq.log.recorder import Recorder
-from seatrial.daq.log.schema import local_ned
 from seatrial.daq.samples import Ahrs, Frame, Gnss
 from seatrial.daq.tools.ros_export import NO_MEASUREMENT, export_ros
 from tests.daq.logs import RIG, T0, StoppedClock, recorder, write_everything

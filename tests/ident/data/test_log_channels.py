@@ -12,8 +12,8 @@ import pytest
 
 from seatrial.bench.mission_generators import make_mission
 from seatrial.daq.errors import SeatrialError
+from seatrial.daq.geometry import local_ned
 from seatrial.daq.log.reader import Log, open_log
-from seatrial.daq.log.schema import local_ned
 from seatrial.daq.samples import NAN, Command, Esc, Gnss, Servo
 from seatrial.ident.checks.log_checks import device_faults
 from seatrial.ident.data import loading

@@ -18,8 +18,9 @@ from seatrial.ident.data.record import (
     held_lines,
     sample_and_hold,
 )
+from seatrial.ident.model.delayed_inputs import HISTORY_STEP
 from seatrial.ident.model.parameter import Parameter
-from seatrial.ident.model.structure import HISTORY_STEP, Effect, Input, Model, Output, Sensor, State, plain_model
+from seatrial.ident.model.structure import Effect, Input, Model, Output, Sensor, State, plain_model
 from seatrial.ident.results.answers import cut_records
 
 
@@ -355,8 +356,13 @@ def test_missing_sensor_is_left_out_and_reported() -> None:
     ("drop", "change", "says"),
     [
         (("w",), {}, "run 7: no signal for the input 'w' of model cart; the log has a, b, psi"),
-        (("psi", "a"), {}, "run 7: none of the sensors of model cart is in the log: compass, pair"),
-        ((), {"w": channel(1.0, 10.0, 20.0)}, "run 7: inputs and sensors overlap for only -10.00 s"),
+        (("psi", "a"), {}, "run 7: none of the sensors of model cart is in the log; it needs one of compass, pair"),
+        (
+            (),
+            {"w": channel(1.0, 10.0, 20.0)},
+            "run 7: inputs and sensors overlap for only -10.00 s, and 0.2 s are needed: check the time stamps, or use "
+            "a longer part of the log",
+        ),
         (
             (),
             {"b": channel(4.0, 9.0, 0.1)},

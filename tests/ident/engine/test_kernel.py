@@ -9,12 +9,12 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from seatrial.ident.data.record import Preparer
 from seatrial.ident.engine import jit
 from seatrial.ident.engine.filter_kernels import FilterKernels, filter_kernels_for
 from seatrial.ident.engine.kernel import Arena, Kernel
 from seatrial.ident.engine.llvm_operations import FLUSH_TO_ZERO, FlushToZero
 from seatrial.ident.engine.loop_plan import GramStage, Plan, stage
+from seatrial.ident.estimation.prepared_record import Preparer
 from seatrial.ident.model.parameter import Parameter
 from seatrial.ident.model.structure import Model, Output, Sensor, State, plain_model
 from tests.ident.toys import turning, turning_record, values_of

@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from seatrial.ident.data.record import Preparer, Record, initial_condition
+from seatrial.ident.data.record import Record
 from seatrial.ident.estimation import likelihood as likelihood_module
 from seatrial.ident.estimation.likelihood import Likelihood
 from seatrial.ident.estimation.maximum_likelihood import SearchSettings, fit
+from seatrial.ident.estimation.prepared_record import Preparer, initial_condition
 from seatrial.ident.model.parameter import Parameter
 from seatrial.ident.model.structure import Input, Model, Output, Sensor, State, plain_model
 from tests.ident.toys import reference_filter, turning, turning_record, values_of

@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from scipy import integrate
 
-from seatrial.ident.data.record import Channel, LogSegment, Preparer, Record, _agreeing
+from seatrial.ident.data.record import Channel, LogSegment, Record
 from seatrial.ident.estimation.fitted_model import fit_nominal_model
 from seatrial.ident.estimation.likelihood import Likelihood
 from seatrial.ident.estimation.maximum_likelihood import EstimationOptions, Fit, fit
 from seatrial.ident.estimation.output_error import output_error
+from seatrial.ident.estimation.prepared_record import Preparer, _first_inlier
 from seatrial.ident.model import outlier_density
 from seatrial.ident.model.parameter import Parameter
 from seatrial.ident.model.structure import Model, Output, Sensor, State, plain_model
@@ -274,12 +275,13 @@ def test_good_samples_at_the_start_are_kept() -> None:
     rng, t = np.random.default_rng(3), 0.1 * np.arange(200)
     noise = rng.standard_normal((300, 200))
     for moved in (0.0 * t, 50.0 * t, 20.0 * t**2, 20.0 * np.sin(2.0 * t), np.cumsum(noise[0])):
-        assert not any(_agreeing(t, moved + one, False) for one in noise)
-    assert not any(_agreeing(t, 3.0 * np.sin(3.0 * t + k) + 0.05 * one, False) for k, one in enumerate(noise))
-    assert not any(_agreeing(t, np.round(0.3 * one), False) for one in noise)
-    assert not any(_agreeing(t, np.mod(3.1 + 2.0 * t + 0.02 * one + np.pi, 2 * np.pi) - np.pi, True) for one in noise)
-    assert _agreeing(t[:2], np.array([0.0, 9.0]), False) == 0
-    assert _agreeing(t, np.append(9.0, np.round(0.3 * noise[0][1:])), False) == 1
+        assert not any(_first_inlier(t, moved + one, False) for one in noise)
+    assert not any(_first_inlier(t, 3.0 * np.sin(3.0 * t + k) + 0.05 * one, False) for k, one in enumerate(noise))
+    assert not any(_first_inlier(t, np.round(0.3 * one), False) for one in noise)
+    angle = 3.1 + 2.0 * t + np.pi
+    assert not any(_first_inlier(t, np.mod(angle + 0.02 * one, 2 * np.pi) - np.pi, True) for one in noise)
+    assert _first_inlier(t[:2], np.array([0.0, 9.0]), False) == 0
+    assert _first_inlier(t, np.append(9.0, np.round(0.3 * noise[0][1:])), False) == 1
 
 
 def test_unknown_sensor_is_rejected() -> None:

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from functools import cache
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -16,7 +17,9 @@ from seatrial.ident.data.record import Channel, LogSegment, build_record
 from seatrial.ident.diagnosis.search import Diagnosis, diagnose
 from seatrial.ident.estimation.fitted_model import fit_nominal_model
 from seatrial.ident.model.structure import Model
-from seatrial.ident.models.horizontal import horizontal_model, outside_dead_zone
+from seatrial.ident.models.dead_zone import outside_dead_zone as outside_dead_zone_of_width
+from seatrial.ident.models.dead_zone import transition_width
+from seatrial.ident.models.horizontal import DEAD_ZONE_EDGE, horizontal_model
 from tests.machine import cpu_seconds
 
 Array = NDArray[np.float64]
@@ -122,6 +125,11 @@ def test_dead_zone_is_estimated() -> None:
     value, error = fit.estimate("dead_zone")
     assert value == pytest.approx(end, abs=0.01)
     assert abs(value - end) < 3 * error
+
+
+def outside_dead_zone(command: Any, dead_zone: Any) -> Any:
+    """Return the command outside the dead zone, as a boat with commands as inputs has it."""
+    return outside_dead_zone_of_width(command, dead_zone, transition_width(dead_zone, DEAD_ZONE_EDGE))
 
 
 @pytest.mark.parametrize("dead_zone", [0.003, 0.02, 0.03, 0.2])

@@ -10,14 +10,15 @@ import pytest
 from seatrial.ident.data.record import Channel, Record, build_record
 from seatrial.ident.estimation.maximum_likelihood import Fit, fit
 from seatrial.ident.estimation.output_error import simulate
+from seatrial.ident.model.delayed_inputs import delay_weights
 from seatrial.ident.model.structure import Model
+from seatrial.ident.models.dead_zone import outside_dead_zone
 from seatrial.ident.models.surge import surge_model
 from seatrial.ident.models.thruster import (
+    DEAD_ZONE_EDGE,
     DELAY_STEP,
     N_DELAYS,
-    delay_weights,
     delayed_channels,
-    past_dead_zone,
     thruster_model,
 )
 from seatrial.ident.models.yaw import yaw_model
@@ -104,7 +105,7 @@ def test_delay_weights_preserve_mean_and_variance(position: float) -> None:
 
 def test_dead_zone_is_a_smooth_step() -> None:
     for command, d, passed in ((0.05, 0.086, 0.0), (-0.2, 0.086, -0.2), (0.086, 0.086, 0.043), (0.0, 0.0, 0.0)):
-        assert float(past_dead_zone(command, d)) == pytest.approx(passed)
+        assert float(outside_dead_zone(command, d, DEAD_ZONE_EDGE)) == pytest.approx(passed)
 
 
 def test_thruster_without_a_load_cell() -> None:
