@@ -18,9 +18,9 @@ from seatrial.daq.config import load_rig
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.rig import LoadCellCalibration, Rig, Thruster
 from seatrial.mocks.devices import KINDS, LOOP_HZ, Faults, by_side, make_emulator, parse_fault
+from seatrial.mocks.hidden_effects import bench as bench_effects
 from seatrial.mocks.hidden_effects import catalogue
-from seatrial.mocks.plant import Bench, Boat, draw_bench, draw_boat, draw_thruster
-from seatrial.mocks.plant import bench as bench_plant
+from seatrial.mocks.plant import NONE, Bench, Boat, draw_bench, draw_boat, draw_thruster
 from seatrial.mocks.ports import NetPort, PtyPort
 from seatrial.mocks.random_streams import FAULT, random_stream
 from seatrial.mocks.sensors import CellSpec
@@ -101,7 +101,7 @@ def boat(rig: Path, seed: int, run: int, effect: str, truth_file: Path | None, *
 
 
 @mock.command(short_help="A simulated thruster on a load cell.")
-@_options(list(bench_plant.EFFECTS))
+@_options(list(bench_effects.EFFECTS))
 def bench(rig: Path, seed: int, run: int, effect: str, truth_file: Path | None, **how: Any) -> None:
     """Serve a simulated bench, one thruster on a load cell, at the ports of RIG.
 
@@ -113,8 +113,8 @@ def bench(rig: Path, seed: int, run: int, effect: str, truth_file: Path | None, 
     loaded = load_rig(rig)
     if len(loaded.thrusters) != 1:
         raise SeatrialError(f"{rig}: a mock bench has one thruster; this rig has {len(loaded.thrusters)}")
-    name = bench_plant.draw_name(seed) if effect == "draw" else effect
-    plant = draw_bench(seed, bench_plant.NONE if name == "none" else bench_plant.make_effect(name, seed))
+    name = bench_effects.draw_name(seed) if effect == "draw" else effect
+    plant = draw_bench(seed, NONE if name == "none" else bench_effects.make_effect(name, seed))
     world = bench_world(plant, run, _device_specs(loaded, loaded.thrusters), utc=float(round(time.time())))
     _serve(loaded, plant, world, run, truth_file, **how)
 

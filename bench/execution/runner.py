@@ -455,9 +455,8 @@ class _Runner:
         rests = self._await_rest()
         closed = self._attempt(self._acquisition.stop)
         if not _at_zero(rests):
-            rests = (
-                self._measure_rest()
-            )  # measured again: the acquisition process repeats zero before it closes the log
+            # Measured again, because the acquisition process repeats zero before it closes the log.
+            rests = self._measure_rest()
         thrust = self._thrust_in_words(rests)
         log = f"the log is {self._path}" if closed else f"the log so far is {self._path} (it opens as it is)"
         if isinstance(error, SeatrialError):

@@ -216,14 +216,15 @@ def _listened(rig: Rig, seconds: float, mission: Any, path: Path) -> list[Findin
 
 def _agreed(rig: Rig, thrust: float | None, yes: bool, of_link: bool) -> Any:
     """Return the plan of the actuator test or link test, after the operator has confirmed that it is safe."""
-    from seatrial.bench.execution import link_test_plan
-    from seatrial.bench.preflight.actuator_test import N_TEST, actuator_plan, warning
+    from seatrial.bench.execution import N_ACTUATOR_TEST, actuator_plan, link_test_plan, turning_warning
 
-    plan = link_test_plan(rig) if of_link else actuator_plan(rig, thrust or N_TEST)
+    plan = link_test_plan(rig) if of_link else actuator_plan(rig, thrust or N_ACTUATOR_TEST)
     if not yes:
         if not sys.stdin.isatty():
-            raise click.UsageError(f"--actuators: {warning(plan)}; without a terminal to ask at, say --yes")
-        click.confirm(f"{warning(plan)}.\nIs everybody clear of the propellers, and the boat free to move?", abort=True)
+            raise click.UsageError(f"--actuators: {turning_warning(plan)}; without a terminal to ask at, say --yes")
+        click.confirm(
+            f"{turning_warning(plan)}.\nIs everybody clear of the propellers, and the boat free to move?", abort=True
+        )
     return plan
 
 

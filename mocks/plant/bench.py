@@ -1,22 +1,19 @@
 """Simulated bench: one thruster on a rod in a pool, whose thrust is measured by a load cell.
 
-Hidden effects of the bench act on the force (`BenchEffect`) or on the response of the shaft (`ShaftEffect`).
+Hidden effects of the bench act on the force (`BenchEffect`) or on the response of the shaft (`ShaftEffect`), both in
+seatrial.mocks.plant.bench_effect.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 
-import numpy as np
-
+from seatrial.mocks.plant.bench_effect import NONE, BenchEffect, ShaftEffect
 from seatrial.mocks.plant.thruster import Shaft, ThrusterTruth, draw_thruster, thrust
 from seatrial.mocks.random_streams import (
     DISTURBANCE,
-    EFFECT_NAME,
-    EFFECT_SIZE,
     OrnsteinUhlenbeck,
     normals,
     random_stream,
@@ -25,136 +22,6 @@ from seatrial.mocks.random_streams import (
 STEP = 0.0025  # s
 DISTURBANCE_EVERY = 4  # steps; the disturbance force changes at 100 Hz
 SIGMA, TAU = 0.1, 0.3  # N, s; standard deviation and correlation time of the disturbance in a pool at rest
-# Fields of BenchEffect and ShaftEffect that belong to each effect
-_PARAMETERS: dict[str, tuple[str, ...]] = {
-    "none": (),
-    "rod-flex": ("flex_hz", "flex_damping", "flex_share"),
-    "recirculation": ("wash", "wash_s"),
-    "cell-drift": ("drift",),
-    "cell-lag": ("smooth_s",),
-    "reverse-loss": ("reverse",),
-    "thrust-exponent": ("slow_loss",),
-    "thrust-dead-band": ("band",),
-    "supply-sag": ("sag",),
-    "speed-curve": ("droop",),
-    "second-lag": ("late",),
-    "spin-up": ("brisk",),
-    "slew-limit": ("slew",),
-}
-
-
-@dataclass(frozen=True)
-class ShaftEffect:
-    """Hidden effects of the shaft's response to commands. A size of zero switches the effect off."""
-
-    late: float = 0.0  # s, time constant of a lag in front of the shaft; 5 % longer at rest than at full speed
-    brisk: float = 0.0  # fraction by which the pole is higher while the shaft speeds up
-    slew: float = 0.0  # s, inverse of the highest acceleration at rest; at full speed a sixth longer
-    droop: float = 0.0  # fraction of the speed that is missing at full command
-    sag: float = 0.0  # fraction of the speed that is lost with an empty battery
-
-    @property
-    def any(self) -> bool:
-        """Return whether one of the effects is switched on."""
-        return bool(self.late or self.brisk or self.slew or self.droop or self.sag)
-
-
-NO_SHAFT_EFFECT = ShaftEffect()
-
-
-@dataclass(frozen=True)
-class BenchEffect:
-    """Hidden effect of the bench, or no effect. A size of zero switches a part of the effect off."""
-
-    name: str
-    sentence: str  # description for the user
-    flex_hz: float = 0.0  # Hz, resonance of the rod in its mount
-    flex_damping: float = 0.04  # damping ratio of the rod
-    flex_share: float = 1.0  # share of the force that passes the resonance
-    wash: float = 0.0  # recirculation: fraction of the thrust that is lost if the pool is in full motion
-    wash_s: float = 4.0  # s, time constant in which the pool gets into motion
-    drift: float = 0.0  # N/min^1/2, drift of the load cell with the square root of time
-    smooth_s: float = 0.0  # s, total time constant of the load cell's filter, which has two equal poles
-    reverse: float = 0.0  # fraction of the thrust that is lost in reverse at full speed
-    slow_loss: float = 0.0  # fraction of the thrust that is lost at the lowest shaft speeds
-    band: float = 0.0  # shaft speed (normalised) below which there is almost no thrust
-    shaft: ShaftEffect = NO_SHAFT_EFFECT
-
-    @property
-    def parameters(self) -> dict[str, float]:
-        """Return the true sizes that belong to this effect (SI)."""
-        values = asdict(self) | asdict(self.shaft)
-        return {name: float(values[name]) for name in _PARAMETERS[self.name]}
-
-
-NONE = BenchEffect("none", "no hidden effect: the nominal model is complete")
-# The position in this table selects the stream of random numbers: add new effects at the end.
-EFFECTS: dict[str, Callable[[np.random.Generator, float], BenchEffect]] = {
-    "rod-flex": lambda rng, scale: BenchEffect(
-        "rod-flex", "the rod swings in its mount when thrust changes", flex_hz=_around(rng, 6.0), flex_share=scale
-    ),
-    "recirculation": lambda rng, scale: BenchEffect(
-        "recirculation", "the jet sets the pool in motion and loses thrust to it", wash=scale * _around(rng, 0.12)
-    ),
-    "cell-drift": lambda rng, scale: BenchEffect(
-        "cell-drift", "the load cell creeps as it warms up", drift=scale * _around(rng, 1.0, signed=True)
-    ),
-    "reverse-loss": lambda rng, scale: BenchEffect(
-        "reverse-loss", "in reverse the propeller gives less than its coefficients", reverse=scale * _around(rng, 0.15)
-    ),
-    "supply-sag": lambda rng, scale: _shaft(
-        "supply-sag", "the shaft slows down as the battery is used up", sag=scale * _around(rng, 0.08)
-    ),
-    "second-lag": lambda rng, scale: _shaft(
-        "second-lag", "the speed controller smooths its commands", late=scale * _around(rng, 0.08)
-    ),
-    "spin-up": lambda rng, scale: _shaft(
-        "spin-up", "the shaft speeds up faster than it slows down", brisk=scale * _around(rng, 0.24)
-    ),
-    "slew-limit": lambda rng, scale: _shaft(
-        "slew-limit", "the motor's current is limited, and so is the acceleration of the shaft",
-        slew=scale * _around(rng, 0.8),
-    ),
-    "speed-curve": lambda rng, scale: _shaft(
-        "speed-curve", "the larger the command, the more the shaft falls behind it", droop=scale * _around(rng, 0.08)
-    ),
-    "thrust-dead-band": lambda rng, scale: BenchEffect(
-        "thrust-dead-band", "at slow speed the propeller gives hardly any thrust", band=scale * _around(rng, 0.04)
-    ),
-    "thrust-exponent": lambda rng, scale: BenchEffect(
-        "thrust-exponent", "slow blades lose thrust to viscosity", slow_loss=scale * _around(rng, 0.3)
-    ),
-    "cell-lag": lambda rng, scale: BenchEffect(
-        "cell-lag", "the amplifier of the load cell smooths", smooth_s=scale * _around(rng, 0.06)
-    ),
-}  # fmt: skip
-DEMO = ("rod-flex", "recirculation", "cell-drift")  # effects that `--effect draw` chooses from
-
-
-def _around(rng: np.random.Generator, size: float, *, signed: bool = False) -> float:
-    """Return a random size within 15 % of ``size``; the sign is random too if ``signed`` is set."""
-    return float(size * rng.uniform(0.85, 1.15)) * (1 - 2 * (signed and rng.uniform() < 0.5))
-
-
-def _shaft(name: str, sentence: str, **sizes: float) -> BenchEffect:
-    """Return an effect on the response of the shaft."""
-    return BenchEffect(name, sentence, shaft=ShaftEffect(**sizes))
-
-
-def make_effect(name: str, seed: int, scale: float = 1.0) -> BenchEffect:
-    """Return the effect ``name`` with the size that ``seed`` draws, times ``scale``.
-
-    Raises
-    ------
-    KeyError
-        If no effect of the bench has this name.
-    """
-    return EFFECTS[name](random_stream(seed, EFFECT_SIZE, index=100 + list(EFFECTS).index(name)), scale)
-
-
-def draw_name(seed: int) -> str:
-    """Return the name of the effect that ``--effect draw`` chooses for this seed."""
-    return DEMO[int(random_stream(seed, EFFECT_NAME, index=1).integers(len(DEMO)))]
 
 
 @dataclass(frozen=True)
