@@ -16,58 +16,72 @@ from seatrial.mocks.random_streams import EFFECT_NAME, EFFECT_SIZE, random_strea
 # The position in this table selects the stream of random numbers: add new effects at the end.
 EFFECTS: dict[str, Callable[[np.random.Generator, float], BenchEffect]] = {
     "rod-flex": lambda rng, scale: BenchEffect(
-        "rod-flex", "the rod swings in its mount when thrust changes", flex_hz=_around(rng, 6.0), flex_share=scale
+        "rod-flex", "the rod swings in its mount when thrust changes", flex_hz=_random_size(rng, 6.0), flex_share=scale
     ),
     "recirculation": lambda rng, scale: BenchEffect(
-        "recirculation", "the jet sets the pool in motion and loses thrust to it", wash=scale * _around(rng, 0.12)
+        "recirculation", "the jet sets the pool in motion and loses thrust to it", wash=scale * _random_size(rng, 0.12)
     ),
     "cell-drift": lambda rng, scale: BenchEffect(
-        "cell-drift", "the load cell creeps as it warms up", drift=scale * _around(rng, 1.0, signed=True)
+        "cell-drift", "the load cell creeps as it warms up", drift=scale * _random_size(rng, 1.0, signed=True)
     ),
     "reverse-loss": lambda rng, scale: BenchEffect(
-        "reverse-loss", "in reverse the propeller gives less than its coefficients", reverse=scale * _around(rng, 0.15)
+        "reverse-loss", "in reverse the propeller gives less than its coefficients",
+        reverse=scale * _random_size(rng, 0.15),
     ),
-    "supply-sag": lambda rng, scale: _shaft(
-        "supply-sag", "the shaft slows down as the battery is used up", sag=scale * _around(rng, 0.08)
+    "supply-sag": lambda rng, scale: _shaft_effect(
+        "supply-sag", "the shaft slows down as the battery is used up", sag=scale * _random_size(rng, 0.08)
     ),
-    "second-lag": lambda rng, scale: _shaft(
-        "second-lag", "the speed controller smooths its commands", late=scale * _around(rng, 0.08)
+    "second-lag": lambda rng, scale: _shaft_effect(
+        "second-lag", "the speed controller smooths its commands", late=scale * _random_size(rng, 0.08)
     ),
-    "spin-up": lambda rng, scale: _shaft(
-        "spin-up", "the shaft speeds up faster than it slows down", brisk=scale * _around(rng, 0.24)
+    "spin-up": lambda rng, scale: _shaft_effect(
+        "spin-up", "the shaft speeds up faster than it slows down", brisk=scale * _random_size(rng, 0.24)
     ),
-    "slew-limit": lambda rng, scale: _shaft(
+    "slew-limit": lambda rng, scale: _shaft_effect(
         "slew-limit", "the motor's current is limited, and so is the acceleration of the shaft",
-        slew=scale * _around(rng, 0.8),
+        slew=scale * _random_size(rng, 0.8),
     ),
-    "speed-curve": lambda rng, scale: _shaft(
-        "speed-curve", "the larger the command, the more the shaft falls behind it", droop=scale * _around(rng, 0.08)
+    "speed-curve": lambda rng, scale: _shaft_effect(
+        "speed-curve", "the larger the command, the more the shaft falls behind it",
+        droop=scale * _random_size(rng, 0.08),
     ),
     "thrust-dead-band": lambda rng, scale: BenchEffect(
-        "thrust-dead-band", "at slow speed the propeller gives hardly any thrust", band=scale * _around(rng, 0.04)
+        "thrust-dead-band", "at slow speed the propeller gives hardly any thrust", band=scale * _random_size(rng, 0.04)
     ),
     "thrust-exponent": lambda rng, scale: BenchEffect(
-        "thrust-exponent", "slow blades lose thrust to viscosity", slow_loss=scale * _around(rng, 0.3)
+        "thrust-exponent", "slow blades lose thrust to viscosity", slow_loss=scale * _random_size(rng, 0.3)
     ),
     "cell-lag": lambda rng, scale: BenchEffect(
-        "cell-lag", "the amplifier of the load cell smooths", smooth_s=scale * _around(rng, 0.06)
+        "cell-lag", "the amplifier of the load cell smooths", smooth_s=scale * _random_size(rng, 0.06)
     ),
 }  # fmt: skip
 DEMO = ("rod-flex", "recirculation", "cell-drift")  # effects that `--effect draw` chooses from
 
 
-def _around(rng: np.random.Generator, size: float, *, signed: bool = False) -> float:
-    """Return a random size within 15 % of ``size``; the sign is random too if ``signed`` is set."""
+def _random_size(rng: np.random.Generator, size: float, *, signed: bool = False) -> float:
+    """Return ``size`` times a random factor between 0.85 and 1.15. If ``signed`` is true, the sign is random too."""
     return float(size * rng.uniform(0.85, 1.15)) * (1 - 2 * (signed and rng.uniform() < 0.5))
 
 
-def _shaft(name: str, sentence: str, **sizes: float) -> BenchEffect:
-    """Return an effect on the response of the shaft."""
+def _shaft_effect(name: str, sentence: str, **sizes: float) -> BenchEffect:
+    """Return the hidden effect ``name`` that acts on the response of the shaft only.
+
+    ``sentence`` is its description for the user. ``sizes`` are fields of `ShaftEffect`.
+    """
     return BenchEffect(name, sentence, shaft=ShaftEffect(**sizes))
 
 
 def make_effect(name: str, seed: int, scale: float = 1.0) -> BenchEffect:
-    """Return the effect ``name`` with the size that ``seed`` draws, times ``scale``.
+    """Return a hidden effect of the bench with a size that is drawn at random.
+
+    Parameters
+    ----------
+    name : str
+        A key of EFFECTS.
+    seed : int
+        Seed of the size and the sign. The same seed gives the same effect.
+    scale : float
+        Factor on the full size.
 
     Raises
     ------
@@ -78,5 +92,5 @@ def make_effect(name: str, seed: int, scale: float = 1.0) -> BenchEffect:
 
 
 def draw_name(seed: int) -> str:
-    """Return the name of the effect that ``--effect draw`` chooses for this seed."""
+    """Return the name of the effect of DEMO that ``--effect draw`` chooses for a bench of this seed."""
     return DEMO[int(random_stream(seed, EFFECT_NAME, index=1).integers(len(DEMO)))]

@@ -14,10 +14,11 @@ from seatrial.mocks.plant import thrust as thrust_at_rest
 
 
 def _thrust_band(rng: np.random.Generator, scale: float) -> HiddenEffect:
-    """Return a loss of thrust in a band of shaft speeds, as of propellers that draw air.
+    """Return the hidden effect "thrust-band": a loss of thrust in a band of shaft speeds.
 
-    With the mean shaft speed ``n`` of both thrusters, each thrust is multiplied by
-    ``1 - loss / (1 + ((n - at) / 0.12)^4)``.
+    Propellers that draw air lose thrust like this. With the mean shaft speed ``n`` of both thrusters, each thrust is
+    multiplied by ``1 - loss / (1 + ((n - at) / 0.12)^4)``. ``loss`` is drawn around ``0.28 scale``, and ``at`` around
+    0.55.
     """
     loss, at = scale * effect_size(rng, 0.28), effect_size(rng, 0.55)
 
@@ -39,11 +40,13 @@ def _thrust_band(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
 
 def _yaw_saddle(rng: np.random.Generator, scale: float) -> HiddenEffect:
-    """Return a yaw moment that changes its sign at the speed ``at`` [m/s].
+    """Return the hidden effect "yaw-saddle": a yaw moment that changes its sign at the surge velocity ``at`` [m/s].
 
-    With ``z = (u - at) / 0.3``::
+    With the surge velocity ``u`` through the water and ``z = (u - at) / 0.3``::
 
         N = 1.65 n z exp(-z^2 / 2)
+
+    ``n`` [N m] is drawn around ``0.7 scale`` with a random sign, and ``at`` around 0.55.
     """
     n, at = scale * effect_size(rng, 0.7, signed=True), effect_size(rng, 0.55)  # N m, m/s
 
@@ -59,7 +62,11 @@ def _yaw_saddle(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
 
 def _surge_step(rng: np.random.Generator, scale: float) -> HiddenEffect:
-    """Return a drag that drops above the speed ``at`` [m/s]: ``X = relief (1 + tanh((u - at) / 0.05)) / 2``."""
+    """Return the hidden effect "surge-step": a drag that drops above the surge velocity ``at`` [m/s].
+
+    The additional force is ``X = relief (1 + tanh((u - at) / 0.05)) / 2``. ``relief`` [N] is drawn around
+    ``6 scale``, and ``at`` around 0.75.
+    """
     relief, at = scale * effect_size(rng, 6.0), effect_size(rng, 0.75)  # N, m/s
 
     def curve(u: float) -> float:
@@ -75,7 +82,11 @@ def _surge_step(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
 
 def _heading_third(rng: np.random.Generator, scale: float) -> HiddenEffect:
-    """Return a yaw moment with three cycles per turn of the boat: ``N = n sin(3 (psi - at))``."""
+    """Return the hidden effect "heading-third": a yaw moment with three cycles per turn of the boat.
+
+    The moment is ``N = n sin(3 (psi - at))``. ``n`` [N m] is drawn around ``0.5 scale``, and the heading ``at`` [rad]
+    uniformly.
+    """
     n, at = scale * effect_size(rng, 0.5), 2.0 * math.pi * rng.uniform()  # N m
 
     def curve(psi: float) -> float:
@@ -89,11 +100,13 @@ def _heading_third(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
 
 def _jet_on_hull(rng: np.random.Generator, scale: float) -> HiddenEffect:
-    """Return a side force of a jet that strikes the keel at one difference of the shaft speeds.
+    """Return the hidden effect "jet-on-hull": a sway force of a jet that strikes the keel.
 
-    With the difference ``d = n_left - n_right``::
+    The force depends on the difference ``d = n_left - n_right`` of the shaft speeds::
 
         Y = y exp(-((d - 0.35) / 0.15)^2 / 2)
+
+    ``y`` [N] is drawn around ``5 scale`` with a random sign.
     """
     y = scale * effect_size(rng, 5.0, signed=True)  # N
 

@@ -12,7 +12,11 @@ GRAVITY = 9.81  # m/s2
 
 
 def _compass(rng: np.random.Generator, scale: float) -> HiddenEffect:
-    """Return a compass deviation: the heading error is ``b sin(psi) + c cos(psi) + d sin(2 psi)`` [rad]."""
+    """Return the hidden effect "compass": a compass deviation as a function of heading.
+
+    The heading error (measured minus true) is ``b sin(psi) + c cos(psi) + d sin(2 psi)`` [rad]. ``b``, ``c`` and ``d``
+    are drawn around ``0.045 scale``, ``0.03 scale`` and ``0.006 scale``, with random signs.
+    """
     b, c = scale * effect_size(rng, 0.045, signed=True), scale * effect_size(rng, 0.03, signed=True)  # rad
     d = scale * effect_size(rng, 0.006, signed=True)
 
@@ -24,9 +28,10 @@ def _compass(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
 
 def _lever_arm(rng: np.random.Generator, scale: float) -> HiddenEffect:
-    """Return a GNSS antenna that lies ``(l_x, l_y)`` [m] away from its position in the rig file.
+    """Return the hidden effect "lever-arm": a GNSS antenna that lies ``(l_x, l_y)`` [m] from its place in the rig file.
 
-    Position and velocity at the antenna are ``p + R(psi) l`` and ``R(psi) (u - r l_y, v + r l_x)``.
+    Position and velocity at the antenna are ``p + R(psi) l`` and ``R(psi) (u - r l_y, v + r l_x)``. ``l_x`` and ``l_y``
+    are drawn around ``0.5 scale`` and ``0.15 scale``, with random signs.
     """
     forward, starboard = scale * effect_size(rng, 0.5, signed=True), scale * effect_size(rng, 0.15, signed=True)  # m
     sentence = "the GNSS antenna is not at the place in the rig file"
@@ -34,10 +39,10 @@ def _lever_arm(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
 
 def _gnss_latency(rng: np.random.Generator, scale: float) -> HiddenEffect:
-    """Return GNSS fixes that are ``latency`` [s] older than their time stamp.
+    """Return the hidden effect "gnss-latency": GNSS fixes that are ``latency`` [s] older than their time stamp.
 
     60 % of the latency is dead time. 40 % is the time constant of a first-order filter (``Antenna`` in
-    seatrial.mocks.plant.boat).
+    seatrial.mocks.plant.boat). ``latency`` is drawn around ``0.35 scale``.
     """
     latency = scale * effect_size(rng, 0.35)  # s
     sentence = "the GNSS receiver filters and delivers old fixes as if they were new"
@@ -45,9 +50,10 @@ def _gnss_latency(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
 
 def _mount(rng: np.random.Generator, scale: float) -> HiddenEffect:
-    """Return an AHRS that is mounted with a rotation of ``psi_0`` [rad] about the vertical axis.
+    """Return the hidden effect "mount": an AHRS that is mounted with a rotation of ``psi_0`` [rad] about the z axis.
 
-    The heading is measured as ``psi + psi_0``, and the accelerations are measured in the rotated axes.
+    The heading is measured as ``psi + psi_0``, and the accelerations are measured in the rotated axes. ``psi_0`` is
+    drawn around ``0.06 scale`` with a random sign.
     """
     turn = scale * effect_size(rng, 0.06, signed=True)  # rad
     sentence = f"the AHRS is screwed on {abs(math.degrees(turn)):.1f} deg askew"
@@ -55,7 +61,11 @@ def _mount(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
 
 def _gyro_scale(rng: np.random.Generator, scale: float) -> HiddenEffect:
-    """Return a scale error of the yaw gyro: the error of the rate is ``k (r + 0.15 r |r|)`` [rad/s]."""
+    """Return the hidden effect "gyro-scale": a scale error of the yaw gyro.
+
+    The error of the yaw rate is ``k (r + 0.15 r |r|)`` [rad/s]. ``k`` is drawn around ``0.03 scale`` with a random
+    sign.
+    """
     k = scale * effect_size(rng, 0.03, signed=True)
 
     def gyro(r: float) -> float:
@@ -65,12 +75,16 @@ def _gyro_scale(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
 
 def _accelerometer_tilt(rng: np.random.Generator, scale: float) -> HiddenEffect:
-    """Return accelerometers that measure a part of gravity, since the boat pitches with thrust and heels in turns.
+    """Return the hidden effect "accelerometer-tilt": accelerometers that measure a part of gravity.
+
+    The boat pitches with thrust and heels in turns, although its simulated motion stays in the horizontal plane.
 
     With the thrust ``T`` [N] of both thrusters::
 
         a_x -> a_x + g 0.05 tanh(pitch T / 0.05)
         a_y -> a_y + g 0.12 tanh(roll u r / 0.12)
+
+    ``pitch`` [rad/N] is drawn around ``4e-4 scale``, and ``roll`` [rad s2/m] around ``0.04 scale``.
     """
     pitch, roll = scale * effect_size(rng, 4e-4), scale * effect_size(rng, 0.04)  # rad/N, rad s2/m
 
@@ -84,7 +98,11 @@ def _accelerometer_tilt(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
 
 def _accelerometer_scale(rng: np.random.Generator, scale: float) -> HiddenEffect:
-    """Return a scale error of the accelerometers: each axis is multiplied by ``1 + k / (1 + 0.1 |a|)``."""
+    """Return the hidden effect "accelerometer-scale": a scale error of the accelerometers.
+
+    The acceleration ``a`` [m/s2] of each axis is multiplied by ``1 + k / (1 + 0.1 |a|)``. ``k`` is drawn around
+    ``0.15 scale`` with a random sign.
+    """
     k = scale * effect_size(rng, 0.15, signed=True)
 
     def accelerometer(a_x: float, a_y: float, thrust: float, u: float, r: float) -> tuple[float, float]:

@@ -24,17 +24,33 @@ _PARAMETERS: dict[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True)
 class ShaftEffect:
-    """Hidden effects of the shaft's response to commands. A size of zero switches the effect off."""
+    """Hidden effects of the shaft's response to commands. A size of zero switches an effect off.
 
-    late: float = 0.0  # s, time constant of a lag in front of the shaft; 5 % longer at rest than at full speed
-    brisk: float = 0.0  # fraction by which the pole is higher while the shaft speeds up
-    slew: float = 0.0  # s, inverse of the highest acceleration at rest; at full speed a sixth longer
-    droop: float = 0.0  # fraction of the speed that is missing at full command
-    sag: float = 0.0  # fraction of the speed that is lost with an empty battery
+    Attributes
+    ----------
+    late : float
+        Time constant [s] of a first-order lag between the reference and the shaft. It is 5 % longer at rest than at
+        full speed.
+    brisk : float
+        Fraction by which the pole of the shaft is higher while the shaft speeds up.
+    slew : float
+        Inverse of the largest acceleration of the normalised shaft speed [s]: the time from rest to full speed at this
+        acceleration. At full speed it is a sixth longer than at rest.
+    droop : float
+        Fraction of the shaft speed that is missing at full command.
+    sag : float
+        Fraction of the shaft speed that is lost when the battery is empty.
+    """
+
+    late: float = 0.0
+    brisk: float = 0.0
+    slew: float = 0.0
+    droop: float = 0.0
+    sag: float = 0.0
 
     @property
     def any(self) -> bool:
-        """Return whether one of the effects is switched on."""
+        """Return whether at least one of the five effects is switched on, that is, not zero."""
         return bool(self.late or self.brisk or self.slew or self.droop or self.sag)
 
 
@@ -43,25 +59,59 @@ NO_SHAFT_EFFECT = ShaftEffect()
 
 @dataclass(frozen=True)
 class BenchEffect:
-    """Hidden effect of the bench, or no effect. A size of zero switches a part of the effect off."""
+    """Hidden effect of the mock bench, or no effect (`NONE`). A size of zero switches the phenomenon off.
+
+    Attributes
+    ----------
+    name : str
+        Name of the effect, for example "rod-flex".
+    sentence : str
+        Description for the user.
+    flex_hz : float
+        Resonance frequency of the rod in its mount [Hz]; 0 for a rigid rod.
+    flex_damping : float
+        Damping ratio of the rod.
+    flex_share : float
+        Fraction of the thrust that reaches the load cell through the resonance, 0 to 1. The rest reaches it directly.
+    wash : float
+        Recirculation: fraction of the thrust that is lost when the pool is in full motion.
+    wash_s : float
+        Time constant [s] with which the pool gets into motion.
+    drift : float
+        Drift of the load cell after one minute [N]. It grows with the square root of time.
+    smooth_s : float
+        Sum of the time constants [s] of the load cell's filter, which has two equal poles.
+    reverse : float
+        Fraction of the thrust that is lost at full speed in reverse.
+    slow_loss : float
+        Fraction of the thrust that is lost at the lowest shaft speeds.
+    band : float
+        Normalised shaft speed below which there is almost no thrust.
+    shaft : ShaftEffect
+        Effect on the response of the shaft.
+    """
 
     name: str
-    sentence: str  # description for the user
-    flex_hz: float = 0.0  # Hz, resonance of the rod in its mount
-    flex_damping: float = 0.04  # damping ratio of the rod
-    flex_share: float = 1.0  # share of the force that passes the resonance
-    wash: float = 0.0  # recirculation: fraction of the thrust that is lost if the pool is in full motion
-    wash_s: float = 4.0  # s, time constant in which the pool gets into motion
-    drift: float = 0.0  # N/min^1/2, drift of the load cell with the square root of time
-    smooth_s: float = 0.0  # s, total time constant of the load cell's filter, which has two equal poles
-    reverse: float = 0.0  # fraction of the thrust that is lost in reverse at full speed
-    slow_loss: float = 0.0  # fraction of the thrust that is lost at the lowest shaft speeds
-    band: float = 0.0  # shaft speed (normalised) below which there is almost no thrust
+    sentence: str
+    flex_hz: float = 0.0
+    flex_damping: float = 0.04
+    flex_share: float = 1.0
+    wash: float = 0.0
+    wash_s: float = 4.0
+    drift: float = 0.0
+    smooth_s: float = 0.0
+    reverse: float = 0.0
+    slow_loss: float = 0.0
+    band: float = 0.0
     shaft: ShaftEffect = NO_SHAFT_EFFECT
 
     @property
     def parameters(self) -> dict[str, float]:
-        """Return the true sizes that belong to this effect (SI)."""
+        """Return the true sizes that belong to this effect: values by field name, in the units of the fields.
+
+        Fields of other effects are left out. The dict is empty for the effect "none". An unknown `name` raises
+        KeyError.
+        """
         values = asdict(self) | asdict(self.shaft)
         return {name: float(values[name]) for name in _PARAMETERS[self.name]}
 
