@@ -17,14 +17,16 @@ from seatrial.daq.rig import Device, Rig
 
 ARMED = "autopilot-armed"  # code of the finding that is also printed as the last line
 STILL_WALL_S = 1.0  # wall s of silence that a busy machine alone can cause
-LOST = 0.01  # part of an autopilot's frames that may be lost
+LOST = 0.01  # fraction of an autopilot's frames that may be lost
 HOURS = 4.0  # hours of logging for which the disk should have room
 UNDERSTOOD = 5  # number of valid frames that proves baud rate and protocol
 POLL_WALL_S = 0.05  # wall s between two checks of the status
 
 
 def listen(rig: Rig, wall_s: float, path: Path, guard: SafetyGuard) -> Status:
-    """Record every device without a command, and return the last status.
+    """Record every device of a rig into a log without a command, and return the last status of the acquisition.
+
+    Parameters and message rates are requested from autopilots.
 
     Parameters
     ----------
@@ -35,7 +37,7 @@ def listen(rig: Rig, wall_s: float, path: Path, guard: SafetyGuard) -> Status:
     path : Path
         The new log.
     guard : SafetyGuard
-        It takes every status, so that it finds the sources of the limits.
+        Safety guard that gets every status, so that it finds the sources of the limits.
     """
     clock = RunClock(rig.speed)
     with Acquisition(rig, path, clock=clock, ask=True) as acquisition:
@@ -47,11 +49,14 @@ def listen(rig: Rig, wall_s: float, path: Path, guard: SafetyGuard) -> Status:
 
 
 def check_ports(rig: Rig, status: Status) -> Iterator[Finding]:
-    """Yield the findings on silent devices, ports that cannot be opened, and autopilots."""
+    """Yield the findings on silent devices, ports that cannot be opened, silent thrusters, and autopilots.
+
+    ``status`` is the last status of a recording at rest.
+    """
     for device in rig.devices:
         port = status.ports.get(device.name)
         if port is None or port.samples == 0:
-            yield _silent(device, port)
+            yield _silent_device_finding(device, port)
             continue
         if port.message and port.message == port.remark:
             yield Finding(
@@ -64,7 +69,7 @@ def check_ports(rig: Rig, status: Status) -> Iterator[Finding]:
                 FAULT, "device-fell-silent", "alive", device.name, f"silent for {port.age:.1f} s", "power, cable, port"
             )
         if device.mavlink is not None:
-            yield from _autopilot(rig, device, status, port)
+            yield from _autopilot_findings(rig, device, status, port)
     if not status.latest:
         return
     for name in silent_devices(rig, status, [thruster.name for thruster in rig.thrusters]):
@@ -79,8 +84,11 @@ def check_ports(rig: Rig, status: Status) -> Iterator[Finding]:
             )
 
 
-def _silent(device: Device, port: PortStatus | None) -> Finding:
-    """Return the finding on a device without a sample, with the probable cause: port, baud rate or output settings."""
+def _silent_device_finding(device: Device, port: PortStatus | None) -> Finding:
+    """Return the fault of a device without a sample, with its probable cause: port, baud rate or output settings.
+
+    The cause is the message of the port, if it has one. ``port`` is None if the device has no port in the status.
+    """
     text, advice = "nothing received", "power, cable, port, baud"
     if port is not None and port.frames >= UNDERSTOOD:
         text = f"{port.frames} frames of {device.protocol} understood, but no frame contains a measurement"
@@ -90,8 +98,11 @@ def _silent(device: Device, port: PortStatus | None) -> Finding:
     return Finding(FAULT, "device-silent", "alive", device.name, (port.message if port else "") or text, advice)
 
 
-def _autopilot(rig: Rig, device: Device, status: Status, port: PortStatus) -> Iterator[Finding]:
-    """Yield the findings on an autopilot: its link, parameters, rates, arming and estimator."""
+def _autopilot_findings(rig: Rig, device: Device, status: Status, port: PortStatus) -> Iterator[Finding]:
+    """Yield the findings on an autopilot: its link, parameters, rates, arming and position estimator.
+
+    Without a heartbeat there is only that fault. ``port`` is the status of its port.
+    """
     link = status.links.get(device.name, LinkStatus())
     if not link.received:
         yield Finding(
@@ -160,13 +171,17 @@ def _autopilot(rig: Rig, device: Device, status: Status, port: PortStatus) -> It
 
 
 def armed_finding(name: str) -> Finding:
-    """Return the finding that an autopilot is armed."""
+    """Return the warning that the autopilot ``name`` is armed."""
     text = "it is armed: its outputs follow any command that it receives"
     return Finding(WARNING, ARMED, "link", name, text, "disarm it, unless a run follows")
 
 
 def check_computer(rig: Rig, status: Status) -> Iterator[Finding]:
-    """Yield the finding on the free space of the disk for logs."""
+    """Yield the finding on the free space of the disk for logs: a fault, a warning or OK.
+
+    It is a fault below `[log] free_mb` of the rig, and a warning if the space lasts less than four more hours. The rate
+    of the log is that of the recording at rest.
+    """
     place = rig.log_directory
     while not place.exists() and place != place.parent:
         place = place.parent
@@ -192,14 +207,27 @@ def check_computer(rig: Rig, status: Status) -> Iterator[Finding]:
 
 
 def _wanted_limits(rig: Rig) -> list[str]:
-    """Return the limits that a rig of this kind should have."""
+    """Return the names in [limits] that a rig like this should have: of a boat or bench, with or without a CAN bus."""
     on_bench = any(device.protocol in LOAD_CELLS for device in rig.devices)
     on_bus = any(thruster.output is None for thruster in rig.thrusters)  # an autopilot does not report motor currents
     return [*([] if on_bench else ["radius_m"]), "voltage_min_v", *(["current_a"] if on_bus else [])]
 
 
 def check_limits(rig: Rig, guard: SafetyGuard, status: Status) -> Iterator[Finding]:
-    """Yield the findings on the limits: those without a source, those that are missing, and those that are watched."""
+    """Yield the findings on the limits of a rig; none if it has no thruster.
+
+    Faults are limits whose quantity no device reports. Warnings are limits that the rig file exempts, and recommended
+    limits that it lacks. The last finding lists the limits that are watched.
+
+    Parameters
+    ----------
+    rig : Rig
+        The rig with its limits.
+    guard : SafetyGuard
+        Safety guard that got every status of the recording.
+    status : Status
+        The last status.
+    """
     if not rig.thrusters:
         return
     silent = guard.unwatched(status)

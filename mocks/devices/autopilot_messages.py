@@ -179,9 +179,7 @@ class Reports:
             field_ = (0 if math.isnan(b) else round(b * 1e7) for b in (ahrs.mx, ahrs.my, ahrs.mz))
             return self._codec.encode(name, self._boot_us, *accel, *gyro, *field_)
         if name == "SERVO_OUTPUT_RAW":
-            return self._codec.encode(
-                name, self._boot_us % 2**32, 0, *(self._pulse_us(node) for node in range(1, 17))
-            )
+            return self._codec.encode(name, self._boot_us % 2**32, 0, *(self._pulse_us(node) for node in range(1, 17)))
         if name == "HEARTBEAT":
             mode = 128 * self._vehicle.armed + 1 + 64  # MAV_MODE_FLAG: armed, custom mode, manual input
             return self._codec.encode(name, ROVER, ARDUPILOT, mode, self._vehicle.mode, 3 + self._vehicle.armed, 3)
