@@ -372,7 +372,7 @@ class LimitSource:
         return f"{missing}: {self.frozen}" if self.frozen else f"{missing}{_age_text(now - self.t)}"
 
     def refusal(self, now: float) -> str:
-        """Return the message that refuses a start: the limit without a source, and its remedy. ``now`` is the run time."""
+        """Return the message that refuses a start at run time ``now``: the limit without a source, and its remedy."""
         remedy = f'{_QUANTITIES[self.key].remedy}, or write unwatched = ["{self.key}"] in [limits]'
         return f"limits.{self.key} = {self.limit:g} is not watched: {self.silence(now)}; {remedy}"
 
