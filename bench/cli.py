@@ -234,9 +234,10 @@ def show(mission_path: Path) -> None:
 
 
 def _parse_thruster_names(_context: click.Context, _parameter: click.Parameter, text: str) -> tuple[str, str]:
-    """Split the value of `--thrusters` at its comma into the names of the left and the right thruster.
+    """Split ``text``, the value of `--thrusters`, at its comma into the names of the left and the right thruster.
 
-    Raises click.BadParameter if there are not exactly two names.
+    It is a callback of click, which passes the context and the parameter too. Raises click.BadParameter if there are
+    not exactly two names.
     """
     names = [name.strip() for name in text.split(",")]
     if len(names) != 2 or not all(names):

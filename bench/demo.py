@@ -228,7 +228,10 @@ def _record_with_mock(steps: DemoSteps, rig: str, mock: tuple[str, ...], name: s
 
 
 def n_skipped(path: Path) -> int:
-    """Return the number of set-points that a run skipped, from the events of its log; 0 if the log is unreadable."""
+    """Return the number of set-points that a run skipped, from the events of its log ``path``.
+
+    If the log does not exist or cannot be read, return 0.
+    """
     try:
         with open_log(path) as log:
             matches = [SKIPPED_SETPOINTS.search(text) for _, kind, text in log.events() if kind == "invalid"]
@@ -530,6 +533,7 @@ class DemoSteps:
         """Handle SIGINT, SIGTERM and SIGHUP while the context lasts. At its end all running commands are ended."""
 
         def note_signal(number: int, frame: FrameType | None) -> None:
+            """Note that a signal has arrived. The wait for a command then raises DemoInterrupted."""
             self._signalled = True
 
         old = {number: signal.signal(number, note_signal) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}

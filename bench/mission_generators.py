@@ -252,7 +252,8 @@ def _cut_to_duration(durations: list[float], until: float) -> list[float]:
 def _surge_steps(builder: SegmentBuilder, rng: np.random.Generator, stop: float, n_max: float) -> None:
     """Append a segment of surge steps up to time ``stop`` [s]: steady commands of 5 to 12 s, forward and in reverse.
 
-    Both thrusters have nearly the same command. The steps inform the surge damping.
+    The segment is appended to ``builder``, which is changed in place. ``rng`` draws the commands, up to ``n_max``. Both
+    thrusters have nearly the same command. The steps inform the surge damping.
     """
     levels = np.array([0.2, 0.35, 0.5, 0.65, 0.8, 1.0, -0.5, 0.0, -0.3]) * n_max
     durations: list[float] = []
@@ -269,7 +270,8 @@ def _surge_steps(builder: SegmentBuilder, rng: np.random.Generator, stop: float,
 def _zigzag(builder: SegmentBuilder, rng: np.random.Generator, stop: float, n_max: float) -> None:
     """Append a zigzag segment up to time ``stop`` [s]: turns to both sides of 4 to 9 s at several speeds.
 
-    They inform sway and yaw damping and their coupling.
+    The segment is appended to ``builder``, which is changed in place. ``rng`` draws the commands, up to ``n_max``.
+    Turns inform sway and yaw damping and their coupling.
     """
     durations: list[float] = []
     rows: list[list[float]] = []
@@ -287,7 +289,8 @@ def _zigzag(builder: SegmentBuilder, rng: np.random.Generator, stop: float, n_ma
 def _random_steps(builder: SegmentBuilder, rng: np.random.Generator, stop: float, n_max: float) -> None:
     """Append a segment of independent random steps of both thrusters, of 1 to 5 s, up to time ``stop`` [s].
 
-    They inform differences and interaction of the thrusters, reverse thrust and the dead zone.
+    The segment is appended to ``builder``, which is changed in place. ``rng`` draws the commands, up to ``n_max``.
+    Steps inform differences and interaction of the thrusters, reverse thrust and the dead zone.
     """
     durations: list[float] = []
     rows: list[list[float]] = []
@@ -300,6 +303,7 @@ def _random_steps(builder: SegmentBuilder, rng: np.random.Generator, stop: float
 def _chirps(builder: SegmentBuilder, rng: np.random.Generator, stop: float, n_max: float) -> None:
     """Append chirp segments of 15 to 30 s up to time ``stop`` [s]: oscillations about rest or about forward speed.
 
+    The segments are appended to ``builder``, which is changed in place. ``rng`` draws the commands, up to ``n_max``.
     Each chirp oscillates the difference of the commands ("yaw"), their mean ("surge"), or both, from 0.05 to 0.5 Hz.
     Chirps inform lags, delays and added masses.
     """

@@ -14,7 +14,7 @@ FORMAT = "seatrial-truth 1"
 
 
 def ground_truth(world: Boat | Bench, run: int) -> dict[str, Any]:
-    """Return the content of a ground-truth file as a dict that JSON can hold.
+    """Return the content of the ground-truth file of a boat or bench as a dict that JSON can hold.
 
     It has the keys "format", "plant" ("boat" or "bench"), "seed", "run", "effect" (name), "parameters" (of the effect,
     SI), "sentence" (description of the effect) and "true_parameters" (of the plant, SI). Of several hidden effects only

@@ -207,6 +207,7 @@ class Autopilots:
         """Wait until the estimator of an autopilot has a position. Raises SeatrialError after 60 s (wall)."""
 
         def ready(link: LinkStatus) -> bool:
+            """Return whether the EKF flags of a link report attitude, velocity and an absolute position."""
             return link.ekf >= 0 and link.ekf & EKF_WANTED == EKF_WANTED and not link.ekf & EKF_UNWANTED
 
         if not ready(self._link_status(device)):

@@ -399,11 +399,11 @@ class _Runner:
         self._acquisition.schedule(allowed)
 
     def zero(self, reason: str) -> None:
-        """Command zero to all thrusters at once, and discard set-points that are not yet due."""
+        """Command zero to all thrusters at once, and discard set-points that are not yet due. Log the ``reason``."""
         self._acquisition.zero(reason)
 
     def mark(self, kind: str, text: str) -> None:
-        """Write an event to the log."""
+        """Write an event to the log, with its kind and its text."""
         self._acquisition.mark(kind, text)
 
     def _run_setpoints(self, arm: bool, retries: int, keys: Keys) -> MissionSequencer:

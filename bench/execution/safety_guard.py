@@ -403,6 +403,7 @@ def _accepts_thruster(thruster: Thruster) -> Callable[[Source, Sample], bool]:
     """Return a function that returns whether a sample is of the thruster's own controller or of any battery."""
 
     def takes(source: Source, sample: Sample) -> bool:
+        """Return whether a sample of a source (device and node) counts for a limit of the thruster."""
         own = (source[0].partition("/")[0], source[1]) == (thruster.device, thruster.node)
         return own or isinstance(sample, Battery)
 
@@ -794,7 +795,9 @@ class SafetyGuard:
         yield from self._limit_stops(status)
 
     def check(self, status: Status) -> None:
-        """Check the limits, but neither links nor outputs. A link test needs this, as it interrupts the link.
+        """Check the limits at this status, but neither links nor outputs. A link test interrupts links and needs this.
+
+        The state of the guard does not change.
 
         Raises
         ------
@@ -901,7 +904,10 @@ class SafetyGuard:
         return max(STALE_S, min(STALE_PERIODS / rate_hz, STALE_MAX_S), STALE_WALL_S * self._speed)
 
     def is_outdated(self, source: Source, status: Status) -> bool:
-        """Return whether the newest sample of a source is too old for the display. No limit depends on it."""
+        """Return whether the newest sample of a source (device and node) is too old for the display.
+
+        No limit depends on it. The source must have sent a sample.
+        """
         name = source[0].partition("/")[0]
         kinds, nodes = senders(status, name)
         rate_hz = self._rig.device(name).rate_hz / (1 if source[1] is None else nodes)
@@ -1148,7 +1154,7 @@ class Fence:
     """
 
     def __init__(self, radius_m: float, vehicle: Mapping[str, float]) -> None:
-        """Set the radius [m]. ``vehicle`` are the parameters of [vehicle], for `stopping_distance`."""
+        """Set the radius ``radius_m`` [m], and the parameters of [vehicle] for `stopping_distance`."""
         self._radius, self._vehicle = radius_m, vehicle
         self._home: tuple[float, float] | None = None  # rad
         self._last: dict[str, _RelativeFix] = {}  # by receiver: the newest fix that counts

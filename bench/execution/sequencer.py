@@ -34,7 +34,7 @@ class EventSink(Protocol):
         """Append set-points, as pairs of run time [s] and n_cmd by thruster."""
 
     def zero(self, reason: str) -> None:
-        """Command zero to all thrusters at once, and discard set-points that are not yet due."""
+        """Command zero to all thrusters at once, and discard set-points that are not yet due. Log the ``reason``."""
 
     def mark(self, kind: str, text: str) -> None:
         """Write an event to the log, with its kind and its text."""

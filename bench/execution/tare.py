@@ -124,7 +124,8 @@ def measure_tares(path: Path, rig: Rig, windows: Sequence[tuple[str, float, floa
 def describe_tares(tares: Sequence[Tare], rig: Rig) -> list[str]:
     """Return lines of text: one for each tare, and one for the drift of a load cell from its first tare to a later one.
 
-    The drift is given in counts, and also in N if the rig has a calibration of the load cell.
+    The drift is given in counts, and also in N if ``rig`` has a calibration of the load cell. ``tares`` are in the
+    order of time.
     """
     lines, first = [], dict[str, Tare]()
     for tare in tares:

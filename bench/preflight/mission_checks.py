@@ -24,8 +24,8 @@ CLOSE = 0.8  # fraction of the fence's radius beyond which a track is near the f
 def check_mission(mission: Mission, rig: Rig) -> Iterator[Finding]:
     """Yield the findings on a mission: its limits with its duration, and whether its track stays inside the fence.
 
-    A mission beyond the limits gives one fault and no further finding. Without `limits.radius_m` the track is not
-    checked.
+    A mission beyond the limits of the rig gives one fault and no further finding. If the rig has no `limits.radius_m`,
+    the track is not checked.
     """
     try:
         dry_run(mission, rig)

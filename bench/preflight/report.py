@@ -22,16 +22,16 @@ class MotionChecks(Protocol):
     """
 
     def check_log(self, path: Path) -> list[Finding]:
-        """Return the findings on sensors and thrusters from the motion in a log."""
+        """Return the findings on sensors and thrusters from the motion in the log ``path``."""
         ...
 
     def write_check_page(self, report: CheckReport, out: Path) -> None:
-        """Write the page (HTML) of a check, with curves from its logs."""
+        """Write the page (HTML) of the check ``report`` to the file ``out``, with curves from its logs."""
         ...
 
 
 def as_json(found: Sequence[Finding]) -> str:
-    """Return findings as the JSON that `seatrial check --json` prints."""
+    """Return findings as the JSON text that `seatrial check --json` prints: an object with "format" and "findings"."""
     return json.dumps({"format": FORMAT, "findings": [finding._asdict() for finding in found]}, indent=2)
 
 

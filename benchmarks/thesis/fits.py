@@ -224,7 +224,10 @@ def at_rest(seed: int) -> dict[str, Rest]:
 
 
 def predicted(estimates: Both) -> Array:
-    """Return the outputs (n_rows, n_outputs) of the prediction-error model, simulated from the inputs of the record."""
+    """Return the outputs (n_rows, n_outputs) of the prediction-error model, simulated from the inputs of its record.
+
+    ``estimates`` has the record and the fit. No measured output is used.
+    """
     return simulation_run(estimates.pe.model, estimates.record, estimates.pe.record_values[0]).y
 
 

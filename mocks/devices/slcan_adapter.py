@@ -43,7 +43,10 @@ class Adapter:
     """
 
     def __init__(self, version: str = "1013", serial_number: str = "A001") -> None:
-        """Set up an adapter with a closed channel. Arguments: its answers to the commands `V`, `v` and `N`."""
+        """Set up an adapter with a closed channel.
+
+        ``version`` and ``serial_number`` are its answers to the commands `V` and `v`, and `N`.
+        """
         self.open = False
         self.listen_only = False
         self._version = version

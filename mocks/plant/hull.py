@@ -121,6 +121,7 @@ def _make_forces(hull: Hull, thruster: ThrusterTruth, effects: Sequence[HiddenEf
     tethers = [e.tether for e in effects if e.tether is not None]
 
     def forces(s: State, water: Pair, ground: Pair, turn: Pair, n: Pair, energy: float, external: Triple) -> Triple:
+        """Return the sum of all forces X, Y, N [N, N, N m]. `Forces` gives the arguments."""
         (u_w, v_w), (vel_n, vel_e), (c, si), (n_l, n_r) = water, ground, turn, n
         x_force, y_force, n_moment = external
         r = s[5]
@@ -180,6 +181,7 @@ def make_rhs(
     bob_mass, bob_length, bob_damping = bob if bob is not None else (0.0, 1.0, 0.0)
 
     def rhs(s: State, n_l: float, n_r: float, energy: float, x_force: float, y_force: float, n_moment: float) -> State:
+        """Return the time derivative of the state ``s``."""
         _, _, psi, u, v, r, angle, rate = s
         c, si = cos(psi), sin(psi)
         v_n, v_e = current

@@ -128,6 +128,7 @@ class Inflow:
 def thrust(truth: ThrusterTruth, n: float) -> float:
     """Return the static thrust [N], ``c1 n|n| + c2 n^2``, at the normalised shaft speed ``n`` (thesis, section 4.2).
 
-    Static means that the thruster does not move through the water. Positive is forward.
+    ``truth`` has the coefficients c1 and c2. Static means that the thruster does not move through the water. Positive
+    is forward.
     """
     return truth.c1 * n * abs(n) + truth.c2 * n * n
