@@ -119,7 +119,9 @@ def bench(rig: Path, seed: int, run: int, effect: str, truth_file: Path | None, 
     """
     loaded = load_rig(rig)
     if len(loaded.thrusters) != 1:
-        raise SeatrialError(f"{rig}: a mock bench has one thruster; this rig has {len(loaded.thrusters)}")
+        raise SeatrialError(
+            f"{rig}: a mock bench has one thruster; this rig has {len(loaded.thrusters)}: give another rig"
+        )
     name = bench_effects.draw_name(seed) if effect == "draw" else effect
     plant = draw_bench(seed, NONE if name == "none" else bench_effects.make_effect(name, seed))
     world = bench_world(plant, run, _device_specs(loaded, loaded.thrusters), utc=float(round(time.time())))

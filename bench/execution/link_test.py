@@ -104,9 +104,13 @@ def load_link_tests(rig: Rig) -> dict[str, LinkTest]:
     try:
         found = msgspec.json.decode(path.read_bytes(), type=LinkTests)
     except (OSError, msgspec.MsgspecError) as error:
-        raise SeatrialError(f"{path}: no result of a link test: {error}") from error
+        raise SeatrialError(
+            f"{path}: no result of a link test: {error}; delete it, and repeat the link test"
+        ) from error
     if found.format != FORMAT:
-        raise SeatrialError(f"{path}: its format is '{found.format}', wanted '{FORMAT}'")
+        raise SeatrialError(
+            f"{path}: its format is '{found.format}', wanted '{FORMAT}'; delete it, and repeat the link test"
+        )
     return found.devices
 
 

@@ -258,9 +258,11 @@ def follow_plan(rig: Rig, seconds: float, n_max: float | None, slew: float) -> M
     if not rig.ros2.commands:
         raise SeatrialError(f"{rig.path}: ROS 2 may not command its thrusters: set commands = true in [ros2]")
     if not rig.thrusters:
-        raise SeatrialError(f"{rig.path}: has no [[thruster]] to command")
+        raise SeatrialError(f"{rig.path}: the rig has no [[thruster]] that ROS 2 could command; add one")
     if n_max is not None and n_max > rig.limits.n_max:
-        raise SeatrialError(f"{rig.path}: --n-max {n_max:g} is beyond limits.n_max = {rig.limits.n_max:g}")
+        raise SeatrialError(
+            f"{rig.path}: --n-max {n_max:g} is beyond limits.n_max = {rig.limits.n_max:g}; give a smaller --n-max"
+        )
     names = tuple(thruster.name for thruster in rig.thrusters)
     segment = Segment(FOLLOW, np.zeros(1), np.zeros((1, len(names))))
     limit = rig.limits.n_max if n_max is None else n_max
@@ -351,7 +353,9 @@ class CommandFollower(MissionSequencer):
             self._stop_following(f"no command for {', '.join(silent)}")
         for name, received in self._source.take().items():
             if len(received) >= FLOOD:
-                raise SafetyStop(f"commands for {name} come too fast: {len(received)} at once")
+                raise SafetyStop(
+                    f"commands for {name} come too fast: {len(received)} at once; let the sender send fewer"
+                )
             for command in received:
                 self._accept_command(name, command, now)
         if self.paused or self._silent_thrusters(now):
@@ -392,7 +396,7 @@ class CommandFollower(MissionSequencer):
         if before is not None and before[1].sender != command.sender:
             # After a silence another sender may take over. It also has to begin with zero.
             if now - before[0] <= self._timeout:
-                raise SafetyStop(f"two senders command {name}")
+                raise SafetyStop(f"two senders command {name}; run only one of them")
         elif before is not None and command.number <= before[1].number:
             raise SafetyStop(
                 f"command number {command.number} for {name} came after number {before[1].number}: "

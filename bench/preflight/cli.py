@@ -354,7 +354,9 @@ def _link_test_finding(name: str, seconds: float, passed: bool) -> Finding:
     text = f"thrust ended {seconds:.2f} s after our last frame, allowed {ALLOWED_S:g}"
     if passed:
         return Finding(OK, "link-loss-ends-thrust", "link test", name, text)
-    return Finding(FAULT, "link-loss-goes-on", "link test", name, text, "RC_OVERRIDE_TIME, FS_THR_ENABLE, FS_ACTION")
+    return Finding(
+        FAULT, "link-loss-goes-on", "link test", name, text, "check RC_OVERRIDE_TIME, FS_THR_ENABLE and FS_ACTION"
+    )
 
 
 def _log_findings(motion: MotionChecks, paths: Sequence[Path]) -> list[Finding]:

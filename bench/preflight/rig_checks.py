@@ -63,10 +63,15 @@ def check_ports(rig: Rig, status: Status) -> Iterator[Finding]:
                 WARNING, "port-error", "alive", device.name, port.message, "correct the rig, if this is not intended"
             )
         elif port.message:
-            yield Finding(FAULT, "port-error", "alive", device.name, port.message, "power, cable, port")
+            yield Finding(FAULT, "port-error", "alive", device.name, port.message, "check power, cable and port")
         elif port.age > max(1.0, 10.0 / device.rate_hz, STILL_WALL_S * rig.speed):
             yield Finding(
-                FAULT, "device-fell-silent", "alive", device.name, f"silent for {port.age:.1f} s", "power, cable, port"
+                FAULT,
+                "device-fell-silent",
+                "alive",
+                device.name,
+                f"silent for {port.age:.1f} s",
+                "check power, cable and port",
             )
         if device.mavlink is not None:
             yield from _autopilot_findings(rig, device, status, port)
@@ -80,7 +85,7 @@ def check_ports(rig: Rig, status: Status) -> Iterator[Finding]:
                 "alive",
                 name.split()[1],
                 f"{name} sends nothing",
-                "its node, its power, the bus",
+                "check its node number, its power and the bus",
             )
 
 
@@ -89,7 +94,7 @@ def _silent_device_finding(device: Device, port: PortStatus | None) -> Finding:
 
     The cause is the message of the port, if it has one. ``port`` is None if the device has no port in the status.
     """
-    text, advice = "nothing received", "power, cable, port, baud"
+    text, advice = "nothing received", "check power, cable, port and baud rate"
     if port is not None and port.frames >= UNDERSTOOD:
         text = f"{port.frames} frames of {device.protocol} understood, but no frame contains a measurement"
         advice = "baud rate and protocol are right: look at the messages that the device is set to send"
@@ -106,7 +111,12 @@ def _autopilot_findings(rig: Rig, device: Device, status: Status, port: PortStat
     link = status.links.get(device.name, LinkStatus())
     if not link.received:
         yield Finding(
-            FAULT, "no-heartbeat", "link", device.name, "no heartbeat", "system id, port and baud rate of that link"
+            FAULT,
+            "no-heartbeat",
+            "link",
+            device.name,
+            "no heartbeat was received",
+            "check system_id, port and baud rate of this link",
         )
         return
     assert device.mavlink is not None
@@ -117,8 +127,8 @@ def _autopilot_findings(rig: Rig, device: Device, status: Status, port: PortStat
             "parameters-unanswered",
             "parameters",
             device.name,
-            "not all have been answered yet",
-            "a longer --seconds",
+            "the autopilot has not sent all parameters yet",
+            "repeat the check with a longer --seconds",
         )
     else:
         for found in check_parameters(link.parameters, here, device.mavlink.own_system_id):
@@ -138,7 +148,7 @@ def _autopilot_findings(rig: Rig, device: Device, status: Status, port: PortStat
             "rate",
             device.name,
             f"refuses {line}",
-            "SCHED_LOOP_RATE, or a lower rate in the rig",
+            "raise SCHED_LOOP_RATE, or lower the rate in the rig",
         )
     name = device.name
     if here and link.vehicle != ROVER:
@@ -146,16 +156,23 @@ def _autopilot_findings(rig: Rig, device: Device, status: Status, port: PortStat
         yield Finding(FAULT, "autopilot-not-driven", "link", name, text, "log it; drive it by its own means")
     if link.rivals:
         own = device.mavlink.own_system_id
-        text = f"another ground station has system id {own}, as this rig: its heartbeats hide the loss of ours"
+        text = f"another ground station has system id {own}, the same as this rig: its heartbeats hide the loss of ours"
         yield Finding(FAULT, "rival-station", "link", name, text, "end it, or give one of the two another id")
     if link.lost > LOST * port.frames:
         text = f"{link.lost} frames lost on the way, {port.frames} received"
-        yield Finding(WARNING, "frames-lost", "link", name, text, "range and rate of the radio link; lower rates")
+        yield Finding(
+            WARNING,
+            "frames-lost",
+            "link",
+            name,
+            text,
+            "check range and data rate of the radio link, or request lower rates",
+        )
     if link.alarm:
         yield Finding(WARNING, "autopilot-alarm", "link", device.name, f"says {link.alarm}", "remove its cause")
     if link.armed:
         yield armed_finding(name)
-    trip = f", {1e3 * link.round_trip:.0f} ms there and back" if math.isfinite(link.round_trip) else ""
+    trip = f", round trip {1e3 * link.round_trip:.0f} ms" if math.isfinite(link.round_trip) else ""
     state = f"mode {link.mode}, {'armed' if link.armed else 'disarmed'}"
     if link.receiver is not None:
         state += ", a receiver was heard" if link.receiver else ", no receiver heard"
@@ -163,7 +180,7 @@ def _autopilot_findings(rig: Rig, device: Device, status: Status, port: PortStat
     if link.ekf >= 0 and (not link.ekf & EKF_POSITION or link.ekf & EKF_STANDS):
         text, advice = (
             f"{text}: its estimator has no position",
-            "open sky, and 40 s after power-on; a run cannot start before",
+            "give it open sky, and wait 40 s after power-on; a run cannot start before",
         )
         yield Finding(WARNING, "estimator-not-ready", "link", name, text, advice)
     else:
@@ -196,11 +213,16 @@ def check_computer(rig: Rig, status: Status) -> Iterator[Finding]:
             "disk",
             str(place),
             f"{text}; [log] asks for {need / 1e6:g} MB",
-            "make room, or another disk",
+            "free space, or log to another disk",
         )
     elif free < need + HOURS * 3600.0 * rate:
         yield Finding(
-            WARNING, "disk-low", "disk", str(place), f"{text}: less than {HOURS:g} h", "make room, or another disk"
+            WARNING,
+            "disk-low",
+            "disk",
+            str(place),
+            f"{text}: room for less than {HOURS:g} h",
+            "free space, or log to another disk",
         )
     else:
         yield Finding(OK, "disk-as-expected", "disk", str(place), text)
@@ -236,10 +258,10 @@ def check_limits(rig: Rig, guard: SafetyGuard, status: Status) -> Iterator[Findi
         yield Finding(FAULT, "limit-without-source", "limits", rig.name, text, remedy)
     for key in rig.limits.unwatched:
         text = f"limits.{key} = {getattr(rig.limits, key):g} is not watched, as [limits] says"
-        yield Finding(WARNING, "limit-unwatched", "limits", rig.name, text, "add a source for it")
+        yield Finding(WARNING, "limit-unwatched", "limits", rig.name, text, "add a device that reports the quantity")
     missing = [key for key in _wanted_limits(rig) if getattr(rig.limits, key) is None]
     if missing:
-        text = f"[limits] has no {', '.join(missing)}: no run ends because of it"
+        text = f"[limits] has no {', '.join(missing)}: a run does not end because of these quantities"
         advice = "set them (`seatrial devices --toml` writes examples), or leave them out on purpose"
         yield Finding(WARNING, "limit-missing", "limits", rig.name, text, advice)
     watched = [f"n_max {rig.limits.n_max:g}"]

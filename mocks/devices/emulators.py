@@ -159,7 +159,8 @@ def make_emulator(
     if device.protocol == "loadcell":
         if loadcell.compile_pattern(device.pattern).search(loadcell.encode(-123.0).decode().rstrip()) is None:
             raise SeatrialError(
-                f"{rig.path}: device {device.name}: the mock sends lines like -123, which the pattern does not match"
+                f"{rig.path}: device {device.name}: the mock sends lines like -123, which the pattern does not match: "
+                "change it"
             )
         return LoadCellLine()
     if device.protocol == "mavlink":
@@ -186,6 +187,6 @@ def by_side(rig: Rig) -> tuple[Thruster, Thruster]:
     if len(left) != 1 or len(right) != 1 or len(rig.thrusters) != 2:
         raise SeatrialError(
             f"{rig.path}: a mock boat has two thrusters, one at position_m y < 0 and one at y > 0; "
-            f"this rig has {len(left)} and {len(right)} there"
+            f"this rig has {len(left)} and {len(right)} there: give another rig"
         )
     return left[0], right[0]
