@@ -98,7 +98,7 @@ class Display(Protocol):
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Leave the terminal clean."""
+        """End the display and leave the terminal clean. Errors are passed on."""
         ...
 
     def show(self, view: MissionStatus) -> None:
@@ -130,7 +130,7 @@ class LiveDisplay:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Remove the lines."""
+        """Remove the redrawn lines. Errors are passed on."""
         with contextlib.suppress(OSError):
             self._live.stop()
 
@@ -158,7 +158,7 @@ def _live_lines(view: MissionStatus) -> Group:
 
 
 class PlainDisplay:
-    """Display for pipes and files: a line at the start of each segment and every few seconds."""
+    """Display for pipes and files: a line at the start of each segment, and every 2 s (wall) within a segment."""
 
     def __init__(self) -> None:
         """Prepare the display; the first state is printed at once."""

@@ -325,7 +325,7 @@ class _Runner:
                 self._vehicles.begin_link_test()
                 self._await_ready(arm)
                 links = self._vehicles.await_receivers()
-                self._stop_sending()
+                self._interrupt_links()
                 self._acquisition.zero("end of the link test")
                 self._vehicles.release()
                 self._require_zero()
@@ -343,7 +343,7 @@ class _Runner:
         if self._moved and not _all_at_zero(rests):
             raise SafetyStop("the run has ended")
 
-    def _stop_sending(self) -> None:
+    def _interrupt_links(self) -> None:
         """Command the plan of a link test, then send no frame until all outputs have been at neutral for 0.5 s.
 
         The method returns 10 s after the last frame if an output is still not at neutral. Raises SafetyStop if a limit
@@ -513,14 +513,14 @@ class _Runner:
         """
         reason = " ".join(str(error).split()) or type(error).__name__
         decided = self._clock.now()
-        self._try(lambda: self._acquisition.zero(reason))
-        self._try(self._vehicles.disarm)
-        self._try(lambda: self._acquisition.mark("stop", reason))
+        self._succeeds(lambda: self._acquisition.zero(reason))
+        self._succeeds(self._vehicles.disarm)
+        self._succeeds(lambda: self._acquisition.mark("stop", reason))
         if stop := self._guard.stop:
-            self._try(lambda: self._acquisition.mark("stop-code", stop.code.value))
-        self._try(lambda: self._acquisition.mark("decided", f"{decided:.6f} to stop"))
+            self._succeeds(lambda: self._acquisition.mark("stop-code", stop.code.value))
+        self._succeeds(lambda: self._acquisition.mark("decided", f"{decided:.6f} to stop"))
         rests = self._await_rest()
-        closed = self._try(self._acquisition.stop)
+        closed = self._succeeds(self._acquisition.stop)
         if not _all_at_zero(rests):
             # Measured again, because the acquisition process repeats zero before it closes the log.
             rests = self._measure_rest()
@@ -592,7 +592,7 @@ class _Runner:
         """Return whether the thruster with this name is connected to an output of an autopilot."""
         return self._rig.thruster(thruster).output is not None
 
-    def _try(self, action: Callable[[], None]) -> bool:
+    def _succeeds(self, action: Callable[[], None]) -> bool:
         """Run `action` and return whether it succeeded.
 
         A SeatrialError or OSError is suppressed, so that the next step to zero thrust is always tried.

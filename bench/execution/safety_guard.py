@@ -92,7 +92,17 @@ RIVAL = "another ground station has our own system id: its heartbeats hide the l
 
 
 class GuardState(enum.StrEnum):
-    """State of the safety guard; see the table of the module."""
+    """State of the safety guard.
+
+    Attributes
+    ----------
+    WAITING
+        The run has not started. No set-point is allowed.
+    RUNNING
+        Set-points within `limits.n_max` are allowed.
+    STOPPED
+        There was a reason to end the run. No set-point is allowed any more.
+    """
 
     WAITING = "waiting"
     RUNNING = "running"
@@ -100,20 +110,48 @@ class GuardState(enum.StrEnum):
 
 
 class StopCode(enum.StrEnum):
-    """Kind of the reason that ends a run. It is written to the log with the reason."""
+    """Code of the reason that ends a run. It is written to the log with the reason.
 
-    ACQUISITION = "acquisition"  # the acquisition process ended thrust, or does not answer
-    LOG = "log"  # the log does not grow
+    Attributes
+    ----------
+    ACQUISITION
+        The acquisition process ended thrust, or does not answer.
+    LOG
+        The file of the log does not grow.
+    PORT_LOST
+        The port of a device was closed.
+    SILENT
+        A device, or the controller of a thruster, sends nothing.
+    LIMIT
+        A limited quantity is beyond its limit.
+    FENCE
+        The boat is outside the geofence, or cannot stop inside.
+    UNWATCHED
+        No device reports the quantity of a limit any more.
+    LINK
+        An autopilot is silent, disarmed, in another mode than MANUAL, or has an alarm.
+    RIVAL
+        Another ground station has our system id.
+    PARAMETER
+        A parameter of an autopilot was changed.
+    OUTPUT
+        A thruster is not driven as commanded.
+    SETPOINT
+        A set-point is not allowed.
+    """
+
+    ACQUISITION = "acquisition"
+    LOG = "log"
     PORT_LOST = "port-lost"
-    SILENT = "silent"  # a device, or a thruster's controller
-    LIMIT = "limit"  # a limited quantity is beyond its limit
+    SILENT = "silent"
+    LIMIT = "limit"
     FENCE = "fence"
-    UNWATCHED = "unwatched"  # a limit has no source any more
-    LINK = "link"  # an autopilot is silent, disarmed, in another mode, or has an alarm
+    UNWATCHED = "unwatched"
+    LINK = "link"
     RIVAL = "rival"
-    PARAMETER = "parameter"  # a parameter of an autopilot was changed
-    OUTPUT = "output"  # a thruster is not driven as commanded
-    SETPOINT = "set-point"  # a set-point that is not allowed
+    PARAMETER = "parameter"
+    OUTPUT = "output"
+    SETPOINT = "set-point"
 
 
 class Stop(NamedTuple):
@@ -498,11 +536,25 @@ class Rest(NamedTuple):
 
 
 class _Motion(enum.Enum):
-    """Motion of a motor while zero is commanded."""
+    """Motion of a motor while zero is commanded.
+
+    Attributes
+    ----------
+    REST
+        It stands still, or turns more slowly than the idle speed.
+    COASTS
+        It turns, and a measurement shows that it is not driven.
+    SLOWS
+        Its speed falls, and no measurement shows whether it is driven.
+    DRIVEN
+        A measurement shows that it is driven.
+    UNKNOWN
+        Neither its duty nor its shaft speed is reported.
+    """
 
     REST = enum.auto()
-    COASTS = enum.auto()  # it turns, and a measurement shows that it is not driven
-    SLOWS = enum.auto()  # its speed falls, and no measurement shows whether it is driven
+    COASTS = enum.auto()
+    SLOWS = enum.auto()
     DRIVEN = enum.auto()
     UNKNOWN = enum.auto()
 
@@ -628,7 +680,7 @@ class ControllerCheck:
     def _blocked_motor(self, esc: Esc, t: float) -> str:
         """Return the reason of a stop if the motor has not turned for 3 s at a command of 0.3 or more; else empty.
 
-        A motor that draws current, or that reports neither shaft speed nor duty, gives no reason.
+        A motor that draws more than 0.5 A, or that reports neither shaft speed nor duty, gives no reason.
         """
         begin = t - self._coast_s
         recent = self._commands.since(begin)

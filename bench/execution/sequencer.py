@@ -440,7 +440,7 @@ class ScheduledSegment(NamedTuple):
     Attributes
     ----------
     begin, end : float
-        Run times of its begin and end [s].
+        Run times of its beginning and end [s].
     segment : int
         Index of the segment in the mission.
     name : str
@@ -476,7 +476,7 @@ class Schedule:
         ]
 
     def restart(self, segment: int, start: float) -> None:
-        """Restart the mission at the begin of the segment with index `segment`, at run time `start` [s].
+        """Restart the mission at the beginning of the segment with index `segment`, at run time `start` [s].
 
         Zero thrust must have been commanded before, because the slew limit starts from zero.
         """
