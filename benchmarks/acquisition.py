@@ -110,6 +110,7 @@ def record(folder: Path, n_devices: int, rate: float, seconds: float, busy: bool
     ended = threading.Event()
 
     def compute() -> None:
+        """Compute in pure Python until the recording has ended."""
         while not ended.is_set():
             sum(k * k for k in range(1000))
 

@@ -84,6 +84,7 @@ def _decode_call(make: Callable[[], Decoder], data: bytes) -> Call:
     """
 
     def call() -> None:
+        """Decode all bytes once."""
         decoder, n_found = make(), 0
         for at in range(0, len(data), READ_BYTES):
             n_found += len(decoder.feed(data[at : at + READ_BYTES], T))

@@ -126,6 +126,7 @@ def casadi_gradient(model: Model, record: Record) -> Callable[[Array], tuple[flo
     both = ca.Function("both", [p], [total, ca.gradient(total, p)])
 
     def evaluate(values: Array) -> tuple[float, Array]:
+        """Return ln L and its gradient (n_parameters,) at the parameter values (n_parameters,)."""
         value, gradient = both(values)
         return float(value), np.array(gradient).ravel()
 

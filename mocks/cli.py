@@ -53,6 +53,7 @@ def _shared_options(effects: Sequence[str]) -> Callable[[Command], Command]:
     choice = click.Choice(["none", "draw", *effects])
 
     def decorate(command: Command) -> Command:
+        """Add the argument and the options to ``command``, in the order in which the help shows them."""
         for option in reversed(
             (
                 click.argument("rig", type=click.Path(exists=True, dir_okay=False, path_type=Path)),
@@ -236,9 +237,11 @@ def _signal_handlers(server: Server) -> Iterator[None]:
     """
 
     def stop(number: int, frame: object) -> None:
+        """Let the server end."""
         server.stopping = True
 
     def trigger(number: int, frame: object) -> None:
+        """Let the server start the faults with the time `usr1`."""
         server.triggered = True
 
     handlers = {signal.SIGINT: stop, signal.SIGTERM: stop, signal.SIGUSR1: trigger}

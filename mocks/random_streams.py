@@ -40,6 +40,7 @@ def normals(rng: np.random.Generator) -> Draw:
 
     # Numbers are drawn in blocks, since single draws are slow.
     def blocks() -> Iterator[float]:
+        """Yield standard normal numbers without end."""
         while True:
             yield from rng.standard_normal(1024).tolist()
 

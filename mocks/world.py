@@ -288,6 +288,7 @@ class World:
         sign = -1.0 if controller.spec.reversed else 1.0
 
         def read() -> Sample | None:
+            """Return the next telemetry sample, or None if the controller is dead."""
             if controller.dead:
                 return None
             n, force = sign * plant.shafts[thruster].n, sign * plant.thrust(thruster)
@@ -392,6 +393,7 @@ def bench_world(bench: Bench, run: int, gear: DeviceSpecs, *, utc: float = 0.0, 
     world = World(plant)
 
     def at_rest() -> RigidBodyState:
+        """Return the motion of a body at rest at the present time."""
         return RigidBodyState(world.t, *[0.0] * (len(RigidBodyState._fields) - 1))
 
     for index, (name, rate) in enumerate(gear.ahrs.items()):
@@ -416,6 +418,7 @@ def _gnss_reader(sensor: GnssSensor, motion: Callable[[], RigidBodyState], utc: 
     """
 
     def read() -> Sample:
+        """Return the next GNSS sample."""
         m = motion()
         return sensor.read(m, utc + m.t)
 

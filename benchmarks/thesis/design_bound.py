@@ -77,6 +77,7 @@ def upper_bound(made: Design, *, rounds: int = 2, evaluations: int = 14_000, see
     warm, found, rng = as_point(finer.steps, made.command, task.grid)[None], [], np.random.default_rng([seed, 23])
 
     def information(z: Array) -> Array:
+        """Return the information (n, q, q) of the inputs at points z (n, size) of the search space."""
         return finer.experiments(finer.actuation.inputs(finer.commands(z))).information + finer.prior
 
     for k in range(rounds):

@@ -75,6 +75,7 @@ def bench_part(both: Both) -> Part:
     late &= record.t < 50
 
     def charts(rows: NDArray[np.bool_], outputs: Sequence[tuple[int, str]]) -> list[Chart]:
+        """Return a panel for each of ``outputs`` (column and title), with the selected ``rows``."""
         return [
             Chart(
                 title,

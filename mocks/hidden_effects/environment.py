@@ -24,6 +24,7 @@ def _wind(rng: np.random.Generator, scale: float) -> HiddenEffect:
     w_n, w_e = speed * math.cos(toward), speed * math.sin(toward)
 
     def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
+        """Return the force X, Y [N] and moment N [N m] of the effect. `Force` in the plant gives the arguments."""
         rel_n, rel_e = w_n - v_n, w_e - v_e
         forward, starboard = c * rel_n + s * rel_e, c * rel_e - s * rel_n
         speed = math.hypot(forward, starboard)
@@ -48,6 +49,7 @@ def _current_drift(rng: np.random.Generator, scale: float) -> HiddenEffect:
     north, east = change * math.cos(toward), change * math.sin(toward)
 
     def current(t: float) -> tuple[float, float]:
+        """Return the change of the current [m/s], north and east, at ``t`` [s] after the start."""
         part = 0.5 * math.tanh((t - 200.0) / 180.0)
         return part * north, part * east
 
@@ -68,6 +70,7 @@ def _tether(rng: np.random.Generator, scale: float) -> HiddenEffect:
     slack = 8.0  # m
 
     def tether(x: float, y: float, v_n: float, v_e: float) -> tuple[float, float]:
+        """Return the force of the line [N], north and east, at a position [m] and velocity over ground [m/s]."""
         away = math.hypot(x, y)
         paid_out = away * away / (away + slack)
         pull = k * paid_out * math.hypot(v_n, v_e)
@@ -111,6 +114,7 @@ def _heading_moment(rng: np.random.Generator, scale: float) -> HiddenEffect:
     n, at = scale * effect_size(rng, 0.5), 2.0 * math.pi * rng.uniform()  # N m
 
     def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
+        """Return the force X, Y [N] and moment N [N m] of the effect. `Force` in the plant gives the arguments."""
         along, across = c * math.cos(at) + s * math.sin(at), s * math.cos(at) - c * math.sin(at)
         return 0.0, 0.0, n * 2.0 * along * across / (1.0 + 0.3 * along)
 

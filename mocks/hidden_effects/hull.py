@@ -24,6 +24,7 @@ def _sway_yaw(rng: np.random.Generator, scale: float) -> HiddenEffect:
     n_v = math.copysign(scale * effect_size(rng, 3.0), y_r)  # N s
 
     def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
+        """Return the force X, Y [N] and moment N [N m] of the effect. `Force` in the plant gives the arguments."""
         gain = 0.4 + 0.8 * abs(u)
         return 0.0, -y_r * gain * r, -n_v * gain * v
 
@@ -39,6 +40,7 @@ def _turning_resistance(rng: np.random.Generator, scale: float) -> HiddenEffect:
     k = scale * effect_size(rng, 7.5)  # N at 1 rad/s
 
     def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
+        """Return the force X, Y [N] and moment N [N m] of the effect. `Force` in the plant gives the arguments."""
         return -k * abs(r) ** 1.7, 0.0, 0.0
 
     return HiddenEffect("turning-resistance", "turning costs forward speed", {"k": k}, force=force)
@@ -52,6 +54,7 @@ def _cubic_drag(rng: np.random.Generator, scale: float) -> HiddenEffect:
     k = scale * effect_size(rng, 11.0)  # N at 1 m/s
 
     def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
+        """Return the force X, Y [N] and moment N [N m] of the effect. `Force` in the plant gives the arguments."""
         return -k * u * abs(u) ** 2.2, 0.0, 0.0
 
     return HiddenEffect(
@@ -67,6 +70,7 @@ def _yaw_bias(rng: np.random.Generator, scale: float) -> HiddenEffect:
     n_0 = scale * effect_size(rng, 0.28, signed=True)  # N m
 
     def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
+        """Return the force X, Y [N] and moment N [N m] of the effect. `Force` in the plant gives the arguments."""
         return 0.0, 0.0, n_0 * (0.8 + 0.3 * abs(u))
 
     side = "starboard" if n_0 > 0.0 else "port"
@@ -116,6 +120,7 @@ def _cross_flow(rng: np.random.Generator, scale: float) -> HiddenEffect:
     n_vr = scale * effect_size(rng, 10.0)  # kg m
 
     def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
+        """Return the force X, Y [N] and moment N [N m] of the effect. `Force` in the plant gives the arguments."""
         return 0.0, -d_vr * abs(r) ** 1.15 * v, -n_vr * math.hypot(v, 0.05) * r
 
     sentence = "in turns the cross-flow along the hull damps sway and yaw more than either alone would"
@@ -134,6 +139,7 @@ def _lift(rng: np.random.Generator, scale: float) -> HiddenEffect:
     y_uv, n_ur = scale * effect_size(rng, 30.0), scale * effect_size(rng, 9.0)  # kg/m, kg m
 
     def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
+        """Return the force X, Y [N] and moment N [N m] of the effect. `Force` in the plant gives the arguments."""
         gain = u * u / math.hypot(u, 0.15)
         return 0.0, -y_uv * gain * v, -n_ur * gain * r
 
@@ -150,6 +156,7 @@ def _hump(rng: np.random.Generator, scale: float) -> HiddenEffect:
     height, speed, width = scale * effect_size(rng, 7.0), effect_size(rng, 0.80), 0.17  # N, m/s, m/s
 
     def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
+        """Return the force X, Y [N] and moment N [N m] of the effect. `Force` in the plant gives the arguments."""
         return -height / math.cosh((abs(u) - speed) / width) ** 2 * math.tanh(u / 0.2), 0.0, 0.0
 
     sentence = f"at {speed:.2f} m/s the boat sits in the trough of its own wave, and drag has a hump there"
@@ -165,6 +172,7 @@ def _coulomb(rng: np.random.Generator, scale: float) -> HiddenEffect:
     friction = scale * effect_size(rng, 4.0)  # N
 
     def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
+        """Return the force X, Y [N] and moment N [N m] of the effect. `Force` in the plant gives the arguments."""
         return -friction * u / math.hypot(u, 0.06), 0.0, 0.0
 
     return HiddenEffect(

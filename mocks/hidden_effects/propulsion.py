@@ -24,6 +24,7 @@ def _advance_ratio(rng: np.random.Generator, scale: float) -> HiddenEffect:
     def thrust(
         n_l: float, n_r: float, a_l: float, a_r: float, f_l: float, f_r: float, energy: float
     ) -> tuple[float, float]:
+        """Return the changed thrust [N], left and right. `Thrust` in the plant gives the arguments."""
         loss_l = k * abs(n_l) * a_l / (1.0 + 0.35 * abs(a_l))
         loss_r = k * abs(n_r) * a_r / (1.0 + 0.35 * abs(a_r))
         return f_l - loss_l, f_r - loss_r
@@ -42,11 +43,13 @@ def _reverse_thrust(rng: np.random.Generator, scale: float) -> HiddenEffect:
     loss = scale * effect_size(rng, 0.40)  # at n = -0.5 the loss is 0.29 of the thrust
 
     def factor(n: float) -> float:
+        """Return the factor on the thrust at the shaft speed ``n``; 1 if ``n`` is not negative."""
         return 1.0 if n >= 0.0 else 1.0 - loss * (1.0 - math.exp(2.5 * n))
 
     def thrust(
         n_l: float, n_r: float, a_l: float, a_r: float, f_l: float, f_r: float, energy: float
     ) -> tuple[float, float]:
+        """Return the changed thrust [N], left and right. `Thrust` in the plant gives the arguments."""
         return f_l * factor(n_l), f_r * factor(n_r)
 
     sentence = "in reverse the jets strike the hull and part of the thrust is lost; the bench does not show it"
@@ -64,6 +67,7 @@ def _mismatch(rng: np.random.Generator, scale: float) -> HiddenEffect:
     def thrust(
         n_l: float, n_r: float, a_l: float, a_r: float, f_l: float, f_r: float, energy: float
     ) -> tuple[float, float]:
+        """Return the changed thrust [N], left and right. `Thrust` in the plant gives the arguments."""
         return f_l * (1.0 + eps * (0.8 + 0.3 * abs(n_l))), f_r * (1.0 - eps * (0.8 + 0.3 * abs(n_r)))
 
     stronger = "left" if eps > 0.0 else "right"
@@ -81,6 +85,7 @@ def _thruster_interaction(rng: np.random.Generator, scale: float) -> HiddenEffec
     def thrust(
         n_l: float, n_r: float, a_l: float, a_r: float, f_l: float, f_r: float, energy: float
     ) -> tuple[float, float]:
+        """Return the changed thrust [N], left and right. `Thrust` in the plant gives the arguments."""
         return f_l * (1.0 - kappa * abs(n_r) ** 1.3), f_r * (1.0 - kappa * abs(n_l) ** 1.3)
 
     sentence = "each thruster draws from the water that the other has set in motion"
@@ -98,6 +103,7 @@ def _battery_sag(rng: np.random.Generator, scale: float) -> HiddenEffect:
     def thrust(
         n_l: float, n_r: float, a_l: float, a_r: float, f_l: float, f_r: float, energy: float
     ) -> tuple[float, float]:
+        """Return the changed thrust [N], left and right. `Thrust` in the plant gives the arguments."""
         gain = 1.0 - beta * (1.0 - math.exp(-1.6 * energy))
         return gain * f_l, gain * f_r
 
@@ -124,6 +130,7 @@ def _dead_band(rng: np.random.Generator, scale: float) -> HiddenEffect:
     def thrust(
         n_l: float, n_r: float, a_l: float, a_r: float, f_l: float, f_r: float, energy: float
     ) -> tuple[float, float]:
+        """Return the changed thrust [N], left and right. `Thrust` in the plant gives the arguments."""
         return f_l * remaining_share(n_l), f_r * remaining_share(n_r)
 
     sentence = "slow propellers slip through the water and make hardly any thrust"
