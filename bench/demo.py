@@ -109,7 +109,7 @@ def fresh_folder(out: Path | None, seed: int) -> Path:
 
 
 def write_demo_rig(name: str, folder: Path, speed: float) -> None:
-    """Copy a rig file of the mocks into the folder of the demo, and set its clock speed.
+    """Copy a rig file of the mocks to NAME-rig.toml in the folder of the demo, and set its clock speed.
 
     Parameters
     ----------

@@ -589,7 +589,7 @@ class ControllerCheck:
         idle = IDLE_PART * thruster.rpm_max if math.isfinite(thruster.rpm_max) else IDLE_RPM_MAX
         self.idle_rpm = min(max(idle, IDLE_RPM_MIN), IDLE_RPM_MAX)
 
-    def _latest(self, status: Status) -> tuple[Esc, float] | None:
+    def _newest_sample(self, status: Status) -> tuple[Esc, float] | None:
         """Return the newest sample of the controller with its run time [s]; None before the first one."""
         latest = status.latest.get((self._thruster.device, self._thruster.node))
         return None if latest is None or not isinstance(latest.sample, Esc) else (latest.sample, latest.t)
@@ -614,7 +614,7 @@ class ControllerCheck:
         """Store the command and the newest sample. Return this sample and its run time [s]; None before the first."""
         n = status.commanded.get(self._thruster.name, 0.0)
         self._commands.add(status.t, n)
-        if (latest := self._latest(status)) is None:
+        if (latest := self._newest_sample(status)) is None:
             return None
         esc, t = latest
         if t > self._newest_t:

@@ -30,8 +30,8 @@ def _thrust_band(rng: np.random.Generator, scale: float) -> HiddenEffect:
         n_l: float, n_r: float, a_l: float, a_r: float, f_l: float, f_r: float, energy: float
     ) -> tuple[float, float]:
         """Return the changed thrust [N], left and right. `Thrust` in the plant gives the arguments."""
-        part = lost((n_l + n_r) / 2.0)
-        return f_l * (1.0 - part), f_r * (1.0 - part)
+        share = lost((n_l + n_r) / 2.0)
+        return f_l * (1.0 - share), f_r * (1.0 - share)
 
     def curve(n: float) -> float:
         """Return the change of the surge force [N] of a boat at rest, at the mean shaft speed ``n``."""
