@@ -58,8 +58,12 @@ def mission() -> None:
     """Generate, show and run missions."""
 
 
-def _bench_command(kind: str, text: str) -> None:
-    """Add the command `seatrial bench KIND`. All kinds have the same options; `steps` also has `--hold`."""
+def _add_bench_command(kind: str, text: str) -> None:
+    """Define the command `seatrial bench KIND` and add it to the group `bench`.
+
+    ``kind`` is a key of `mission_generators.BENCH_KINDS`, and ``text`` is the help of the command. All kinds have the
+    same options; `steps` also has `--hold`.
+    """
 
     @bench.command(kind, help=text, epilog=f"Example: seatrial bench {kind} bench-rig.toml -o {kind}.mcap")
     @click.argument("rig_path", metavar="RIG", type=EXISTING)
@@ -79,20 +83,26 @@ def _bench_command(kind: str, text: str) -> None:
     ) -> None:
         rig = load_rig(rig_path)
         largest = min(N_MAX_BENCH, rig.limits.n_max) if n_max is None else n_max
-        _run(mission_generators.bench_plan(kind, _one_thruster(rig, thruster), largest, hold), rig, out, arm, retry)
+        _run_plan(
+            mission_generators.bench_plan(kind, _bench_thruster(rig, thruster), largest, hold), rig, out, arm, retry
+        )
 
     if kind == "steps":
         _HOLD(command)
 
 
-_bench_command("static", "Ten seconds at rest: the load cell's zero and the sensors' noise.")
-_bench_command("steps", "Progressively increasing steps, up and down, forward and reverse.")
-_bench_command("chirp", "A chirp forward and a chirp in reverse.")
-_bench_command("all", "Rest, steps, chirps of each sign, rest: about two minutes.")
+_add_bench_command("static", "Ten seconds at rest: the load cell's zero and the sensors' noise.")
+_add_bench_command("steps", "Progressively increasing steps, up and down, forward and reverse.")
+_add_bench_command("chirp", "A chirp forward and a chirp in reverse.")
+_add_bench_command("all", "Rest, steps, chirps of each sign, rest: about two minutes.")
 
 
-def _one_thruster(rig: Rig, name: str | None) -> str:
-    """Return the name of the thruster of a bench run. Without `name` the rig must have exactly one thruster."""
+def _bench_thruster(rig: Rig, name: str | None) -> str:
+    """Return the name of the thruster of a bench run.
+
+    ``name`` is the value of `--thruster`. If it is None, the rig must have exactly one thruster. Otherwise, or if the
+    rig lacks the thruster, SeatrialError is raised.
+    """
     if name is not None:
         return rig.thruster(name).name
     if len(rig.thrusters) != 1:
@@ -101,8 +111,26 @@ def _one_thruster(rig: Rig, name: str | None) -> str:
     return rig.thrusters[0].name
 
 
-def _run(plan: Mission, rig: Rig, out: Path | None, arm: bool, retry: int, commands: Ros2Node | None = None) -> None:
-    """Run a plan, and print the path of its log and the next command."""
+def _run_plan(
+    plan: Mission, rig: Rig, out: Path | None, arm: bool, retry: int, commands: Ros2Node | None = None
+) -> None:
+    """Run a plan. Print its duration, the path of its log, the next command, and autopilots that are still armed.
+
+    Parameters
+    ----------
+    plan : Mission
+        The plan.
+    rig : Rig
+        The rig that is driven.
+    out : Path or None
+        The new log; None for a name by date in the rig's log directory.
+    arm : bool
+        Whether to arm autopilots before the run and to disarm them after it.
+    retry : int
+        Number of invalid steps, in all, that are repeated.
+    commands : Ros2Node, optional
+        Source of external commands, which replace the set-points of the plan.
+    """
     # Imported here, so that --help starts quickly.
     from seatrial.bench.execution import make_display, run_mission
 
@@ -144,7 +172,10 @@ def next_command(plan: Mission, rig: Rig, log: Path) -> str:
 
 
 def warn_of_armed(names: Sequence[str]) -> None:
-    """Print a warning that these autopilots are still armed. It is the last line of a command."""
+    """Print a warning that the autopilots with these names are still armed. It is the last line of a command.
+
+    Nothing is printed without names.
+    """
     if names:
         click.secho(f"{', '.join(names)} IS STILL ARMED: disarm it yourself", fg="red", bold=True, err=True)
 
@@ -161,7 +192,7 @@ def run(mission_path: Path, rig_path: Path, out: Path | None, arm: bool, retry: 
     Keys: space pauses at zero thrust, and resumes; r repeats the step; m marks the log; Ctrl-C ends the run at zero
     thrust. Exit status 3: a safety limit ended the run.
     """
-    _run(load_mission(mission_path), load_rig(rig_path), out, arm, retry)
+    _run_plan(load_mission(mission_path), load_rig(rig_path), out, arm, retry)
 
 
 @mission.command(epilog="Example: seatrial mission follow rig.toml --seconds 300 -o run.mcap")
@@ -188,7 +219,7 @@ def follow(rig_path: Path, seconds: float, n_max: float | None, slew: float, out
         click.echo(node.await_router(ROUTER_S))
         names = ", ".join(plan.thrusters)
         click.echo(f"any node that reaches this router can command {names} up to n = {plan.n_max:g}")
-        _run(plan, rig, out, arm, 0, node)
+        _run_plan(plan, rig, out, arm, 0, node)
         click.echo(node.summary())
 
 
@@ -202,8 +233,12 @@ def show(mission_path: Path) -> None:
     click.echo(describe_mission(load_mission(mission_path)))
 
 
-def _left_and_right(_context: click.Context, _parameter: click.Parameter, text: str) -> tuple[str, str]:
-    """Split the value of `--thrusters` into the names of the left and the right thruster."""
+def _parse_thruster_names(_context: click.Context, _parameter: click.Parameter, text: str) -> tuple[str, str]:
+    """Split ``text``, the value of `--thrusters`, at its comma into the names of the left and the right thruster.
+
+    It is a callback of click, which passes the context and the parameter too. Raises click.BadParameter if there are
+    not exactly two names.
+    """
     names = [name.strip() for name in text.split(",")]
     if len(names) != 2 or not all(names):
         raise click.BadParameter(f"two names with a comma between them, such as left,right, not '{text}'")
@@ -224,7 +259,7 @@ def _left_and_right(_context: click.Context, _parameter: click.Parameter, text: 
     metavar="LEFT,RIGHT",
     default="left,right",
     show_default=True,
-    callback=_left_and_right,
+    callback=_parse_thruster_names,
     help="Names in the rig of the left and the right thruster.",
 )
 @click.option("-o", "--out", type=FILE, required=True, help="The mission file to write; it must not exist.")

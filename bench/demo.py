@@ -35,11 +35,11 @@ from seatrial.daq.options import FiniteRange
 ESTIMATION_S, VALIDATION_S = 400.0, 250.0  # run seconds of the two missions
 LATE_MS = 45.0  # wall ms by which a mock may send its samples late; a run with a longer delay is repeated
 SLOWEST = 8.0  # run seconds per wall second; at this speed or a slower one no run is repeated
-SKIPPED = 100  # set-points that a run may skip; a machine that skips more also stamps samples late
+SKIPPED_MAX = 100  # set-points that a run may skip; a machine that skips more also stamps samples late
 READY_WITHIN_S = 30.0  # wall seconds for a mock to open its ports; it may have to be compiled first
 TERMINATION_S = 10.0  # wall seconds between SIGTERM and SIGKILL
 LATE = re.compile(r"(?:at most|up to) ([0-9.]+) ms")
-OVERTAKEN = re.compile(r"([0-9]+) set-points? (?:was|were) skipped")  # the words of `describe_losses`
+SKIPPED_SETPOINTS = re.compile(r"([0-9]+) set-points? (?:was|were) skipped")  # the words of `describe_losses`
 ANSWER, TRUTH = "diagnosis/result.json", "truth.json"
 EPILOG = "Example: seatrial demo --seed 3 --out /tmp/demo"
 
@@ -109,7 +109,7 @@ def fresh_folder(out: Path | None, seed: int) -> Path:
 
 
 def write_demo_rig(name: str, folder: Path, speed: float) -> None:
-    """Copy a rig file of the mocks into the folder of the demo, and set its clock speed.
+    """Copy a rig file of the mocks to NAME-rig.toml in the folder of the demo, and set its clock speed.
 
     Parameters
     ----------
@@ -133,24 +133,41 @@ def write_demo_rig(name: str, folder: Path, speed: float) -> None:
 
 
 def run_steps(steps: DemoSteps, seed: int) -> list[str]:
-    """Run all steps of the demo, and return the commands that are missing in this installation."""
+    """Run all steps of the demo, and return the commands that are missing in this installation.
+
+    Each missing command is a text such as "`seatrial ident thruster`". The list is empty if all steps were run.
+    ``seed`` is the seed of boat, bench and missions. Raises StepFailed if a command fails that is installed.
+    """
     missing: list[str] = []
     mock = ("mock", "bench", "bench-rig.toml", "--seed", str(seed))
-    _record(steps, "bench", mock, "bench run", "bench", "all", "bench-rig.toml", "-o", "bench.mcap")
-    _explain(steps, missing, "thruster model", "ident", "thruster", "bench.mcap", "--out", "thruster")
-    _mission(steps, seed, 1, ESTIMATION_S, "estimation")
-    _mission(steps, seed, 2, VALIDATION_S, "validation")
+    _record_with_mock(steps, "bench", mock, "bench run", "bench", "all", "bench-rig.toml", "-o", "bench.mcap")
+    _run_ident(steps, missing, "thruster model", "ident", "thruster", "bench.mcap", "--out", "thruster")
+    _run_mission(steps, seed, 1, ESTIMATION_S, "estimation")
+    _run_mission(steps, seed, 2, VALIDATION_S, "validation")
     data = ("estimation.mcap", "--validate", "validation.mcap")
     model = ("--thruster", "thruster/model.toml")
-    _explain(steps, missing, "vehicle model", "ident", "vehicle", data[0], *model, *data[1:], "--out", "vehicle")
-    _explain(steps, missing, "diagnosis", "ident", "diagnose", "vehicle/model.toml", *data, "--out", "diagnosis")
+    _run_ident(steps, missing, "vehicle model", "ident", "vehicle", data[0], *model, *data[1:], "--out", "vehicle")
+    _run_ident(steps, missing, "diagnosis", "ident", "diagnose", "vehicle/model.toml", *data, "--out", "diagnosis")
     return missing
 
 
-def _mission(steps: DemoSteps, seed: int, run: int, seconds: float, name: str) -> None:
-    """Generate one mission and run it on a newly started mock boat.
+def _run_mission(steps: DemoSteps, seed: int, run: int, seconds: float, name: str) -> None:
+    """Generate the mission NAME.toml and run it on a newly started mock boat, into the log NAME.mcap.
 
     Boat and hidden effect are the same in all runs; the noise differs.
+
+    Parameters
+    ----------
+    steps : DemoSteps
+        Runner of the commands.
+    seed : int
+        Seed of the demo.
+    run : int
+        Number of the run, from 1. It selects the mission and the noise.
+    seconds : float
+        Duration of the mission [run s].
+    name : str
+        NAME of the mission and of its log.
     """
     plan, mission_seed = f"{name}.toml", str(100 * seed + run)
     steps.run(
@@ -159,16 +176,37 @@ def _mission(steps: DemoSteps, seed: int, run: int, seconds: float, name: str) -
     )
     boat = ("mock", "boat", "boat-rig.toml", "--seed", str(seed), "--effect", "draw", "--truth-file", TRUTH)
     mock = (*boat, "--run", str(run))
-    _record(steps, "boat", mock, f"{name} run", "mission", "run", plan, "boat-rig.toml", "-o", f"{name}.mcap")
+    _record_with_mock(steps, "boat", mock, f"{name} run", "mission", "run", plan, "boat-rig.toml", "-o", f"{name}.mcap")
 
 
-def _record(steps: DemoSteps, rig: str, mock: tuple[str, ...], name: str, *words: str) -> None:
+def _record_with_mock(steps: DemoSteps, rig: str, mock: tuple[str, ...], name: str, *words: str) -> None:
     """Record a log from a mock. If this machine is too slow, repeat the run at half the speed.
 
+    Parameters
+    ----------
+    steps : DemoSteps
+        Runner of the commands.
+    rig : str
+        Rig of the mocks: "bench" or "boat".
+    mock : tuple of str
+        Arguments of `seatrial` that start the mock.
+    name : str
+        Name of the step, for the printed time.
+    words : str
+        Arguments of `seatrial` that record the log. The last one is the name of the log.
+
+    Raises
+    ------
+    StepFailed
+        If the last attempt fails.
+
+    Notes
+    -----
     At 20 times real time a pause of 50 ms lasts one second of the boat's time. Shaft speeds have no device clock, so
-    their stamps are late by the pause. A log with such a pause is kept under another name and not used.
+    their stamps are late by the pause. A log with such a pause is kept under another name (NAME-late.mcap) and not
+    used. The rig file has its original speed again at the end.
     """
-    usual = speed = _speed(steps.folder / f"{rig}-rig.toml")
+    usual = speed = _clock_speed(steps.folder / f"{rig}-rig.toml")
     for attempt in count(1):
         failed: StepFailed | None = None
         try:
@@ -177,7 +215,7 @@ def _record(steps: DemoSteps, rig: str, mock: tuple[str, ...], name: str, *words
         except StepFailed as problem:  # after a pause of a second the guard takes a device for silent and ends the run
             failed = problem
         log = steps.folder / words[-1]
-        if (steps.late_ms <= LATE_MS and n_skipped(log) <= SKIPPED) or speed <= SLOWEST:
+        if (steps.late_ms <= LATE_MS and n_skipped(log) <= SKIPPED_MAX) or speed <= SLOWEST:
             break
         click.echo(f"  this machine was too busy for {speed:g} times real time; once more at {speed / 2:g} times")
         if log.exists():
@@ -190,23 +228,45 @@ def _record(steps: DemoSteps, rig: str, mock: tuple[str, ...], name: str, *words
 
 
 def n_skipped(path: Path) -> int:
-    """Return the number of set-points that a run skipped, from the events of its log; 0 if the log is unreadable."""
+    """Return the number of set-points that a run skipped, from the events of its log ``path``.
+
+    If the log does not exist or cannot be read, return 0.
+    """
     try:
         with open_log(path) as log:
-            matches = [OVERTAKEN.search(text) for _, kind, text in log.events() if kind == "invalid"]
+            matches = [SKIPPED_SETPOINTS.search(text) for _, kind, text in log.events() if kind == "invalid"]
     except SeatrialError:
         return 0
     return sum(int(found[1]) for found in matches if found)
 
 
-def _speed(rig: Path) -> float:
+def _clock_speed(rig: Path) -> float:
     """Return the clock speed in a rig file; 1 if the file has none."""
     found = re.search(r"(?m)^speed\s*=\s*([0-9.]+)", rig.read_text(encoding="utf-8"))
     return float(found[1]) if found else 1.0
 
 
-def _explain(steps: DemoSteps, missing: list[str], name: str, *words: str) -> None:
-    """Run one step of ident. If its command is not installed, leave out this step and all later ones."""
+def _run_ident(steps: DemoSteps, missing: list[str], name: str, *words: str) -> None:
+    """Run one command of `seatrial ident`. If it is not installed, append it to ``missing``.
+
+    If ``missing`` is not empty, the command is left out and appended too, because it needs the result of a step before.
+
+    Parameters
+    ----------
+    steps : DemoSteps
+        Runner of the commands.
+    missing : list of str
+        Commands that were left out so far. It is changed in place.
+    name : str
+        Name of the step, for the printed time.
+    words : str
+        Arguments of `seatrial`.
+
+    Raises
+    ------
+    StepFailed
+        If the command is installed and fails.
+    """
     if not missing:
         try:
             steps.run(name, *words)
@@ -241,25 +301,30 @@ def print_outcome(folder: Path) -> None:
     named = found_effects(result)
     match = "match" if effect in named or (effect == "none" and not named) else "do not match"
     click.echo(f"diagnosis: {', '.join(named) or 'none'}; that and the hidden effect {match}")
-    click.echo(f"ground truth: the plant's hidden effect was {effect}{_detail(truth)}")
+    click.echo(f"ground truth: the plant's hidden effect was {effect}{_effect_details(truth)}")
 
 
-def _detail(truth: dict[str, Any]) -> str:
-    """Return the description and the parameters of the hidden effect in brackets; empty without both."""
+def _effect_details(truth: dict[str, Any]) -> str:
+    """Return the description and the parameters of the hidden effect in brackets; empty if the truth has neither."""
     parameters = truth.get("parameters", {}).items()
     numbers = [f"{key} = {value:.4g}" if isinstance(value, float) else f"{key} = {value}" for key, value in parameters]
-    parts = [part for part in (truth.get("sentence", ""), ", ".join(numbers)) if part]
-    return f" ({'; '.join(parts)})" if parts else ""
+    texts = [text for text in (truth.get("sentence", ""), ", ".join(numbers)) if text]
+    return f" ({'; '.join(texts)})" if texts else ""
 
 
 def found_effects(result: dict[str, Any]) -> list[str]:
-    """Return the names of the effects that the diagnosis has added, in their order."""
+    """Return the names of the effects that a diagnosis has added to the model, in their order.
+
+    ``result`` is the content of its result.json; effects may be objects with a name, or names.
+    """
     effects = result.get("effects", [])
     return [str(effect["name"] if isinstance(effect, dict) else effect) for effect in effects]
 
 
 def error_lines(result: dict[str, Any]) -> list[str]:
     """Return a line for each channel with its RMS prediction error on validation data before and after the diagnosis.
+
+    ``result`` is the content of the result.json of the diagnosis.
 
     Raises
     ------
@@ -274,7 +339,11 @@ def error_lines(result: dict[str, Any]) -> list[str]:
 
 
 def _error_line(name: str, row: dict[str, Any], horizon: float) -> str:
-    """Return the line of one channel. Angles are printed in degrees."""
+    """Return the line of the channel ``name``: its errors before and after the diagnosis, over ``horizon`` [s].
+
+    ``row`` has the keys "unit", "before" and "after". Angles are printed in degrees. An error of None is printed as
+    "diverged".
+    """
     unit, scale = str(row["unit"]), 1.0
     if unit.startswith("rad"):
         unit, scale = unit.replace("rad", "deg", 1), math.degrees(1.0)
@@ -284,7 +353,7 @@ def _error_line(name: str, row: dict[str, Any], horizon: float) -> str:
 
 
 def _read_json(path: Path) -> dict[str, Any]:
-    """Return the JSON object in a file. Raises SeatrialError if there is none."""
+    """Return the JSON object in a file. Raises SeatrialError if the file cannot be read or is no JSON object."""
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -310,6 +379,7 @@ class DemoSteps:
     """
 
     def __init__(self, folder: Path) -> None:
+        """Prepare to run commands in ``folder``; nothing is started."""
         self.folder = folder
         self.seconds: list[tuple[str, float]] = []
         self.late_ms = 0.0
@@ -317,7 +387,7 @@ class DemoSteps:
         self._signalled = False
 
     def run(self, name: str, *words: str) -> None:
-        """Run one command to its end.
+        """Run one command to its end. Print the command before and its wall time after it.
 
         Parameters
         ----------
@@ -329,18 +399,18 @@ class DemoSteps:
         Raises
         ------
         StepFailed
-            If the command fails.
+            If the exit status of the command is not 0.
         DemoInterrupted
             If a signal arrives.
         """
         click.secho(f"$ seatrial {' '.join(words)}", bold=True)
         start = time.monotonic()
-        process = self._start(words, stdout=None)
+        process = self._start_command(words, stdout=None)
         try:
-            status = self._wait(process)
+            status = self._wait_for_end(process)
         finally:
-            self._end(process)
-        self._note(name, time.monotonic() - start)
+            self._end_process(process)
+        self._note_time(name, time.monotonic() - start)
         if status != 0:
             command = " ".join(words[:2])
             live = command.endswith("run") or command.startswith("bench")
@@ -348,7 +418,7 @@ class DemoSteps:
             raise StepFailed(f"demo: `seatrial {command}` failed with exit status {status} (see above){slower}")
 
     def has(self, *words: str) -> bool:
-        """Return whether this installation has the command. Its `--help` is tried."""
+        """Return whether this installation has the command `seatrial WORDS`. It is tried with `--help`."""
         command, quiet = module_command("seatrial", *words, "--help"), subprocess.DEVNULL
         done = subprocess.run(
             command, cwd=self.folder, env=module_environment(), stdout=quiet, stderr=quiet, check=False
@@ -359,17 +429,18 @@ class DemoSteps:
     def mock(self, *words: str) -> Iterator[None]:
         """Run a mock in the background while the context lasts. The context begins when the mock prints `ready`.
 
-        At the end `late_ms` is set to the delay that the mock reports.
+        ``words`` are the arguments of `seatrial`. At the end the mock is ended, and `late_ms` is set to the delay that
+        the mock reports, or to 0 if it reports none. Raises StepFailed if the mock ends or is not ready within 30 s.
         """
         click.secho(f"$ seatrial {' '.join(words)} &", bold=True)
         start = time.monotonic()
-        process = self._start(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        process = self._start_command(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
         try:
             self._await_ready(process, start + READY_WITHIN_S)
             click.echo(f"  devices ready after {time.monotonic() - start:.1f} s")
             yield
         finally:
-            self._end(process)
+            self._end_process(process)
             assert process.stderr is not None
             output = process.stderr.read().decode(errors="replace")
             process.stderr.close()
@@ -377,8 +448,13 @@ class DemoSteps:
             found = LATE.search(output)
             self.late_ms = float(found[1]) if found else 0.0
 
-    def _start(self, words: Sequence[str], stdout: int | None, stderr: int | None = None) -> subprocess.Popen[bytes]:
-        """Start a command in a new process session, and return the process."""
+    def _start_command(
+        self, words: Sequence[str], stdout: int | None, stderr: int | None = None
+    ) -> subprocess.Popen[bytes]:
+        """Start `seatrial WORDS` in a new process session, and return the process.
+
+        ``stdout`` and ``stderr`` are those of `subprocess.Popen`; None is the stream of this process.
+        """
         # Ctrl-C at the terminal then reaches only the demo. The demo ends the runner before the mock, so that the
         # runner can still command zero.
         sys.stdout.flush()
@@ -394,8 +470,8 @@ class DemoSteps:
         self._running.append(process)
         return process
 
-    def _wait(self, process: subprocess.Popen[bytes]) -> int:
-        """Wait for a process, and return its exit status. Raises DemoInterrupted on a signal."""
+    def _wait_for_end(self, process: subprocess.Popen[bytes]) -> int:
+        """Wait for the end of a process, and return its exit status. Raises DemoInterrupted on a signal."""
         while True:
             try:
                 return process.wait(timeout=0.1)
@@ -403,7 +479,11 @@ class DemoSteps:
                 self._check_signal()
 
     def _await_ready(self, process: subprocess.Popen[bytes], deadline: float) -> None:
-        """Wait until a mock prints `ready`. Raises StepFailed after `deadline` or if the mock ends."""
+        """Wait until a mock prints the line `ready`.
+
+        Raises StepFailed after the monotonic time ``deadline`` [s] or if the mock ends, and DemoInterrupted on a
+        signal.
+        """
         assert process.stdout is not None
         output = b""
         with selectors.DefaultSelector() as selector:
@@ -420,11 +500,15 @@ class DemoSteps:
                 output += data
 
     def _check_signal(self) -> None:
+        """Raise DemoInterrupted if a signal has arrived."""
         if self._signalled:
             raise DemoInterrupted("demo: interrupted; thrusters at zero, mock devices stopped")
 
-    def _end(self, process: subprocess.Popen[bytes]) -> None:
-        """End a process and its group by SIGTERM, then by SIGKILL."""
+    def _end_process(self, process: subprocess.Popen[bytes]) -> None:
+        """End a process and its group by SIGTERM, and by SIGKILL if it still runs after 10 s. Close its output.
+
+        A process that has ended already is only removed from the list of running ones.
+        """
         # SIGTERM and not SIGINT: it ends a Python process that is still importing without a traceback.
         for number in (signal.SIGTERM, signal.SIGKILL):
             if process.poll() is not None:
@@ -439,7 +523,8 @@ class DemoSteps:
         if process in self._running:
             self._running.remove(process)
 
-    def _note(self, name: str, seconds: float) -> None:
+    def _note_time(self, name: str, seconds: float) -> None:
+        """Store the wall time [s] of the step ``name``, and print it."""
         self.seconds.append((name, seconds))
         click.secho(f"  {name}: {seconds:.1f} s", dim=True)
 
@@ -448,6 +533,7 @@ class DemoSteps:
         """Handle SIGINT, SIGTERM and SIGHUP while the context lasts. At its end all running commands are ended."""
 
         def note_signal(number: int, frame: FrameType | None) -> None:
+            """Note that a signal has arrived. The wait for a command then raises DemoInterrupted."""
             self._signalled = True
 
         old = {number: signal.signal(number, note_signal) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
@@ -455,6 +541,6 @@ class DemoSteps:
             yield
         finally:
             for process in reversed(self._running[:]):
-                self._end(process)
+                self._end_process(process)
             for number, handler in old.items():
                 signal.signal(number, handler)

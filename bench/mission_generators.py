@@ -24,15 +24,24 @@ BENCH_KINDS = ("static", "steps", "chirp", "all")
 
 
 class SegmentBuilder:
-    """Builder of the segments of a plan. `t` is the time [s] at which the next segment starts."""
+    """Builder of the segments of a plan.
+
+    Attributes
+    ----------
+    t : float
+        Time [s] at which the next segment starts.
+    segments : list of Segment
+        Segments so far.
+    """
 
     def __init__(self, n_thrusters: int) -> None:
+        """Start at time 0 without segments. ``n_thrusters`` is the number of commands in each row."""
         self.t = 0.0
         self.segments: list[Segment] = []
         self._n_thrusters = n_thrusters
 
     def add(self, name: str, durations: list[float], rows: list[list[float]]) -> None:
-        """Append a segment.
+        """Append a segment of commands, each of which holds for a given time, and advance `t` to its end.
 
         Parameters
         ----------
@@ -50,28 +59,28 @@ class SegmentBuilder:
         self.t = float(edges[-1])
 
     def rest(self, name: str, seconds: float) -> None:
-        """Append a segment of `seconds` [s] at zero thrust."""
+        """Append a segment of ``seconds`` [s] with zero commands, under the given name."""
         self.add(name, [seconds], [[0.0] * self._n_thrusters])
 
     def wave(self, name: str, seconds: float, n: FloatArray) -> None:
-        """Append sampled commands `n` (n_samples, n_thrusters), evenly spread over `seconds` [s]."""
+        """Append a segment of sampled commands ``n`` (n_samples, n_thrusters), evenly spread over ``seconds`` [s]."""
         self.add(name, [seconds / len(n)] * len(n), n.tolist())
 
 
 def step_levels(n_max: float, count: int) -> list[float]:
-    """Return levels that rise to `n_max` and fall again, without zero.
+    """Return the levels of a staircase that rises to `n_max` and falls again, without zero.
 
     Parameters
     ----------
     n_max : float
-        Highest level, as a part of full command.
+        Highest level, as a fraction of full command.
     count : int
         Number of equal steps from zero to `n_max`.
 
     Returns
     -------
     list of float
-        The levels. The first step is divided into three parts, because the edge of the dead zone lies there.
+        ``2 count + 3`` levels. The first step is divided into three, because the edge of the dead zone lies there.
     """
     first = n_max / count
     up = [first / 3, 2 * first / 3, *(first * k for k in range(1, count + 1))]
@@ -98,14 +107,14 @@ def sweep_phase(seconds: float, f0: float, f1: float) -> tuple[FloatArray, Float
 
 
 def chirp_rows(sign: float, n_max: float, seconds: float, f0: float = 0.05, f1: float = 1.5) -> FloatArray:
-    """Return a frequency sweep of one sign.
+    """Return the commands of a frequency sweep (chirp) of one sign, `RAMP_DT` apart.
 
     Parameters
     ----------
     sign : float
         1 forward, -1 in reverse.
     n_max : float
-        Largest command.
+        Largest command, as a fraction of full command.
     seconds : float
         Length [s].
     f0, f1 : float
@@ -123,16 +132,17 @@ def chirp_rows(sign: float, n_max: float, seconds: float, f0: float = 0.05, f1: 
 def bench_plan(
     kind: str, thruster: str, n_max: float = 0.9, hold_s: float = HOLD_S, chirp_s: float = 20.0, count: int = 6
 ) -> Mission:
-    """Return the plan of a bench run with one thruster.
+    """Return the plan of a bench run with one thruster, which starts and ends with 10 s at rest.
 
     Parameters
     ----------
     kind : str
-        One of `BENCH_KINDS`. The plan `all` takes about two minutes.
+        "static" (only 10 s at rest), "steps" (staircases forward and in reverse), "chirp" (sweeps forward and in
+        reverse) or "all" (steps, then chirps: about two minutes).
     thruster : str
         Name of the thruster.
     n_max : float
-        Largest command.
+        Largest command, as a fraction of full command.
     hold_s : float
         Time [s] for which each step is held.
     chirp_s : float
@@ -180,7 +190,8 @@ def make_mission(
     Parameters
     ----------
     kind : str
-        One of `MISSION_KINDS`.
+        "steps" (surge steps, then random steps of both thrusters), "zigzag", "chirp", or "mixed" (four equal parts:
+        surge steps, zigzag, random steps, chirps).
     seconds : float
         Duration [s], zero thrust at the start and at the end included.
     seed : int
@@ -188,7 +199,7 @@ def make_mission(
     thrusters : tuple of str
         Names of the left and the right thruster, in the order of the columns.
     n_max : float
-        Largest command. Larger commands are clipped.
+        Largest command, as a fraction of full command. Larger commands are clipped.
 
     Raises
     ------
@@ -198,7 +209,7 @@ def make_mission(
     if kind not in MISSION_KINDS:
         raise ValueError(f"no mission kind {kind!r}")
     rng = np.random.default_rng(seed)
-    parts = {
+    generators = {
         "mixed": (_surge_steps, _zigzag, _random_steps, _chirps),
         "steps": (_surge_steps, _random_steps),
         "zigzag": (_zigzag,),
@@ -206,9 +217,9 @@ def make_mission(
     }[kind]
     builder = SegmentBuilder(2)
     builder.rest(STATIC, MISSION_STATIC_S)
-    share = (seconds - 2 * MISSION_STATIC_S) / len(parts)
-    for k, part in enumerate(parts, start=1):
-        part(builder, rng, MISSION_STATIC_S + share * k, n_max)
+    share = (seconds - 2 * MISSION_STATIC_S) / len(generators)
+    for k, generate in enumerate(generators, start=1):
+        generate(builder, rng, MISSION_STATIC_S + share * k, n_max)
     builder.rest(STATIC, MISSION_STATIC_S)
     return Mission(
         name=f"{kind}, seed {seed}",
@@ -225,18 +236,25 @@ def make_mission(
     )
 
 
-def _pair(common: float, difference: float, n_max: float) -> list[float]:
-    """Return the commands of the left and the right thruster, clipped to `n_max`."""
+def _left_right_commands(common: float, difference: float, n_max: float) -> list[float]:
+    """Return the commands of the left and the right thruster, both clipped to [-n_max, n_max].
+
+    The left one is ``common + difference``, and the right one is ``common - difference``.
+    """
     return [float(np.clip(common + side * difference, -n_max, n_max)) for side in (1.0, -1.0)]
 
 
-def _fit(durations: list[float], until: float) -> list[float]:
-    """Shorten the last duration, so that the sum of all durations is `until`."""
+def _cut_to_duration(durations: list[float], until: float) -> list[float]:
+    """Return the durations [s] with a changed last one, so that their sum is ``until`` [s]."""
     return [*durations[:-1], durations[-1] - (sum(durations) - until)]
 
 
 def _surge_steps(builder: SegmentBuilder, rng: np.random.Generator, stop: float, n_max: float) -> None:
-    """Append steady speeds forward and in reverse, each with a small difference. They inform the surge damping."""
+    """Append a segment of surge steps up to time ``stop`` [s]: steady commands of 5 to 12 s, forward and in reverse.
+
+    The segment is appended to ``builder``, which is changed in place. ``rng`` draws the commands, up to ``n_max``. Both
+    thrusters have nearly the same command. The steps inform the surge damping.
+    """
     levels = np.array([0.2, 0.35, 0.5, 0.65, 0.8, 1.0, -0.5, 0.0, -0.3]) * n_max
     durations: list[float] = []
     rows: list[list[float]] = []
@@ -244,13 +262,17 @@ def _surge_steps(builder: SegmentBuilder, rng: np.random.Generator, stop: float,
         # All levels in random order, then all again: independent draws could leave out reverse in a short mission.
         for level in rng.permutation(levels):
             if sum(durations) < stop - builder.t:
-                rows.append(_pair(level, rng.choice([-1, 1]) * rng.uniform(0.02, 0.15), n_max))
+                rows.append(_left_right_commands(level, rng.choice([-1, 1]) * rng.uniform(0.02, 0.15), n_max))
                 durations.append(float(rng.uniform(5.0, 12.0)))
-    builder.add("surge steps", _fit(durations, stop - builder.t), rows)
+    builder.add("surge steps", _cut_to_duration(durations, stop - builder.t), rows)
 
 
 def _zigzag(builder: SegmentBuilder, rng: np.random.Generator, stop: float, n_max: float) -> None:
-    """Append turns to both sides at several speeds. They inform sway and yaw damping and their coupling."""
+    """Append a zigzag segment up to time ``stop`` [s]: turns to both sides of 4 to 9 s at several speeds.
+
+    The segment is appended to ``builder``, which is changed in place. ``rng`` draws the commands, up to ``n_max``.
+    Turns inform sway and yaw damping and their coupling.
+    """
     durations: list[float] = []
     rows: list[list[float]] = []
     while sum(durations) < stop - builder.t:
@@ -258,29 +280,32 @@ def _zigzag(builder: SegmentBuilder, rng: np.random.Generator, stop: float, n_ma
         half, side = float(rng.uniform(4.0, 9.0)), float(rng.choice([-1, 1]))
         for _ in range(4):
             if sum(durations) < stop - builder.t:
-                rows.append(_pair(speed, side * difference, n_max))
+                rows.append(_left_right_commands(speed, side * difference, n_max))
                 durations.append(half)
                 side = -side
-    builder.add("zigzag", _fit(durations, stop - builder.t), rows)
+    builder.add("zigzag", _cut_to_duration(durations, stop - builder.t), rows)
 
 
 def _random_steps(builder: SegmentBuilder, rng: np.random.Generator, stop: float, n_max: float) -> None:
-    """Append independent random steps of both thrusters.
+    """Append a segment of independent random steps of both thrusters, of 1 to 5 s, up to time ``stop`` [s].
 
-    They inform differences and interaction of the thrusters, reverse thrust and the dead zone.
+    The segment is appended to ``builder``, which is changed in place. ``rng`` draws the commands, up to ``n_max``.
+    Steps inform differences and interaction of the thrusters, reverse thrust and the dead zone.
     """
     durations: list[float] = []
     rows: list[list[float]] = []
     while sum(durations) < stop - builder.t:
         rows.append((rng.uniform(-0.7, 1.0, 2) * n_max).tolist())
         durations.append(float(rng.uniform(1.0, 5.0)))
-    builder.add("random steps", _fit(durations, stop - builder.t), rows)
+    builder.add("random steps", _cut_to_duration(durations, stop - builder.t), rows)
 
 
 def _chirps(builder: SegmentBuilder, rng: np.random.Generator, stop: float, n_max: float) -> None:
-    """Append oscillations about rest and about forward speed. They inform lags, delays and added masses.
+    """Append chirp segments of 15 to 30 s up to time ``stop`` [s]: oscillations about rest or about forward speed.
 
-    Each chirp oscillates the difference of the commands, their sum, or both.
+    The segments are appended to ``builder``, which is changed in place. ``rng`` draws the commands, up to ``n_max``.
+    Each chirp oscillates the difference of the commands ("yaw"), their mean ("surge"), or both, from 0.05 to 0.5 Hz.
+    Chirps inform lags, delays and added masses.
     """
     number = 0
     while stop - builder.t > RAMP_DT:

@@ -12,10 +12,12 @@ from seatrial.daq.rig import Rig
 def dry_run(mission: Mission, rig: Rig) -> None:
     """Check every set-point of a mission against `limits.n_max` of the rig. No thruster is commanded.
 
+    The slew limit of the mission is applied before the check.
+
     Raises
     ------
     SeatrialError
-        If the rig lacks a thruster of the mission, or if a set-point is beyond the limit.
+        If the rig lacks a thruster of the mission, or if a set-point is NaN or its absolute value exceeds the limit.
     """
     t, n = mission.setpoints()
     for column, name in enumerate(mission.thrusters):

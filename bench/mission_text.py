@@ -28,18 +28,23 @@ def describe_mission(mission: Mission) -> str:
 
 
 def describe_segments(mission: Mission) -> list[str]:
-    """Return a table with a line for each segment: begin, end [s], name, and range of each thruster's command."""
+    """Return a table as lines of text, with one line for each segment of the mission.
+
+    The columns are begin and end [s], name, and range of each thruster's command. The first line is empty, and the
+    second one is the head of the table.
+    """
     t, n = mission.setpoints()
     names = max(len("segment"), *(len(name) for _, _, name in mission.starts()))
     head = "".join(f"  {'n_cmd ' + thruster:>14}" for thruster in mission.thrusters)
     lines = ["", f"  {'time [s]':<17}  {'segment':<{names}}{head}"]
     for begin, end, name in mission.starts():
-        ranges = (_range(*command_range(t, column, begin, end)) for column in n.T)
+        ranges = (_format_range(*command_range(t, column, begin, end)) for column in n.T)
         lines.append(f"  {begin:7.1f} - {end:7.1f}  {name:<{names}}" + "".join(f"  {text:>14}" for text in ranges))
     return lines
 
 
-def _range(low: float, high: float) -> str:
+def _format_range(low: float, high: float) -> str:
+    """Return a range of commands as text, such as "-0.50 to +0.50", or one number if both ends are equal."""
     return f"{low:+.2f}" if low == high else f"{low:+.2f} to {high:+.2f}"
 
 
@@ -54,6 +59,11 @@ def command_range(t: FloatArray, n: FloatArray, begin: float, end: float) -> tup
         Commands.
     begin, end : float
         The interval [begin, end) [s].
+
+    Returns
+    -------
+    tuple of two floats
+        Smallest and largest command in the interval. The command that holds at its begin counts too.
     """
     first, last = np.searchsorted(t, begin, side="right") - 1, np.searchsorted(t, end, side="left")
     held = n[max(first, 0) : max(last, 1)]
@@ -63,14 +73,14 @@ def command_range(t: FloatArray, n: FloatArray, begin: float, end: float) -> tup
 
 
 def describe_errors(after: Mapping[str, float], before: Mapping[str, float]) -> list[str]:
-    """Return a line for each parameter with its predicted standard error.
+    """Return lines of text with the predicted standard error of each parameter, under a heading.
 
     Parameters
     ----------
     after : Mapping
         Predicted standard error after the mission, by parameter. No lines are returned if it is empty.
     before : Mapping
-        Standard error before the mission, by parameter. It is shown in brackets.
+        Standard error before the mission, by parameter. It is shown in brackets; a parameter may be missing.
     """
     if not after:
         return []
@@ -82,7 +92,11 @@ def describe_errors(after: Mapping[str, float], before: Mapping[str, float]) -> 
 
 
 def describe_track(predicted: Prediction) -> list[str]:
-    """Return a line with the area that the predicted track needs, with its 95 % band. An empty track has no line."""
+    """Return lines of text with the area that the predicted track needs, including its 95 % band.
+
+    The area is given as its extent [m] to the north and to the east, and as the largest distance [m] from the start. An
+    empty track gives an empty list.
+    """
     if len(predicted.t) == 0:
         return []
     x, y, radius = predicted.x, predicted.y, predicted.radius

@@ -66,12 +66,15 @@ while True:
 
 
 def figures(seed: int) -> list[Figure]:
-    """Return the figures of all measurements with short durations."""
+    """Return the figures of all measurements with short durations. ``seed`` selects random times and the boat."""
     return [*jitter(JITTER_S), *loss(LOSS_S), *device_time(seed), *kills(2, seed), *soak(SOAK_S, seed)]
 
 
 def rig_of(folder: Path, n_devices: int, rate: float) -> Rig:
-    """Return a rig of VectorNav devices d0, d1, ... at ptys in the folder."""
+    """Return a rig of ``n_devices`` VectorNav devices d0, d1, ... at ptys in the folder.
+
+    ``rate`` is the rate of each device [Hz].
+    """
     devices = "".join(
         f'[[device]]\nname = "d{k}"\nprotocol = "vectornav"\nport = "d{k}"\nrate_hz = {rate}\n'
         for k in range(n_devices)
@@ -107,6 +110,7 @@ def record(folder: Path, n_devices: int, rate: float, seconds: float, busy: bool
     ended = threading.Event()
 
     def compute() -> None:
+        """Compute in pure Python until the recording has ended."""
         while not ended.is_set():
             sum(k * k for k in range(1000))
 
@@ -132,7 +136,10 @@ def record(folder: Path, n_devices: int, rate: float, seconds: float, busy: bool
 
 
 def jitter(seconds: float) -> Iterator[Figure]:
-    """Yield the delay of receive times for one device at 1 kHz, while this process computes in pure Python."""
+    """Yield the delay from sending to receive time for one device at 1 kHz, while this process computes in Python.
+
+    ``seconds`` is the duration of the recording [s].
+    """
     with tempfile.TemporaryDirectory() as name:
         record(Path(name), 1, 1000.0, seconds, busy=True)
         with open_log(Path(name) / "log.mcap") as log:
@@ -146,7 +153,10 @@ def jitter(seconds: float) -> Iterator[Figure]:
 
 
 def loss(seconds: float) -> Iterator[Figure]:
-    """Yield the loss of four devices with 5,000 frames per second in total."""
+    """Yield the number of lost frames of four devices with 5,000 frames per second in total.
+
+    ``seconds`` is the duration of the recording [s].
+    """
     with tempfile.TemporaryDirectory() as name:
         report, dropped = record(Path(name), 4, LOSS_RATE, seconds, busy=False)
         with open_log(Path(name) / "log.mcap") as log:
@@ -159,10 +169,10 @@ def loss(seconds: float) -> Iterator[Figure]:
 
 
 def device_time(seed: int, minutes: float = 5.0) -> Iterator[Figure]:
-    """Yield the error of the device time at 200 Hz.
+    """Yield the error of device times that `ClockMap` maps to run time, at 200 Hz.
 
-    The simulated adapter delivers every 16 ms, and the clock of the device has an error of 30 ppm. ``minutes`` is the
-    simulated duration.
+    The simulated adapter delivers every 16 ms, and the clock of the device has an error of 30 ppm. ``seed`` selects the
+    random delays, and ``minutes`` is the simulated duration.
     """
     rng = np.random.default_rng(seed)
     truth = np.arange(round(60.0 * minutes * 200)) / 200.0
@@ -177,16 +187,16 @@ def device_time(seed: int, minutes: float = 5.0) -> Iterator[Figure]:
 
 
 def kills(count: int, seed: int) -> Iterator[Figure]:
-    """Yield the loss by kill -9 at random times, ``count`` times at 5 Hz and at 1 kHz."""
+    """Yield the largest time [s] that is lost by kill -9 at random times, ``count`` times at 5 Hz and at 1 kHz."""
     rng = random.Random(seed)
     for rate in (5.0, 1000.0):
-        lost = [_killed(rate, rng.uniform(0.8, 3.0)) for _ in range(count)]
+        lost = [_loss_by_kill(rate, rng.uniform(0.8, 3.0)) for _ in range(count)]
         group = f"kill -9, {count} times at {rate:g} Hz"
         yield Figure(group, "largest loss", max(lost), "s", note="only at the end of the log; metadata complete")
 
 
-def _killed(rate: float, after: float) -> float:
-    """Kill a recording ``after`` [s] and return the time [s] that is lost at its end.
+def _loss_by_kill(rate: float, after: float) -> float:
+    """Record one device at ``rate`` [Hz], kill the recording ``after`` [s], and return the time [s] lost at its end.
 
     An AssertionError is raised if an earlier sample, an attachment or metadata are missing.
     """
@@ -208,9 +218,10 @@ def _killed(rate: float, after: float) -> float:
 
 
 def soak(seconds: float, seed: int) -> Iterator[Figure]:
-    """Yield the continuity of a log in segments, recorded from the mock boat at 20 times real time.
+    """Yield the continuity of a log of several files (segments), recorded from the mock boat at 20 times real time.
 
-    The disk budget holds only a part of the segments. ``seconds`` is the duration in run time.
+    The disk budget holds only about half of the segments. ``seconds`` is the duration [run s], and ``seed`` selects the
+    boat.
     """
     keep = min(9000.0 * seconds, 2e9)  # bytes; the boat sends 18 kB per run second, so about half of the log is kept
     with tempfile.TemporaryDirectory() as name, mock_boat(Path(name), seed) as boat:
@@ -237,9 +248,9 @@ def soak(seconds: float, seed: int) -> Iterator[Figure]:
 
 
 def continuity(path: Path) -> tuple[int, int, tuple[int, int]]:
-    """Check the numbers of the samples in a log of several segments.
+    """Check the numbers of the samples in a log of several files (segments).
 
-    The samples of a topic are numbered through all segments.
+    The samples of a topic are numbered through all segments. ``path`` is the first segment.
 
     Returns
     -------
@@ -269,7 +280,7 @@ def continuity(path: Path) -> tuple[int, int, tuple[int, int]]:
 
 
 def rss_mb(pid: int) -> float:
-    """Return the resident memory of a process [MB]; NaN if the system does not report it."""
+    """Return the resident memory [MB] of the process ``pid``; NaN if the system does not report it."""
     with contextlib.suppress(OSError):
         return int(Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
     return float("nan")

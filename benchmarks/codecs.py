@@ -45,7 +45,10 @@ CanFrames = list[tuple[int, bytes]]
 
 
 def figures(seed: int) -> list[Figure]:
-    """Return the rates of all codecs. The seed has no effect, since the messages are not random."""
+    """Return the rates of all codecs [messages/s], with those of libraries as peers.
+
+    The seed has no effect, since the messages are not random.
+    """
     found = []
     for name, n_messages, ours, library, note in codecs():
         rate = 1e3 * n_messages / best_ms(ours, 3)
@@ -55,7 +58,11 @@ def figures(seed: int) -> list[Figure]:
 
 
 def codecs() -> Iterator[tuple[str, int, Call, Call | None, str]]:
-    """Yield for each codec its name, the number of messages, its call, the call of a library or None, and a note."""
+    """Yield the benchmark of each codec.
+
+    Each has its name, the number of messages in a call, the call of seatrial, the call of a library (None without a
+    library) and a note. A call is a function without arguments that handles all messages once.
+    """
     yield "slcan, reading", N, *_slcan(), "peer: python-can"
     yield "VESC, reading", N, *_vesc(), "peer: cantools, which seatrial also uses"
     yield "UBX NAV-PVT, reading", N, *_ubx(), "peer: pyubx2"
@@ -70,10 +77,14 @@ def codecs() -> Iterator[tuple[str, int, Call, Call | None, str]]:
     yield "CDR of Gnss, reading a column", N, *_cdr_reading(), "peer: rosbags"
 
 
-def _feed(make: Callable[[], Decoder], data: bytes) -> Call:
-    """Return a function that decodes ``data`` with a new decoder and checks the number of samples."""
+def _decode_call(make: Callable[[], Decoder], data: bytes) -> Call:
+    """Return a function that decodes ``data`` in blocks of 4096 bytes, with a new decoder of ``make``.
+
+    It asserts that at least 1000 samples are found, and no checksum error.
+    """
 
     def call() -> None:
+        """Decode all bytes once."""
         decoder, n_found = make(), 0
         for at in range(0, len(data), READ_BYTES):
             n_found += len(decoder.feed(data[at : at + READ_BYTES], T))
@@ -83,21 +94,22 @@ def _feed(make: Callable[[], Decoder], data: bytes) -> Call:
     return call
 
 
-def _packed(frames: CanFrames) -> bytes:
-    """Return CAN frames in the byte format of the decoders."""
+def _can_bytes(frames: CanFrames) -> bytes:
+    """Return CAN frames (identifier and data) as one byte string in the format of the decoders."""
     return b"".join(pack_can(*frame) for frame in frames)
 
 
 class _SerialBytes(io.BytesIO):
-    """Bytes with the interface of a serial port."""
+    """Bytes with the interface of a serial port, for the library python-can."""
 
     @property
     def in_waiting(self) -> int:
+        """Number of bytes that have not been read yet."""
         return len(self.getbuffer()) - self.tell()
 
 
 def _slcan() -> tuple[Call, Call]:
-    """Return the calls that read frames of a CAN adapter by the slcan protocol."""
+    """Return the calls (seatrial, library) that read frames of a CAN adapter by the slcan protocol."""
     data = b"".join(slcan.encode(0x901, bytes(8)) for _ in range(N))
 
     def library() -> None:
@@ -114,41 +126,41 @@ def _slcan() -> tuple[Call, Call]:
 
 
 def _vesc() -> tuple[Call, Call]:
-    """Return the calls that read STATUS 1 frames of a VESC."""
+    """Return the calls (seatrial, library) that read STATUS 1 frames of a VESC."""
     frame = vesc.encode_status(ESC, 7)[0]
     database = cantools.database.load_file(Path(vesc.__file__).with_name("vesc.dbc"))
     assert isinstance(database, cantools.database.can.Database)
     status = database.get_message_by_name("STATUS_1")
-    return _feed(lambda: vesc.Decoder({1: 7}), _packed([frame] * N)), lambda: [
+    return _decode_call(lambda: vesc.Decoder({1: 7}), _can_bytes([frame] * N)), lambda: [
         status.decode(frame[1], decode_choices=False) for _ in range(N)
     ]
 
 
 def _ubx() -> tuple[Call, Call]:
-    """Return the calls that read NAV-PVT messages."""
+    """Return the calls (seatrial, library) that read NAV-PVT messages of u-blox receivers."""
     data = b"".join(ubx.encode(Gnss(T + k / 10, 41.1, -8.7, 12.0, 0.5, 0.2, 0.1, 3, 9)) for k in range(N))
-    return _feed(ubx.Decoder, data), lambda: sum(1 for _ in UBXReader(io.BytesIO(data)))
+    return _decode_call(ubx.Decoder, data), lambda: sum(1 for _ in UBXReader(io.BytesIO(data)))
 
 
 def _nmea() -> tuple[Call, Call]:
-    """Return the calls that read the sentences of GNSS fixes."""
+    """Return the calls (seatrial, library) that read the NMEA sentences of GNSS fixes."""
     data = b"".join(nmea.encode(Gnss(T + k / 10, 41.1, -8.7, 12.0, 0.5, 0.2, 0.1, 3, 9)) for k in range(N))
-    return _feed(nmea.Decoder, data), lambda: sum(1 for _ in NMEAReader(io.BytesIO(data)))
+    return _decode_call(nmea.Decoder, data), lambda: sum(1 for _ in NMEAReader(io.BytesIO(data)))
 
 
 def _dronecan_reading() -> tuple[Call, Call]:
-    """Return the calls that read esc.Status messages from their frames."""
+    """Return the calls (seatrial, library) that read DroneCAN esc.Status messages from their CAN frames."""
     transfers = [dronecan.encode(ESC, 42, k % 32) for k in range(N)]
 
     def library() -> None:
         for frames in transfers:
             Transfer().from_frames([CanFrame(identifier, data, ts_monotonic=0.0) for identifier, data in frames])
 
-    return _feed(dronecan.Decoder, _packed([frame for frames in transfers for frame in frames])), library
+    return _decode_call(dronecan.Decoder, _can_bytes([frame for frames in transfers for frame in frames])), library
 
 
 def _dronecan_writing() -> tuple[Call, Call]:
-    """Return the calls that write esc.RawCommand messages."""
+    """Return the calls (seatrial, library) that write DroneCAN esc.RawCommand messages."""
     kind = pydronecan.uavcan.equipment.esc.RawCommand
 
     def library() -> None:
@@ -160,7 +172,10 @@ def _dronecan_writing() -> tuple[Call, Call]:
 
 
 def _nmea2000() -> tuple[Call, Call]:
-    """Return the calls that read messages with heading and position. The library reads lines of candump."""
+    """Return the calls (seatrial, library) that read NMEA 2000 messages with heading and position.
+
+    The library reads them as lines of candump.
+    """
     heading, fix = Ahrs(1.5, math.nan, math.nan), Gnss(T, 41.1, -8.7, 12.0, fix=3, n_sat=9, hdop=1.0)
     frames = [f for k in range(N) for f in (*nmea2000.encode(heading), *nmea2000.encode(fix, k % 250))]
     lines = [f"can0  {word:08X}   [{len(data)}]  {data.hex(' ').upper()}" for word, data in frames]
@@ -170,22 +185,22 @@ def _nmea2000() -> tuple[Call, Call]:
         for line in lines:
             decoder.decode(line)
 
-    return _feed(lambda: nmea2000.Decoder(settle=0.0), _packed(frames)), library
+    return _decode_call(lambda: nmea2000.Decoder(settle=0.0), _can_bytes(frames)), library
 
 
 def _mip() -> Call:
-    """Return the call that reads MIP packets with attitudes."""
+    """Return the call of seatrial that reads MIP packets with attitudes."""
     fields = {0x05: struct.pack(">3fH", 0.1, 0.2, 1.5, 1)}
-    return _feed(mip.Decoder, mip.packet(mip.FILTER, fields) * N)
+    return _decode_call(mip.Decoder, mip.packet(mip.FILTER, fields) * N)
 
 
 def _vectornav() -> Call:
-    """Return the call that reads binary messages of a VectorNav."""
-    return _feed(vectornav.Decoder, vectornav.encode_binary(AHRS, 1.0) * N)
+    """Return the call of seatrial that reads binary messages of a VectorNav."""
+    return _decode_call(vectornav.Decoder, vectornav.encode_binary(AHRS, 1.0) * N)
 
 
 def _mcap() -> tuple[Call, Call]:
-    """Return the calls that write an MCAP file in memory."""
+    """Return the calls (seatrial, library) that write an MCAP file in memory."""
     body = np.random.default_rng(1).bytes(120)
 
     def ours() -> None:
@@ -207,7 +222,7 @@ def _mcap() -> tuple[Call, Call]:
 
 
 def _cdr_packing() -> tuple[Call, Call]:
-    """Return the calls that encode Gnss messages in CDR."""
+    """Return the calls (seatrial, library) that encode Gnss messages in CDR."""
     name, values = TYPES[Gnss], messages("gnss", Frame(GNSS, T, T))[0].values
     store, kinds = _typestore(name)
     header = kinds["std_msgs/msg/Header"](kinds["builtin_interfaces/msg/Time"](1, 2), "gnss")
@@ -218,7 +233,7 @@ def _cdr_packing() -> tuple[Call, Call]:
 
 
 def _cdr_reading() -> tuple[Call, Call]:
-    """Return the calls that read the latitudes of Gnss messages in CDR."""
+    """Return the calls (seatrial, library) that read the latitudes of Gnss messages in CDR."""
     name = TYPES[Gnss]
     found = cdr_layout(name, b"gnss")
     body = found.pack(NANO, *messages("gnss", Frame(GNSS, T, T))[0].values)
@@ -229,7 +244,7 @@ def _cdr_reading() -> tuple[Call, Call]:
 
 
 def _typestore(name: str) -> tuple[Any, dict[str, Any]]:
-    """Return the type store of rosbags with a message type of seatrial, and its types."""
+    """Return a type store of rosbags with the message type ``name`` of seatrial, and all its types by name."""
     store = get_typestore(Stores.ROS2_HUMBLE)
     store.register(get_types_from_msg(definition(name), name))
     return store, store.types

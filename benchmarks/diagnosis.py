@@ -16,7 +16,11 @@ EFFECTS = ("none", "cubic-drag")
 
 
 def figures(seed: int) -> Iterator[Figure]:
-    """Yield the CPU time, the effects that were found, and the prediction errors before and after, for each effect."""
+    """Yield the figures of a diagnosis without and with a hidden effect (`EFFECTS`) of the mock boat of a seed.
+
+    Each has CPU time with the effects that were found, and the RMS errors of a prediction 10 s ahead. Raises
+    RuntimeError if a command fails.
+    """
     for effect in EFFECTS:
         row = run_case(Case(effect, seed))
         group = f"diagnosis, {effect}"

@@ -24,17 +24,34 @@ MB = 1e6
 
 
 class Installed(NamedTuple):
-    """Measurements of one installation."""
+    """Measurements of one installation.
 
-    size: float  # MB
-    twice: float  # MB of files that have the content of another file
-    import_s: float  # s, time of `import seatrial` without the start of the interpreter
-    help_s: float  # s, time of `seatrial --help`
-    problems: str  # output of `pip check`; empty if it found no problem
+    Attributes
+    ----------
+    size : float
+        Size of site-packages without pip [MB].
+    twice : float
+        Size of large libraries that have the content of another file [MB].
+    import_s : float
+        Wall time of `import seatrial` without the start of the interpreter [s].
+    help_s : float
+        Wall time of `seatrial --help` [s].
+    problems : str
+        Output of `pip check`; empty if it found no problem.
+    """
+
+    size: float
+    twice: float
+    import_s: float
+    help_s: float
+    problems: str
 
 
 def run(*words: str | Path) -> str:
-    """Run a program and return its output. If it fails, exit with the output of the program as the message."""
+    """Run the command line ``words`` and return its standard output.
+
+    If the program fails, raise SystemExit with the command line and the output of the program as the message.
+    """
     done = subprocess.run([str(word) for word in words], capture_output=True, text=True, check=False)
     if done.returncode:
         raise SystemExit(f"{' '.join(map(str, words))}\n{done.stdout}{done.stderr}")
@@ -42,7 +59,7 @@ def run(*words: str | Path) -> str:
 
 
 def build_wheel(folder: Path) -> Path:
-    """Build the wheel of the tree into a folder."""
+    """Build the wheel of this source tree into a folder and return its path."""
     code = f"from setuptools import build_meta; build_meta.build_wheel({str(folder)!r})"
     subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True, capture_output=True)
     (wheel,) = folder.glob("*.whl")
@@ -58,7 +75,10 @@ def locked_versions(folder: Path) -> Path:
 
 
 def duplicated(site: Path) -> float:
-    """Return the size [MB] of large libraries that have the content of another file."""
+    """Return the total size [MB] of shared libraries above 1 MB in ``site`` that repeat the content of another one.
+
+    The first file with a content does not count. Symbolic links are ignored.
+    """
     seen: set[str] = set()
     total = 0
     for path in sorted(site.rglob("*.so*")):
@@ -71,7 +91,7 @@ def duplicated(site: Path) -> float:
 
 
 def seconds(*words: str | Path) -> float:
-    """Return the shortest wall time [s] of a program in N_STARTS runs."""
+    """Return the shortest wall time [s] of the command line ``words`` in five runs (N_STARTS)."""
     times = []
     for _ in range(N_STARTS):
         start = time.perf_counter()
@@ -81,7 +101,19 @@ def seconds(*words: str | Path) -> float:
 
 
 def measure(wheel: Path, versions: Path, extra: str, folder: Path) -> Installed:
-    """Install the wheel with an extra into a new environment and measure it."""
+    """Install the wheel into a new environment and measure the installation.
+
+    Parameters
+    ----------
+    wheel : Path
+        The wheel.
+    versions : Path
+        Locked versions, for the option -c of pip.
+    extra : str
+        Extra to install, such as "ident"; empty for the default installation.
+    folder : Path
+        Folder of the new environment, which stays.
+    """
     venv.create(folder, with_pip=True)
     python = folder / "bin" / "python"
     run(python, "-m", "pip", "install", "--quiet", "-c", versions, f"{wheel}[{extra}]" if extra else wheel)
@@ -102,7 +134,7 @@ def measure(wheel: Path, versions: Path, extra: str, folder: Path) -> Installed:
 
 
 def main() -> None:
-    """Print a table of all installations."""
+    """Build the wheel, install it with each extra of the command line, and print a table in Markdown."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument(
         "--extras",

@@ -40,7 +40,7 @@ READ_FROM_S, READ_TO_S = 43_200, 43_800
 
 
 def figures(seed: int) -> Iterator[Figure]:
-    """Yield the figures of all measurements. ``seed`` selects the mock boat."""
+    """Yield the figures of the recorder, the readers and the acquisition process. ``seed`` selects the mock boat."""
     with tempfile.TemporaryDirectory() as folder:
         yield from record_and_read(Path(folder))
         yield from read_part_of_a_day(ROOT / "build" / "day.mcap")
@@ -50,7 +50,7 @@ def figures(seed: int) -> Iterator[Figure]:
 def read_part_of_a_day(path: Path) -> Iterator[Figure]:
     """Yield time and memory to read ten minutes of one topic from a log of 24 h with four topics at 1 kHz.
 
-    The reader runs in a new process. The log is written if it does not exist.
+    The reader runs in a new process. ``path`` is the log, which is written if it does not exist, and kept.
     """
     if not path.exists():
         write_day(path)
@@ -64,11 +64,14 @@ def read_part_of_a_day(path: Path) -> Iterator[Figure]:
 
 
 def write_day(path: Path) -> None:
-    """Write a log of 24 h with as many chunks as at 1 kHz, of which only some minutes have all messages."""
+    """Write a log of 24 h with as many chunks as at 1 kHz, of which only 20 minutes have all messages.
+
+    The file appears at ``path`` when it is complete. Its folder is made if it does not exist.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_suffix(".part.mcap")
-    part.unlink(missing_ok=True)
-    log = LogWriter(part, metadata={"format": "seatrial-log 1"}, attachments={}, time_ns=0)
+    partial = path.with_suffix(".part.mcap")
+    partial.unlink(missing_ok=True)
+    log = LogWriter(partial, metadata={"format": "seatrial-log 1"}, attachments={}, time_ns=0)
     channels = [(log.channel(topic(Scalar, name), TYPES[Scalar]), name) for name in TOPICS]
     packs = [(channel, cdr_layout(TYPES[Scalar], name.encode()).pack) for channel, name in channels]
     for k in range(round(DAY_S / CHUNK_S)):
@@ -81,11 +84,11 @@ def write_day(path: Path) -> None:
                 log.add(channel, stamp, stamp, i, pack(stamp, t, NAN, (i * 0.618) % 1.0))
         log.flush()
     log.close()
-    part.replace(path)
+    partial.replace(path)
 
 
 def record_and_read(folder: Path) -> Iterator[Figure]:
-    """Yield the CPU time of the recorder and of readers.
+    """Yield the CPU time of the recorder, the size of its file, and the rates of readers. The log is in ``folder``.
 
     Each round records one sample of an AHRS, a speed controller and a load cell. Every tenth round adds a GNSS fix.
     """
@@ -119,7 +122,10 @@ def record_and_read(folder: Path) -> Iterator[Figure]:
 
 
 def read_all(path: Path, n_messages: int) -> Iterator[Figure]:
-    """Yield the rates of reading all messages: seatrial and rosbags (decoded), and the mcap library (bytes only)."""
+    """Yield the rates of reading all messages of a log: seatrial and rosbags (decoded), and mcap (bytes only).
+
+    ``n_messages`` is the number of messages in the log. rosbags reads a fifth of them.
+    """
     from mcap.reader import make_reader
     from rosbags.highlevel import AnyReader
 
@@ -148,7 +154,10 @@ def read_all(path: Path, n_messages: int) -> Iterator[Figure]:
 
 @contextlib.contextmanager
 def mock_boat(folder: Path, seed: int) -> Iterator[Rig]:
-    """Run the mock boat at `SPEED` in a new process and yield its rig."""
+    """Run the mock boat of a seed at 20 times real time in a new process, and yield its rig when it is ready.
+
+    The rig file is written to ``folder``. The process is ended at the end of the context.
+    """
     write_demo_rig("boat", folder, SPEED)
     words = [sys.executable, "-m", "seatrial", "mock", "boat", "boat-rig.toml", "--seed", str(seed)]
     with subprocess.Popen(
@@ -165,7 +174,10 @@ def mock_boat(folder: Path, seed: int) -> Iterator[Rig]:
 
 
 def acquire(folder: Path, seed: int) -> Iterator[Figure]:
-    """Yield the load of the acquisition process that records the mock boat at 20 times real time."""
+    """Yield the load of the acquisition process that records the mock boat at 20 times real time for 6 s (wall).
+
+    ``folder`` is for the rig and the log. ``seed`` selects the boat.
+    """
     with (
         mock_boat(folder, seed) as rig,
         Acquisition(rig, folder / "acquired.mcap", clock=RunClock(SPEED)) as acquisition,
@@ -185,7 +197,7 @@ def acquire(folder: Path, seed: int) -> Iterator[Figure]:
 
 
 def cpu_of(pid: int) -> float:
-    """Return the CPU time [s] of another process so far; NaN if the system does not report it."""
+    """Return the CPU time [s] that the process ``pid`` has used so far; NaN if the system does not report it."""
     with contextlib.suppress(OSError, AttributeError):
         fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
         return (int(fields[11]) + int(fields[12])) / float(os.sysconf("SC_CLK_TCK"))
@@ -193,7 +205,10 @@ def cpu_of(pid: int) -> float:
 
 
 def main() -> None:
-    """Read a part of a log in a child process. Print the number of samples and the peak memory as JSON."""
+    """Read ten minutes of one topic of the log in the first argument, as a child process of the benchmark.
+
+    Print the number of samples and the peak memory [MB] as JSON.
+    """
     with open_log(sys.argv[1]) as log:
         rows = log.table(Scalar, TOPICS[1], begin=log.start + READ_FROM_S, end=log.start + READ_TO_S)
     print(json.dumps({"n": len(rows), "peak_mb": peak_mb()}))

@@ -32,7 +32,10 @@ SIZES = (
 
 
 def figures(seed: int) -> Iterator[Figure]:
-    """Yield CPU time and peak memory of both commands, with the targets of the diagnosis as notes."""
+    """Yield CPU time and peak memory of both commands for all SIZES, with the targets of the diagnosis as notes.
+
+    ``seed`` selects the mock boat.
+    """
     for n, seconds, targets in SIZES:
         logs = [log(seed, run, seconds) for run in range(1, n + 1)]
         group = f"{n} logs of {seconds / MINUTE:.0f} min"
@@ -46,19 +49,26 @@ def figures(seed: int) -> Iterator[Figure]:
 
 
 def log(seed: int, run: int, seconds: float) -> Path:
-    """Return the log of one mission of the boat of a seed. Simulate the mission if the log does not exist yet."""
+    """Return the path of the log of one mission of the boat of a seed. Simulate it if the log does not exist yet.
+
+    ``run`` selects the mission and the noise. ``seconds`` is the duration of the mission [s].
+    """
     from tests.missions import boat_log, boat_with
 
     path = LOGS / f"boat{seed}-run{run}-{seconds:.0f}s.mcap"
     if not path.exists():
         LOGS.mkdir(parents=True, exist_ok=True)
-        part = path.with_suffix(".part.mcap")
-        shutil.move(boat_log(part, boat_with(None, seed), seconds, 1000 * seed + run, run), path)
+        partial = path.with_suffix(".part.mcap")
+        shutil.move(boat_log(partial, boat_with(None, seed), seconds, 1000 * seed + run, run), path)
     return path
 
 
 def main() -> None:
-    """Run one command of seatrial in a child process and print its peak memory as JSON."""
+    """Run one command of `seatrial ident` in this process, and print its peak memory as JSON.
+
+    The arguments are the command ("vehicle" or "diagnose"), a folder for the results, and the logs. The last quarter of
+    the logs, at least one, is for validation.
+    """
     from seatrial.command_line import main as seatrial
 
     command, folder, *logs = sys.argv[1:]

@@ -14,18 +14,34 @@ from pathlib import Path
 
 @dataclass(frozen=True)
 class Figure:
-    """One number of the table."""
+    """One number of the table of a benchmark.
 
-    group: str  # heading
+    Attributes
+    ----------
+    group : str
+        Heading under which the number stands.
+    name : str
+        Name of the number.
+    value : float
+        The number.
+    unit : str
+        Its unit; may be empty.
+    peer : float or None
+        Value of another program on the same data, in the same unit; None if there is no such program.
+    note : str
+        Remark behind the number; may be empty.
+    """
+
+    group: str
     name: str
     value: float
     unit: str
-    peer: float | None = None  # value of another program on the same data
+    peer: float | None = None
     note: str = ""
 
 
 def best_ms(call: Callable[[], object], repeats: int = 10) -> float:
-    """Return the shortest wall time of a call [ms]. The first call does not count.
+    """Return the shortest wall time [ms] of ``repeats`` calls of a function, after a first call that does not count.
 
     The shortest time is the best estimate, since other programs only make a call longer.
     """
@@ -40,15 +56,25 @@ def best_ms(call: Callable[[], object], repeats: int = 10) -> float:
 
 @dataclass(frozen=True)
 class Child:
-    """Time of a child process, and its report."""
+    """Time of a child process, and its report.
 
-    cpu: float  # s
-    wall: float  # s
-    report: dict[str, float]  # JSON that the process printed
+    Attributes
+    ----------
+    cpu : float
+        CPU time of the process in user and system mode [s].
+    wall : float
+        Wall time from start to end [s].
+    report : dict of str to float
+        JSON object that the process printed.
+    """
+
+    cpu: float
+    wall: float
+    report: dict[str, float]
 
 
 def child(words: Sequence[str], folder: Path, environment: Mapping[str, str]) -> Child:
-    """Run a process to its end and return its time and its report.
+    """Run a process to its end and return its time and its report, which it must print to standard output as JSON.
 
     Parameters
     ----------
@@ -88,7 +114,7 @@ def peak_mb() -> float:
 
 
 def table(figures: list[Figure]) -> str:
-    """Return the figures as lines of text, with a heading for each group."""
+    """Return the figures as text: a line for each figure, and a heading where the group changes."""
     lines, group = [], ""
     for f in figures:
         if f.group != group:
@@ -96,12 +122,16 @@ def table(figures: list[Figure]) -> str:
             lines += ["", group]
         peer = "" if f.peer is None else f"   peer {f.peer:.9g} {f.unit}"
         note = f"   {f.note}" if f.note else ""
-        lines.append(f"  {f.name:<42} {_number(f.value):>14} {f.unit:<12}{peer}{note}".rstrip())
+        lines.append(f"  {f.name:<42} {_format_number(f.value):>14} {f.unit:<12}{peer}{note}".rstrip())
     return "\n".join(lines[1:])
 
 
-def _number(value: float) -> str:
-    """Return a number as text. Large negative numbers are log-likelihoods and get four decimals."""
+def _format_number(value: float) -> str:
+    """Return a number as text with four digits.
+
+    Numbers of 10,000 and more are rounded to integers. Those of -10,000 and less are log-likelihoods and get four
+    decimals.
+    """
     if abs(value) < 10_000:
         return f"{value:.4g}"
     return f"{value:.4f}" if value < 0 else f"{value:,.0f}"

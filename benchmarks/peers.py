@@ -42,7 +42,7 @@ def numpy_value(p: dict[str, float], record: Record, *, by_hand: bool = True) ->
     R = np.diag([p["e_psi"] ** 2, p["e_r"] ** 2, p["e_xy"] ** 2, p["e_xy"] ** 2])
     x, P, ll, identity = np.zeros(6), SD0**2 * np.eye(6), 0.0, np.eye(6)
     for y, u, h in zip(record.y, record.u, record.h, strict=True):
-        H = H_OUT if by_hand else _differences(lambda z: H_OUT @ z, x)
+        H = H_OUT if by_hand else _forward_jacobian(lambda z: H_OUT @ z, x)
         e = y - H_OUT @ x
         e[0] = (e[0] + math.pi) % (2 * math.pi) - math.pi
         PH = P @ H.T
@@ -51,27 +51,30 @@ def numpy_value(p: dict[str, float], record: Record, *, by_hand: bool = True) ->
         ll -= 0.5 * (e @ np.linalg.solve(S, e) + math.log(np.linalg.det(S)) + 4 * math.log(2 * math.pi))
         x, P = x + K.T @ e, P - PH @ K
         P = (P + P.T) / 2  # without this, rounding makes P indefinite within a few hundred rows
-        k1 = _rates(p, u, x)
-        k2 = _rates(p, u, x + h / 2 * k1)
+        k1 = _state_rates(p, u, x)
+        k2 = _state_rates(p, u, x + h / 2 * k1)
         x3 = x + h / 2 * k2
-        k3 = _rates(p, u, x3)
-        A = h * (_jacobian(p, x3) if by_hand else _differences(partial(_rates, p, u), x3))
+        k3 = _state_rates(p, u, x3)
+        A = h * (_state_jacobian(p, x3) if by_hand else _forward_jacobian(partial(_state_rates, p, u), x3))
         A2 = A @ A
         Phi, half = identity + A + A2 / 2 + A @ A2 / 6, identity + A / 2 + A2 / 8
         Q = h / 6 * q
-        x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + _rates(p, u, x + h * k3))
+        x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + _state_rates(p, u, x + h * k3))
         P = Phi @ (P + Q) @ Phi.T + 4 * half @ Q @ half.T + Q
     return float(ll)
 
 
-def _differences(f: Callable[[Array], Array], x: Array) -> Array:
-    """Return the Jacobian of f at x by forward differences."""
+def _forward_jacobian(f: Callable[[Array], Array], x: Array) -> Array:
+    """Return the Jacobian (n_values, n) of the function ``f`` at ``x`` (n,) by forward differences of 1e-7."""
     base, step = f(x), 1e-7
     return np.column_stack([(f(x + step * unit) - base) / step for unit in np.eye(x.size)])
 
 
-def _rates(p: dict[str, float], inputs: Array, s: Array) -> Array:
-    """Return the time derivative of the state (x, y, psi, u, v, r)."""
+def _state_rates(p: dict[str, float], inputs: Array, s: Array) -> Array:
+    """Return the time derivative (6,) of the state ``s`` = (x, y, psi, u, v, r).
+
+    ``p`` has masses and damping by name. ``inputs`` are the surge force X [N] and the yaw moment N [N m].
+    """
     _, _, psi, u, v, r = s.tolist()
     X, N = inputs.tolist()
     cos, sin = math.cos(psi), math.sin(psi)
@@ -87,8 +90,8 @@ def _rates(p: dict[str, float], inputs: Array, s: Array) -> Array:
     )
 
 
-def _jacobian(p: dict[str, float], s: Array) -> Array:
-    """Return the Jacobian (6, 6) of `_rates` by the state."""
+def _state_jacobian(p: dict[str, float], s: Array) -> Array:
+    """Return the Jacobian (6, 6) of the time derivatives of the state by the state ``s``, written by hand."""
     _, _, psi, u, v, r = s.tolist()
     cos, sin = math.cos(psi), math.sin(psi)
     m_u, m_v, m_r = p["m_u"], p["m_v"], p["m_r"]
@@ -105,7 +108,10 @@ def _jacobian(p: dict[str, float], s: Array) -> Array:
 
 
 def casadi_gradient(model: Model, record: Record) -> Callable[[Array], tuple[float, Array]]:
-    """Return a function that computes ln L and its gradient (n_parameters,) with the virtual machine of CasADi."""
+    """Return a function that computes ln L and its gradient (n_parameters,) with the virtual machine of CasADi.
+
+    The argument of the function is the array of all parameter values (n_parameters,), in the order of ``model``.
+    """
     g, n = EkfGraphs(model), record.n_rows
     s, ll = g.s, ca.SX(0)
     for update in g.updates:
@@ -120,6 +126,7 @@ def casadi_gradient(model: Model, record: Record) -> Callable[[Array], tuple[flo
     both = ca.Function("both", [p], [total, ca.gradient(total, p)])
 
     def evaluate(values: Array) -> tuple[float, Array]:
+        """Return ln L and its gradient (n_parameters,) at the parameter values (n_parameters,)."""
         value, gradient = both(values)
         return float(value), np.array(gradient).ravel()
 

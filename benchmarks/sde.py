@@ -42,9 +42,9 @@ def model() -> Model:
 
 
 def simulated(seed: int) -> Record:
-    """Simulate a record by Euler-Maruyama, with the parameters of table 1 of the thesis.
+    """Simulate a record of 12,000 rows by Euler-Maruyama, with the parameters of table 1 of the thesis.
 
-    Force and moment are random steps.
+    Force X and moment N are random steps. The outputs are psi, r, x and y with noise. The seed selects steps and noise.
     """
     rng = np.random.default_rng(seed)
     p = model().values
@@ -64,9 +64,10 @@ def simulated(seed: int) -> Record:
 
 
 def rates(p: dict[str, float], s: Array, X: float, N: float) -> Array:
-    """Return the time derivative of the state (x, y, psi, u, v, r).
+    """Return the time derivative (6,) of the state ``s`` = (x, y, psi, u, v, r) under force X [N] and moment N [N m].
 
-    The equations are written independently of the model, so that an error in the model can be detected.
+    ``p`` has masses and damping by name. The equations are written independently of the model, so that an error in the
+    model can be detected.
     """
     _, _, psi, u, v, r = s.tolist()
     cos, sin = np.cos(psi), np.sin(psi)
@@ -96,7 +97,11 @@ def measured() -> Record | None:
 
 
 def figures(seed: int) -> Iterator[Figure]:
-    """Yield the times of one evaluation and of an estimate, and the optimum, with those of ctsmTMB as the peer."""
+    """Yield the times of one evaluation and of an estimate, and the optimum, with those of ctsmTMB as the peer.
+
+    They are measured on the record that ``seed`` simulates, and on the data set sde_bench if it is available. Only the
+    data set has a peer.
+    """
     for record, peer in ((simulated(seed), {}), (measured(), PEER)):
         if record is None:
             continue
@@ -115,7 +120,10 @@ def figures(seed: int) -> Iterator[Figure]:
 
 
 def largest_error(found: Fit) -> float:
-    """Return the largest error of masses and damping, in standard errors. Estimates without one are skipped."""
+    """Return the largest error of estimated masses and damping, in units of their standard errors.
+
+    The true values are those of `model`. Estimates without a finite standard error are skipped.
+    """
     truth = {n: v for n, v in model().values.items() if n[:2] in ("m_", "d_")}
     estimates = {n: found.estimate(n) for n in truth}
     return max(abs(value - truth[n]) / error for n, (value, error) in estimates.items() if np.isfinite(error))

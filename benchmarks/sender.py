@@ -30,7 +30,10 @@ CLOCK = RunClock(origin=(0.0, 0.0))
 
 
 def main() -> None:
-    """Open the ports, send the messages, and print the report."""
+    """Open the ports, send the messages, and print the report. The arguments are in the docstring of the module.
+
+    After the report the program waits for another line on stdin, so that the ports stay open.
+    """
     folder, n_devices, rate, seconds = Path(sys.argv[1]), int(sys.argv[2]), float(sys.argv[3]), float(sys.argv[4])
     pairs = [os.openpty() for _ in range(n_devices)]
     for k, (master, slave) in enumerate(pairs):
@@ -48,22 +51,25 @@ def main() -> None:
         due = min(int((now - begun) * rate) + 1, total)
         late = max(late, (due - sent) / rate)
         for number in range(sent, due):
-            refused += sum(not _queue(waiting, number) for waiting in held)
+            refused += sum(not _buffer_message(waiting, number) for waiting in held)
         sent = due
         for (master, _), waiting in zip(pairs, held, strict=True):
-            _send(master, waiting)
+            _write_buffered(master, waiting)
         time.sleep(max(TICK_S - (time.monotonic() - now), 0.0))
     while any(held):
         for (master, _), waiting in zip(pairs, held, strict=True):
-            _send(master, waiting)
+            _write_buffered(master, waiting)
         time.sleep(TICK_S)
     time.sleep(0.5)
     print(json.dumps({"sent": sent * n_devices, "refused": refused, "late": late}), flush=True)
     sys.stdin.readline()
 
 
-def _queue(waiting: bytearray, number: int) -> bool:
-    """Add a message to the buffer of a port. Return False if the buffer is full and the message is lost."""
+def _buffer_message(waiting: bytearray, number: int) -> bool:
+    """Add the message with this number to the buffer ``waiting`` of a port, which is changed in place.
+
+    Return False if the buffer holds more than 64 kB, so that the message is lost.
+    """
     if len(waiting) > HELD_BYTES:
         return False
     sample = Ahrs(0.0, 0.0, 0.0, float(number), 0.0, 0.0, 0.0, 0.0, -9.8)
@@ -71,8 +77,8 @@ def _queue(waiting: bytearray, number: int) -> bool:
     return True
 
 
-def _send(master: int, waiting: bytearray) -> None:
-    """Write buffered bytes to a pty until it accepts no more."""
+def _write_buffered(master: int, waiting: bytearray) -> None:
+    """Write buffered bytes to the pty ``master`` until it accepts no more, and remove them from ``waiting``."""
     with contextlib.suppress(BlockingIOError):
         while waiting:
             del waiting[: os.write(master, waiting)]

@@ -28,7 +28,10 @@ ROOT = Path(__file__).parents[1]
 
 
 def figures(seed: int) -> Iterator[Figure]:
-    """Yield the comparison of the likelihoods, then the figures of whole processes."""
+    """Yield the comparison of the likelihoods, then the figures of whole processes.
+
+    The record is the data set sde_bench if it is available, else one that ``seed`` simulates.
+    """
     record = measured() or simulated(seed)
     yield from ratios(record)
     yield from processes(record)
@@ -74,7 +77,7 @@ def ratios(record: Record) -> Iterator[Figure]:
 
 
 def shortest_ms(works: Mapping[str, tuple[Callable[[], object], int]], rounds: int) -> dict[str, float]:
-    """Return the shortest CPU time [ms] of each function.
+    """Return the shortest CPU time [ms] of one call of each function, by its name.
 
     Parameters
     ----------
@@ -99,7 +102,7 @@ def shortest_ms(works: Mapping[str, tuple[Callable[[], object], int]], rounds: i
 
 
 def in_other_processes(record: Record, n: int) -> Iterator[float]:
-    """Yield the shortest CPU time [ms] of a likelihood with its gradient, in each of n new processes."""
+    """Yield the shortest CPU time [ms] of a likelihood of ``record`` with its gradient, in each of n new processes."""
     with tempfile.TemporaryDirectory() as folder:
         file = saved(record, Path(folder))
         for _ in range(n):
@@ -108,7 +111,7 @@ def in_other_processes(record: Record, n: int) -> Iterator[float]:
 
 
 def saved(record: Record, folder: Path) -> Path:
-    """Write a record to a file for a child process and return its path."""
+    """Write a record to the file record.npz in a folder, for a child process, and return its path."""
     file = folder / "record.npz"
     np.savez(file, t=record.t, u=record.u, y=record.y)
     return file
@@ -124,7 +127,10 @@ def large() -> Model:
 
 
 def processes(record: Record) -> Iterator[Figure]:
-    """Yield CPU time and memory of new processes, with an empty cache of kernels ("cold") and a full one ("warm")."""
+    """Yield CPU time and peak memory of new processes that estimate, or that compile a large model.
+
+    Each is measured with an empty cache of compiled kernels ("cold") and a full one ("warm", the best of three).
+    """
     with tempfile.TemporaryDirectory() as folder:
         file = saved(record, Path(folder))
         for work, group in (
@@ -144,9 +150,10 @@ def processes(record: Record) -> Iterator[Figure]:
 
 
 def main() -> None:
-    """Run the work of a child process and print its figures as JSON.
+    """Run the work of a child process and print its figures as JSON, with the peak memory [MB].
 
-    The work is an estimate, the timing of a gradient, or the compilation and first evaluation of the large model.
+    The arguments are the work and the file of a record. The work is "estimate", "gradient" (the timing of a gradient),
+    or "compile" (the compilation and first evaluation of the large model).
     """
     work, file = sys.argv[1:]
     began, data = time.process_time(), np.load(file)

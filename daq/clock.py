@@ -62,8 +62,9 @@ class RunClock:
 class SuspendDetector:
     """Detector of a suspended computer. The monotonic clock stops during a suspend, the boot-time clock does not.
 
-    Without the detector an old command would be repeated after a suspend as if no time had passed. On a system without
-    a boot-time clock the monotonic clock does not stop, so that the time-outs notice the pause.
+    Without the detector an old command would be repeated after a suspend as if no time had passed. macOS has no
+    boot-time clock. There `slept` always returns 0, and the raw monotonic clock does not stop during a suspend, so that
+    time-outs in run time notice the pause.
     """
 
     LEAST = 0.1  # s, shortest suspend that is detected
@@ -124,10 +125,11 @@ class _Kind:
         self.newest = self.last = newest  # device times [s]: the largest one, and that of the last sample
         self.least = least  # s, smallest delay
         self.since = math.inf  # run time [s] since which all samples are late
-        # Delay [s] of a sample whose time ran back. It is reset to 0 by a sample that is not late.
+        # Delay [s], in excess of `least`, of a sample whose time ran back. A sample with a much smaller delay resets it
+        # to 0.
         self.back = 0.0
         self.back_at = math.inf  # run time [s] of that sample
-        self.after = 0  # number of samples since that one
+        self.after = 0  # number of later samples that are about as late
 
 
 class ClockMap:
@@ -138,7 +140,7 @@ class ClockMap:
     Parameters
     ----------
     window : float
-        Length [s] of the data that determine the map.
+        Largest length [s] of the data that determine the map. The older hull spans between half of it and all of it.
 
     Notes
     -----
@@ -152,9 +154,11 @@ class ClockMap:
 
     SKEW_MAX = 300e-6  # the skew of two crystals is smaller; it limits the slope of a short hull
     JUMP = 0.5  # s; a device time that is ahead of the map by more means that the clock was set
-    LATE = 1.0  # s; a device time that is behind the newest by more means that the clock was set back, or a restart
-    # s; samples that are later by more than their kind ever was, for LATER_FOR, mean that the clock was set back or has
-    # stopped. A smaller delay may come from a queue in the link.
+    # s; an unordered device time that is behind the newest by more means that the clock was set back, or a restart. If
+    # the times are ordered, each device time that runs back means this.
+    LATE = 1.0
+    # s; if all samples of a kind exceed the smallest delay of this kind by more, for LATER_FOR, the clock was set back
+    # or has stopped. A smaller excess may come from a queue in the link.
     LATER = 0.5
     LATER_FOR = 10.0  # s
     # s; a sample whose time runs back and that is later by more was overtaken on the link. If all samples are as late

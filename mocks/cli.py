@@ -18,9 +18,9 @@ from seatrial.daq.config import load_rig
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.rig import LoadCellCalibration, Rig, Thruster
 from seatrial.mocks.devices import KINDS, LOOP_HZ, Faults, by_side, make_emulator, parse_fault
+from seatrial.mocks.hidden_effects import bench as bench_effects
 from seatrial.mocks.hidden_effects import catalogue
-from seatrial.mocks.plant import Bench, Boat, draw_bench, draw_boat, draw_thruster
-from seatrial.mocks.plant import bench as bench_plant
+from seatrial.mocks.plant import NONE, Bench, Boat, draw_bench, draw_boat, draw_thruster
 from seatrial.mocks.ports import NetPort, PtyPort
 from seatrial.mocks.random_streams import FAULT, random_stream
 from seatrial.mocks.sensors import CellSpec
@@ -36,16 +36,24 @@ _FAULT_HELP = "; ".join(f"{name}: {kind.text}" for name, kind in KINDS.items())
 Command = Callable[..., None]
 
 
-def _no_follow(path: str, flags: int) -> int:
-    """Open an output file. Fail if the path is a symbolic link, so that the link's target is not overwritten."""
+def _open_unless_link(path: str, flags: int) -> int:
+    """Open an output file with the ``flags`` of `os.open`, and return its descriptor.
+
+    A symbolic link raises OSError, so that the link's target is not overwritten. A new file gets mode 0666 less the
+    umask.
+    """
     return os.open(path, flags | os.O_NOFOLLOW, 0o666)
 
 
-def _options(effects: Sequence[str]) -> Callable[[Command], Command]:
-    """Return the decorator that adds the options of both commands; ``effects`` are the names that --effect accepts."""
+def _shared_options(effects: Sequence[str]) -> Callable[[Command], Command]:
+    """Return the decorator that adds the argument RIG and the options that both commands share.
+
+    ``effects`` are the names that --effect accepts besides "none" and "draw".
+    """
     choice = click.Choice(["none", "draw", *effects])
 
     def decorate(command: Command) -> Command:
+        """Add the argument and the options to ``command``, in the order in which the help shows them."""
         for option in reversed(
             (
                 click.argument("rig", type=click.Path(exists=True, dir_okay=False, path_type=Path)),
@@ -82,7 +90,7 @@ def mock() -> None:
 
 
 @mock.command(short_help="A simulated boat with two thrusters.")
-@_options([*catalogue.EFFECTS, *catalogue.OUTSIDE])
+@_shared_options([*catalogue.EFFECTS, *catalogue.OUTSIDE])
 def boat(rig: Path, seed: int, run: int, effect: str, truth_file: Path | None, **how: Any) -> None:
     """Serve a simulated boat with two thrusters at the ports of RIG.
 
@@ -101,7 +109,7 @@ def boat(rig: Path, seed: int, run: int, effect: str, truth_file: Path | None, *
 
 
 @mock.command(short_help="A simulated thruster on a load cell.")
-@_options(list(bench_plant.EFFECTS))
+@_shared_options(list(bench_effects.EFFECTS))
 def bench(rig: Path, seed: int, run: int, effect: str, truth_file: Path | None, **how: Any) -> None:
     """Serve a simulated bench, one thruster on a load cell, at the ports of RIG.
 
@@ -112,17 +120,27 @@ def bench(rig: Path, seed: int, run: int, effect: str, truth_file: Path | None, 
     """
     loaded = load_rig(rig)
     if len(loaded.thrusters) != 1:
-        raise SeatrialError(f"{rig}: a mock bench has one thruster; this rig has {len(loaded.thrusters)}")
-    name = bench_plant.draw_name(seed) if effect == "draw" else effect
-    plant = draw_bench(seed, bench_plant.NONE if name == "none" else bench_plant.make_effect(name, seed))
+        raise SeatrialError(
+            f"{rig}: a mock bench has one thruster; this rig has {len(loaded.thrusters)}: give another rig"
+        )
+    name = bench_effects.draw_name(seed) if effect == "draw" else effect
+    plant = draw_bench(seed, NONE if name == "none" else bench_effects.make_effect(name, seed))
     world = bench_world(plant, run, _device_specs(loaded, loaded.thrusters), utc=float(round(time.time())))
     _serve(loaded, plant, world, run, truth_file, **how)
 
 
 def _device_specs(rig: Rig, thrusters: Sequence[Thruster]) -> DeviceSpecs:
-    """Return the specifications of the rig's devices.
+    """Return the specifications of the simulated devices of a rig.
 
-    The controllers of one bus share its rate. An autopilot has an AHRS, a GNSS receiver and speed controllers.
+    The controllers of one bus share its rate. An autopilot has an AHRS, a GNSS receiver and speed controllers. A load
+    cell without calibration has 0.001 N per count. A thruster without ``rpm_max`` has 4500 rev/min.
+
+    Parameters
+    ----------
+    rig : Rig
+        The rig.
+    thrusters : sequence of Thruster
+        Its thrusters in the order of the plant's thrusters.
     """
     rates: dict[str, dict[str, float]] = {"vectornav": {}, "nmea": {}}
     cells, escs = [], []
@@ -154,7 +172,27 @@ def _serve(
     faults: Sequence[str],
     ascii_: bool,
 ) -> None:
-    """Open the ports, print `ready`, and serve until Ctrl-C or SIGTERM. Write the ground-truth file before `ready`."""
+    """Open the ports of a rig, print `ready`, serve until Ctrl-C or SIGTERM, and print a line with the timing.
+
+    Parameters
+    ----------
+    rig : Rig
+        The rig whose devices are simulated.
+    plant : Boat or Bench
+        Parameters of the plant, for the ground truth.
+    world : World
+        The simulated plant with its devices.
+    run : int
+        Number of the run.
+    truth_file : Path or None
+        Ground-truth file, which is written before `ready`; None for no file.
+    trace : Path or None
+        File for the changes of effective commands; None for no file.
+    faults : sequence of str
+        Faults as on the command line.
+    ascii_ : bool
+        Whether an AHRS sends $VNYMR sentences.
+    """
     names, thrusters = [d.name for d in rig.devices], [t.name for t in rig.thrusters]
     schedule = Faults([parse_fault(text, names, thrusters) for text in faults], random_stream(plant.seed, FAULT, run))
     with contextlib.ExitStack() as stack:
@@ -164,34 +202,46 @@ def _serve(
             emulators[device.name] = make_emulator(rig, device, controllers, ascii_)
         ports: dict[str, PtyPort | NetPort] = {}
         for device in rig.devices:
-            ports[device.name] = _port(device.port)
+            ports[device.name] = _open_port(device.port)
             stack.callback(ports[device.name].close)
         if truth_file is not None:
             write_truth(truth_file, ground_truth(plant, run))
-        file = stack.enter_context(open(trace, "w", encoding="utf-8", opener=_no_follow)) if trace is not None else None
+        file = (
+            stack.enter_context(open(trace, "w", encoding="utf-8", opener=_open_unless_link))
+            if trace is not None
+            else None
+        )
         server = Server(world, emulators, ports, rig.speed, schedule, file)
-        stack.enter_context(_signals(server))
+        stack.enter_context(_signal_handlers(server))
         click.echo("ready")
         sys.stdout.flush()
         server.run()
-        _report(server)
+        _print_timing(server)
 
 
-def _port(port: str) -> PtyPort | NetPort:
-    """Open the mock's end of a rig's port: a socket for `udp:` and `tcp:` addresses, else a pty."""
+def _open_port(port: str) -> PtyPort | NetPort:
+    """Open the mock's end of a port of the rig: a socket for `udp:` and `tcp:` addresses, else a pty.
+
+    The prefix `slcan:` is left out of the path of the pty.
+    """
     if port.partition(":")[0] in ("udp", "udpin", "udpout", "tcp"):
         return NetPort(port)
     return PtyPort(Path(port.removeprefix("slcan:")))
 
 
 @contextlib.contextmanager
-def _signals(server: Server) -> Iterator[None]:
-    """Stop the server on Ctrl-C and SIGTERM, and trigger the faults with the time `usr1` on SIGUSR1."""
+def _signal_handlers(server: Server) -> Iterator[None]:
+    """Handle signals while the context lasts; at its end the earlier handlers are restored.
+
+    Ctrl-C and SIGTERM stop the server. SIGUSR1 starts the faults with the time `usr1`.
+    """
 
     def stop(number: int, frame: object) -> None:
+        """Let the server end."""
         server.stopping = True
 
     def trigger(number: int, frame: object) -> None:
+        """Let the server start the faults with the time `usr1`."""
         server.triggered = True
 
     handlers = {signal.SIGINT: stop, signal.SIGTERM: stop, signal.SIGUSR1: trigger}
@@ -203,8 +253,11 @@ def _signals(server: Server) -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def _report(server: Server) -> None:
-    """Print one line with the run time and the largest delay of a sample against the wall clock."""
+def _print_timing(server: Server) -> None:
+    """Print one line to standard error: the run time, and the largest delay of a sample against the wall clock.
+
+    A delay above LAG_WARNING_S (0.1 s) is a warning.
+    """
     lag = f"{1e3 * server.max_lag:.1f} ms"
     if server.max_lag > LAG_WARNING_S:
         message = f"FELL BEHIND the wall clock by up to {lag}"

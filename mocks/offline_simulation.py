@@ -92,25 +92,48 @@ def simulate(
     assert isinstance(plant, BoatPlant)
     left, right = plant.shafts
     names = ("t", "x", "y", "psi", "u", "v", "r", "n_left", "n_right")
-    readings, rows = _run(world, t, n, duration, lambda: (world.t, *plant.state[:6], left.n, right.n), faults)
-    return Recording(readings, _columns(names, rows))
+    readings, rows = _simulate(world, t, n, duration, lambda: (world.t, *plant.state[:6], left.n, right.n), faults)
+    return Recording(readings, _columns_by_name(names, rows))
 
 
 def simulate_bench(
     bench: Bench, t: ArrayLike, n: ArrayLike, duration: float, run: int = 0, *, disturbed: bool = True
 ) -> Recording:
-    """Simulate a bench under given commands.
+    """Simulate a bench with one thruster and one load cell under given commands.
 
-    The parameters are those of `simulate`, except for the shape of ``n``, which is (n_commands,) or (n_commands, 1).
+    Parameters
+    ----------
+    bench : Bench
+        Parameters and hidden effect of the bench.
+    t : Array (n_commands,)
+        Times of the commands [s]. Each command holds until the next one.
+    n : Array (n_commands,) or (n_commands, 1)
+        Commands (-1 to 1, positive forward).
+    duration : float
+        Duration of the simulation [s].
+    run : int
+        Number of the run. It selects the noise.
+    disturbed : bool
+        Whether the random force of the moving water acts on the rod.
+
+    Returns
+    -------
+    Recording
+        Readings of the devices "loadcell" and "esc", and true states t [s], n and thrust [N].
+
+    Raises
+    ------
+    ValueError
+        If the commands have the wrong shape or their times decrease.
     """
     world = bench_world(bench, run, BENCH, disturbed=disturbed)
     plant = world.plant
     assert isinstance(plant, BenchPlant)
-    readings, rows = _run(world, t, n, duration, lambda: (world.t, plant.shafts[0].n, plant.thrust()))
-    return Recording(readings, _columns(("t", "n", "thrust"), rows))
+    readings, rows = _simulate(world, t, n, duration, lambda: (world.t, plant.shafts[0].n, plant.thrust()))
+    return Recording(readings, _columns_by_name(("t", "n", "thrust"), rows))
 
 
-def _run(
+def _simulate(
     world: World,
     t: ArrayLike,
     n: ArrayLike,
@@ -118,8 +141,29 @@ def _run(
     truth: Callable[[], tuple[float, ...]],
     faults: Faults | None = None,
 ) -> tuple[list[Reading], list[tuple[float, ...]]]:
-    """Simulate a world under given commands. Return the readings and the rows of true states."""
-    schedule = _schedule(t, n, len(world.controllers))
+    """Simulate a world under given commands, from its present time on.
+
+    Parameters
+    ----------
+    world : World
+        Plant and devices at time 0. It is advanced to the end of the simulation.
+    t, n : array_like
+        Times [s] and values of the commands, as in `simulate`.
+    duration : float
+        Duration of the simulation [s].
+    truth : callable
+        Function that returns the present true states. It is called at TRUTH_HZ.
+    faults : Faults, optional
+        Faults of devices and speed controllers.
+
+    Returns
+    -------
+    list of Reading
+        Commands and samples in the order of time. A command to a dead controller is listed too.
+    list of tuple
+        The results of ``truth``.
+    """
+    schedule = _command_rows(t, n, len(world.controllers))
     step = world.plant.step_s
     every = round(1.0 / (TRUTH_HZ * step))
     readings: list[Reading] = []
@@ -127,14 +171,14 @@ def _run(
     position = 0
     for k in range(round(duration / step) + 1):
         if faults is not None:
-            _fail_controllers(world, faults)
+            _apply_controller_faults(world, faults)
         while position < len(schedule) and schedule[position][0] < (k + 1) * step:
             t_cmd, row = schedule[position]
             position += 1
             for controller, value in zip(world.controllers, row, strict=True):
                 controller.command(t_cmd, value)
                 readings.append(Reading(controller.spec.device, Command(controller.spec.node, value), t_cmd))
-        readings += world.readings() if faults is None else _with_faults(world.readings(), faults)
+        readings += world.readings() if faults is None else _readings_after_faults(world.readings(), faults)
         if k % every == 0:
             rows.append(truth())
         world.advance()
@@ -142,21 +186,24 @@ def _run(
     return readings, rows
 
 
-def _fail_controllers(world: World, faults: Faults) -> None:
-    """Let the controllers fail for which a fault `esc-dead` is active."""
+def _apply_controller_faults(world: World, faults: Faults) -> None:
+    """Let the controllers fail, for good, for which a fault `esc-dead` is active. The fault `esc-stuck` is ignored."""
     for controller in world.controllers:
         if not controller.dead and faults.active("esc-dead", controller.spec.name, world.t):
             controller.die(world.t)
 
 
-def _with_faults(readings: Sequence[Reading], faults: Faults) -> list[Reading]:
-    """Return the readings after the active faults, without those that a fault suppresses."""
+def _readings_after_faults(readings: Sequence[Reading], faults: Faults) -> list[Reading]:
+    """Return the readings as changed by the active faults, without readings that a fault suppresses."""
     sent = [(r, faults.reading(r.device, r.sample, r.t)) for r in readings]
     return [Reading(r.device, sample, r.t) for r, sample in sent if sample is not None]
 
 
-def _schedule(t: ArrayLike, n: ArrayLike, thrusters: int) -> list[tuple[float, list[float]]]:
-    """Return each command as its time [s] and one value for each thruster. Check shapes and times."""
+def _command_rows(t: ArrayLike, n: ArrayLike, thrusters: int) -> list[tuple[float, list[float]]]:
+    """Check the shapes and times of commands, and return them as (time [s], value for each thruster).
+
+    For one thruster ``n`` may have the shape (k,). Raises ValueError for other shapes and for decreasing times.
+    """
     times, values = np.asarray(t, dtype=float), np.asarray(n, dtype=float)
     if values.ndim == 1 and thrusters == 1:
         values = values[:, None]
@@ -167,13 +214,19 @@ def _schedule(t: ArrayLike, n: ArrayLike, thrusters: int) -> list[tuple[float, l
     return list(zip(times.tolist(), values.tolist(), strict=True))
 
 
-def _columns(names: Sequence[str], rows: Sequence[Sequence[float]]) -> Truth:
+def _columns_by_name(names: Sequence[str], rows: Sequence[Sequence[float]]) -> Truth:
+    """Return the columns of ``rows`` (n_rows, n_columns) as arrays (n_rows,), by the names of the columns."""
     table = np.array(rows, dtype=float)
     return {name: table[:, i] for i, name in enumerate(names)}
 
 
 def tables(readings: Sequence[Reading]) -> dict[str, NDArray[np.void]]:
     """Convert readings to structured arrays.
+
+    Parameters
+    ----------
+    readings : sequence of Reading
+        Samples and commands, for example of `simulate`.
 
     Returns
     -------

@@ -19,25 +19,28 @@ START, DISTURBANCE, AHRS, GNSS, ESC, LOADCELL, FAULT, WAVES, GUSTS, COLOUR, OUTL
 
 
 def random_stream(seed: int, name: int, run: int | None = None, index: int = 0) -> np.random.Generator:
-    """Return the generator of one stream of random numbers.
+    """Return the generator of one stream of random numbers. The same arguments give the same numbers.
 
     Parameters
     ----------
+    seed : int
+        Seed of the boat or bench.
     name : int
-        One of the constants of this module.
+        Purpose of the stream: one of the constants of this module, for example `WAVES`.
     run : int, optional
         Number of the run. None for streams that are the same in all runs of a boat.
     index : int
-        Number of the stream if several have the same name.
+        Number of the stream if several have the same name, for example of the second GNSS receiver.
     """
     return np.random.default_rng([seed, name, 0 if run is None else run + 1, index])
 
 
 def normals(rng: np.random.Generator) -> Draw:
-    """Return a function that returns the next standard normal number at each call."""
+    """Return a function without arguments that returns the next standard normal number of ``rng`` at each call."""
 
     # Numbers are drawn in blocks, since single draws are slow.
     def blocks() -> Iterator[float]:
+        """Yield standard normal numbers without end."""
         while True:
             yield from rng.standard_normal(1024).tolist()
 
@@ -77,10 +80,22 @@ class WhiteWalk:
 
 
 class OrnsteinUhlenbeck:
-    """First-order Gauss-Markov process of standard deviation ``sigma`` and correlation time ``tau`` [s]."""
+    """First-order Gauss-Markov (Ornstein-Uhlenbeck) process. The attribute `value` is its present value."""
 
     def __init__(self, draw: Draw, dt: float, sigma: float, tau: float) -> None:
-        """Start in the stationary distribution. The discretisation with the step ``dt`` [s] is exact."""
+        """Draw the initial value from the stationary distribution.
+
+        Parameters
+        ----------
+        draw : callable
+            Function that returns standard normal numbers.
+        dt : float
+            Time between two steps [s]. The discretisation is exact for any step.
+        sigma : float
+            Stationary standard deviation, in the unit of the process.
+        tau : float
+            Correlation time [s].
+        """
         self._draw = draw
         self._phi = math.exp(-dt / tau)
         self._sigma = sigma * math.sqrt(1.0 - self._phi**2)

@@ -33,14 +33,14 @@ _A, _E2 = 6378137.0, 6.69437999014e-3  # WGS 84: semi-major axis in m, squared e
 
 
 def wrap(angle: float) -> float:
-    """Return ``angle`` [rad] in the interval from -pi to pi."""
+    """Return the angle in [-pi, pi) [rad] that differs from ``angle`` [rad] by whole turns."""
     return (angle + math.pi) % (2.0 * math.pi) - math.pi
 
 
 def geodetic(north: float, east: float) -> tuple[float, float]:
-    """Return latitude and longitude [deg] of a point ``north``, ``east`` [m] of the origin.
+    """Return latitude and longitude [deg] of a point that lies ``north`` and ``east`` [m] of the plant's origin.
 
-    The point lies on the tangent plane, with the WGS 84 radii of curvature at the origin.
+    The distances are divided by the WGS 84 radii of curvature at the origin (tangent plane), which is near Lisbon.
     """
     w2 = 1.0 - _E2 * math.sin(LATITUDE * DEG) ** 2
     meridian, prime = _A * (1.0 - _E2) / w2**1.5, _A / math.sqrt(w2)
@@ -58,6 +58,10 @@ class AhrsSensor:
 
         Parameters
         ----------
+        seed : int
+            Seed of the boat or bench.
+        run : int
+            Number of the run. It selects the noise.
         rate : float
             Rate of the samples [Hz].
         effects : sequence of HiddenEffect
@@ -76,7 +80,10 @@ class AhrsSensor:
         self._field = WhiteWalk(draw, dt, 0.15e-6)
 
     def read(self, m: RigidBodyState) -> Ahrs:
-        """Return the sample for the true motion ``m``."""
+        """Return the next sample, for the true motion ``m``. Each call advances the noise by one sample.
+
+        The hidden effects of the sensor and the noise are added to the motion. The heading is in [-pi, pi) [rad].
+        """
         psi, rate, accel_x, accel_y = self._errors.apply(m)
         pitch, roll = self._tilt
         p, q, r = self._rates
@@ -99,16 +106,23 @@ class AhrsSensor:
 
 
 class AhrsErrors:
-    """Systematic errors of an AHRS by hidden effects, without noise."""
+    """Systematic errors of an AHRS by hidden effects, without noise: compass, mounting, gyro and accelerometers."""
 
     def __init__(self, effects: Sequence[HiddenEffect]) -> None:
+        """Collect the hooks that concern an AHRS. Effects without such hooks are ignored."""
         self._compasses = [e.compass for e in effects if e.compass is not None]
         self._gyros = [e.gyro for e in effects if e.gyro is not None]
         self._accelerometers = [e.accelerometer for e in effects if e.accelerometer is not None]
         self._mount = sum(e.mount for e in effects)
 
     def apply(self, m: RigidBodyState) -> tuple[float, float, float, float]:
-        """Return measured heading [rad], yaw rate [rad/s] and accelerations [m/s2] for the true motion ``m``."""
+        """Return the measured motion without noise, for the true motion ``m``.
+
+        Returns
+        -------
+        tuple of four floats
+            Heading [rad], not limited to a turn, yaw rate [rad/s], and acceleration [m/s2] forward and to starboard.
+        """
         u = math.cos(m.psi) * m.vel_n + math.sin(m.psi) * m.vel_e
         psi = m.psi + sum(deviation(m.psi) for deviation in self._compasses) + self._mount
         rate = m.r + sum(error(m.r) for error in self._gyros)
@@ -122,7 +136,7 @@ class AhrsErrors:
 
 
 def _noise_gain(effects: Sequence[HiddenEffect]) -> float:
-    """Return the factor of all effects on the white noise."""
+    """Return the factor of all effects together on the standard deviation of the white noise; 1 without one."""
     return math.prod(e.noise.gain for e in effects if e.noise is not None)
 
 
@@ -142,6 +156,10 @@ class GnssSensor:
 
         Parameters
         ----------
+        seed : int
+            Seed of the boat or bench.
+        run : int
+            Number of the run. It selects the noise.
         rate : float
             Rate of the fixes [Hz].
         effects : sequence of HiddenEffect
@@ -160,7 +178,11 @@ class GnssSensor:
         self._errors = GnssErrors(effects, seed, run, dt, index)
 
     def read(self, m: RigidBodyState, utc: float) -> Gnss:
-        """Return the fix for the true motion ``m`` with the time stamp ``utc`` [s since 1970]."""
+        """Return the next fix, for the true motion ``m``, with the time stamp ``utc`` [s since 1970].
+
+        Each call advances the noise by one fix. Lever arm and latency are already in ``m`` (`RigidBodyState.fix_x`).
+        The type of fix is 6, an RTK float solution.
+        """
         north, east = self._position
         vel_n, vel_e = self._velocity
         error_n, error_e = self._errors.step()
@@ -184,6 +206,7 @@ class GnssErrors:
     """Errors of a GNSS position by hidden effects: a time-correlated error and outliers."""
 
     def __init__(self, effects: Sequence[HiddenEffect], seed: int, run: int, dt: float, index: int) -> None:
+        """Set up the errors of receiver ``index`` in one run. ``dt`` is the time between two fixes [s]."""
         noises = [e.noise for e in effects if e.noise is not None]
         draw = normals(random_stream(seed, COLOUR, run, index))
         self._correlated = [
@@ -195,7 +218,7 @@ class GnssErrors:
         self._rng = random_stream(seed, OUTLIERS, run, index)
 
     def step(self) -> tuple[float, float]:
-        """Return the error [m] of the next fix, north and east."""
+        """Return the error [m] of the next fix, north and east; zeros without such an effect."""
         north = sum(pair[0].step() for pair in self._correlated)
         east = sum(pair[1].step() for pair in self._correlated)
         for share, sigma in self._outliers:
@@ -213,13 +236,16 @@ class EscSensor:
     """
 
     def __init__(self, seed: int, run: int, node: int, rpm_max: float) -> None:
+        """Set up the telemetry of controller ``node`` in one run. ``rpm_max`` is its full shaft speed [rev/min]."""
         self._draw = normals(random_stream(seed, ESC, run, node))
         self._node = node
         self._rpm_max = rpm_max
         self._heat = 0.0
 
     def read(self, n: float, force: float, duty: float, energy: float, dt: float) -> Esc:
-        """Return the next telemetry sample.
+        """Return the next telemetry sample, with its node, and advance the temperature.
+
+        Below a normalised shaft speed of 0.005 the reported shaft speed is 0 without noise.
 
         Parameters
         ----------
@@ -250,26 +276,55 @@ class EscSensor:
 
 @dataclass(frozen=True)
 class CellSpec:
-    """Load cell with its rate and its calibration."""
+    """Specification of a load cell.
+
+    Attributes
+    ----------
+    name : str
+        Name of the device.
+    rate_hz : float
+        Rate of the readings [Hz].
+    newton_per_count : float
+        Force at the thruster per count [N].
+    zero_counts : float
+        Reading without force [counts].
+    saturation : float
+        Largest reading [counts]. The smallest one is ``-saturation - 1``.
+    """
 
     name: str
     rate_hz: float
-    newton_per_count: float = 0.001  # force at the thruster per count
-    zero_counts: float = 84210.0  # counts without force
-    saturation: float = 8388607.0  # counts, largest reading
+    newton_per_count: float = 0.001
+    zero_counts: float = 84210.0
+    saturation: float = 8388607.0
 
 
 class LoadCellSensor:
     """Load cell with white noise, a slow drift and an error of its zero (standard deviation 0.3 N)."""
 
     def __init__(self, seed: int, run: int, spec: CellSpec, index: int = 0) -> None:
-        """Set up a load cell. ``index`` is its number on the rig and selects the stream of random numbers."""
+        """Set up a load cell.
+
+        Parameters
+        ----------
+        seed : int
+            Seed of the boat or bench.
+        run : int
+            Number of the run. It selects the noise.
+        spec : CellSpec
+            Rate and calibration.
+        index : int
+            Number of the load cell on the rig. It selects the stream of random numbers.
+        """
         draw = normals(random_stream(seed, LOADCELL, run, index))
         self._noise = WhiteWalk(draw, 1.0 / spec.rate_hz, 0.1, 0.001, bias=0.3)
         self._spec = spec
 
     def read(self, force: float) -> LoadCell:
-        """Return the reading for a true ``force`` [N], clipped to the range of the converter."""
+        """Return the next reading [whole counts] for a true ``force`` [N], with noise.
+
+        The counts are clipped to the range of the converter.
+        """
         spec = self._spec
         counts = round(spec.zero_counts + (force + self._noise()) / spec.newton_per_count)
         return LoadCell(float(max(-spec.saturation - 1.0, min(spec.saturation, counts))))

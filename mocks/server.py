@@ -26,6 +26,15 @@ class Server:
     """Loop that keeps a world on time and serves its ports.
 
     Run time is the wall time since the start, times ``speed``.
+
+    Attributes
+    ----------
+    stopping : bool
+        Set it to True to end `run`.
+    triggered : bool
+        Set it to True to start the faults with the time `usr1`.
+    max_lag : float
+        Largest delay of a sample so far [wall s].
     """
 
     def __init__(
@@ -52,11 +61,11 @@ class Server:
         faults : Faults
             Schedule of the faults.
         trace : text file, optional
-            File for one JSON line per change of an effective command.
+            File for one line of JSON for each change of an effective command.
         """
-        self.stopping = False  # set to end `run`
-        self.triggered = False  # set to start the faults with the time `usr1`
-        self.max_lag = 0.0  # wall s, largest delay of a sample
+        self.stopping = False
+        self.triggered = False
+        self.max_lag = 0.0
         self._extension_s = 0.0  # wall s by which time-outs were extended because of pauses of this process
         self._world = world
         self._emulators = emulators
@@ -71,7 +80,10 @@ class Server:
             controller.on_change = self._write_trace
 
     def run(self) -> None:
-        """Serve until `stopping` is set."""
+        """Serve the ports in real time until `stopping` is set.
+
+        The priority of this process is raised first, as far as the system allows. Run time 0 is the time of this call.
+        """
         # A real device keeps its time on a busy machine too. A system that denies the priority raises OSError.
         with contextlib.suppress(OSError):
             os.setpriority(os.PRIO_PROCESS, 0, NICENESS)
@@ -84,9 +96,9 @@ class Server:
             t = (wall - self._start) * self._speed
             self._extend_deadlines(wall)
             self._apply_faults(t)
-            self._receive(t)
-            self._advance(t)
-            self._wait()
+            self._answer_hosts(t)
+            self._advance_world(t)
+            self._wait_for_next_sample()
 
     @property
     def t(self) -> float:
@@ -94,7 +106,10 @@ class Server:
         return self._world.t
 
     def _extend_deadlines(self, wall: float) -> None:
-        """Extend the time-outs of the controllers by a pause of this process, in which it could receive no command."""
+        """Extend the time-outs of the controllers by a pause of this process, in which it could receive no command.
+
+        ``wall`` is the present monotonic time [s]. A pause is a gap of more than 5 ms beyond the intended wait.
+        """
         gap = wall - self._last_round - self._wait_s
         self._last_round = wall
         if gap > PAUSE_MIN_S:
@@ -103,7 +118,10 @@ class Server:
                 controller.deadline += gap * self._speed
 
     def _apply_faults(self, t: float) -> None:
-        """Start and end the faults of ports and controllers that are due at ``t`` [s]."""
+        """Start and end the faults of ports and controllers that are due at run time ``t`` [s].
+
+        The faults are "pull", "esc-dead" and "esc-stuck". Faults with the time `usr1` start if `triggered` is set.
+        """
         if self.triggered:
             self.triggered = False
             self._faults.trigger(t)
@@ -121,8 +139,11 @@ class Server:
                 controller.dead = False
             controller.stuck = self._faults.active("esc-stuck", controller.spec.name, t)
 
-    def _receive(self, t: float) -> None:
-        """Pass the bytes of the host to the devices and send their answers."""
+    def _answer_hosts(self, t: float) -> None:
+        """Pass the bytes of the hosts to the devices, and send their answers. ``t`` is the run time [s].
+
+        During a fault "refuse" each line is answered with BELL.
+        """
         for name, port in self._ports.items():
             if not port.plugged or not (data := port.read()):
                 continue
@@ -131,21 +152,25 @@ class Server:
             else:
                 port.write(self._emulators[name].receive(data, t), time.monotonic())
 
-    def _advance(self, t: float) -> None:
-        """Advance the world to ``t`` [s] and send the samples that become due."""
+    def _advance_world(self, t: float) -> None:
+        """Advance the world to run time ``t`` [s], and send the samples that become due.
+
+        At most STEPS_MAX steps are made, so that the ports are served if the simulation is late. Waiting bytes of all
+        ports are then sent.
+        """
         world = self._world
         for _ in range(STEPS_MAX):
             if world.t > t:
                 break
             if world.plant.steps >= world.next_due:
-                self._send()
+                self._send_due_samples()
             world.advance()
         wall = time.monotonic()
         for port in self._ports.values():
             port.flush(wall)
 
-    def _send(self) -> None:
-        """Send the samples that are due, with the effects of active faults."""
+    def _send_due_samples(self) -> None:
+        """Send the samples that are due, with the effects of active faults, and update `max_lag`."""
         t = self._world.t
         for device, true_sample, _ in self._world.readings():
             sample = self._faults.reading(device, true_sample, t)
@@ -157,14 +182,26 @@ class Server:
                 self.max_lag = max(self.max_lag, wall - self._start - t / self._speed)
                 self._ports[device].write(data, wall)
 
-    def _wait(self) -> None:
-        """Wait until the next sample is due or the host writes."""
+    def _wait_for_next_sample(self) -> None:
+        """Wait until the next sample is due or a host writes, for at most WAIT_MAX_S (0.05 s wall)."""
         due = self._start + self._world.next_due * self._world.plant.step_s / self._speed
         self._wait_s = min(max(due - time.monotonic(), 0.0), WAIT_MAX_S)
         select.select([port for port in self._ports.values() if port.plugged], [], [], self._wait_s)
 
     def _write_trace(self, t: float, node: int, n: float, why: str) -> None:
-        """Write a changed effective command to the trace file."""
+        """Write a changed effective command to the trace file, if there is one.
+
+        Parameters
+        ----------
+        t : float
+            Run time of the change [s].
+        node : int
+            Node of the speed controller.
+        n : float
+            New effective command, -1 to 1, positive forward.
+        why : str
+            Reason: "command", "timeout" or "dead".
+        """
         if self._trace is not None:
             line = {"t": round(t, 6), "wall": time.monotonic(), "node": node, "n": round(n, 6), "why": why}
             line["forgiven"] = round(self._extension_s, 6)

@@ -14,7 +14,12 @@ FORMAT = "seatrial-truth 1"
 
 
 def ground_truth(world: Boat | Bench, run: int) -> dict[str, Any]:
-    """Return the content of the file: the first hidden effect with its description, and all true parameters (SI)."""
+    """Return the content of the ground-truth file of a boat or bench as a dict that JSON can hold.
+
+    It has the keys "format", "plant" ("boat" or "bench"), "seed", "run", "effect" (name), "parameters" (of the effect,
+    SI), "sentence" (description of the effect) and "true_parameters" (of the plant, SI). Of several hidden effects only
+    the first is named. Without an effect the name is "none".
+    """
     effects = world.effects if isinstance(world, Boat) else (world.effect,)
     effect = effects[0] if effects else NONE
     return {
@@ -30,11 +35,15 @@ def ground_truth(world: Boat | Bench, run: int) -> dict[str, Any]:
 
 
 def write_truth(path: Path, truth: Mapping[str, Any]) -> None:
-    """Write the file. Only its owner can read it (mode 0600). A failed write leaves no partial file at ``path``."""
+    """Write the ground truth as JSON. An existing file is replaced.
+
+    Only the owner can read the file (mode 0600). The folder is made if it does not exist. The text is first written to
+    the hidden file `.NAME.part` in the same folder, so a failed write leaves ``path`` unchanged.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(f".{path.name}.part")
-    part.unlink(missing_ok=True)
-    with os.fdopen(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="utf-8") as file:
+    partial = path.with_name(f".{path.name}.part")
+    partial.unlink(missing_ok=True)
+    with os.fdopen(os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="utf-8") as file:
         json.dump(truth, file, indent=2)
         file.write("\n")
-    part.replace(path)
+    partial.replace(path)

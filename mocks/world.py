@@ -18,38 +18,87 @@ Sample = Ahrs | Gnss | Esc | LoadCell | Command
 
 
 class Reading(NamedTuple):
-    """One sample of one device."""
+    """One sample of one device.
+
+    Attributes
+    ----------
+    device : str
+        Name of the device.
+    sample : Ahrs, Gnss, Esc, LoadCell or Command
+        The sample, in the units of seatrial.daq.samples.
+    t : float
+        Time since the start of the run [s].
+    """
 
     device: str
     sample: Sample
-    t: float  # s since the start of the run
+    t: float
 
 
 class Plant(Protocol):
-    """Interface of `BoatPlant` and `BenchPlant` to `World`."""
+    """Interface of `BoatPlant` and `BenchPlant` to `World`.
 
-    step_s: float  # s, step of the integration
-    steps: int  # number of steps since the start
-    energy: float  # s, integral of |n|^3 over time, summed over the thrusters
+    Attributes
+    ----------
+    step_s : float
+        Step of the integration [s].
+    steps : int
+        Number of steps since the start.
+    energy : float
+        Integral of ``|n|^3`` over time [s], summed over the thrusters, with normalised shaft speeds n.
+    """
+
+    step_s: float
+    steps: int
+    energy: float
 
     @property
-    def shafts(self) -> Sequence[Shaft | BenchShaft]: ...
-    def command(self, thruster: int, t: float, n_cmd: float) -> None: ...
-    def thrust(self, thruster: int) -> float: ...
-    def advance(self) -> None: ...
+    def shafts(self) -> Sequence[Shaft | BenchShaft]:
+        """Shafts of the thrusters, by index."""
+        ...
+
+    def command(self, thruster: int, t: float, n_cmd: float) -> None:
+        """Set the command of a thruster (-1 to 1, positive forward) from time ``t`` [s] on."""
+        ...
+
+    def thrust(self, thruster: int) -> float:
+        """Return the thrust [N] of a thruster at its present shaft speed."""
+        ...
+
+    def advance(self) -> None:
+        """Integrate one step."""
+        ...
 
 
 @dataclass(frozen=True)
 class EscSpec:
-    """Speed controller of one thruster and its place on a bus."""
+    """Specification of the speed controller (ESC) of one thruster.
 
-    device: str  # name of the bus
+    Attributes
+    ----------
+    device : str
+        Name of the device (bus or autopilot) that the controller is connected to.
+    node : int
+        Number of the controller on the bus, or of the servo output.
+    rate_hz : float
+        Rate of the status messages of this controller [Hz].
+    rpm_max : float
+        Full shaft speed [rev/min].
+    reversed : bool
+        Whether a positive command on the bus drives the boat backwards.
+    timeout_s : float
+        Time without a command [s] after which the controller stops the motor.
+    name : str
+        Name of the thruster; may be empty.
+    """
+
+    device: str
     node: int
-    rate_hz: float  # rate of the status frames of this node
-    rpm_max: float = 4500.0  # rev/min, full speed
-    reversed: bool = False  # whether a positive command on the bus drives the boat backwards
-    timeout_s: float = math.inf  # s without a command after which the controller stops the motor
-    name: str = ""  # of the thruster
+    rate_hz: float
+    rpm_max: float = 4500.0
+    reversed: bool = False
+    timeout_s: float = math.inf
+    name: str = ""
 
 
 # on_change(t, node, n, why): called when the effective command changes to n (positive forward). The reason is
@@ -61,17 +110,33 @@ class EscController:
     """Speed controller of one thruster.
 
     It obeys duty commands, and stops the motor if no command arrives within its time-out.
+
+    Attributes
+    ----------
+    spec : EscSpec
+        Specification of the controller.
+    n : float
+        Effective command (-1 to 1, positive forward): the last command obeyed, or 0 after a time-out or a failure.
+    dead : bool
+        Whether the controller has failed: it gives no thrust and sends no telemetry.
+    stuck : bool
+        Whether the controller ignores commands and its time-out.
+    deadline : float
+        Time [s] at which the time-out ends; infinite without a command.
+    on_change : callable, optional
+        Called with the time, the node, the new effective command and the reason ("command", "timeout" or "dead").
     """
 
     def __init__(self, spec: EscSpec, plant: Plant, thruster: int) -> None:
+        """Set up the controller with zero command. ``thruster`` is the index of its thruster in the plant."""
         self.spec = spec
-        self.n = 0.0  # effective command, positive forward
+        self.n = 0.0
         self.dead = False
-        self.stuck = False  # whether the controller ignores commands and its time-out
+        self.stuck = False
         self.on_change: OnChange | None = None
         self._plant = plant
         self._thruster = thruster
-        self.deadline = math.inf  # s, time at which the time-out ends
+        self.deadline = math.inf
 
     @property
     def duty(self) -> float:
@@ -79,26 +144,35 @@ class EscController:
         return -self.n if self.spec.reversed else self.n
 
     def command(self, t: float, duty: float) -> None:
-        """Obey a command that arrives at time ``t`` [s]. A dead or stuck controller ignores the command."""
+        """Obey a duty command (-1 to 1, with its sign on the bus) that arrives at time ``t`` [s].
+
+        The time-out starts again. A dead or stuck controller ignores the command.
+        """
         if self.dead or self.stuck:
             return
         self.check(t)
         self.deadline = t + self.spec.timeout_s
-        self._set(t, -duty if self.spec.reversed else duty, "command")
+        self._set_effective_command(t, -duty if self.spec.reversed else duty, "command")
 
     def check(self, t: float) -> None:
-        """Stop the motor if the time-out ended before ``t`` [s]. A stuck controller (a fault) keeps turning."""
+        """Stop the motor if the time-out ended before ``t`` [s]; the stop is dated to the end of the time-out.
+
+        A stuck controller (a fault) keeps turning.
+        """
         if t > self.deadline and not self.stuck:
             t_end, self.deadline = self.deadline, math.inf
-            self._set(t_end, 0.0, "timeout")
+            self._set_effective_command(t_end, 0.0, "timeout")
 
     def die(self, t: float) -> None:
         """Let the controller fail at ``t`` [s]: from then on it gives no thrust and sends no telemetry."""
         self.dead, self.deadline = True, math.inf
-        self._set(t, 0.0, "dead")
+        self._set_effective_command(t, 0.0, "dead")
 
-    def _set(self, t: float, n: float, why: str) -> None:
-        """Pass a changed effective command to the plant and to `on_change`."""
+    def _set_effective_command(self, t: float, n: float, why: str) -> None:
+        """Set the effective command ``n``. If it has changed, pass it to the plant and to `on_change`.
+
+        ``why`` is the reason: "command", "timeout" or "dead".
+        """
         n += 0.0  # turns -0.0 into 0.0
         if n != self.n:
             self.n = n
@@ -110,7 +184,8 @@ class EscController:
 class SampledStream:
     """Periodic samples of one device.
 
-    Each sample is due at the first step of the plant at or after a multiple of the period.
+    Each sample is due at the first step of the plant at or after a multiple of the period, shifted by the phase. The
+    attribute `due` is the number of the step at which the next sample is due.
     """
 
     def __init__(
@@ -120,8 +195,10 @@ class SampledStream:
 
         Parameters
         ----------
+        device : str
+            Name of the device.
         rate_hz : float
-            Rate of the samples.
+            Rate of the samples [Hz].
         step_s : float
             Step of the plant [s].
         read : callable
@@ -134,27 +211,40 @@ class SampledStream:
         self._period = 1.0 / (rate_hz * step_s)
         self._count = phase
         self.due = 0
-        self._place()
+        self._schedule_next()
 
-    def _place(self) -> None:
-        """Set the step of the plant at which the next sample is due."""
+    def _schedule_next(self) -> None:
+        """Compute `due`: the number of the plant's step at which the next sample is due."""
         self.due = math.ceil(self._count * self._period - 1e-6)
 
     def take(self) -> Sample | None:
         """Return the sample that is due, or None if the device is silent. Schedule the next sample."""
         self._count += 1.0
-        self._place()
+        self._schedule_next()
         return self._read()
 
 
 class World:
-    """Simulated plant with the sample streams of its devices and the speed controllers of its thrusters."""
+    """Simulated plant with the sample streams of its devices and the speed controllers of its thrusters.
+
+    Attributes
+    ----------
+    plant : BoatPlant or BenchPlant
+        The simulated plant.
+    controllers : list of EscController
+        Speed controllers, in the order of the plant's thrusters.
+    channels : list of SampledStream
+        Sample streams of all devices.
+    next_due : int
+        Number of the plant's step at which the next sample of any device is due.
+    """
 
     def __init__(self, plant: Plant) -> None:
+        """Set up the world of a plant, without devices."""
         self.plant = plant
         self.controllers: list[EscController] = []
         self.channels: list[SampledStream] = []
-        self.next_due = 0  # step at which the next sample is due
+        self.next_due = 0
 
     @property
     def t(self) -> float:
@@ -162,13 +252,26 @@ class World:
         return self.plant.steps * self.plant.step_s
 
     def add(self, device: str, rate_hz: float, read: Callable[[], Sample | None], phase: float = 0.0) -> None:
-        """Add a stream of samples. See `SampledStream` for the parameters."""
+        """Add a stream of samples.
+
+        Parameters
+        ----------
+        device : str
+            Name of the device.
+        rate_hz : float
+            Rate of the samples [Hz].
+        read : callable
+            Function that returns the present sample, or None if the device is silent.
+        phase : float
+            Time of the first sample, in periods.
+        """
         self.channels.append(SampledStream(device, rate_hz, self.plant.step_s, read, phase))
 
     def add_escs(self, specs: Sequence[EscSpec], seed: int, run: int) -> None:
-        """Add one speed controller for each thruster, in the order of the plant's thrusters.
+        """Add one speed controller and its telemetry stream for each thruster, in the order of the plant's thrusters.
 
-        The status frames of the controllers are spread evenly over one period.
+        ``seed`` and ``run`` select the noise of the telemetry. The status frames of the controllers are spread evenly
+        over one period.
         """
         for thruster, spec in enumerate(specs):
             controller = EscController(spec, self.plant, thruster)
@@ -177,11 +280,15 @@ class World:
             self.add(spec.device, spec.rate_hz, self._esc_reader(controller, sensor, thruster), thruster / len(specs))
 
     def _esc_reader(self, controller: EscController, sensor: EscSensor, thruster: int) -> Callable[[], Sample | None]:
-        """Return the function that reads the telemetry of one speed controller."""
+        """Return the function that reads the telemetry of one speed controller; it returns None if the ESC is dead.
+
+        Shaft speed, current and command have their sign on the bus.
+        """
         plant, dt = self.plant, 1.0 / controller.spec.rate_hz
         sign = -1.0 if controller.spec.reversed else 1.0
 
         def read() -> Sample | None:
+            """Return the next telemetry sample, or None if the controller is dead."""
             if controller.dead:
                 return None
             n, force = sign * plant.shafts[thruster].n, sign * plant.thrust(thruster)
@@ -195,7 +302,7 @@ class World:
         return next(found, None)
 
     def readings(self) -> list[Reading]:
-        """Return the samples that are due at the present step. Each sample is returned once."""
+        """Return the samples that are due at the present step, and schedule the next ones. Each is returned once."""
         steps = self.plant.steps
         if steps < self.next_due:
             return []
@@ -217,16 +324,28 @@ class World:
 
 @dataclass(frozen=True)
 class DeviceSpecs:
-    """Specifications of the devices of a rig."""
+    """Specifications of the simulated devices of a rig.
 
-    ahrs: Mapping[str, float]  # name -> rate in Hz
-    gnss: Mapping[str, float]  # name -> rate in Hz
+    Attributes
+    ----------
+    ahrs : mapping of str to float
+        Rate of each AHRS [Hz], by its name.
+    gnss : mapping of str to float
+        Rate of each GNSS receiver [Hz], by its name.
+    cells : sequence of CellSpec
+        Load cells.
+    escs : sequence of EscSpec
+        Speed controllers in the order of the plant's thrusters: left and right on a boat.
+    """
+
+    ahrs: Mapping[str, float]
+    gnss: Mapping[str, float]
     cells: Sequence[CellSpec]
-    escs: Sequence[EscSpec]  # in the order of the plant's thrusters: left and right on a boat
+    escs: Sequence[EscSpec]
 
 
 def boat_world(boat: Boat, run: int, gear: DeviceSpecs, *, utc: float = 0.0, disturbed: bool = True) -> World:
-    """Return the world of a boat. A load cell on the boat measures no force.
+    """Return the simulated plant of a boat with its devices, at time 0. A load cell on the boat measures no force.
 
     Parameters
     ----------
@@ -255,7 +374,7 @@ def boat_world(boat: Boat, run: int, gear: DeviceSpecs, *, utc: float = 0.0, dis
 
 
 def bench_world(bench: Bench, run: int, gear: DeviceSpecs, *, utc: float = 0.0, disturbed: bool = True) -> World:
-    """Return the world of a bench. An AHRS or GNSS receiver on the bench is at rest.
+    """Return the simulated plant of a bench with its devices, at time 0. An AHRS or GNSS receiver on it is at rest.
 
     Parameters
     ----------
@@ -274,6 +393,7 @@ def bench_world(bench: Bench, run: int, gear: DeviceSpecs, *, utc: float = 0.0, 
     world = World(plant)
 
     def at_rest() -> RigidBodyState:
+        """Return the motion of a body at rest at the present time."""
         return RigidBodyState(world.t, *[0.0] * (len(RigidBodyState._fields) - 1))
 
     for index, (name, rate) in enumerate(gear.ahrs.items()):
@@ -287,11 +407,18 @@ def bench_world(bench: Bench, run: int, gear: DeviceSpecs, *, utc: float = 0.0, 
 
 
 def _ahrs_reader(sensor: AhrsSensor, motion: Callable[[], RigidBodyState]) -> Callable[[], Sample]:
+    """Return the function that returns the AHRS sample for the present ``motion()``."""
     return lambda: sensor.read(motion())
 
 
 def _gnss_reader(sensor: GnssSensor, motion: Callable[[], RigidBodyState], utc: float) -> Callable[[], Sample]:
+    """Return the function that returns the GNSS sample for the present ``motion()``.
+
+    ``utc`` is the UTC at time 0 of the motion [s since 1970].
+    """
+
     def read() -> Sample:
+        """Return the next GNSS sample."""
         m = motion()
         return sensor.read(m, utc + m.t)
 
@@ -299,4 +426,5 @@ def _gnss_reader(sensor: GnssSensor, motion: Callable[[], RigidBodyState], utc: 
 
 
 def _cell_reader(sensor: LoadCellSensor, force: Callable[[], float]) -> Callable[[], Sample]:
+    """Return the function that returns the load cell sample for the present ``force()`` [N]."""
     return lambda: sensor.read(force())

@@ -152,8 +152,8 @@ import sys
 from seatrial import command_line
 from seatrial.bench import demo
 demo.ESTIMATION_S, demo.VALIDATION_S = 70.0, 50.0
-whole = demo._record
-demo._record = lambda *words: whole(*("steps" if word == "all" else word for word in words))
+whole = demo._record_with_mock
+demo._record_with_mock = lambda *words: whole(*("steps" if word == "all" else word for word in words))
 command_line.main(sys.argv[1:])
 """
 
@@ -201,7 +201,7 @@ class Rehearsal:
 def test_a_recording_disturbed_by_a_busy_machine_is_repeated_at_half_the_speed(tmp_path: Path, fails: bool) -> None:
     demo.write_demo_rig("boat", tmp_path, 20.0)
     steps = Rehearsal(tmp_path, [90.0, 3.0], fails)
-    demo._record(steps, "boat", ("mock", "boat"), "run", "mission", "run", "-o", "a.mcap")
+    demo._record_with_mock(steps, "boat", ("mock", "boat"), "run", "mission", "run", "-o", "a.mcap")
     assert steps.speeds == ["speed = 20.0", "speed = 10.0"]
     assert (tmp_path / "a-late.mcap").exists()
     assert "speed = 20.0" in (tmp_path / "boat-rig.toml").read_text()
@@ -209,10 +209,10 @@ def test_a_recording_disturbed_by_a_busy_machine_is_repeated_at_half_the_speed(t
 
 def test_a_run_with_skipped_set_points_is_repeated_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     demo.write_demo_rig("boat", tmp_path, 20.0)
-    skipped = iter([demo.SKIPPED + 1, demo.SKIPPED])
+    skipped = iter([demo.SKIPPED_MAX + 1, demo.SKIPPED_MAX])
     monkeypatch.setattr(demo, "n_skipped", lambda log: next(skipped))
     steps = Rehearsal(tmp_path, [3.0, 3.0])
-    demo._record(steps, "boat", ("mock", "boat"), "run", "mission", "run", "-o", "a.mcap")
+    demo._record_with_mock(steps, "boat", ("mock", "boat"), "run", "mission", "run", "-o", "a.mcap")
     assert steps.speeds == ["speed = 20.0", "speed = 10.0"]
 
 
@@ -228,7 +228,7 @@ def test_skipped_set_points_are_counted_from_the_output_of_a_run(tmp_path: Path)
 def test_after_a_second_stall_the_recording_is_repeated_at_a_quarter_of_the_speed(tmp_path: Path) -> None:
     demo.write_demo_rig("boat", tmp_path, 20.0)
     steps = Rehearsal(tmp_path, [90.0, 90.0, 90.0], fails=True)
-    demo._record(steps, "boat", ("mock", "boat"), "run", "mission", "run", "-o", "a.mcap")
+    demo._record_with_mock(steps, "boat", ("mock", "boat"), "run", "mission", "run", "-o", "a.mcap")
     assert steps.speeds == ["speed = 20.0", "speed = 10.0", "speed = 5.0"]
     assert {p.name for p in tmp_path.glob("*.mcap")} == {"a.mcap", "a-late.mcap", "a-late2.mcap"}
 
@@ -237,4 +237,4 @@ def test_a_run_that_failed_on_an_idle_machine_is_a_failure(tmp_path: Path) -> No
     demo.write_demo_rig("boat", tmp_path, 20.0)
     steps = Rehearsal(tmp_path, [3.0], fails=True)
     with pytest.raises(StepFailed, match="exit status 3"):
-        demo._record(steps, "boat", ("mock", "boat"), "run", "mission", "run", "-o", "a.mcap")
+        demo._record_with_mock(steps, "boat", ("mock", "boat"), "run", "mission", "run", "-o", "a.mcap")

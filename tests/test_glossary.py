@@ -50,6 +50,7 @@ RETIRED = {
 # A word that is right in one place: (path, words around it).
 ALLOWED = {
     ("docs/how-to/devices.md", "GPS weeks have begun again"),
+    ("bench/execution/safety_guard.py", "RIVAL"),  # a stop code in logs
 }
 
 

@@ -1,3 +1,6 @@
+from .actuator_test import N_ACTUATOR_TEST as N_ACTUATOR_TEST
+from .actuator_test import actuator_plan as actuator_plan
+from .actuator_test import turning_warning as turning_warning
 from .device_startup import silent_devices as silent_devices
 from .link_test import ALLOWED_S as ALLOWED_S
 from .link_test import link_test_plan as link_test_plan

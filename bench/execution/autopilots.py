@@ -36,7 +36,18 @@ MANUAL_NUMBER = 0.0  # number of the mode MANUAL of ArduPilot Rover
 
 
 class Autopilots:
-    """Autopilots behind which the thrusters of a mission are connected. Thrusters on a CAN bus have no autopilot."""
+    """Autopilots behind which the thrusters of a mission are connected. Thrusters on a CAN bus have no autopilot.
+
+    Attributes
+    ----------
+    changes : dict of str to int
+        Number of parameter changes that each autopilot reported before its parameters were checked.
+    found_armed : list of str
+        Autopilots that were armed before this run asked for it.
+    tested_s : dict of str to float
+        Time [wall s] from a lost link to neutral outputs, by the stored link test of each autopilot. It is empty if the
+        mission needs no link test.
+    """
 
     def __init__(
         self,
@@ -65,7 +76,8 @@ class Autopilots:
         say : Callable
             Prints a line for the operator.
         n_max : float
-            Largest command of the mission. A passed link test is needed if it is beyond `limits.link_test_n`.
+            Largest command of the mission, as a fraction of full command. A passed link test is needed if it is beyond
+            `limits.link_test_n`.
         """
         self._n_max = n_max
         self._rig, self._acquisition, self._clock, self._wait, self._say = rig, acquisition, clock, wait, say
@@ -73,9 +85,9 @@ class Autopilots:
         self._devices = [device for name in names if (device := rig.device(name)).mavlink is not None]
         # Autopilots that this run has armed: monotonic time of the request to arm, later of the first one to disarm.
         self._armed: dict[str, float] = {}
-        self.changes: dict[str, int] = {}  # by device: parameter changes before its parameters were checked
-        self.found_armed: list[str] = []  # autopilots that were armed before this run asked for it
-        self.tested_s: dict[str, float] = {}  # by device: seconds to neutral after a lost link, by its link test
+        self.changes: dict[str, int] = {}
+        self.found_armed: list[str] = []
+        self.tested_s: dict[str, float] = {}
 
     @property
     def names(self) -> list[str]:
@@ -83,11 +95,13 @@ class Autopilots:
         return [device.name for device in self._devices]
 
     def begin_link_test(self) -> None:
-        """Prepare for a link test. It may run without an earlier link test, whatever `limits.link_test_n` is."""
+        """Waive the need for a stored link test, because a link test itself is run. Call it before `await_ready`."""
         self._n_max = 0.0
 
     def await_ready(self) -> None:
-        """Wait until every autopilot is ready for the mission.
+        """Wait until every autopilot has sent its parameters and has a position estimate, and check its parameters.
+
+        Remarks on parameters are printed and written to the log. `changes`, `found_armed` and `tested_s` are filled.
 
         Raises
         ------
@@ -100,7 +114,7 @@ class Autopilots:
             self._await_estimator(device)
 
     def prepare(self, arm: bool) -> None:
-        """Check that every autopilot is armed and in MANUAL.
+        """Check that every autopilot is armed and in the mode MANUAL, in which it passes commands on.
 
         Parameters
         ----------
@@ -114,8 +128,8 @@ class Autopilots:
         """
         for device in self._devices:
             if arm:
-                self._arm(device)
-            link = self._link(device)
+                self._set_manual_and_arm(device)
+            link = self._link_status(device)
             if link.mode != MANUAL:
                 raise SeatrialError(
                     f"{device.name} is in {link.mode}: only MANUAL passes the commands on; set it, or give --arm"
@@ -123,21 +137,29 @@ class Autopilots:
             if not link.armed:
                 raise SeatrialError(f"{device.name} is disarmed; arm it from its transmitter, or give --arm")
 
-    def _link(self, device: Device) -> LinkStatus:
+    def _link_status(self, device: Device) -> LinkStatus:
+        """Return the newest state of an autopilot's link; the state of a silent link if there is none yet."""
         return self._acquisition.status().links.get(device.name, LinkStatus())
 
-    def _await(self, device: Device, condition: Callable[[LinkStatus], bool], seconds: float) -> LinkStatus | None:
-        """Wait up to `seconds` (wall) until a link fulfils the condition. Return its state; None after that time."""
+    def _await_link(self, device: Device, condition: Callable[[LinkStatus], bool], seconds: float) -> LinkStatus | None:
+        """Wait up to `seconds` (wall) until the link of an autopilot fulfils ``condition``.
+
+        Return the state of the link that fulfils it, or None after that time.
+        """
         deadline = time.monotonic() + seconds
-        while not condition(link := self._link(device)):
+        while not condition(link := self._link_status(device)):
             if time.monotonic() > deadline:
                 return None
             self._wait(POLL_S)
         return link
 
     def _await_parameters(self, device: Device) -> None:
-        """Wait for the parameters of an autopilot and check them. Raises SeatrialError if it must not be driven."""
-        link = self._await(device, lambda link: link.received and not link.parameters_pending, AWAIT_S)
+        """Wait for the heartbeat and the parameters of an autopilot, and check whether it may be driven.
+
+        Findings on parameters are written to the log, and those that allow driving are printed. The stored link test is
+        checked if the mission needs it. Raises SeatrialError if the autopilot must not be driven.
+        """
+        link = self._await_link(device, lambda link: link.received and not link.parameters_pending, AWAIT_S)
         if link is None:
             port = self._acquisition.status().ports.get(device.name)
             why = f" ({port.message})" if port is not None and port.message else ""
@@ -170,79 +192,98 @@ class Autopilots:
             self._acquisition.mark("parameter", f"{device.name}: a lost link was tested, neutral after {seconds:.2f} s")
 
     def await_receivers(self) -> dict[str, LinkStatus]:
-        """Return the state of each autopilot, by name.
+        """Return the state of each autopilot, by name, after a wait for the reports on their RC receivers.
 
-        For up to `RECEIVER_S` the function waits for the report whether an autopilot hears a receiver.
+        An autopilot that has not reported within 3 s whether it hears a receiver has the value None for this.
         """
         return {device.name: self._await_receiver(device) for device in self._devices}
 
     def _await_receiver(self, device: Device) -> LinkStatus:
-        """Return the state of an autopilot. Wait before that for the report whether it hears a receiver."""
-        self._await(device, lambda link: link.receiver is not None, RECEIVER_S)
-        return self._link(device)
+        """Wait up to 3 s for the report whether an autopilot hears a receiver, and return the state of its link."""
+        self._await_link(device, lambda link: link.receiver is not None, RECEIVER_S)
+        return self._link_status(device)
 
     def _await_estimator(self, device: Device) -> None:
-        """Wait until the estimator of an autopilot has a position. Raises SeatrialError after `ESTIMATOR_S`."""
+        """Wait until the estimator of an autopilot has a position. Raises SeatrialError after 60 s (wall)."""
 
         def ready(link: LinkStatus) -> bool:
+            """Return whether the EKF flags of a link report attitude, velocity and an absolute position."""
             return link.ekf >= 0 and link.ekf & EKF_WANTED == EKF_WANTED and not link.ekf & EKF_UNWANTED
 
-        if not ready(self._link(device)):
+        if not ready(self._link_status(device)):
             self._say(f"{device.name}: waiting for its estimator, up to {ESTIMATOR_S:g} s")
-        if self._await(device, ready, ESTIMATOR_S) is None:
-            flags = self._link(device).ekf
+        if self._await_link(device, ready, ESTIMATOR_S) is None:
+            flags = self._link_status(device).ekf
             raise SeatrialError(
                 f"{device.name}: its estimator is not ready (EKF flags {flags}); without a position fix yaw will jump"
             )
 
-    def _arm(self, device: Device) -> None:
-        """Put an autopilot into MANUAL and arm it. Raises SeatrialError if it refuses."""
-        link = self._link(device)
+    def _set_manual_and_arm(self, device: Device) -> None:
+        """Put an autopilot into MANUAL and arm it, with neutral commands. Raises SeatrialError if it refuses.
+
+        Nothing is sent for a state that the autopilot already has. An autopilot that this method arms is noted as armed
+        by this run.
+        """
+        link = self._link_status(device)
         if link.mode != MANUAL:
-            self._ask(device, "mode", MANUAL_NUMBER, lambda link: link.mode == MANUAL)
-        if self._link(device).armed:
+            self._request_and_await(device, "mode", MANUAL_NUMBER, lambda link: link.mode == MANUAL)
+        if self._link_status(device).armed:
             return
         # An autopilot arms only with neutral sticks. Without a transmitter our commands are the only sticks.
         nodes = {thruster.name: 0.0 for thruster in self._rig.thrusters if thruster.device == device.name}
         self._acquisition.schedule([(self._clock.now(), nodes)])
         self._wait(NEUTRAL_S)
         self._armed[device.name] = time.monotonic()
-        self._ask(device, "arm", 0.0, lambda link: link.armed)
+        self._request_and_await(device, "arm", 0.0, lambda link: link.armed)
         self._say(f"{device.name}: armed")
 
-    def _ask(self, device: Device, action: str, value: float, done: Callable[[LinkStatus], bool]) -> None:
+    def _request_and_await(self, device: Device, action: str, value: float, done: Callable[[LinkStatus], bool]) -> None:
         """Send a request to an autopilot, and wait for the answer and for the effect.
 
-        Raises SeatrialError with the autopilot's reason if it refuses.
-        """
-        self._acquisition.request(device.name, action, value)
-        link = self._await(device, lambda link: link.answer.startswith(f"{action}:"), AWAIT_S)
-        if link is not None and link.answer != f"{action}: accepted":
-            self._wait(REASONS_S)
-            link = self._link(device)
-        if link is None or link.answer != f"{action}: accepted":
-            raise SeatrialError(f"{device.name}: {link.answer if link else f'{action}: no answer'}")
-        if self._await(device, done, AWAIT_S) is None:
-            raise SeatrialError(f"{device.name}: {action} was accepted but took no effect in {AWAIT_S:g} s")
-
-    def still_armed(self) -> list[str]:
-        """Return the names of autopilots that report to be armed.
-
-        After the end of the acquisition these are the autopilots that were armed before the run.
-        """
-        try:
-            links = {name: self._link(self._rig.device(name)) for name in self.names}
-        except SeatrialError:
-            return self.found_armed  # the acquisition has ended: their state before the run is the newest one
-        return [name for name, link in links.items() if link.armed]
-
-    def release(self) -> None:
-        """Disarm the autopilots that this run has armed. Thrust must be zero before.
+        Parameters
+        ----------
+        device : Device
+            The autopilot.
+        action : str
+            "mode" or "arm".
+        value : float
+            Number of the mode; 0 for "arm".
+        done : Callable
+            Whether a state of the link shows the effect.
 
         Raises
         ------
         SeatrialError
-            If the disarming is not confirmed. A run that leaves a vehicle armed counts as failed.
+            If the autopilot refuses, with its reason, or if the answer or the effect is missing after 10 s.
+        """
+        self._acquisition.request(device.name, action, value)
+        link = self._await_link(device, lambda link: link.answer.startswith(f"{action}:"), AWAIT_S)
+        if link is not None and link.answer != f"{action}: accepted":
+            self._wait(REASONS_S)
+            link = self._link_status(device)
+        if link is None or link.answer != f"{action}: accepted":
+            raise SeatrialError(f"{device.name}: {link.answer if link else f'{action}: no answer'}")
+        if self._await_link(device, done, AWAIT_S) is None:
+            raise SeatrialError(f"{device.name}: {action} was accepted but took no effect in {AWAIT_S:g} s")
+
+    def still_armed(self) -> list[str]:
+        """Return the names of autopilots that report to be armed at present.
+
+        If the acquisition has failed, return the autopilots that were armed before this run.
+        """
+        try:
+            links = {name: self._link_status(self._rig.device(name)) for name in self.names}
+        except SeatrialError:
+            return self.found_armed  # the acquisition has failed: their state before the run is the newest one
+        return [name for name, link in links.items() if link.armed]
+
+    def release(self) -> None:
+        """Disarm the autopilots that this run has armed, and check the confirmation. Thrust must be zero before.
+
+        Raises
+        ------
+        SeatrialError
+            If the disarming is not confirmed within 10 s. A run that leaves a vehicle armed counts as failed.
         """
         self.disarm()
         if armed := self.maybe_armed():
@@ -251,10 +292,11 @@ class Autopilots:
     def maybe_armed(self) -> list[str]:
         """Return the names of autopilots that this run has armed and that have not confirmed their disarming.
 
-        A heartbeat confirms the disarming only if the autopilot has sent it after the request to disarm.
+        A heartbeat confirms the disarming only if the autopilot has sent it after the request to disarm. If the
+        acquisition has failed, the note of its watchdog counts instead.
         """
         try:
-            links = [self._link(self._rig.device(name)) for name in self._armed]
+            links = [self._link_status(self._rig.device(name)) for name in self._armed]
         except SeatrialError:  # the acquisition is gone, and the watchdog has sent the zero
             note = read_note(self._acquisition.path)
             return [name for name in self._armed if f"{name}: zero was sent{DISARMED}" not in note]
@@ -267,9 +309,9 @@ class Autopilots:
         ]
 
     def disarm(self) -> None:
-        """Disarm the autopilots that this run has armed.
+        """Request the autopilots that this run has armed to disarm; no error is raised if they do not confirm it.
 
-        The request is repeated every `ASK_S` until all confirm it, for at most `LEAVE_S`. Signals do not interrupt it.
+        The request is repeated every second until all confirm it, for at most 10 s. Signals do not interrupt it.
         """
         begun, requested_at = time.monotonic(), -math.inf
         self._armed = dict.fromkeys(self._armed, begun)

@@ -14,7 +14,7 @@ from seatrial.daq.errors import SeatrialError
 from seatrial.daq.rig import Rig
 
 AWAIT_S = 10.0  # wall seconds to wait for the first sample of every device, and again for the source of every limit
-POLL_S = 0.02
+POLL_S = 0.02  # wall seconds between two checks
 
 
 def silent_devices(rig: Rig, status: Status, thrusters: Sequence[str]) -> list[str]:
@@ -50,7 +50,18 @@ def silent_devices(rig: Rig, status: Status, thrusters: Sequence[str]) -> list[s
 def await_devices(
     rig: Rig, acquisition: Acquisition, thrusters: Sequence[str], wait: Callable[[float], None]
 ) -> list[str]:
-    """Wait for a sample of every device and of every named thruster, and return the names of the devices.
+    """Wait for a sample of every device and of every named thruster, and return the names of all devices.
+
+    Parameters
+    ----------
+    rig : Rig
+        The rig.
+    acquisition : Acquisition
+        The running acquisition.
+    thrusters : sequence of str
+        Names of the thrusters whose speed controller or output must be reported.
+    wait : Callable
+        Waits for the given wall seconds. It may raise an error that ends the run.
 
     Raises
     ------
@@ -70,21 +81,37 @@ def await_devices(
 def await_limits(rig: Rig, acquisition: Acquisition, guard: SafetyGuard, wait: Callable[[float], None]) -> None:
     """Wait until every limit has a source, every device its rate, and no thruster turns.
 
+    A source is a device that reports the limited quantity. The rates are compared with `rate_hz` of the rig.
+
+    Parameters
+    ----------
+    rig : Rig
+        The rig, for the message.
+    acquisition : Acquisition
+        The running acquisition.
+    guard : SafetyGuard
+        Safety guard, which gets every status.
+    wait : Callable
+        Waits for the given wall seconds. It may raise an error that ends the run.
+
     Raises
     ------
     SeatrialError
         If one of these conditions is not fulfilled after 10 s. The message contains the first one and its remedy.
     """
     deadline = time.monotonic() + AWAIT_S
-    while reasons := _refusals(guard, acquisition.status()):
+    while reasons := _reasons_against_start(guard, acquisition.status()):
         if time.monotonic() > deadline:
             more = f" (and {len(reasons) - 1} more)" if len(reasons) > 1 else ""
             raise SeatrialError(f"{rig.path}: {reasons[0]}{more}")
         wait(POLL_S)
 
 
-def _refusals(guard: SafetyGuard, status: Status) -> list[str]:
-    """Return the reasons why no set-point may be sent yet; empty if the run may start."""
+def _reasons_against_start(guard: SafetyGuard, status: Status) -> list[str]:
+    """Return the reasons why no set-point may be sent at this status, with remedies; empty if the run may start.
+
+    The reasons are, in this order, turning thrusters, limits without a source, and devices with a wrong rate.
+    """
     turning = [
         f"thruster {text} though nothing was commanded: stop it, and look for another program that commands it; "
         'unwatched = ["telemetry"] in [limits] allows it'

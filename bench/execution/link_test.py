@@ -34,42 +34,64 @@ SETTLED_S = 0.5  # an output that is at neutral for so long stays there
 # reported outputs.
 ALLOWED_S = 2.0
 NEUTRAL = 0.02  # largest |n| of an output at zero thrust
-PUSHED = 0.5  # part of the command that an output must reach before the silence to count as following it
+PUSHED = 0.5  # fraction of the command that an output must reach before the silence to count as following it
 MUTED = "muted"  # kind of the event after which no frame is sent
 
 
 class LinkTest(msgspec.Struct, frozen=True):
-    """Result of the link test of one autopilot."""
+    """Result of the link test of one autopilot.
 
-    seconds: float  # wall s from our last frame until all outputs are at neutral
-    n: float  # command before the silence
-    date: str  # ISO 8601, UTC
-    parameters: str  # SHA-256 of the failsafe parameters (seatrial.daq.drivers.link_loss_hash)
-    receiver: bool | None = None  # whether a receiver was heard; None if unknown
+    Attributes
+    ----------
+    seconds : float
+        Time [wall s] from our last frame until all outputs are at neutral for good.
+    n : float
+        Command before the silence, as a fraction of full command.
+    date : str
+        Time of the test, ISO 8601 in UTC.
+    parameters : str
+        SHA-256 of the failsafe parameters (seatrial.daq.drivers.link_loss_hash).
+    receiver : bool or None
+        Whether the autopilot heard an RC receiver; None if it did not report this.
+    """
+
+    seconds: float
+    n: float
+    date: str
+    parameters: str
+    receiver: bool | None = None
 
     @property
     def passed(self) -> bool:
-        """Return whether thrust ended within `ALLOWED_S`."""
+        """Whether thrust ended within 2 s (`ALLOWED_S`)."""
         return self.seconds <= ALLOWED_S
 
 
 class LinkTests(msgspec.Struct, frozen=True):
-    """Content of the file of link tests beside a rig."""
+    """Content of the file of link tests beside a rig.
+
+    Attributes
+    ----------
+    format : str
+        Name and version of the file format; must be `FORMAT`.
+    devices : dict of str to LinkTest
+        Newest result of each autopilot, by its name.
+    """
 
     format: str
-    devices: dict[str, LinkTest]  # by name of the autopilot
+    devices: dict[str, LinkTest]
 
 
 FORMAT = "seatrial-link-test 1"
 
 
 def link_test_path(rig: Rig) -> Path:
-    """Return the path of the file of link tests of a rig."""
+    """Return the path of the file of link tests of a rig: RIG.link-test.json beside RIG.toml. It may not exist."""
     return rig.path.with_suffix(".link-test.json")
 
 
 def load_link_tests(rig: Rig) -> dict[str, LinkTest]:
-    """Return the results of link tests by device; empty if the file does not exist.
+    """Return the stored results of the link tests of a rig, by name of the autopilot; empty without a file.
 
     Raises
     ------
@@ -82,29 +104,38 @@ def load_link_tests(rig: Rig) -> dict[str, LinkTest]:
     try:
         found = msgspec.json.decode(path.read_bytes(), type=LinkTests)
     except (OSError, msgspec.MsgspecError) as error:
-        raise SeatrialError(f"{path}: no result of a link test: {error}") from error
+        raise SeatrialError(
+            f"{path}: no result of a link test: {error}; delete it, and repeat the link test"
+        ) from error
     if found.format != FORMAT:
-        raise SeatrialError(f"{path}: its format is '{found.format}', wanted '{FORMAT}'")
+        raise SeatrialError(
+            f"{path}: its format is '{found.format}', wanted '{FORMAT}'; delete it, and repeat the link test"
+        )
     return found.devices
 
 
 def save_link_tests(rig: Rig, tests: Mapping[str, LinkTest]) -> None:
-    """Write the results of these devices into the file of link tests. Results of other devices stay."""
+    """Write the results ``tests``, by name of the autopilot, into the file of link tests of a rig.
+
+    Stored results of other autopilots stay. Raises SeatrialError if the present file cannot be read.
+    """
     text = msgspec.json.encode(LinkTests(FORMAT, {**load_link_tests(rig), **tests}))
     write_output(link_test_path(rig), msgspec.json.format(text, indent=2) + b"\n")
 
 
 def require_link_test(rig: Rig, device: str, link: LinkStatus, n_max: float) -> float:
-    """Return the time to neutral of a passed link test that is still valid.
+    """Check that an autopilot has a passed link test that is still valid, and return its time to neutral outputs.
+
+    A result is valid if the failsafe parameters and the RC receiver are the same as in the test.
 
     Parameters
     ----------
     rig : Rig
-        The rig, beside which the results are stored.
+        The rig, beside whose file the results are stored.
     device : str
         Name of the autopilot.
     link : LinkStatus
-        Present parameters and receiver of the autopilot.
+        State of the autopilot, with its present parameters and whether it hears a receiver.
     n_max : float
         Largest command of the mission, for the message.
 
@@ -116,7 +147,7 @@ def require_link_test(rig: Rig, device: str, link: LinkStatus, n_max: float) -> 
     Raises
     ------
     SeatrialError
-        If there is no passed test with the present parameters and receiver. The message names the command to run.
+        If there is no such test. The message names the reason and the command to run.
     """
     test = load_link_tests(rig).get(device)
     if test is None:
@@ -143,12 +174,15 @@ def require_link_test(rig: Rig, device: str, link: LinkStatus, n_max: float) -> 
 
 
 def link_test_plan(rig: Rig) -> Mission:
-    """Return the mission of a link test: rest, then `N_TEST` on every thruster behind an autopilot.
+    """Return the mission of a link test: 1 s at rest, then a tenth of full command on every thruster of an autopilot.
+
+    The durations are wall seconds, so that the mission has more run seconds on mocks. The runner interrupts the link
+    after 3 s.
 
     Raises
     ------
     SeatrialError
-        If the rig has no such thruster, or if `limits.n_max` is below `N_TEST`.
+        If no thruster of the rig is connected to an autopilot, or if `limits.n_max` is below a tenth.
     """
     names = tuple(thruster.name for thruster in rig.thrusters if thruster.output is not None)
     if not names:
@@ -168,7 +202,7 @@ def link_test_plan(rig: Rig) -> Mission:
 
 
 def measure_link_loss(log: Log, device: Device, link: LinkStatus, n: float) -> LinkTest:
-    """Return the result of a link test for one autopilot, from the log of the test.
+    """Return the result of a link test for one autopilot, from the log of the test. Nothing is stored.
 
     Parameters
     ----------
@@ -179,12 +213,13 @@ def measure_link_loss(log: Log, device: Device, link: LinkStatus, n: float) -> L
     link : LinkStatus
         State of the autopilot before the silence.
     n : float
-        Command before the silence.
+        Command before the silence, as a fraction of full command.
 
     Returns
     -------
     LinkTest
-        `seconds` is `SILENCE_S` if an output was not at neutral by the end of the silence.
+        Result for the slowest output. `seconds` is 10 (`SILENCE_S`) if an output was not at neutral by the end of the
+        silence.
 
     Raises
     ------

@@ -35,32 +35,56 @@ HELP = "space: pause and resume, r: repeat the step, m: mark, Ctrl-C: zero and e
 
 @dataclass(frozen=True)
 class MissionStatus:
-    """State of a run for the display. A value that is unknown or outdated is NaN."""
+    """State of a run for the display. A value that is unknown or outdated is NaN.
+
+    Attributes
+    ----------
+    segment : str
+        Name of the present segment of the mission, or "paused".
+    elapsed : float
+        Mission's own time [run s], which does not advance during a pause.
+    total : float
+        Length of the mission [run s].
+    n_cmd : tuple of float
+        Command of each thruster, -1 to 1.
+    rpm : tuple of float
+        Measured shaft speed of each thruster [rev/min].
+    force : float or None
+        Force of a load cell [N]; None if no device measures it.
+    speed : float or None
+        Speed over ground [m/s]; None if no device measures it.
+    warning : str
+        Newest warning of the acquisition; empty without one.
+    """
 
     segment: str
-    elapsed: float  # run s of the mission's own time
-    total: float  # run s, length of the mission
-    n_cmd: tuple[float, ...]  # of each thruster
-    rpm: tuple[float, ...]  # of each thruster
-    force: float | None = None  # N; None if no device measures it
-    speed: float | None = None  # m/s over ground; None if no device measures it
-    warning: str = ""  # empty without one
+    elapsed: float
+    total: float
+    n_cmd: tuple[float, ...]
+    rpm: tuple[float, ...]
+    force: float | None = None
+    speed: float | None = None
+    warning: str = ""
 
     def values(self) -> str:
-        """Return commands, shaft speeds, force, speed and the warning as one line."""
+        """Return commands, shaft speeds, force, speed and the warning as one line of text.
+
+        A NaN is shown as "--". A force or speed of None is left out.
+        """
         parts = [
             "n " + " ".join(f"{value:+.2f}" for value in self.n_cmd),
-            "rpm " + " ".join(_shown(value, "+5.0f") for value in self.rpm),
+            "rpm " + " ".join(_format_value(value, "+5.0f") for value in self.rpm),
         ]
         if self.force is not None:
-            parts.append(f"force {_shown(self.force, '+6.1f')} N")
+            parts.append(f"force {_format_value(self.force, '+6.1f')} N")
         if self.speed is not None:
-            parts.append(f"speed {_shown(self.speed, '4.2f')} m/s")
+            parts.append(f"speed {_format_value(self.speed, '4.2f')} m/s")
         parts.append(f"warning: {self.warning}" if self.warning else "guard ok")
         return "  ".join(parts)
 
 
-def _shown(value: float, form: str) -> str:
+def _format_value(value: float, form: str) -> str:
+    """Return ``value`` in the format ``form`` of `format`, or "--" if it is NaN."""
     return "  --" if math.isnan(value) else f"{value:{form}}"
 
 
@@ -74,11 +98,11 @@ class Display(Protocol):
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Leave the terminal clean."""
+        """End the display and leave the terminal clean. Errors are passed on."""
         ...
 
     def show(self, view: MissionStatus) -> None:
-        """Show a state. It may be called at any rate; the display limits its own rate."""
+        """Show the state ``view``. The method may be called at any rate; the display limits its own rate."""
         ...
 
     def say(self, line: str) -> None:
@@ -93,6 +117,7 @@ class LiveDisplay:
     """
 
     def __init__(self, console: Console) -> None:
+        """Prepare the display on ``console``; nothing is drawn before the context begins."""
         # Without a refresh thread a blocked terminal blocks the runner, and the acquisition then commands zero.
         self._live = Live(console=console, auto_refresh=False, transient=True)
         self._last = -math.inf
@@ -105,17 +130,17 @@ class LiveDisplay:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Remove the lines."""
+        """Remove the redrawn lines. Errors are passed on."""
         with contextlib.suppress(OSError):
             self._live.stop()
 
     def show(self, view: MissionStatus) -> None:
-        """Draw at most ten times a second."""
+        """Draw the state ``view``, at most ten times a second; calls in between are ignored."""
         if time.monotonic() - self._last < LIVE_EVERY_S:
             return
         self._last = time.monotonic()
         with contextlib.suppress(OSError):
-            self._live.update(_drawn(view), refresh=True)
+            self._live.update(_live_lines(view), refresh=True)
 
     def say(self, line: str) -> None:
         """Print a line above the redrawn ones."""
@@ -123,8 +148,8 @@ class LiveDisplay:
             self._live.console.print(line, markup=False, highlight=False, soft_wrap=True)
 
 
-def _drawn(view: MissionStatus) -> Group:
-    """Return the two lines of the live display."""
+def _live_lines(view: MissionStatus) -> Group:
+    """Return the two lines of the live display: segment with progress, and values (red if there is a warning)."""
     done = min(max(view.elapsed, 0.0), view.total)
     head = Table.grid(padding=(0, 1))
     bar = ProgressBar(total=view.total, completed=done, width=28)
@@ -133,9 +158,10 @@ def _drawn(view: MissionStatus) -> Group:
 
 
 class PlainDisplay:
-    """Display for pipes and files: a line at the start of each segment and every few seconds."""
+    """Display for pipes and files: a line at the start of each segment, and every 2 s (wall) within a segment."""
 
     def __init__(self) -> None:
+        """Prepare the display; the first state is printed at once."""
         self._last = -math.inf
         self._segment = ""
 
@@ -149,7 +175,7 @@ class PlainDisplay:
         """Leave the context. This display has nothing to restore; errors are passed on."""
 
     def show(self, view: MissionStatus) -> None:
-        """Print a line if the segment has changed or `PLAIN_EVERY_S` have passed."""
+        """Print the state ``view`` as a line if the segment has changed or 2 s have passed; else print nothing."""
         now = time.monotonic()
         if view.segment == self._segment and now - self._last < PLAIN_EVERY_S:
             return
@@ -170,10 +196,12 @@ def make_display() -> Display:
 class StopSignals:
     """Context in which SIGINT, SIGTERM and SIGHUP only set `caught` and end `wait` early.
 
-    The handlers raise no exception, so that a second Ctrl-C cannot interrupt the return to zero thrust.
+    The handlers raise no exception, so that a second Ctrl-C cannot interrupt the return to zero thrust. The attribute
+    `caught` is the first signal that has arrived, or None.
     """
 
     def __init__(self) -> None:
+        """Prepare the context; the handlers are installed when it begins."""
         self.caught: signal.Signals | None = None
         self._read, self._write = -1, -1
         self._old: dict[signal.Signals, object] = {}
@@ -184,7 +212,7 @@ class StopSignals:
         self._read, self._write = os.pipe()
         os.set_blocking(self._write, False)
         for number in CAUGHT:
-            self._old[number] = signal.signal(number, self._take)
+            self._old[number] = signal.signal(number, self._note_signal)
         return self
 
     def __exit__(
@@ -200,28 +228,36 @@ class StopSignals:
         os.close(self._read)
         os.close(self._write)
 
-    def _take(self, number: int, frame: FrameType | None) -> None:
+    def _note_signal(self, number: int, frame: FrameType | None) -> None:
+        """Handle a signal: store the first one in `caught`, and wake up `wait`."""
         self.caught = self.caught or signal.Signals(number)
         with contextlib.suppress(BlockingIOError):  # the pipe is full of earlier signals, so that `wait` ends anyway
             os.write(self._write, b"!")
 
     def wait(self, seconds: float) -> bool:
-        """Wait for `seconds` (wall) or until a signal arrives. Return whether a signal has arrived."""
+        """Wait for `seconds` (wall) or until a signal arrives. Return whether a signal has ever arrived.
+
+        After a signal the method returns at once.
+        """
         if self.caught is None:
             select.select([self._read], [], [], seconds)
         return self.caught is not None
 
 
 class Keys:
-    """Context in which `take` returns the keys that were pressed; no keys if stdin is not a terminal."""
+    """Context in which `take` returns the keys that were pressed on the terminal.
+
+    No keys are read if stdin is not a terminal, or if this process is not in its foreground.
+    """
 
     def __init__(self) -> None:
+        """Prepare the context; the terminal is changed when it begins."""
         self._fd = -1
         self._before: list[Any] = []
         self._pressed: dict[str, float] = {}  # wall time, by key
 
     def __enter__(self) -> Self:
-        """Put the terminal into a mode without line editing. Ctrl-C remains a signal."""
+        """Put the terminal into a mode without line editing and echo. Ctrl-C remains a signal."""
         with contextlib.suppress(OSError, ValueError, termios.error):
             if sys.stdin.isatty() and os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp():
                 fd = sys.stdin.fileno()
@@ -241,23 +277,27 @@ class Keys:
 
     @property
     def available(self) -> bool:
-        """Return whether stdin is a terminal whose keys are read."""
+        """Whether the keys of a terminal are read."""
         return self._fd >= 0
 
     def take(self) -> str:
-        """Return the keys that were pressed since the last call."""
+        """Return the keys that were pressed since the last call, as characters in their order; empty without any.
+
+        The key `p` is returned as a space. A key that is held counts once, except `m`. The call never waits.
+        """
         if self._fd < 0 or not select.select([self._fd], [], [], 0.0)[0]:
             return ""
         try:
-            return self._once(os.read(self._fd, 64).decode("ascii", errors="ignore"), time.monotonic())
+            return self._without_repetitions(os.read(self._fd, 64).decode("ascii", errors="ignore"), time.monotonic())
         except OSError:  # the terminal was closed; SIGHUP reports that
             self._fd = -1
             return ""
 
-    def _once(self, keys: str, now: float) -> str:
-        """Return the keys without repetitions within `AGAIN_S`.
+    def _without_repetitions(self, keys: str, now: float) -> str:
+        """Return ``keys`` without repetitions of a key within 1 s, and note the time ``now`` [s] of each key.
 
-        Pause and resume are the same key, so that a held key must count once. Each mark counts.
+        Pause and resume are the same key, so that a held key must count once. The key `m` (mark) always counts. The key
+        `p` is returned as a space.
         """
         taken = ""
         for key in keys.replace("p", " "):

@@ -42,13 +42,13 @@ from seatrial.daq.rig import Rig
 from seatrial.daq.samples import Esc, Gnss, LoadCell, Servo
 
 # Wall seconds.
-POLL_S = 0.02  # between two checks of the status
+POLL_S = 0.02  # time between two checks of the status
 AHEAD_S = 0.5  # longest time by which set-points are sent to the acquisition before they are due
 LEAD_S = 0.2  # from the decision to start to the first set-point
 SETTLE_S = 4.0  # longest wait for a measurement of rest after the last zero
-SETTLE_POLL_S = 0.05
+SETTLE_POLL_S = 0.05  # time between two of these measurements
 LONGEST_PAUSE_S = 1.0  # longest pause between two checks of the status
-FLUSH_S = 0.8  # after which all samples so far are in the file, which is flushed every 0.25 s
+FLUSH_S = 0.8  # time after which all samples so far are in the file, which is flushed every 0.25 s
 
 ZERO = "thrust is zero"  # used only if zero thrust was measured
 
@@ -57,6 +57,7 @@ class RunInterrupted(SeatrialError):
     """Error of a run that a signal has ended. The exit status is 128 plus the number of the signal."""
 
     def __init__(self, line: str, number: signal.Signals) -> None:
+        """Set the message ``line`` and, from the signal ``number``, the exit status."""
         super().__init__(line)
         self.exit_status = 128 + number
 
@@ -73,7 +74,7 @@ def run_mission(
 ) -> RunResult:
     """Run a mission and record it. Must be called from the main thread, because it handles signals.
 
-    Keys pause the mission, repeat a step and mark the log (seatrial.bench.execution.operator_interface).
+    Keys of the operator: space pauses and resumes the mission, r repeats the present segment, m marks the log.
 
     Parameters
     ----------
@@ -86,18 +87,18 @@ def run_mission(
     display : Display
         Display of the run.
     metadata : dict, optional
-        Metadata of the log.
+        Metadata of the log: texts by name.
     arm : bool
         Whether to arm an autopilot before the run and disarm it after the run.
     retries : int
-        How many steps, in all, are repeated if set-points or samples were lost in them.
+        How many segments of the mission, in all, are repeated if set-points or samples were lost in them.
     commands : CommandSource, optional
         Commands that replace the set-points of the mission. The limits of the mission apply to them.
 
     Returns
     -------
     RunResult
-        Tares and the autopilots that are still armed.
+        Tares of the load cells, and the autopilots that are still armed.
 
     Raises
     ------
@@ -106,7 +107,8 @@ def run_mission(
     RunInterrupted
         On Ctrl-C, SIGTERM or SIGHUP.
     SeatrialError
-        If a device or the acquisition fails.
+        If the mission is beyond the limits of the rig, the log exists already, the run cannot start, or a device or the
+        acquisition fails.
 
     Notes
     -----
@@ -114,7 +116,7 @@ def run_mission(
     measured. Otherwise the exit status is 3.
     """
     keys = Keys()
-    with _prepared(mission, rig, path, display, metadata or {}, keys, commands) as runner:
+    with _prepared_runner(mission, rig, path, display, metadata or {}, keys, commands) as runner:
         return runner.run(arm, retries, keys)
 
 
@@ -137,21 +139,26 @@ def run_link_test(rig: Rig, path: Path, display: Display, metadata: dict[str, st
     Returns
     -------
     dict
-        Result of each autopilot, by device.
+        Result of each autopilot, by its name. A result that has not passed is returned too, without an error.
 
     Raises
     ------
+    SafetyStop
+        If the guard ends the test, or if zero thrust is not measured at its end.
+    RunInterrupted
+        On Ctrl-C, SIGTERM or SIGHUP.
     SeatrialError
-        As `run_mission`.
+        If no thruster is behind an autopilot, the log exists already, the test cannot start, a device or the
+        acquisition fails, or an output did not follow the command before the link was interrupted.
     """
-    with _prepared(link_test_plan(rig), rig, path, display, metadata, nullcontext()) as runner:
+    with _prepared_runner(link_test_plan(rig), rig, path, display, metadata, nullcontext()) as runner:
         tests = runner.test_link(arm)
     save_link_tests(rig, tests)
     return tests
 
 
 @contextmanager
-def _prepared(
+def _prepared_runner(
     mission: Mission,
     rig: Rig,
     path: Path,
@@ -160,7 +167,11 @@ def _prepared(
     keys: AbstractContextManager[object],
     commands: CommandSource | None = None,
 ) -> Iterator[_Runner]:
-    """Check a mission, and yield its runner with signal handlers, keys and acquisition started."""
+    """Check a mission against the rig, and yield its runner with signal handlers, keys and acquisition started.
+
+    ``keys`` is the context that reads the keys of the operator. The other parameters are those of `run_mission`. At the
+    end of the context the acquisition is stopped and the signal handlers are restored.
+    """
     dry_run(mission, rig)
     new_log_file(path)
     clock = RunClock(rig.speed)
@@ -175,7 +186,7 @@ def _prepared(
 
 
 def new_log_file(path: Path) -> None:
-    """Make the folder of a new log.
+    """Check that the log ``path`` does not exist, and make its folder. The file itself is not made.
 
     Raises
     ------
@@ -191,17 +202,35 @@ def new_log_file(path: Path) -> None:
 
 
 class NewestValues(NamedTuple):
-    """Newest measured values for the display. A value is NaN if it is outdated, and None if no device measures it."""
+    """Newest measured values for the display. A value is NaN if it is outdated, and None if no device measures it.
 
-    force: float | None  # N
-    speed: float | None  # m/s
-    rpm: dict[Source, float]  # of each node
+    Attributes
+    ----------
+    force : float or None
+        Force of a load cell [N].
+    speed : float or None
+        Speed over ground [m/s].
+    rpm : dict of (str, int) to float
+        Shaft speed [rev/min] of each speed controller, by device and node.
+    """
+
+    force: float | None
+    speed: float | None
+    rpm: dict[Source, float]
 
 
 def newest_values(status: Status, guard: SafetyGuard) -> NewestValues:
     """Return the newest force, speed and shaft speeds for the display.
 
-    A value whose sample is outdated is NaN. If two devices measure force or speed, one that is not outdated is shown.
+    A value whose sample is outdated is NaN. If several devices measure force or speed, the last one that is not
+    outdated is shown.
+
+    Parameters
+    ----------
+    status : Status
+        Newest status of the acquisition.
+    guard : SafetyGuard
+        Safety guard, which decides whether a sample is outdated.
     """
     force: float | None = None
     speed: float | None = None
@@ -219,19 +248,30 @@ def newest_values(status: Status, guard: SafetyGuard) -> NewestValues:
 
 @dataclass(frozen=True)
 class RunResult:
-    """Outcome of a run that was completed."""
+    """Outcome of a run that was completed.
 
-    tares: tuple[Tare, ...]  # zeros of the load cells at start and end
-    still_armed: tuple[str, ...]  # autopilots that were armed before the run and still are
+    Attributes
+    ----------
+    tares : tuple of Tare
+        Zeros of the load cells at the start and at the end of the run.
+    still_armed : tuple of str
+        Names of autopilots that are armed at the end. This run did not arm them.
+    """
+
+    tares: tuple[Tare, ...]
+    still_armed: tuple[str, ...]
 
 
-def _at_zero(rests: list[Rest] | None) -> bool:
-    """Return whether every thruster was measured at zero thrust."""
+def _all_at_zero(rests: list[Rest] | None) -> bool:
+    """Return whether every thruster was measured at zero thrust; False if ``rests`` is None (no measurement)."""
     return rests is not None and all(rest.is_zero for rest in rests)
 
 
 class _Runner:
-    """Runner of one mission or link test. It also returns thrust to zero after an error."""
+    """Runner of one mission or link test. It also returns thrust to zero after an error.
+
+    It receives set-points and events from the sequencer (`EventSink`), and asks the safety guard about each set-point.
+    """
 
     def __init__(
         self,
@@ -244,6 +284,7 @@ class _Runner:
         display: Display,
         commands: CommandSource | None,
     ) -> None:
+        """Prepare a run. The acquisition must have started; ``commands`` is None for set-points of the mission."""
         self._mission, self._rig, self._path, self._commands = mission, rig, path, commands
         self._clock, self._acquisition, self._signals, self._display = clock, acquisition, signals, display
         self._guard = SafetyGuard(rig, clock.speed, mission.thrusters)
@@ -254,13 +295,17 @@ class _Runner:
         self._suspended = SuspendDetector()
 
     def run(self, arm: bool, retries: int, keys: Keys) -> RunResult:
-        """Run the mission: wait for the devices, send the set-points, measure zero thrust and close the log."""
+        """Run the mission: wait for the devices, send the set-points, measure zero thrust and close the log.
+
+        The parameters, the result and the errors are those of `run_mission`. After an error thrust is returned to zero,
+        the log is closed, and the error is raised again with a longer message.
+        """
         with self._display:
             try:
-                sequencer = self._excite(arm, retries, keys)
+                sequencer = self._run_setpoints(arm, retries, keys)
                 self._acquisition.zero("end of the mission")
                 self._vehicles.release()
-                tares = self._tare(sequencer.timeline)
+                tares = self._measure_tares(sequencer.timeline)
                 self._require_zero()
                 still_armed = self._vehicles.still_armed()
                 self._acquisition.stop()
@@ -271,13 +316,16 @@ class _Runner:
         return RunResult(tuple(tares), tuple(still_armed))
 
     def test_link(self, arm: bool) -> dict[str, LinkTest]:
-        """Run a link test, and return the result of each autopilot from the closed log."""
+        """Run a link test, and return the result of each autopilot from the closed log, by its name.
+
+        ``arm`` is whether to arm the autopilots before and disarm them after it. Errors are handled as in `run`.
+        """
         with self._display:
             try:
                 self._vehicles.begin_link_test()
                 self._await_ready(arm)
                 links = self._vehicles.await_receivers()
-                self._stop_sending()
+                self._interrupt_links()
                 self._acquisition.zero("end of the link test")
                 self._vehicles.release()
                 self._require_zero()
@@ -290,15 +338,16 @@ class _Runner:
             return {name: measure_link_loss(log, self._rig.device(name), links[name], n) for name in links}
 
     def _require_zero(self) -> None:
-        """Raise SafetyStop if the thrusters are not measured at zero thrust."""
+        """Wait for a measurement of zero thrust. Raise SafetyStop if there is none although thrust was commanded."""
         rests = self._await_rest()
-        if self._moved and not _at_zero(rests):
+        if self._moved and not _all_at_zero(rests):
             raise SafetyStop("the run has ended")
 
-    def _stop_sending(self) -> None:
-        """Command the plan of a link test, then send no frame until the outputs are at neutral.
+    def _interrupt_links(self) -> None:
+        """Command the plan of a link test, then send no frame until all outputs have been at neutral for 0.5 s.
 
-        The method returns after `SILENCE_S` if an output is still not at neutral.
+        The method returns 10 s after the last frame if an output is still not at neutral. Raises SafetyStop if a limit
+        is passed or the acquisition stops thrust.
         """
         speed, start = self._clock.speed, self._clock.now() + LEAD_S * self._clock.speed
         t, n = self._mission.setpoints()
@@ -324,12 +373,15 @@ class _Runner:
                     raise SafetyStop(status.stopped)
                 self._guard.check(status)
             else:
-                self._check(status, now)
+                self._check_guard(status, now)
             self._acquisition.alive()
             self._wait(POLL_S)
 
     def _await_ready(self, arm: bool) -> None:
-        """Wait for the devices and the sources of the limits. Then prepare the autopilots and start the guard."""
+        """Wait until the run may start, and start the guard.
+
+        The order is: samples of all devices, parameters of autopilots, sources of limits, arming (with ``arm``).
+        """
         names = await_devices(self._rig, self._acquisition, self._mission.thrusters, self._wait)
         self._display.say(f"devices: {', '.join(names)}; recording {self._path}")
         self._vehicles.await_ready()
@@ -338,21 +390,28 @@ class _Runner:
         self._guard.start(self._vehicles.changes)
 
     def schedule(self, rows: Sequence[Row]) -> None:
-        """Send the set-points that the guard allows."""
+        """Send the set-points that the guard allows. ``rows`` are run times [s] with n_cmd by thruster.
+
+        Raises SafetyStop if a set-point is not allowed.
+        """
         allowed = self._guard.allow(rows)
         self._moved = self._moved or any(n != 0.0 for _, row in allowed for n in row.values())
         self._acquisition.schedule(allowed)
 
     def zero(self, reason: str) -> None:
-        """Command zero at once."""
+        """Command zero to all thrusters at once, and discard set-points that are not yet due. Log the ``reason``."""
         self._acquisition.zero(reason)
 
     def mark(self, kind: str, text: str) -> None:
-        """Write an event to the log."""
+        """Write an event to the log, with its kind and its text."""
         self._acquisition.mark(kind, text)
 
-    def _excite(self, arm: bool, retries: int, keys: Keys) -> MissionSequencer:
-        """Wait for the devices, then send every set-point in time. Return the sequencer of the run."""
+    def _run_setpoints(self, arm: bool, retries: int, keys: Keys) -> MissionSequencer:
+        """Wait until the run may start, then send every set-point in time. Return the sequencer at the end.
+
+        The limits, signals and keys are checked every 20 ms (wall) meanwhile. Raises SafetyStop or RunInterrupted if
+        the run has to end early.
+        """
         self._await_ready(arm)
         if keys.available:
             self._display.say(HELP)
@@ -375,21 +434,24 @@ class _Runner:
             pause, checked_at = time.monotonic() - checked_at, time.monotonic()
             if pause > LONGEST_PAUSE_S and not status.stopped:
                 raise SafetyStop(f"this program stood still for {pause:.1f} s")
-            self._check(status, now)
+            self._check_guard(status, now)
             sequencer.step(now, ahead, status, keys.take())
             self._acquisition.alive()
             self._segment = sequencer.segment or self._segment
-            self._display.show(self._view(status, sequencer, now))
+            self._display.show(self._display_status(status, sequencer, now))
             self._wait(POLL_S)
         return sequencer
 
-    def _check(self, status: Status, now: float) -> None:
-        """Raise SafetyStop if the guard ends the run."""
+    def _check_guard(self, status: Status, now: float) -> None:
+        """Let the guard check the status at run time ``now`` [s]. Raise SafetyStop if it ends the run."""
         if stop := self._guard.step(now, status).stop:
             raise SafetyStop(stop.reason)
 
     def _say_skipped(self, commanded: int) -> None:
-        """Report the number of set-points that a later one replaced before they could be sent."""
+        """Print how many of the ``commanded`` set-points a later one replaced before they could be sent.
+
+        Nothing is printed if all were sent.
+        """
         skipped = self._acquisition.status().skipped
         if skipped:
             self._display.say(
@@ -398,9 +460,9 @@ class _Runner:
             )
 
     def _wait(self, wall_s: float) -> None:
-        """Wait for some wall seconds.
+        """Wait for ``wall_s`` seconds (wall).
 
-        Raises RunInterrupted on a signal, and SafetyStop if the computer was suspended.
+        Raises RunInterrupted as soon as a signal arrives, and SafetyStop if the computer was suspended.
         """
         if slept := self._suspended.slept():
             raise SafetyStop(f"the computer was suspended for {slept:.1f} s")
@@ -408,8 +470,8 @@ class _Runner:
             number = self._signals.caught
             raise RunInterrupted(f"stopped by {WORDS[number]}", number)
 
-    def _view(self, status: Status, sequencer: MissionSequencer, now: float) -> MissionStatus:
-        """Return the state of the run for the display."""
+    def _display_status(self, status: Status, sequencer: MissionSequencer, now: float) -> MissionStatus:
+        """Return the state of the run at run time ``now`` [s] for the display."""
         force, speed, rpm = newest_values(status, self._guard)
         thrusters = [self._rig.thruster(name) for name in self._mission.thrusters]
         return MissionStatus(
@@ -423,8 +485,11 @@ class _Runner:
             warning=status.warnings[-1] if status.warnings else "",
         )
 
-    def _tare(self, timeline: Schedule) -> list[Tare]:
-        """Return the tares from the segments at rest. Print them and write them to the log as events."""
+    def _measure_tares(self, timeline: Schedule) -> list[Tare]:
+        """Measure the tares in the segments at rest, print them, write them to the log as events, and return them.
+
+        The list is empty if the rig has no load cell, the mission does not rest, or the log cannot be read.
+        """
         windows = timeline.static_windows()
         if not windows or not any(device.protocol == "loadcell" for device in self._rig.devices):
             return []
@@ -442,57 +507,59 @@ class _Runner:
     def _end_at_zero(self, error: BaseException) -> None:
         """Command zero, disarm, write the reason to the log, close the log, and complete the error message.
 
-        The message also reports the measured thrust, the path of the log and the autopilots that are still armed.
+        The message of ``error`` (changed in place) also reports the measured thrust, the path of the log and the
+        autopilots that are still armed. Its exit status is 3 if thrust was commanded and zero is not measured. Further
+        errors are suppressed.
         """
         reason = " ".join(str(error).split()) or type(error).__name__
         decided = self._clock.now()
-        self._attempt(lambda: self._acquisition.zero(reason))
-        self._attempt(self._vehicles.disarm)
-        self._attempt(lambda: self._acquisition.mark("stop", reason))
+        self._succeeds(lambda: self._acquisition.zero(reason))
+        self._succeeds(self._vehicles.disarm)
+        self._succeeds(lambda: self._acquisition.mark("stop", reason))
         if stop := self._guard.stop:
-            self._attempt(lambda: self._acquisition.mark("stop-code", stop.code.value))
-        self._attempt(lambda: self._acquisition.mark("decided", f"{decided:.6f} to stop"))
+            self._succeeds(lambda: self._acquisition.mark("stop-code", stop.code.value))
+        self._succeeds(lambda: self._acquisition.mark("decided", f"{decided:.6f} to stop"))
         rests = self._await_rest()
-        closed = self._attempt(self._acquisition.stop)
-        if not _at_zero(rests):
-            rests = (
-                self._measure_rest()
-            )  # measured again: the acquisition process repeats zero before it closes the log
-        thrust = self._thrust_in_words(rests)
+        closed = self._succeeds(self._acquisition.stop)
+        if not _all_at_zero(rests):
+            # Measured again, because the acquisition process repeats zero before it closes the log.
+            rests = self._measure_rest()
+        thrust = self._thrust_text(rests)
         log = f"the log is {self._path}" if closed else f"the log so far is {self._path} (it opens as it is)"
         if isinstance(error, SeatrialError):
             if self._moved and thrust != ZERO:
                 error.exit_status = SafetyStop.exit_status
-            error.args = (f"{reason}: {thrust}, {log}{self._armed_in_words()}",)
+            error.args = (f"{reason}: {thrust}, {log}{self._armed_text()}",)
 
-    def _armed_in_words(self) -> str:
-        """Return the end of the error message: the autopilots that are still armed; empty without one."""
+    def _armed_text(self) -> str:
+        """Return the last part of the error message: the autopilots that are still armed; empty without one."""
         ours = self._vehicles.maybe_armed()
         others = [name for name in self._vehicles.still_armed() if name not in ours]
         loud = f"; {', '.join(ours)} WAS ARMED BY US AND MAY STILL BE: disarm it yourself" if ours else ""
         return loud + (f"; {', '.join(others)} IS STILL ARMED: disarm it yourself" if others else "")
 
     def _measure_rest(self) -> list[Rest] | None:
-        """Return for each thruster whether it is measured at zero thrust; None if the acquisition has failed."""
+        """Return for each thruster whether it is measured at zero thrust now; None if the acquisition has failed."""
         try:
             return self._guard.rest(self._acquisition.status())
         except SeatrialError:
             return None
 
     def _await_rest(self) -> list[Rest] | None:
-        """Wait until every thruster is measured at zero thrust, for at most `SETTLE_S`. Return the last measurement.
+        """Wait until every thruster is measured at zero thrust, for at most 4 s. Return the last measurement.
 
-        The method does not wait if no thrust was commanded or if a port of a thruster is closed.
+        The method does not wait if no thrust was commanded or if a port of a thruster is closed. It returns None if the
+        acquisition has failed.
         """
         until = time.monotonic() + SETTLE_S
-        while (rests := self._measure_rest()) is not None and not _at_zero(rests):
+        while (rests := self._measure_rest()) is not None and not _all_at_zero(rests):
             if time.monotonic() > until or not (self._moved and self._ports_are_open()):
                 break
             time.sleep(SETTLE_POLL_S)
         return rests
 
     def _ports_are_open(self) -> bool:
-        """Return whether the ports of all thrusters are open. Otherwise no measurement can arrive."""
+        """Return whether the ports of all thrusters are open. Otherwise, or after a failure, no measurement arrives."""
         try:
             ports = self._acquisition.status().ports
         except SeatrialError:
@@ -500,9 +567,12 @@ class _Runner:
         names = {self._rig.thruster(name).device for name in self._mission.thrusters}
         return all(name in ports and ports[name].open for name in names)
 
-    def _thrust_in_words(self, rests: list[Rest] | None) -> str:
-        """Return the part of the error message on the thrust at the end. "Zero" is used only for a measurement."""
-        if _at_zero(rests):
+    def _thrust_text(self, rests: list[Rest] | None) -> str:
+        """Return the part of the error message on the thrust at the end. It is `ZERO` only if zero was measured.
+
+        ``rests`` are the measurements of all thrusters; None if there are none.
+        """
+        if _all_at_zero(rests):
             return ZERO
         wrong = [rest for rest in rests or [] if not rest.is_zero]
         pushing = [rest.thruster for rest in wrong if rest.is_zero is False and self._is_output(rest.thruster)]
@@ -519,12 +589,13 @@ class _Runner:
         return f"zero was sent, not confirmed{measured}{in_link_test}; MAKE SURE THAT THE PROPELLERS STAND STILL"
 
     def _is_output(self, thruster: str) -> bool:
+        """Return whether the thruster with this name is connected to an output of an autopilot."""
         return self._rig.thruster(thruster).output is not None
 
-    def _attempt(self, action: Callable[[], None]) -> bool:
+    def _succeeds(self, action: Callable[[], None]) -> bool:
         """Run `action` and return whether it succeeded.
 
-        Its errors are suppressed, so that the next step to zero thrust is always tried.
+        A SeatrialError or OSError is suppressed, so that the next step to zero thrust is always tried.
         """
         try:
             action()

@@ -55,7 +55,7 @@ STUCK_WALL_S = 3.0  # wall seconds within which the file of the log must grow; i
 # often.
 QUICK, SLOW = 1.5, 3.0
 LIMIT_MAX_S = 6.0  # run seconds for which a limited quantity may be missing, at most
-REST_PART = 0.05  # part of limits.force_n; a larger force at rest is named in the reason of a stop
+REST_PART = 0.05  # fraction of limits.force_n; a larger force at rest is named in the reason of a stop
 RATE_RATIO = 3.0  # largest ratio of measured rate and `rate_hz`; beyond it the patience does not fit the device
 EARTH_RADIUS_M = 6_371_008.8  # IUGG mean radius
 STOPPED = 0.05  # m/s; a boat slower than this drifts and does not coast
@@ -79,9 +79,10 @@ LASTS_S = 0.1  # a longer deviation ends the run; with the delays of the link, t
 # Speed controllers against commands.
 DUTY_TOLERANCE, DUTY_WINDOW_S, DUTY_LASTS_S = 0.1, 1.0, 0.3  # wider, as controllers ramp and report with a delay
 FREE_DUTY = 0.05  # a motor with a smaller duty is not driven
-COAST_S, FALLING = 3.0, 0.92  # in COAST_S s a coasting propeller falls below this part of its speed
-IDLE_PART, IDLE_RPM_MIN, IDLE_RPM_MAX = 0.07, 30.0, 300.0  # speed of a motor at rest: part of rpm_max, and its bounds
-IDLE_CURRENT = 0.05  # part of the largest current so far; a motor with less is not driven
+COAST_S, FALLING = 3.0, 0.92  # in COAST_S s the speed of a coasting propeller falls below this fraction
+# Largest speed of a motor at rest: fraction of rpm_max, and bounds of this speed in rev/min
+IDLE_PART, IDLE_RPM_MIN, IDLE_RPM_MAX = 0.07, 30.0, 300.0
+IDLE_CURRENT = 0.05  # fraction of the largest current so far; a motor with less is not driven
 SENSED_A = 1.0  # A; a controller that has reported more is known to measure its current
 BLOCKED_N, BLOCKED_RPM = 0.3, 10.0  # a motor that turns more slowly at such a command is blocked
 
@@ -91,7 +92,17 @@ RIVAL = "another ground station has our own system id: its heartbeats hide the l
 
 
 class GuardState(enum.StrEnum):
-    """State of the safety guard; see the table of the module."""
+    """State of the safety guard.
+
+    Attributes
+    ----------
+    WAITING
+        The run has not started. No set-point is allowed.
+    RUNNING
+        Set-points within `limits.n_max` are allowed.
+    STOPPED
+        There was a reason to end the run. No set-point is allowed any more.
+    """
 
     WAITING = "waiting"
     RUNNING = "running"
@@ -99,93 +110,160 @@ class GuardState(enum.StrEnum):
 
 
 class StopCode(enum.StrEnum):
-    """Kind of the reason that ends a run. It is written to the log with the reason."""
+    """Code of the reason that ends a run. It is written to the log with the reason.
 
-    ACQUISITION = "acquisition"  # the acquisition process ended thrust, or does not answer
-    LOG = "log"  # the log does not grow
+    Attributes
+    ----------
+    ACQUISITION
+        The acquisition process ended thrust, or does not answer.
+    LOG
+        The file of the log does not grow.
+    PORT_LOST
+        The port of a device was closed.
+    SILENT
+        A device, or the controller of a thruster, sends nothing.
+    LIMIT
+        A limited quantity is beyond its limit.
+    FENCE
+        The boat is outside the geofence, or cannot stop inside.
+    UNWATCHED
+        No device reports the quantity of a limit any more.
+    LINK
+        An autopilot is silent, disarmed, in another mode than MANUAL, or has an alarm.
+    RIVAL
+        Another ground station has our system id.
+    PARAMETER
+        A parameter of an autopilot was changed.
+    OUTPUT
+        A thruster is not driven as commanded.
+    SETPOINT
+        A set-point is not allowed.
+    """
+
+    ACQUISITION = "acquisition"
+    LOG = "log"
     PORT_LOST = "port-lost"
-    SILENT = "silent"  # a device, or a thruster's controller
-    LIMIT = "limit"  # a limited quantity is beyond its limit
+    SILENT = "silent"
+    LIMIT = "limit"
     FENCE = "fence"
-    UNWATCHED = "unwatched"  # a limit has no source any more
-    LINK = "link"  # an autopilot is silent, disarmed, in another mode, or has an alarm
+    UNWATCHED = "unwatched"
+    LINK = "link"
     RIVAL = "rival"
-    PARAMETER = "parameter"  # a parameter of an autopilot was changed
-    OUTPUT = "output"  # a thruster is not driven as commanded
-    SETPOINT = "set-point"  # a set-point that is not allowed
+    PARAMETER = "parameter"
+    OUTPUT = "output"
+    SETPOINT = "set-point"
 
 
 class Stop(NamedTuple):
-    """Decision to end a run."""
+    """Decision to end a run.
+
+    Attributes
+    ----------
+    code : StopCode
+        Kind of the reason.
+    reason : str
+        What has happened, with the device and the measured values, in one line.
+    """
 
     code: StopCode
-    reason: str  # one line
+    reason: str
 
 
 class Decision(NamedTuple):
-    """Decision of the guard on one status."""
+    """Decision of the guard on one status.
 
-    setpoints: tuple[Row, ...]  # that may be sent
-    stop: Stop | None  # None while the run may go on
+    Attributes
+    ----------
+    setpoints : tuple of Row
+        Set-points that may be sent: pairs of run time [s] and n_cmd by thruster.
+    stop : Stop or None
+        Why the run has to end; None while the run may go on.
+    """
+
+    setpoints: tuple[Row, ...]
+    stop: Stop | None
 
 
 @dataclass(frozen=True)
-class _Quantity:
-    """A limited quantity: its name, its value by kind of sample, and the advice shown when no device reports it."""
+class _LimitedQuantity:
+    """A quantity that a limit of the rig bounds.
+
+    Attributes
+    ----------
+    name : str
+        Name of the quantity in messages, such as "shaft speed".
+    value : mapping of type to callable
+        By class of sample: function that returns the quantity from a sample, or NaN if the sample does not hold it.
+    remedy : str
+        Advice that is shown if no device reports the quantity.
+    slow : bool
+        Whether it is reported less often than the other values of its device.
+    moves : bool
+        Whether it changes when the thrust changes, so that a constant value reveals a frozen source.
+    """
 
     name: str
-    value: Mapping[type[Any], Callable[[Any], float]]  # NaN if the sample does not hold the quantity
+    value: Mapping[type[Any], Callable[[Any], float]]
     remedy: str
-    slow: bool = False  # it is reported less often than the other values of its device
-    moves: bool = False  # it changes when the thrust does
+    slow: bool = False
+    moves: bool = False
 
 
 def _position(fix: Gnss) -> float:
+    """Return the latitude [deg] of a sample with a position fix, which stands for its position; NaN without a fix."""
     return fix.lat if fix.fix >= 2 and math.isfinite(fix.lon) else NAN
 
 
 def _temperature(esc: Esc) -> float:
+    """Return the temperature [deg C] of a speed controller; NaN below -40 deg C, where the sensor must be missing."""
     return esc.temperature if esc.temperature > COLDEST_C else NAN
 
 
 _STATUS = "let the controller send its status"
 _QUANTITIES = {  # by key of [limits]
-    "force_n": _Quantity(
+    "force_n": _LimitedQuantity(
         "force",
         {LoadCell: lambda cell: NAN if cell.flags else cell.force},
         "a load cell needs its [device.calibration]",
         moves=True,
     ),
-    "rpm": _Quantity("shaft speed", {Esc: lambda esc: esc.rpm}, _STATUS, moves=True),
-    "current_a": _Quantity("current", {Esc: lambda esc: esc.current}, _STATUS, moves=True),
-    "temperature_c": _Quantity("temperature", {Esc: _temperature}, f"{_STATUS} (VESC: 4)", slow=True),
-    "voltage_min_v": _Quantity(
+    "rpm": _LimitedQuantity("shaft speed", {Esc: lambda esc: esc.rpm}, _STATUS, moves=True),
+    "current_a": _LimitedQuantity("current", {Esc: lambda esc: esc.current}, _STATUS, moves=True),
+    "temperature_c": _LimitedQuantity("temperature", {Esc: _temperature}, f"{_STATUS} (VESC: 4)", slow=True),
+    "voltage_min_v": _LimitedQuantity(
         "voltage",
         {Esc: lambda esc: esc.voltage, Battery: lambda battery: battery.voltage},
         f"{_STATUS} (VESC: 5), or an autopilot that of the battery",
         slow=True,
     ),
-    "battery_min": _Quantity(
+    "battery_min": _LimitedQuantity(
         "charge", {Battery: lambda battery: battery.remaining}, "let an autopilot send that of the battery", slow=True
     ),
-    "roll_deg": _Quantity("roll", {Ahrs: lambda ahrs: ahrs.roll}, "add an AHRS to the rig"),
-    "pitch_deg": _Quantity("pitch", {Ahrs: lambda ahrs: ahrs.pitch}, "add an AHRS to the rig"),
-    "radius_m": _Quantity("position", {Gnss: _position}, "wait for a fix of the GNSS receiver", slow=True, moves=True),
+    "roll_deg": _LimitedQuantity("roll", {Ahrs: lambda ahrs: ahrs.roll}, "add an AHRS to the rig"),
+    "pitch_deg": _LimitedQuantity("pitch", {Ahrs: lambda ahrs: ahrs.pitch}, "add an AHRS to the rig"),
+    "radius_m": _LimitedQuantity(
+        "position", {Gnss: _position}, "wait for a fix of the GNSS receiver", slow=True, moves=True
+    ),
 }
 
 
 class MovementWatch:
     """Detector of a frozen source: its value stays exactly the same although the commanded thrust changes.
 
-    A frozen source passes every other check: its samples are on time and valid, and its value is within the limits.
+    A frozen source passes every other check: its samples are on time and valid, and its value is within the limits. The
+    attribute `is_position` is whether the value is a position, which needs stronger commands before it must change.
     """
 
     def __init__(self) -> None:
+        """Start without a value."""
         self.is_position = False
-        self._take(math.nan, (), {})
+        self._restart_counters(math.nan, (), {})
 
-    def _take(self, t: float, value: tuple[float, ...], commands: Mapping[str, float]) -> None:
-        """Store a value that differs from the previous one, and reset the counters."""
+    def _restart_counters(self, t: float, value: tuple[float, ...], commands: Mapping[str, float]) -> None:
+        """Store a value that differs from the previous one, and reset all counters.
+
+        ``t`` is the run time of its sample [s], and ``commands`` are the commands n_cmd by thruster at that time.
+        """
         self._value = value
         self._t = self._changed_at = t  # run times of the newest sample, and of the first one with this value
         self._commands = dict(commands)  # commands at the last change of the value
@@ -195,7 +273,9 @@ class MovementWatch:
         self._impulse = self._travel = 0.0  # s of full thrust, and m by the reported speed, since the last change
 
     def update(self, t: float, value: tuple[float, ...], commands: Mapping[str, float], speed: float = NAN) -> None:
-        """Take a sample.
+        """Take a sample: compare its value with the previous one, and count what was commanded since the last change.
+
+        A sample that is not newer than the previous one is ignored if its value is the same.
 
         Parameters
         ----------
@@ -209,7 +289,7 @@ class MovementWatch:
             Speed over ground [m/s] that a receiver reports with its position; NaN for other quantities.
         """
         if value != self._value:
-            self._take(t, value, commands)
+            self._restart_counters(t, value, commands)
             return
         if not t > self._t:
             return
@@ -227,12 +307,17 @@ class MovementWatch:
 
     @property
     def unchanged_s(self) -> float:
-        """Run seconds for which the value has been the same."""
+        """Time [run s] from the first to the newest sample with the present value."""
         return self._t - self._changed_at
 
     @property
     def is_frozen(self) -> bool:
-        """Return whether the value should have changed by now."""
+        """Whether the source is frozen: the value should have changed by now because of the commands.
+
+        A position must change after 3 s of full thrust ahead (at least 5 s after its last change), or after 5 m by the
+        reported speed. Another value must change within 2 s after a change of the command by 0.3. In both cases 5
+        samples must have repeated the value.
+        """
         if self.is_position:
             driven = self._impulse >= IMPULSE_S and self.unchanged_s >= AT_REST_S
             return self._repeats >= FROZEN_SAMPLES and (driven or self._travel >= TRAVEL_M)
@@ -241,25 +326,47 @@ class MovementWatch:
 
 @dataclass
 class LimitSource:
-    """A limit, the thruster or load cell that it protects, and the device that has last reported its quantity."""
+    """A limit, the thruster or load cell that it protects, and the device that has last reported its quantity.
 
-    key: str  # name in [limits]
+    Attributes
+    ----------
+    key : str
+        Name of the limit in [limits] of the rig, such as "current_a".
+    limit : float
+        Value of the limit, in the unit of its name.
+    whom : str
+        The protected thruster or load cell; empty if samples of any device count.
+    place : str
+        Node and device of the thruster in words; else empty.
+    takes : callable
+        Whether a sample of a source (device and node) counts for this limit.
+    source : str
+        Device that has last reported the quantity; empty before the first report.
+    t : float
+        Run time of that report [s]; minus infinity without one, or if the source is frozen.
+    frozen : str
+        Why the source does not count, if its value is frozen; else empty.
+    """
+
+    key: str
     limit: float
-    whom: str  # the thruster or load cell; empty if samples of any device count
-    place: str  # node and device of the thruster in words; else empty
-    takes: Callable[[Source, Sample], bool]  # whether a sample counts for this limit
-    source: str = ""  # the device that has last reported the quantity
-    t: float = -math.inf  # run time of its report
-    frozen: str = ""  # why the source does not count, if its value is frozen; else empty
+    whom: str
+    place: str
+    takes: Callable[[Source, Sample], bool]
+    source: str = ""
+    t: float = -math.inf
+    frozen: str = ""
     _watches: dict[Source, MovementWatch] = field(default_factory=dict)
 
     @property
     def is_slow(self) -> bool:
-        """Return whether the quantity is sent less often and may be missing for longer."""
+        """Whether the quantity is sent less often than others and may be missing for longer."""
         return _QUANTITIES[self.key].slow
 
     def observe(self, source: Source, sample: Sample, t: float, commands: Mapping[str, float]) -> None:
-        """Update the source of the limit if a sample contains its quantity.
+        """Update the source of the limit if a sample contains its quantity. Other samples are ignored.
+
+        A source whose value is frozen does not count any more, until its value changes or another source reports.
 
         Parameters
         ----------
@@ -294,21 +401,25 @@ class LimitSource:
             self.source, self.t, self.frozen = name, t, ""
 
     def silence(self, now: float) -> str:
-        """Return a text with the missing quantity and the time [run s] since its last report, or why it is frozen."""
+        """Return a text with the missing quantity and the time [run s] since its last report, or why it is frozen.
+
+        ``now`` is the run time [s].
+        """
         whom = f" of {self.whom}" if self.whom else ""
         missing = f"no {_QUANTITIES[self.key].name}{whom}{self.place}"
-        return f"{missing}: {self.frozen}" if self.frozen else f"{missing}{_since(now - self.t)}"
+        return f"{missing}: {self.frozen}" if self.frozen else f"{missing}{_age_text(now - self.t)}"
 
     def refusal(self, now: float) -> str:
-        """Return the message that refuses a start: the limit without a source, and its remedy."""
+        """Return the message that refuses a start at run time ``now``: the limit without a source, and its remedy."""
         remedy = f'{_QUANTITIES[self.key].remedy}, or write unwatched = ["{self.key}"] in [limits]'
         return f"limits.{self.key} = {self.limit:g} is not watched: {self.silence(now)}; {remedy}"
 
 
 def _limit_sources(rig: Rig, thrusters: list[Thruster]) -> Iterator[LimitSource]:
-    """Yield the limits that have to be watched.
+    """Yield the limits of a rig that have to be watched, still without sources.
 
-    A limit of speed controllers is yielded for each thruster, and the limit of the force for each load cell.
+    A limit of speed controllers is yielded for each of ``thrusters``, and the limit of the force for each load cell.
+    Limits that the rig does not set or exempts (`unwatched`) are left out.
     """
     cells = [device.name for device in rig.devices if device.protocol in LOAD_CELLS]
     for key, quantity in _QUANTITIES.items():
@@ -318,52 +429,53 @@ def _limit_sources(rig: Rig, thrusters: list[Thruster]) -> Iterator[LimitSource]
         if Esc in quantity.value:
             for thruster in thrusters:
                 place = f" (node {thruster.node} on {thruster.device})"
-                yield LimitSource(key, limit, f"thruster {thruster.name}", place, _of_thruster(thruster))
+                yield LimitSource(key, limit, f"thruster {thruster.name}", place, _accepts_thruster(thruster))
         elif key == "force_n" and cells:
             for cell in cells:
-                yield LimitSource(key, limit, cell, "", _of_device(cell))
+                yield LimitSource(key, limit, cell, "", _accepts_device(cell))
         else:
             yield LimitSource(key, limit, "", "", lambda source, sample: True)
 
 
-def _of_thruster(thruster: Thruster) -> Callable[[Source, Sample], bool]:
-    """Return a function that accepts the samples of a thruster's own controller and of any battery."""
+def _accepts_thruster(thruster: Thruster) -> Callable[[Source, Sample], bool]:
+    """Return a function that returns whether a sample is of the thruster's own controller or of any battery."""
 
     def takes(source: Source, sample: Sample) -> bool:
+        """Return whether a sample of a source (device and node) counts for a limit of the thruster."""
         own = (source[0].partition("/")[0], source[1]) == (thruster.device, thruster.node)
         return own or isinstance(sample, Battery)
 
     return takes
 
 
-def _of_device(name: str) -> Callable[[Source, Sample], bool]:
-    """Return a function that accepts the samples of one device."""
+def _accepts_device(name: str) -> Callable[[Source, Sample], bool]:
+    """Return a function that returns whether a sample is of the device ``name``."""
     return lambda source, sample: source[0].partition("/")[0] == name
 
 
 class History:
-    """History of a quantity that is constant between its changes, over the last seconds."""
+    """History of a quantity over the last seconds. Between two additions the quantity is constant."""
 
     def __init__(self, keep_s: float) -> None:
         """Keep the values of the last `keep_s` run seconds."""
-        self._keep = keep_s
+        self._keep_s = keep_s
         self._rows: deque[tuple[float, float]] = deque()  # run time, value
 
     def add(self, t: float, value: float) -> None:
-        """Add the value that holds from run time `t` on."""
+        """Add the value that holds from run time `t` [s] on, and forget values that are too old. Times must ascend."""
         self._rows.append((t, value))
         # The oldest row must hold at the start of the window, so that it may be older than the window.
-        while len(self._rows) > 1 and self._rows[1][0] <= t - self._keep:
+        while len(self._rows) > 1 and self._rows[1][0] <= t - self._keep_s:
             self._rows.popleft()
 
     def since(self, t: float) -> list[float]:
-        """Return the values that held at run time `t` or later."""
+        """Return the values that held at run time `t` [s] or later, oldest first; empty without any value."""
         recent = [value for at, value in self._rows if at >= t]
         held = [value for at, value in self._rows if at < t][-1:]
         return held + recent
 
     def covers(self, t: float) -> bool:
-        """Return whether the history reaches back to run time `t`."""
+        """Return whether the history reaches back to run time `t` [s]."""
         return bool(self._rows) and self._rows[0][0] <= t
 
 
@@ -374,25 +486,30 @@ class OutputCheck:
     """
 
     def __init__(self, thruster: Thruster, speed: float) -> None:
-        self._thruster, self._window, self._lasts = thruster, WINDOW_S * speed, LASTS_S * speed
+        """Prepare the comparison for ``thruster``. ``speed`` is the number of run seconds per wall second."""
+        self._thruster, self._window_s, self._tolerated_s = thruster, WINDOW_S * speed, LASTS_S * speed
         self._commands: deque[tuple[float, float]] = deque()  # run time, n_cmd
         self._wrong_since = math.nan
 
     def reason(self, status: Status) -> str:
-        """Return why the run has to end, in one line; empty while the output agrees with a recent command."""
+        """Store the command of this status, and return why the run has to end, in one line; empty if it may go on.
+
+        The run may go on while the output agrees with a command of the last 0.25 s (wall) within 0.05, or deviates for
+        less than 0.1 s (wall), or is not reported.
+        """
         self._commands.append((status.t, status.commanded.get(self._thruster.name, 0.0)))
-        while self._commands[0][0] < status.t - 2.0 * self._window:
+        while self._commands[0][0] < status.t - 2.0 * self._window_s:
             self._commands.popleft()
         latest = status.latest.get((self._thruster.device, self._thruster.node))
         if latest is None or not isinstance(latest.sample, Servo) or not math.isfinite(latest.sample.n):
             return ""
-        recent = [n for t, n in self._commands if t >= latest.t - self._window]
+        recent = [n for t, n in self._commands if t >= latest.t - self._window_s]
         n = latest.sample.n
         if not recent or min(recent) - TOLERANCE <= n <= max(recent) + TOLERANCE:
             self._wrong_since = math.nan
             return ""
         self._wrong_since = latest.t if math.isnan(self._wrong_since) else self._wrong_since
-        if latest.t - self._wrong_since < self._lasts:
+        if latest.t - self._wrong_since < self._tolerated_s:
             return ""
         name, device = self._thruster.name, self._thruster.device
         deviates = "a parameter bends commands, or its link is late"
@@ -401,19 +518,43 @@ class OutputCheck:
 
 
 class Rest(NamedTuple):
-    """Measurement whether a thruster is at zero thrust."""
+    """Measurement whether a thruster is at zero thrust.
+
+    Attributes
+    ----------
+    thruster : str
+        Name of the thruster.
+    is_zero : bool or None
+        Whether it is at zero thrust; None if this is not measured.
+    text : str
+        The measurement in words, such as "left turns at 2700 rpm".
+    """
 
     thruster: str
-    is_zero: bool | None  # None if it is not measured
-    text: str  # the measurement in words, as "left turns at 2700 rpm"
+    is_zero: bool | None
+    text: str
 
 
 class _Motion(enum.Enum):
-    """Motion of a motor while zero is commanded."""
+    """Motion of a motor while zero is commanded.
+
+    Attributes
+    ----------
+    REST
+        It stands still, or turns more slowly than the idle speed.
+    COASTS
+        It turns, and a measurement shows that it is not driven.
+    SLOWS
+        Its speed falls, and no measurement shows whether it is driven.
+    DRIVEN
+        A measurement shows that it is driven.
+    UNKNOWN
+        Neither its duty nor its shaft speed is reported.
+    """
 
     REST = enum.auto()
-    COASTS = enum.auto()  # it turns, and a measurement shows that it is not driven
-    SLOWS = enum.auto()  # its speed falls, and no measurement shows whether it is driven
+    COASTS = enum.auto()
+    SLOWS = enum.auto()
     DRIVEN = enum.auto()
     UNKNOWN = enum.auto()
 
@@ -426,42 +567,58 @@ class ControllerCheck:
     Two deviations are no faults: a controller that limits its current puts out less duty than commanded, and a
     propeller turns freely while the boat coasts. Faults are more duty than commanded, a propeller that is driven
     seconds after zero was commanded, a motor that does not turn when commanded, and frozen telemetry.
+
+    The attribute `idle_rpm` is the largest shaft speed [rev/min] of a motor at rest.
     """
 
     def __init__(self, thruster: Thruster, speed: float) -> None:
+        """Prepare the comparison for ``thruster``. ``speed`` is the number of run seconds per wall second."""
         self._thruster = thruster
         delay = WINDOW_S * speed  # run s on the way to the controller and back
-        self._window, self._lasts, self._coast = DUTY_WINDOW_S + delay, DUTY_LASTS_S + LASTS_S * speed, COAST_S + delay
+        self._window_s, self._tolerated_s, self._coast_s = (
+            DUTY_WINDOW_S + delay,
+            DUTY_LASTS_S + LASTS_S * speed,
+            COAST_S + delay,
+        )
         # Twice the window: a sample is older than the status that contains it, so that its window begins earlier.
-        self._commands, self._rpm = History(2.0 * self._coast), History(2.0 * self._coast)
+        self._commands, self._rpm = History(2.0 * self._coast_s), History(2.0 * self._coast_s)
         self._wrong_since = math.nan
         self._current = 0.0  # A, the largest so far
         self._watch = MovementWatch()
-        self._seen = -math.inf  # run time of the newest sample
+        self._newest_t = -math.inf  # run time of the newest sample
         idle = IDLE_PART * thruster.rpm_max if math.isfinite(thruster.rpm_max) else IDLE_RPM_MAX
         self.idle_rpm = min(max(idle, IDLE_RPM_MIN), IDLE_RPM_MAX)
 
-    def _latest(self, status: Status) -> tuple[Esc, float] | None:
-        """Return the newest sample of the controller with its run time; None before the first one."""
+    def _newest_sample(self, status: Status) -> tuple[Esc, float] | None:
+        """Return the newest sample of the controller with its run time [s]; None before the first one."""
         latest = status.latest.get((self._thruster.device, self._thruster.node))
         return None if latest is None or not isinstance(latest.sample, Esc) else (latest.sample, latest.t)
 
     def reason(self, status: Status) -> str:
-        """Return why the run has to end, in one line; empty while the controller follows its commands."""
+        """Store the status (`observe`), and return why the run has to end, in one line; empty if it may go on.
+
+        The run has to end because of too much duty, a motor that is still driven after zero, a blocked motor, or frozen
+        telemetry.
+        """
         if (latest := self.observe(status)) is None:
             return ""
         esc, t = latest
-        return self._too_much_duty(esc, t) or self._turns(esc, t) or self._blocked(esc, t) or self._frozen()
+        return (
+            self._excess_duty(esc, t)
+            or self._still_driven(esc, t)
+            or self._blocked_motor(esc, t)
+            or self._frozen_telemetry()
+        )
 
     def observe(self, status: Status) -> tuple[Esc, float] | None:
-        """Store the command and the newest sample. Return the sample with its run time; None before the first one."""
+        """Store the command and the newest sample. Return this sample and its run time [s]; None before the first."""
         n = status.commanded.get(self._thruster.name, 0.0)
         self._commands.add(status.t, n)
-        if (latest := self._latest(status)) is None:
+        if (latest := self._newest_sample(status)) is None:
             return None
         esc, t = latest
-        if t > self._seen:
-            self._seen = t
+        if t > self._newest_t:
+            self._newest_t = t
             if math.isfinite(esc.rpm):
                 self._rpm.add(t, abs(esc.rpm))
             self._current = max(self._current, abs(esc.current)) if math.isfinite(esc.current) else self._current
@@ -471,23 +628,28 @@ class ControllerCheck:
                 self._watch.update(t, finite, {self._thruster.name: n})
         return latest
 
-    def _name(self) -> str:
+    def _label(self) -> str:
+        """Return the text "thruster NAME (node N on DEVICE)" for messages."""
         return f"thruster {self._thruster.name} (node {self._thruster.node} on {self._thruster.device})"
 
-    def _too_much_duty(self, esc: Esc, t: float) -> str:
-        """Return the reason of a stop if the duty is beyond the recent commands for too long; else empty."""
-        recent = [0.0, *self._commands.since(t - self._window)]
+    def _excess_duty(self, esc: Esc, t: float) -> str:
+        """Return the reason of a stop if the duty has been beyond the recent commands for too long; else empty.
+
+        ``t`` is the run time of the sample [s], here and in the next methods. Zero always counts as a recent command,
+        because a controller that limits its current puts out less duty.
+        """
+        recent = [0.0, *self._commands.since(t - self._window_s)]
         if not math.isfinite(esc.duty) or min(recent) - DUTY_TOLERANCE <= esc.duty <= max(recent) + DUTY_TOLERANCE:
             self._wrong_since = math.nan
             return ""
         self._wrong_since = t if math.isnan(self._wrong_since) else self._wrong_since
-        if t - self._wrong_since < self._lasts:
+        if t - self._wrong_since < self._tolerated_s:
             return ""
-        return f"{self._name()} puts out duty {esc.duty:+.2f}, commanded {recent[-1]:+.2f}: it ignores commands"
+        return f"{self._label()} puts out duty {esc.duty:+.2f}, commanded {recent[-1]:+.2f}: it ignores commands"
 
-    def _turns(self, esc: Esc, t: float) -> str:
-        """Return the reason of a stop if the motor is still driven `COAST_S` after zero was commanded; else empty."""
-        begin = t - self._coast
+    def _still_driven(self, esc: Esc, t: float) -> str:
+        """Return the reason of a stop if the motor is still driven 3 s after zero was commanded; else empty."""
+        begin = t - self._coast_s
         if not self._commands.covers(begin) or any(self._commands.since(begin)):
             return ""
         speeds = self._rpm.since(begin)
@@ -495,10 +657,12 @@ class ControllerCheck:
         constant = not speeds or min(speeds) >= FALLING * max(speeds)
         if self._motion(esc, t) is not _Motion.DRIVEN or not constant:
             return ""
-        return f"{self._name()} turns at {esc.rpm:.0f} rpm, {COAST_S:g} s after zero was commanded: it ignores commands"
+        return (
+            f"{self._label()} turns at {esc.rpm:.0f} rpm, {COAST_S:g} s after zero was commanded: it ignores commands"
+        )
 
     def _motion(self, esc: Esc, t: float) -> _Motion:
-        """Return the motion of the motor, under the condition that zero is commanded."""
+        """Return the motion of the motor by its newest sample, under the condition that zero is commanded."""
         has_duty = math.isfinite(esc.duty)
         if has_duty and abs(esc.duty) > FREE_DUTY:
             return _Motion.DRIVEN
@@ -509,13 +673,16 @@ class ControllerCheck:
         # The propeller turns. While the boat coasts, the flow turns it: without current and more and more slowly.
         if self._current >= SENSED_A and abs(esc.current) <= IDLE_CURRENT * self._current:
             return _Motion.COASTS
-        if abs(esc.rpm) > FALLING * max(self._rpm.since(t - self._coast)):
+        if abs(esc.rpm) > FALLING * max(self._rpm.since(t - self._coast_s)):
             return _Motion.DRIVEN
         return _Motion.COASTS if has_duty else _Motion.SLOWS
 
-    def _blocked(self, esc: Esc, t: float) -> str:
-        """Return the reason of a stop if the motor does not turn although it is commanded to; else empty."""
-        begin = t - self._coast
+    def _blocked_motor(self, esc: Esc, t: float) -> str:
+        """Return the reason of a stop if the motor has not turned for 3 s at a command of 0.3 or more; else empty.
+
+        A motor that draws more than 0.5 A, or that reports neither shaft speed nor duty, gives no reason.
+        """
+        begin = t - self._coast_s
         recent = self._commands.since(begin)
         driven = self._commands.covers(begin) and (min(recent) >= BLOCKED_N or max(recent) <= -BLOCKED_N)
         reports = [abs(esc.rpm) < BLOCKED_RPM] if math.isfinite(esc.rpm) else []
@@ -523,16 +690,21 @@ class ControllerCheck:
         draws = abs(esc.current) > 0.5  # A controller without a speed sensor may report 0 rpm.
         if not driven or not reports or not all(reports) or draws:
             return ""
-        return f"{self._name()} does not turn, commanded {recent[-1]:+.2f} for {COAST_S:g} s: it blocks commands"
+        return f"{self._label()} does not turn, commanded {recent[-1]:+.2f} for {COAST_S:g} s: it blocks commands"
 
-    def _frozen(self) -> str:
+    def _frozen_telemetry(self) -> str:
+        """Return the reason of a stop if the telemetry stays the same although the command changed; else empty."""
         if not self._watch.is_frozen:
             return ""
         seconds = self._watch.unchanged_s
-        return f"{self._name()} repeats the same telemetry for {seconds:.1f} s though its command changed"
+        return f"{self._label()} repeats the same telemetry for {seconds:.1f} s though its command changed"
 
     def rest(self, status: Status, since: float) -> Rest:
-        """Return whether the motor is at zero thrust, measured after run time `since` [s]."""
+        """Return whether the motor is at zero thrust, by a sample after run time `since` [s].
+
+        The result is not measured (None) without such a sample, without duty and shaft speed, or if the shaft speed
+        falls and no measurement shows whether the motor is driven.
+        """
         name = self._thruster.name
         latest = self.observe(status)
         if latest is None or not latest[1] > since:
@@ -548,7 +720,19 @@ class ControllerCheck:
 
 
 class SafetyGuard:
-    """State machine of one run; see the theory of operation in the module."""
+    """State machine of one run. It decides which set-points may be sent and when the run has to end.
+
+    The theory of operation is in the docstring of the module.
+
+    Attributes
+    ----------
+    limits : list of LimitSource
+        Limits of the rig that are watched, with their present sources.
+    state : GuardState
+        WAITING, RUNNING or STOPPED.
+    stop : Stop or None
+        The first reason to end the run; None while it may go on.
+    """
 
     def __init__(self, rig: Rig, speed: float, thrusters: tuple[str, ...]) -> None:
         """Prepare the checks.
@@ -566,7 +750,7 @@ class SafetyGuard:
         self._speed = speed
         self._thrusters = [rig.thruster(name) for name in thrusters]
         self._fence = None if rig.limits.radius_m is None else Fence(rig.limits.radius_m, rig.vehicle)
-        self._size: float = math.nan  # bytes of the log at the last status
+        self._log_bytes: float = math.nan  # bytes of the log at the last status
         self._grown_at = math.nan  # run time at which the log has last grown
         self._saturated_at: dict[str, float] = {}  # by load cell: run time of the first saturated reading
         self._rest_force: dict[str, float] = {}  # N, by load cell, before thrust was commanded
@@ -586,7 +770,7 @@ class SafetyGuard:
         }
 
     def start(self, changes: Mapping[str, int] | None = None) -> None:
-        """Allow set-points from here on.
+        """Allow set-points from here on: change the state from WAITING to RUNNING. In another state nothing happens.
 
         Parameters
         ----------
@@ -597,7 +781,7 @@ class SafetyGuard:
             self.state, self._changes = GuardState.RUNNING, dict(changes or {})
 
     def step(self, now: float, status: Status, wanted: Sequence[Row] = ()) -> Decision:
-        """Check one status, and the set-points that the mission would send.
+        """Check one status, and the set-points that the mission would send. After a stop nothing more is checked.
 
         Parameters
         ----------
@@ -614,7 +798,7 @@ class SafetyGuard:
             The rows that may be sent, and the stop that ends the run. The first stop is kept.
         """
         if self.stop is None:
-            self.stop = next(self._stops(now, status), None) or self._forbidden(wanted)
+            self.stop = next(self._all_stops(now, status), None) or self._forbidden_setpoint(wanted)
         if self.stop is not None:
             self.state = GuardState.STOPPED
         return Decision(tuple(wanted) if self.state is GuardState.RUNNING else (), self.stop)
@@ -622,18 +806,23 @@ class SafetyGuard:
     def allow(self, wanted: Sequence[Row]) -> Sequence[Row]:
         """Return the set-points that may be sent: all of them while the guard is running, else no set-point.
 
+        ``wanted`` are pairs of run time [s] and n_cmd by thruster.
+
         Raises
         ------
         SafetyStop
-            If a set-point is not allowed.
+            If a set-point is not allowed. The state of the guard is then STOPPED.
         """
-        if self.stop is None and (stop := self._forbidden(wanted)):
+        if self.stop is None and (stop := self._forbidden_setpoint(wanted)):
             self.stop, self.state = stop, GuardState.STOPPED
             raise SafetyStop(stop.reason)
         return wanted if self.state is GuardState.RUNNING else ()
 
-    def _forbidden(self, wanted: Sequence[Row]) -> Stop | None:
-        """Return the stop for the first set-point that is not allowed; None if all are allowed."""
+    def _forbidden_setpoint(self, wanted: Sequence[Row]) -> Stop | None:
+        """Return the stop for the first set-point that is not allowed; None if all are allowed.
+
+        A set-point must be for a thruster of the rig, at a finite time, and within `limits.n_max` of the rig.
+        """
         largest = min(self._rig.limits.n_max, 1.0)
         names = {thruster.name for thruster in self._rig.thrusters}
         for t, row in wanted:
@@ -643,32 +832,40 @@ class SafetyGuard:
                     return Stop(StopCode.SETPOINT, reason)
         return None
 
-    def _stops(self, now: float, status: Status) -> Iterator[Stop]:
-        """Yield all reasons to end the run at this status."""
+    def _all_stops(self, now: float, status: Status) -> Iterator[Stop]:
+        """Yield all reasons to end the run at this status. ``now`` is the run time [s].
+
+        Links and outputs of thrusters are checked only in the state RUNNING.
+        """
         if status.stopped:
             yield Stop(StopCode.ACQUISITION, status.stopped)
         if not now - status.t <= NO_STATUS_S * self._speed:
             yield Stop(StopCode.ACQUISITION, f"the acquisition process has not answered for {NO_STATUS_S:g} s")
         if self.state is GuardState.RUNNING:
-            yield from self._links(status)
-            yield from self._driven(status)
-        yield from self._limits(status)
+            yield from self._link_stops(status)
+            yield from self._output_stops(status)
+        yield from self._limit_stops(status)
 
     def check(self, status: Status) -> None:
-        """Check the limits, but neither links nor outputs. A link test needs this, as it interrupts the link.
+        """Check the limits at this status, but neither links nor outputs. A link test interrupts links and needs this.
+
+        The state of the guard does not change.
 
         Raises
         ------
         SafetyStop
             If a limit is passed or has no source, or if a device is silent.
         """
-        for stop in self._limits(status):
+        for stop in self._limit_stops(status):
             raise SafetyStop(stop.reason)
 
-    def _limits(self, status: Status) -> Iterator[Stop]:
-        """Yield stops for silent devices, a log that does not grow, passed limits, and limits without a source."""
-        yield from self._silent(status)
-        yield from self._recorder(status)
+    def _limit_stops(self, status: Status) -> Iterator[Stop]:
+        """Yield stops for silent devices, a log that does not grow, passed limits, and limits without a source.
+
+        The force of a load cell while zero is commanded is stored for the message of a passed limit.
+        """
+        yield from self._silent_devices(status)
+        yield from self._stuck_log(status)
         for source, latest in status.latest.items():
             sample = latest.sample
             if isinstance(sample, Gnss) and self._fence is not None:
@@ -677,30 +874,37 @@ class SafetyGuard:
                 continue
             if isinstance(sample, LoadCell) and not any(status.commanded.values()) and math.isfinite(sample.force):
                 self._rest_force[source[0]] = sample.force
-            for reason in self._passed(source[0], sample, latest.t):
+            for reason in self._passed_limits(source[0], sample, latest.t):
                 yield Stop(StopCode.LIMIT, reason)
         for limit in self.unwatched(status):
             reason = f"limits.{limit.key} is not watched any more: {limit.silence(status.t)}"
             yield Stop(StopCode.UNWATCHED, reason)
 
-    def _passed(self, name: str, sample: Sample, t: float) -> Iterator[str]:
-        """Yield a reason for each limit that a sample passes."""
+    def _passed_limits(self, name: str, sample: Sample, t: float) -> Iterator[str]:
+        """Yield a reason for each limit that a sample of the source ``name`` passes. ``t`` is its run time [s].
+
+        Positions are checked elsewhere, by the fence.
+        """
         if isinstance(sample, Esc):
-            yield from self._esc(sample)
+            yield from self._passed_esc_limits(sample)
         elif isinstance(sample, LoadCell):
-            yield from self._force(name, sample, t)
+            yield from self._passed_force_limit(name, sample, t)
         elif isinstance(sample, Ahrs):
-            yield from self._attitude(name, sample)
+            yield from self._passed_attitude_limits(name, sample)
         elif isinstance(sample, Battery):
-            yield from self._battery(name.partition("/")[0], sample)
+            yield from self._passed_battery_limits(name.partition("/")[0], sample)
 
     # Sources.
 
     def unwatched(self, status: Status) -> list[LimitSource]:
-        """Return the limits without a source at this status. A run may start only if there is no such limit."""
+        """Update the sources of all limits, and return the limits without a source at this status.
+
+        A run may start only if there is no such limit. Samples of a device that repeats itself as a dead sensor does
+        are ignored.
+        """
         commands = {thruster.name: status.commanded.get(thruster.name, 0.0) for thruster in self._thrusters}
         # A dead source does not count, whatever its value is.
-        alive = [item for item in status.latest.items() if not _is_dead(item[0], item[1].sample, status)]
+        alive = [item for item in status.latest.items() if not _repeats_samples(item[0], item[1].sample, status)]
         for source, latest in alive:
             for limit in self.limits:
                 limit.observe(source, latest.sample, latest.t, commands)
@@ -712,7 +916,7 @@ class SafetyGuard:
         return [limit for limit in self.limits if not status.t - limit.t <= self._limit_patience(limit)]
 
     def _limit_patience(self, limit: LimitSource) -> float:
-        """Return how long [run s] the quantity of a limit may be missing; minus infinity without a source."""
+        """Return how long [run s] the quantity of a limit may be missing; minus infinity before its first report."""
         if not limit.source:
             return -math.inf
         device = self._rig.device(limit.source)
@@ -722,7 +926,7 @@ class SafetyGuard:
         return min(self._patience(device.rate_hz / max(nodes, 1)) * factor, longest)
 
     def rate_conflicts(self, status: Status) -> list[str]:
-        """Return a line for each device whose measured rate does not fit the rig.
+        """Return a line for each device whose measured rate differs from `rate_hz` of the rig by more than a factor 3.
 
         The guard derives from `rate_hz` how long a device may be silent. With a wrong `rate_hz` it would notice a
         silent device too late.
@@ -741,15 +945,21 @@ class SafetyGuard:
         return found
 
     def patience(self, device: str) -> float:
-        """Return how long [run s] a device may be silent."""
+        """Return how long [run s] the device with this name may be silent."""
         return self._patience(self._rig.device(device).rate_hz)
 
     def _patience(self, rate_hz: float) -> float:
-        """Return how long [run s] a device with this rate may be silent."""
+        """Return how long [run s] a device with this rate [Hz] may be silent: 5 periods, but 1 to 5 s.
+
+        On mocks that are faster than real time it is at least one second of wall time.
+        """
         return max(STALE_S, min(STALE_PERIODS / rate_hz, STALE_MAX_S), STALE_WALL_S * self._speed)
 
     def is_outdated(self, source: Source, status: Status) -> bool:
-        """Return whether the newest sample of a source is too old for the display. No limit depends on it."""
+        """Return whether the newest sample of a source (device and node) is too old for the display.
+
+        No limit depends on it. The source must have sent a sample.
+        """
         name = source[0].partition("/")[0]
         kinds, nodes = senders(status, name)
         rate_hz = self._rig.device(name).rate_hz / (1 if source[1] is None else nodes)
@@ -757,8 +967,8 @@ class SafetyGuard:
         slow = SLOW if kinds > 1 or name != source[0] else QUICK
         return not status.t - status.latest[source].t <= slow * self._patience(rate_hz)
 
-    def _silent(self, status: Status) -> Iterator[Stop]:
-        """Yield a stop for each lost port, silent device and silent thruster."""
+    def _silent_devices(self, status: Status) -> Iterator[Stop]:
+        """Yield a stop for each lost port, each device that is silent for too long, and each silent thruster."""
         for device in self._rig.devices:
             port = status.ports.get(device.name)
             age = math.inf if port is None else port.age
@@ -767,34 +977,40 @@ class SafetyGuard:
                 yield Stop(StopCode.PORT_LOST, f"{device.name} ({device.port}) was lost: {port.message or 'closed'}")
             # Written with `not`, so that an age of NaN counts as silent.
             if not age <= self._patience(device.rate_hz):
-                yield Stop(StopCode.SILENT, f"{device.name} ({device.port}) is silent{_since(age)}")
+                yield Stop(StopCode.SILENT, f"{device.name} ({device.port}) is silent{_age_text(age)}")
         for reason in self._silent_thrusters(status):
             yield Stop(StopCode.SILENT, reason)
 
     def _silent_thrusters(self, status: Status) -> Iterator[str]:
-        """Yield a reason for each thruster whose controller is silent."""
+        """Yield a reason for each commanded thruster whose controller or output has been silent for too long."""
         for thruster in self._thrusters:
             latest = status.latest.get((thruster.device, thruster.node))
             age = math.inf if latest is None else status.t - latest.t
-            if not age <= self._patience(self._report_rate(thruster)):
-                yield f"thruster {thruster.name} (node {thruster.node} on {thruster.device}) is silent{_since(age)}"
+            if not age <= self._patience(self._status_rate(thruster)):
+                yield f"thruster {thruster.name} (node {thruster.node} on {thruster.device}) is silent{_age_text(age)}"
 
-    def _report_rate(self, thruster: Thruster) -> float:
-        """Return the rate [1/run s] at which the controller of a thruster sends samples."""
+    def _status_rate(self, thruster: Thruster) -> float:
+        """Return the rate [1/run s] at which the controller of a thruster sends samples.
+
+        The controllers on one device share its `rate_hz`.
+        """
         device = self._rig.device(thruster.device)
         return device.rate_hz / sum(other.device == device.name for other in self._rig.thrusters)
 
-    def _recorder(self, status: Status) -> Iterator[Stop]:
-        """Yield a stop if the file of the log does not grow."""
-        if status.bytes != self._size:
-            self._size, self._grown_at = status.bytes, status.t
+    def _stuck_log(self, status: Status) -> Iterator[Stop]:
+        """Yield a stop if the file of the log has not grown for 3 s (wall)."""
+        if status.bytes != self._log_bytes:
+            self._log_bytes, self._grown_at = status.bytes, status.t
         elif status.t - self._grown_at > STUCK_WALL_S * self._speed:
             yield Stop(StopCode.LOG, f"the log {status.path} does not grow any more; is the disk full?")
 
     # Links and outputs.
 
-    def _links(self, status: Status) -> Iterator[Stop]:
-        """Yield stops for autopilots that are silent, disarmed, in another mode, in alarm, or were reconfigured."""
+    def _link_stops(self, status: Status) -> Iterator[Stop]:
+        """Yield stops for autopilots that are silent, disarmed, in another mode than MANUAL, or in alarm.
+
+        Another ground station with our system id and a parameter that has changed since the start give stops too.
+        """
         for name in dict.fromkeys(thruster.device for thruster in self._thrusters):
             if self._rig.device(name).mavlink is None:
                 continue
@@ -816,8 +1032,11 @@ class SafetyGuard:
                 more = f" (and {counted(len(changed) - 1, 'other')})" if len(changed) > 1 else ""
                 yield Stop(StopCode.PARAMETER, f"{name}: {changed[0]}{more} during the run; set it back, and run again")
 
-    def _driven(self, status: Status) -> Iterator[Stop]:
-        """Yield a stop for each thruster that is not driven as commanded."""
+    def _output_stops(self, status: Status) -> Iterator[Stop]:
+        """Yield a stop for each thruster that is not driven as commanded: outputs of autopilots, speed controllers.
+
+        Speed controllers are observed but give no stop if the rig exempts "telemetry".
+        """
         for output in self._outputs:
             if reason := output.reason(status):
                 yield Stop(StopCode.OUTPUT, reason)
@@ -827,14 +1046,20 @@ class SafetyGuard:
                 yield Stop(StopCode.OUTPUT, reason)
 
     def turning(self, status: Status) -> list[str]:
-        """Return a text for each thruster that turns although no thrust was commanded. A run may not start then."""
+        """Return a text for each thruster on a CAN bus that turns although no thrust was commanded.
+
+        A run may not start then. The list is empty if the rig exempts "telemetry".
+        """
         if TELEMETRY in self._rig.limits.unwatched:
             return []
         found = (controller.rest(status, -math.inf) for controller in self._controllers.values())
         return [rest.text for rest in found if rest.is_zero is False]
 
     def rest(self, status: Status) -> list[Rest]:
-        """Return for each thruster whether it is at zero thrust. Only samples after the last zero count."""
+        """Return for each commanded thruster whether it is at zero thrust.
+
+        Only samples after the last zero command count. Without one the result is not measured (None).
+        """
         found = []
         for thruster in self._thrusters:
             since = status.zeroed.get(thruster.device, math.nan)
@@ -848,8 +1073,8 @@ class SafetyGuard:
 
     # Limits of one sample.
 
-    def _esc(self, esc: Esc) -> Iterator[str]:
-        """Yield a reason for each limit that a sample of a speed controller passes."""
+    def _passed_esc_limits(self, esc: Esc) -> Iterator[str]:
+        """Yield a reason for each limit that a sample of a speed controller passes. NaN passes no limit."""
         limits = self._rig.limits
         if limits.rpm is not None and abs(esc.rpm) > limits.rpm:
             yield f"speed of node {esc.node} is {esc.rpm:.0f} rpm, limit {limits.rpm:g}"
@@ -860,23 +1085,26 @@ class SafetyGuard:
         if limits.voltage_min_v is not None and esc.voltage < limits.voltage_min_v:
             yield f"voltage of node {esc.node} is {esc.voltage:.1f} V, least {limits.voltage_min_v:g} V"
 
-    def _attitude(self, name: str, ahrs: Ahrs) -> Iterator[str]:
-        """Yield a reason if roll or pitch passes its limit."""
+    def _passed_attitude_limits(self, name: str, ahrs: Ahrs) -> Iterator[str]:
+        """Yield a reason for each of roll and pitch that passes its limit [deg]. ``name`` is the device."""
         limits = self._rig.limits
         for word, angle, limit in (("roll", ahrs.roll, limits.roll_deg), ("pitch", ahrs.pitch, limits.pitch_deg)):
             if limit is not None and abs(math.degrees(angle)) > limit:
                 yield f"{word} is {math.degrees(angle):.0f} deg by {name}, limit {limit:g}"
 
-    def _battery(self, name: str, battery: Battery) -> Iterator[str]:
-        """Yield a reason if the voltage or the charge of a battery passes its limit."""
+    def _passed_battery_limits(self, name: str, battery: Battery) -> Iterator[str]:
+        """Yield a reason for each of voltage and charge of a battery below its limit. ``name`` is the device."""
         limits = self._rig.limits
         if limits.voltage_min_v is not None and battery.voltage < limits.voltage_min_v:
             yield f"battery of {name} is at {battery.voltage:.1f} V, least {limits.voltage_min_v:g} V"
         if limits.battery_min is not None and battery.remaining < limits.battery_min:
             yield f"battery of {name} has {100 * battery.remaining:.0f} % left, least {100 * limits.battery_min:g} %"
 
-    def _force(self, name: str, cell: LoadCell, t: float) -> Iterator[str]:
-        """Yield a reason if the force passes its limit, or if a load cell stays saturated."""
+    def _passed_force_limit(self, name: str, cell: LoadCell, t: float) -> Iterator[str]:
+        """Yield a reason if the force passes its limit, or if a load cell stays saturated for a second reading.
+
+        A spike passes no limit. ``name`` is the load cell, and ``t`` the run time of the reading [s].
+        """
         limit = self._rig.limits.force_n
         if limit is None:
             return
@@ -894,7 +1122,10 @@ class SafetyGuard:
 
 
 def _output_rest(thruster: Thruster, status: Status, since: float) -> Rest:
-    """Return whether an autopilot's output is at neutral, measured after run time `since` [s]."""
+    """Return whether an autopilot's output for a thruster is at neutral, by a sample after run time `since` [s].
+
+    An output without pulses is at neutral. Without a sample, or with an unknown command, the result is None.
+    """
     name = thruster.name
     latest = status.latest.get((thruster.device, thruster.node))
     if latest is None or not latest.t > since or not isinstance(latest.sample, Servo):
@@ -906,8 +1137,8 @@ def _output_rest(thruster: Thruster, status: Status, since: float) -> Rest:
     return Rest(name, abs(servo.n) <= NEUTRAL if math.isfinite(servo.n) else None, text)
 
 
-def _is_dead(source: Source, sample: Sample, status: Status) -> bool:
-    """Return whether a device repeats its samples as a dead sensor does.
+def _repeats_samples(source: Source, sample: Sample, status: Status) -> bool:
+    """Return whether the acquisition reports that a device repeats samples of this class, as a dead sensor does.
 
     A load cell at rest is not dead if it repeats its samples, because converters are coarse.
     """
@@ -916,24 +1147,25 @@ def _is_dead(source: Source, sample: Sample, status: Status) -> bool:
     return port is not None and type(sample).__name__ in port.stuck and not rests
 
 
-def _since(age: float) -> str:
+def _age_text(age: float) -> str:
+    """Return " for 1.2 s" for an age of 1.2 s, and " since the start" for an infinite age or NaN."""
     return f" for {age:.1f} s" if math.isfinite(age) else " since the start"
 
 
 def stopping_distance(speed: float, vehicle: Mapping[str, float]) -> float:
-    """Return the distance [m] that a boat coasts without thrust.
+    """Return the distance [m] that a boat coasts without thrust until it is slower than 0.05 m/s.
 
     Parameters
     ----------
     speed : float
         Initial speed [m/s].
     vehicle : Mapping
-        Parameters of [vehicle] in the rig: `m_u` [kg], `d_u` [kg/s], `d_uu` [kg/m].
+        Parameters of [vehicle] in the rig: `m_u` [kg], `d_u` [kg/s], `d_uu` [kg/m]. Negative values count as 0.
 
     Returns
     -------
     float
-        The distance; 0 if the rig does not give `m_u` and a damping.
+        The distance; 0 if the rig does not give `m_u` and a damping, or if the boat is slow already.
 
     Notes
     -----
@@ -947,13 +1179,23 @@ def stopping_distance(speed: float, vehicle: Mapping[str, float]) -> float:
     return m_u / d_uu * math.log((d_u + d_uu * speed) / (d_u + d_uu * STOPPED))
 
 
-class _Fix(NamedTuple):
-    """A position fix relative to the start."""
+class _RelativeFix(NamedTuple):
+    """A position fix relative to the start.
 
-    t: float  # run time [s]
-    north: float  # rad
-    east: float  # rad, scaled by the cosine of the latitude
-    speed: float  # m/s
+    Attributes
+    ----------
+    t : float
+        Run time [s].
+    north, east : float
+        Position as angles at the centre of the earth [rad]; times the earth's radius they are metres.
+    speed : float
+        Speed over ground [m/s] that the receiver reports.
+    """
+
+    t: float
+    north: float
+    east: float
+    speed: float
 
 
 class Fence:
@@ -964,13 +1206,26 @@ class Fence:
     """
 
     def __init__(self, radius_m: float, vehicle: Mapping[str, float]) -> None:
+        """Set the radius ``radius_m`` [m], and the parameters of [vehicle] for `stopping_distance`."""
         self._radius, self._vehicle = radius_m, vehicle
         self._home: tuple[float, float] | None = None  # rad
-        self._last: dict[str, _Fix] = {}  # by receiver: the newest fix that counts
+        self._last: dict[str, _RelativeFix] = {}  # by receiver: the newest fix that counts
         self._doubted: dict[str, float] = {}  # by receiver: run time of a fix that needs a confirmation
 
     def reason(self, name: str, fix: Gnss, t: float) -> str:
-        """Return why the run has to end, in one line; empty while the boat is inside and can stop inside."""
+        """Return why the run has to end, in one line; empty while the boat is inside and can stop inside.
+
+        The first fix is the centre of the fence. Samples without a fix, and doubtful fixes, are ignored.
+
+        Parameters
+        ----------
+        name : str
+            Name of the GNSS receiver.
+        fix : Gnss
+            Newest sample of the receiver.
+        t : float
+            Run time of the sample [s].
+        """
         if fix.fix < 2 or not (math.isfinite(fix.lat) and math.isfinite(fix.lon)):
             return ""
         lat, lon = math.radians(fix.lat), math.radians(fix.lon)
@@ -979,14 +1234,17 @@ class Fence:
         north = lat - self._home[0]
         # The remainder takes the shorter way around the globe, so that a start near the date line works.
         east = math.remainder(lon - self._home[1], 2.0 * math.pi) * math.cos(lat)
-        here = _Fix(t, north, east, fix.speed)
+        here = _RelativeFix(t, north, east, fix.speed)
         if self._is_doubtful(name, here):
             return ""
         self._last[name] = here
-        return self._beyond(name, here, fix)
+        return self._fence_reason(name, here, fix)
 
-    def _is_doubtful(self, name: str, here: _Fix) -> bool:
-        """Return whether the boat cannot have reached this fix and no second fix confirms it."""
+    def _is_doubtful(self, name: str, here: _RelativeFix) -> bool:
+        """Return whether the boat cannot have reached this fix and no second fix confirms it.
+
+        A doubtful fix of the receiver ``name`` is stored, so that the next newer doubtful fix confirms it.
+        """
         last = self._last.get(name)
         if last is not None:
             step = EARTH_RADIUS_M * math.hypot(here.north - last.north, here.east - last.east)
@@ -1001,8 +1259,12 @@ class Fence:
             return False
         return True
 
-    def _beyond(self, name: str, here: _Fix, fix: Gnss) -> str:
-        """Return why the run has to end, if the boat is outside or cannot stop inside; else empty."""
+    def _fence_reason(self, name: str, here: _RelativeFix, fix: Gnss) -> str:
+        """Return why the run has to end, if the boat is outside or cannot stop inside; else empty.
+
+        Only the outward part of the velocity counts. Without a course the whole speed is taken as outward; without a
+        velocity only the position counts.
+        """
         length = math.hypot(here.north, here.east)
         distance = EARTH_RADIUS_M * length
         if distance > self._radius:

@@ -18,18 +18,34 @@ SETTLE_S = 3.0  # run seconds from zero thrust until the water and the rod are a
 
 
 class Tare(NamedTuple):
-    """Mean reading of one load cell at rest."""
+    """Mean reading of one load cell at rest.
+
+    Attributes
+    ----------
+    device : str
+        Name of the load cell.
+    where : str
+        Rest interval of the mission: "start" or "end".
+    t : float
+        Mean run time of the readings [s].
+    counts : float
+        Mean reading [counts].
+    standard_error : float
+        Standard error of the mean [counts], for independent readings.
+    n_samples : int
+        Number of readings.
+    """
 
     device: str
-    where: str  # "start" or "end"
-    t: float  # s, run time of the middle of the readings
+    where: str
+    t: float
     counts: float
-    standard_error: float  # counts; the readings are taken as independent
+    standard_error: float
     n_samples: int
 
 
 def static_windows(mission: Mission, start: float) -> list[tuple[str, float, float]]:
-    """Return the rest intervals at the start and at the end of a mission.
+    """Return the rest intervals at the start and at the end of a mission that is run without repetitions.
 
     Parameters
     ----------
@@ -41,7 +57,8 @@ def static_windows(mission: Mission, start: float) -> list[tuple[str, float, flo
     Returns
     -------
     list of tuple
-        ("start" or "end", begin, end) in run seconds.
+        ("start" or "end", begin, end) in run seconds. An interval is missing if the mission does not rest there. The
+        last interval begins 3 s (`SETTLE_S`) after zero thrust.
     """
     return windows_of([(start + begin, start + end, name) for begin, end, name in mission.starts()])
 
@@ -52,12 +69,14 @@ def windows_of(spans: Sequence[tuple[float, float, str]]) -> list[tuple[str, flo
     Parameters
     ----------
     spans : sequence of tuple
-        Begin [run s], end [run s] and name of each segment.
+        Begin [run s], end [run s] and name of each segment, in the order of time. Only the first and the last one
+        count, if they are named `STATIC`.
 
     Returns
     -------
     list of tuple
-        ("start" or "end", begin, end) in run seconds. The last interval begins `SETTLE_S` after zero thrust.
+        ("start" or "end", begin, end) in run seconds. The last interval begins 3 s (`SETTLE_S`) after zero thrust, or
+        in the middle of a segment that is shorter than 6 s.
     """
     windows = []
     if spans[0][2] == STATIC:
@@ -83,7 +102,8 @@ def measure_tares(path: Path, rig: Rig, windows: Sequence[tuple[str, float, floa
     Returns
     -------
     list of Tare
-        An interval with fewer than two readings has no tare.
+        Tares by load cell, then by interval. A load cell without samples and an interval with fewer than two readings
+        have no tare.
     """
     tares = []
     with open_log(path) as log:
@@ -102,7 +122,11 @@ def measure_tares(path: Path, rig: Rig, windows: Sequence[tuple[str, float, floa
 
 
 def describe_tares(tares: Sequence[Tare], rig: Rig) -> list[str]:
-    """Return a line for each tare, and a line for the drift between two tares of one load cell, in counts and N."""
+    """Return lines of text: one for each tare, and one for the drift of a load cell from its first tare to a later one.
+
+    The drift is given in counts, and also in N if ``rig`` has a calibration of the load cell. ``tares`` are in the
+    order of time.
+    """
     lines, first = [], dict[str, Tare]()
     for tare in tares:
         lines.append(

@@ -90,7 +90,7 @@ def check(
     then. LOG: the same checks of recorded data, and whether sensors and thrusters agree: sides, signs, units, delays,
     dead zones. Exit status 1: there is a fault. Exit status 3: a limit ended the actuator test.
     """
-    _consistent(paths, mission_path, actuators, bool(arm or out or thrust or link_test), link_test, thrust)
+    _check_options(paths, mission_path, actuators, bool(arm or out or thrust or link_test), link_test, thrust)
     with tempfile.TemporaryDirectory(prefix="seatrial-check-") as folder:
         if _is_rig(paths[0]):
             from seatrial.bench.preflight.report import dry_run_of
@@ -98,12 +98,14 @@ def check(
 
             rig = load_rig(paths[0])
             mission = None if mission_path is None else load_mission(mission_path)
-            test = _Test(_agreed(rig, thrust, yes, link_test), out, arm, link_test) if actuators else None
-            found, logs = _rig(motion, rig, seconds, mission, test, Path(folder), as_json)
+            test = (
+                _ConfirmedTest(_confirmed_plan(rig, thrust, yes, link_test), out, arm, link_test) if actuators else None
+            )
+            found, logs = _rig_findings(motion, rig, seconds, mission, test, Path(folder), as_json)
             dry = dry_run_of(mission, rig) if report and mission else None
             done = CheckReport(rig.path.name, tuple(worst_first(found)), tuple(logs), rig.name, dry)
         else:
-            found = _logs(motion, paths)
+            found = _log_findings(motion, paths)
             done = CheckReport(", ".join(path.name for path in paths), tuple(worst_first(found)), paths)
         faults = _print_findings(found, as_json)
         if report is not None:
@@ -125,40 +127,51 @@ def check(
 
 
 def _is_rig(path: Path) -> bool:
+    """Return whether a path of the command line is a rig file (suffix .toml). All other paths are logs."""
     return path.suffix == ".toml"
 
 
-def _consistent(
+def _check_options(
     paths: Sequence[Path],
     mission: Path | None,
     actuators: bool,
-    of_actuators: bool,
+    test_options: bool,
     link_test: bool,
     thrust: float | None,
 ) -> None:
-    """Raise UsageError if options or arguments do not fit together."""
+    """Raise click.UsageError if options or arguments do not fit together.
+
+    ``test_options`` is whether one of --link-test, --thrust, --arm and -o was given, which all need --actuators. The
+    other parameters are values of the command line.
+    """
     rig = any(_is_rig(path) for path in paths)
     if rig and len(paths) > 1:
         raise click.UsageError("give one RIG, or one or more LOGs")
-    if not rig and (mission or actuators or of_actuators):
+    if not rig and (mission or actuators or test_options):
         raise click.UsageError("--mission, --actuators, --link-test, --thrust, --arm and -o need a RIG")
-    if of_actuators and not actuators:
+    if test_options and not actuators:
         raise click.UsageError("--link-test, --thrust, --arm and -o belong to --actuators")
     if link_test and thrust is not None:
         raise click.UsageError("--link-test commands 0.1 of thrust always; leave --thrust out")
 
 
 def _print_findings(found: Sequence[Finding], as_json: bool) -> list[str]:
-    """Print the findings and their summary. Return the devices and files that have a fault."""
-    _show(found, as_json)
+    """Print the findings, and their summary if there is no fault. Return the devices and files that have a fault.
+
+    With ``as_json`` only JSON is printed.
+    """
+    _print_lines(found, as_json)
     faults = list(dict.fromkeys(finding.where for finding in worst_first(found) if finding.level == FAULT))
     if not (as_json or faults):
         click.echo(findings_summary(found))
     return faults
 
 
-def _show(found: Sequence[Finding], as_json: bool) -> None:
-    """Print the findings, worst first: as JSON, in wrapped paragraphs on a terminal, else in a line each."""
+def _print_lines(found: Sequence[Finding], as_json: bool) -> None:
+    """Print the findings, worst first, without a summary.
+
+    They are printed as JSON, as wrapped paragraphs on a terminal, or else as one line each.
+    """
     found = worst_first(found)
     if as_json:
         from seatrial.bench.preflight.report import as_json as written
@@ -171,33 +184,79 @@ def _show(found: Sequence[Finding], as_json: bool) -> None:
         click.echo(click.style(level, **STYLES[level]) + line[len(level) :] if level in STYLES else line)
 
 
-class _Test(NamedTuple):
-    """Actuator test or link test that the operator has confirmed."""
+class _ConfirmedTest(NamedTuple):
+    """Actuator test or link test that the operator has confirmed.
 
-    plan: Any  # Mission
-    out: Path | None  # the log; None for a name by date in the rig's log directory
-    arm: bool  # whether to arm autopilots
-    of_link: bool  # whether it is a link test
+    Attributes
+    ----------
+    plan : Mission
+        Set-points of the test.
+    out : Path or None
+        The new log; None for a name by date in the rig's log directory.
+    arm : bool
+        Whether to arm autopilots before the test, and to disarm them after it.
+    of_link : bool
+        Whether it is a link test.
+    """
+
+    plan: Any
+    out: Path | None
+    arm: bool
+    of_link: bool
 
 
-def _rig(
-    motion: MotionChecks, rig: Rig, seconds: float, mission: Any, test: _Test | None, folder: Path, as_json: bool
+def _rig_findings(
+    motion: MotionChecks,
+    rig: Rig,
+    seconds: float,
+    mission: Any,
+    test: _ConfirmedTest | None,
+    folder: Path,
+    as_json: bool,
 ) -> tuple[list[Finding], list[Path]]:
-    """Return the findings of a rig and the log that they come from. No thruster turns without a `test`."""
+    """Check a rig: record its devices at rest, then run the actuator test or link test if there is one.
+
+    Parameters
+    ----------
+    motion : MotionChecks
+        Checks of the motion in the log of the test.
+    rig : Rig
+        The rig.
+    seconds : float
+        Duration of the recording at rest [wall s].
+    mission : Mission or None
+        Mission whose dry run is checked too.
+    test : _ConfirmedTest or None
+        Test to run. Without it no thruster turns.
+    folder : Path
+        Folder for the log of the recording at rest.
+    as_json : bool
+        Whether standard output is reserved for JSON.
+
+    Returns
+    -------
+    list of Finding
+        Findings at rest, and those of the test, which replace findings of the same check of the same device.
+    list of Path
+        The log for the report: that of the test if it exists, else that of the recording at rest.
+    """
     path = folder / "check.mcap"
-    found = _listened(rig, seconds, mission, path)
+    found = _findings_at_rest(rig, seconds, mission, path)
     if test is None:
         return found, [path]
     kind = "link" if test.of_link else "actuator"
     out = test.out or rig.log_directory / f"{time.strftime('%Y%m%dT%H%M%S')}-{kind}-test.mcap"
-    tested = _actuators(motion, rig, test._replace(out=out), found, as_json)
+    tested = _findings_of_test(motion, rig, test._replace(out=out), found, as_json)
     # The log of the test repeats checks of the same devices. Its findings replace the earlier ones.
     repeated = {(finding.check, finding.where) for finding in tested}
     return [*(f for f in found if (f.check, f.where) not in repeated), *tested], [out if out.exists() else path]
 
 
-def _listened(rig: Rig, seconds: float, mission: Any, path: Path) -> list[Finding]:
-    """Record all devices at `path` without a command, and return the findings."""
+def _findings_at_rest(rig: Rig, seconds: float, mission: Any, path: Path) -> list[Finding]:
+    """Record all devices for ``seconds`` (wall) into the log ``path`` without a command, and return the findings.
+
+    The findings concern ports, devices, computer and limits, and the dry run of ``mission`` unless it is None.
+    """
     from seatrial.bench.execution import SafetyGuard
     from seatrial.bench.preflight.mission_checks import check_mission
     from seatrial.bench.preflight.rig_checks import check_computer, check_limits, check_ports, listen
@@ -214,21 +273,47 @@ def _listened(rig: Rig, seconds: float, mission: Any, path: Path) -> list[Findin
     return found if mission is None else [*found, *check_mission(mission, rig)]
 
 
-def _agreed(rig: Rig, thrust: float | None, yes: bool, of_link: bool) -> Any:
-    """Return the plan of the actuator test or link test, after the operator has confirmed that it is safe."""
-    from seatrial.bench.execution import link_test_plan
-    from seatrial.bench.preflight.actuator_test import N_TEST, actuator_plan, warning
+def _confirmed_plan(rig: Rig, thrust: float | None, yes: bool, of_link: bool) -> Any:
+    """Return the plan (Mission) of the test, after the operator has confirmed at the terminal that it is safe.
 
-    plan = link_test_plan(rig) if of_link else actuator_plan(rig, thrust or N_TEST)
+    Parameters
+    ----------
+    rig : Rig
+        The rig.
+    thrust : float or None
+        Largest command of the actuator test; 0.3 if None.
+    yes : bool
+        Whether to leave out the question.
+    of_link : bool
+        Whether to return the plan of the link test.
+
+    Raises
+    ------
+    click.UsageError
+        If standard input is no terminal, so that the question cannot be asked.
+    click.Abort
+        If the operator does not confirm.
+    """
+    from seatrial.bench.execution import N_ACTUATOR_TEST, actuator_plan, link_test_plan, turning_warning
+
+    plan = link_test_plan(rig) if of_link else actuator_plan(rig, thrust or N_ACTUATOR_TEST)
     if not yes:
         if not sys.stdin.isatty():
-            raise click.UsageError(f"--actuators: {warning(plan)}; without a terminal to ask at, say --yes")
-        click.confirm(f"{warning(plan)}.\nIs everybody clear of the propellers, and the boat free to move?", abort=True)
+            raise click.UsageError(f"--actuators: {turning_warning(plan)}; without a terminal to ask at, say --yes")
+        click.confirm(
+            f"{turning_warning(plan)}.\nIs everybody clear of the propellers, and the boat free to move?", abort=True
+        )
     return plan
 
 
-def _actuators(motion: MotionChecks, rig: Rig, test: _Test, before: Sequence[Finding], as_json: bool) -> list[Finding]:
-    """Run the plan as a mission, with guard and watchdog, and return the findings of its log."""
+def _findings_of_test(
+    motion: MotionChecks, rig: Rig, test: _ConfirmedTest, before: Sequence[Finding], as_json: bool
+) -> list[Finding]:
+    """Run the actuator test or link test as a mission, with guard and watchdog, and return the findings of its log.
+
+    ``before`` are the findings at rest, which are printed first. If one of them is a fault, no thruster is commanded,
+    and a single warning is returned.
+    """
     faults = [finding.where for finding in before if finding.level == FAULT]
     if faults:
         text = "not tested: there are faults already"  # a test would turn thrusters of a faulty rig
@@ -247,30 +332,39 @@ def _actuators(motion: MotionChecks, rig: Rig, test: _Test, before: Sequence[Fin
 
     assert test.out is not None
     if not as_json:
-        _show(before, False)  # printed before the run, which may end with an error
+        _print_lines(before, False)  # printed before the run, which may end with an error
     with contextlib.redirect_stdout(sys.stderr) if as_json else contextlib.nullcontext():
         display = PlainDisplay() if as_json else make_display()
         metadata = {"command": " ".join(["seatrial", *sys.argv[1:]])}
         if test.of_link:
             tests = run_link_test(rig, test.out, display, metadata, test.arm)
-            return [_link_finding(name, found.seconds, found.passed) for name, found in tests.items()]
+            return [_link_test_finding(name, found.seconds, found.passed) for name, found in tests.items()]
         result = run_mission(test.plan, rig, test.out, display, metadata, test.arm)
-        found = _logs(motion, [test.out])
+        found = _log_findings(motion, [test.out])
         return [*found, *(armed_finding(name) for name in result.still_armed)]
 
 
-def _link_finding(name: str, seconds: float, passed: bool) -> Finding:
-    """Return the finding of a link test."""
+def _link_test_finding(name: str, seconds: float, passed: bool) -> Finding:
+    """Return the finding on the link test of the autopilot ``name``.
+
+    ``seconds`` is the time (wall) from our last frame to neutral outputs, and ``passed`` whether it was short enough.
+    """
     from seatrial.bench.execution import ALLOWED_S
 
     text = f"thrust ended {seconds:.2f} s after our last frame, allowed {ALLOWED_S:g}"
     if passed:
         return Finding(OK, "link-loss-ends-thrust", "link test", name, text)
-    return Finding(FAULT, "link-loss-goes-on", "link test", name, text, "RC_OVERRIDE_TIME, FS_THR_ENABLE, FS_ACTION")
+    return Finding(
+        FAULT, "link-loss-goes-on", "link test", name, text, "check RC_OVERRIDE_TIME, FS_THR_ENABLE and FS_ACTION"
+    )
 
 
-def _logs(motion: MotionChecks, paths: Sequence[Path]) -> list[Finding]:
-    """Return the findings of each log. The motion is checked only if the package ident is installed."""
+def _log_findings(motion: MotionChecks, paths: Sequence[Path]) -> list[Finding]:
+    """Return the findings of all logs. The motion is checked only if the package ident is installed.
+
+    A log without samples gives a fault. A log to which no check applies gives one finding without fault. With several
+    logs, the names of devices start with the name of the log.
+    """
     from seatrial.daq.checks import check_devices
     from seatrial.daq.log import open_log
     from seatrial.daq.samples import MEASURED
@@ -281,7 +375,7 @@ def _logs(motion: MotionChecks, paths: Sequence[Path]) -> list[Finding]:
             here, counts = list(check_devices(log)), log.counts
             samples = any(log.sources(kind) for kind in MEASURED)
         if samples:
-            here += _motion(motion, path)
+            here += _motion_findings(motion, path)
         else:
             advice = "`seatrial info` shows what is in it"
             here.append(Finding(FAULT, "log-empty", "log", "all of it", "it contains no sample of any device", advice))
@@ -300,8 +394,11 @@ def _logs(motion: MotionChecks, paths: Sequence[Path]) -> list[Finding]:
     return found
 
 
-def _motion(motion: MotionChecks, path: Path) -> list[Finding]:
-    """Return the findings on the motion in a log. If the package ident is missing, return one warning."""
+def _motion_findings(motion: MotionChecks, path: Path) -> list[Finding]:
+    """Return the findings on the motion in a log.
+
+    If the check fails, or the package ident is not installed, return one warning with the reason.
+    """
     try:
         return motion.check_log(path)
     except SeatrialError as error:

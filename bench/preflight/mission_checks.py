@@ -18,11 +18,15 @@ FloatArray = npt.NDArray[np.float64]
 STEP = 0.05  # s, of the simulated track
 MASSES = ("m_u", "m_v", "m_r")
 NEEDED = (*MASSES, "d_u", "d_v", "d_r", "c1")  # parameters of [vehicle] that a simulated track needs
-CLOSE = 0.8  # part of the fence's radius beyond which a track is near the fence
+CLOSE = 0.8  # fraction of the fence's radius beyond which a track is near the fence
 
 
 def check_mission(mission: Mission, rig: Rig) -> Iterator[Finding]:
-    """Yield the findings on the limits, the duration and the predicted track of a mission."""
+    """Yield the findings on a mission: its limits with its duration, and whether its track stays inside the fence.
+
+    A mission beyond the limits of the rig gives one fault and no further finding. If the rig has no `limits.radius_m`,
+    the track is not checked.
+    """
     try:
         dry_run(mission, rig)
     except SeatrialError as error:
@@ -37,26 +41,29 @@ def check_mission(mission: Mission, rig: Rig) -> Iterator[Finding]:
         f"{mission.end:g} s, n up to {largest:.2f}, limit {rig.limits.n_max:g}",
     )
     if rig.limits.radius_m is not None:
-        yield _fence(mission, rig, rig.limits.radius_m)
+        yield _fence_finding(mission, rig, rig.limits.radius_m)
 
 
-def _fence(mission: Mission, rig: Rig, radius: float) -> Finding:
-    """Return the finding whether the predicted track stays inside a fence of `radius` [m]."""
+def _fence_finding(mission: Mission, rig: Rig, radius: float) -> Finding:
+    """Return the finding whether the predicted track stays inside a fence of ``radius`` [m] around the start.
+
+    It is a fault if the track leaves the fence, and a warning if the track comes near it (80 %) or is not predicted.
+    """
     if mission.prediction is not None:
         p = mission.prediction
         t, far = p.t, np.hypot(p.x - p.x[0], p.y - p.y[0]) + p.radius
         by = f"the design, by model {p.model}"
     elif missing := [name for name in NEEDED if name not in rig.vehicle]:
         hint = "add them (c1: thrust of a model at full speed, in N), or use a designed mission"
-        return _not_predicted(mission, f"has no {', '.join(missing)}", hint)
+        return _unpredicted_finding(mission, f"has no {', '.join(missing)}", hint)
     elif wrong := [name for name in MASSES if not rig.vehicle[name] > 0.0]:
-        return _not_predicted(
+        return _unpredicted_finding(
             mission, f"has {' and '.join(wrong)} not above zero", "write the masses of the boat there"
         )
     else:
         t, x, y = track(mission, rig)
         if not np.isfinite([x, y]).all():
-            return _not_predicted(mission, "makes it diverge", "write masses and damping of the same boat there")
+            return _unpredicted_finding(mission, "makes it diverge", "write masses and damping of the same boat there")
         far, by = np.hypot(x, y), "the rig's nominal vehicle without current"
     k = int(np.argmax(far))
     text = f"up to {far[k]:.0f} m from the start by {by}, fence {radius:g} m"
@@ -77,7 +84,11 @@ def _fence(mission: Mission, rig: Rig, radius: float) -> Finding:
     return Finding(OK, "track-inside-fence", "fence", mission.name, text)
 
 
-def _not_predicted(mission: Mission, why: str, hint: str) -> Finding:
+def _unpredicted_finding(mission: Mission, why: str, hint: str) -> Finding:
+    """Return the warning that the track of a mission is not predicted.
+
+    ``why`` is the predicate of the sentence "[vehicle] of the rig ...", and ``hint`` is the remedy.
+    """
     text = f"its track is not predicted: [vehicle] of the rig {why}"
     return Finding(WARNING, "track-not-predicted", "fence", mission.name, text, hint)
 
@@ -90,7 +101,8 @@ def track(mission: Mission, rig: Rig) -> tuple[FloatArray, FloatArray, FloatArra
     mission : Mission
         The commands.
     rig : Rig
-        [vehicle] must give the parameters in `NEEDED`.
+        Its [vehicle] must have the parameters in `NEEDED`: masses, linear damping and c1 (SI). Quadratic damping and c2
+        are 0 if they are missing. The thrusters of the mission must be in the rig.
 
     Returns
     -------
@@ -112,17 +124,34 @@ def track(mission: Mission, rig: Rig) -> tuple[FloatArray, FloatArray, FloatArra
     rows = []
     for thrust, moment in zip(forces, moments, strict=True):
         rows.append(state[:2])
-        state = _step(state, thrust, moment, p)
+        state = _next_state(state, thrust, moment, p)
     places = np.array(rows)
     return t, places[:, 0], places[:, 1]
 
 
-def _step(state: tuple[float, ...], thrust: float, moment: float, p: Mapping[str, float]) -> tuple[float, ...]:
-    """Return the state (x, y, psi, u, v, r) after one step. The new velocities move the position."""
+def _next_state(state: tuple[float, ...], thrust: float, moment: float, p: Mapping[str, float]) -> tuple[float, ...]:
+    """Return the state (x, y, psi, u, v, r) after one step of 0.05 s (SI). The new velocities move the position.
+
+    Parameters
+    ----------
+    state : tuple of six floats
+        State before the step: position [m, m], heading [rad], velocity [m/s, m/s] and yaw rate [rad/s].
+    thrust : float
+        Surge force of all thrusters [N].
+    moment : float
+        Yaw moment of all thrusters [N m].
+    p : mapping of str to float
+        Parameters of [vehicle], with all damping.
+
+    Returns
+    -------
+    tuple of six floats
+        The new state; NaN in all places if the simulation has diverged.
+    """
     x, y, psi, u, v, r = state
-    u_next = _accelerate(u, thrust + p["m_v"] * v * r, p["m_u"], p["d_u"], p["d_uu"])
-    v_next = _accelerate(v, -p["m_u"] * u * r, p["m_v"], p["d_v"], p["d_vv"])
-    r_next = _accelerate(r, moment - (p["m_v"] - p["m_u"]) * u * v, p["m_r"], p["d_r"], p["d_rr"])
+    u_next = _next_velocity(u, thrust + p["m_v"] * v * r, p["m_u"], p["d_u"], p["d_uu"])
+    v_next = _next_velocity(v, -p["m_u"] * u * r, p["m_v"], p["d_v"], p["d_vv"])
+    r_next = _next_velocity(r, moment - (p["m_v"] - p["m_u"]) * u * v, p["m_r"], p["d_r"], p["d_rr"])
     psi += STEP * r_next
     if not math.isfinite(psi):
         return (math.nan,) * 6
@@ -130,10 +159,21 @@ def _step(state: tuple[float, ...], thrust: float, moment: float, p: Mapping[str
     return x + STEP * (c * u_next - s * v_next), y + STEP * (s * u_next + c * v_next), psi, u_next, v_next, r_next
 
 
-def _accelerate(speed: float, force: float, mass: float, d: float, dd: float) -> float:
-    """Return the velocity after one step of the linearly implicit Euler method.
+def _next_velocity(speed: float, force: float, mass: float, d: float, dd: float) -> float:
+    """Return the velocity in one degree of freedom after one step of the linearly implicit Euler method.
 
     The implicit method is stable for any damping, even if the boat is very light.
+
+    Parameters
+    ----------
+    speed : float
+        Velocity before the step [m/s or rad/s].
+    force : float
+        Force or moment without damping [N or N m].
+    mass : float
+        Mass or moment of inertia, with added mass [kg or kg m2].
+    d, dd : float
+        Linear and quadratic damping.
     """
     slope = max(d + 2.0 * dd * abs(speed), 0.0)
     return speed + STEP * (force - (d + dd * abs(speed)) * speed) / (mass + STEP * slope)

@@ -22,40 +22,44 @@ class MotionChecks(Protocol):
     """
 
     def check_log(self, path: Path) -> list[Finding]:
-        """Return the findings on sensors and thrusters from the motion in a log."""
+        """Return the findings on sensors and thrusters from the motion in the log ``path``."""
         ...
 
     def write_check_page(self, report: CheckReport, out: Path) -> None:
-        """Write the page (HTML) of a check, with curves from its logs."""
+        """Write the page (HTML) of the check ``report`` to the file ``out``, with curves from its logs."""
         ...
 
 
 def as_json(found: Sequence[Finding]) -> str:
-    """Return findings as the JSON that `seatrial check --json` prints."""
+    """Return findings as the JSON text that `seatrial check --json` prints: an object with "format" and "findings"."""
     return json.dumps({"format": FORMAT, "findings": [finding._asdict() for finding in found]}, indent=2)
 
 
 def dry_run_of(mission: Mission, rig: Rig) -> DryRun:
-    """Return the dry run of a mission: its commands and its predicted track."""
+    """Return the dry run of a mission: its commands, its duration, the fence of the rig, and its predicted track."""
     t, n = mission.setpoints()
-    return DryRun(mission.name, tuple(mission.thrusters), t, n, mission.end, rig.limits.radius_m, _track(mission, rig))
+    return DryRun(
+        mission.name, tuple(mission.thrusters), t, n, mission.end, rig.limits.radius_m, _predicted_track(mission, rig)
+    )
 
 
-def _track(mission: Mission, rig: Rig) -> PredictedTrack | None:
+def _predicted_track(mission: Mission, rig: Rig) -> PredictedTrack | None:
     """Return the predicted track of a mission; None if it cannot be predicted.
 
-    The prediction of the mission's design takes precedence over a simulation of the rig's nominal vehicle.
+    The prediction of the mission's design takes precedence over a simulation of the rig's nominal vehicle. A track
+    cannot be predicted if [vehicle] lacks a parameter, or the rig lacks a thruster of the mission.
     """
     if mission.prediction is not None:
         p = mission.prediction
         return PredictedTrack(p.x, p.y, f"the design, by model {p.model}", p.radius)
     from seatrial.bench.preflight.mission_checks import NEEDED, track
 
-    if all(name in rig.vehicle for name in NEEDED) and all(name in _names(rig) for name in mission.thrusters):
+    if all(name in rig.vehicle for name in NEEDED) and all(name in _thruster_names(rig) for name in mission.thrusters):
         _, x, y = track(mission, rig)
         return PredictedTrack(x, y, "the rig's nominal vehicle without current")
     return None
 
 
-def _names(rig: Rig) -> set[str]:
+def _thruster_names(rig: Rig) -> set[str]:
+    """Return the names of all thrusters of a rig."""
     return {thruster.name for thruster in rig.thrusters}

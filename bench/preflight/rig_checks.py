@@ -17,14 +17,16 @@ from seatrial.daq.rig import Device, Rig
 
 ARMED = "autopilot-armed"  # code of the finding that is also printed as the last line
 STILL_WALL_S = 1.0  # wall s of silence that a busy machine alone can cause
-LOST = 0.01  # part of an autopilot's frames that may be lost
+LOST = 0.01  # fraction of an autopilot's frames that may be lost
 HOURS = 4.0  # hours of logging for which the disk should have room
 UNDERSTOOD = 5  # number of valid frames that proves baud rate and protocol
 POLL_WALL_S = 0.05  # wall s between two checks of the status
 
 
 def listen(rig: Rig, wall_s: float, path: Path, guard: SafetyGuard) -> Status:
-    """Record every device without a command, and return the last status.
+    """Record every device of a rig into a log without a command, and return the last status of the acquisition.
+
+    Parameters and message rates are requested from autopilots.
 
     Parameters
     ----------
@@ -35,7 +37,7 @@ def listen(rig: Rig, wall_s: float, path: Path, guard: SafetyGuard) -> Status:
     path : Path
         The new log.
     guard : SafetyGuard
-        It takes every status, so that it finds the sources of the limits.
+        Safety guard that gets every status, so that it finds the sources of the limits.
     """
     clock = RunClock(rig.speed)
     with Acquisition(rig, path, clock=clock, ask=True) as acquisition:
@@ -47,24 +49,32 @@ def listen(rig: Rig, wall_s: float, path: Path, guard: SafetyGuard) -> Status:
 
 
 def check_ports(rig: Rig, status: Status) -> Iterator[Finding]:
-    """Yield the findings on silent devices, ports that cannot be opened, and autopilots."""
+    """Yield the findings on silent devices, ports that cannot be opened, silent thrusters, and autopilots.
+
+    ``status`` is the last status of a recording at rest.
+    """
     for device in rig.devices:
         port = status.ports.get(device.name)
         if port is None or port.samples == 0:
-            yield _silent(device, port)
+            yield _silent_device_finding(device, port)
             continue
         if port.message and port.message == port.remark:
             yield Finding(
                 WARNING, "port-error", "alive", device.name, port.message, "correct the rig, if this is not intended"
             )
         elif port.message:
-            yield Finding(FAULT, "port-error", "alive", device.name, port.message, "power, cable, port")
+            yield Finding(FAULT, "port-error", "alive", device.name, port.message, "check power, cable and port")
         elif port.age > max(1.0, 10.0 / device.rate_hz, STILL_WALL_S * rig.speed):
             yield Finding(
-                FAULT, "device-fell-silent", "alive", device.name, f"silent for {port.age:.1f} s", "power, cable, port"
+                FAULT,
+                "device-fell-silent",
+                "alive",
+                device.name,
+                f"silent for {port.age:.1f} s",
+                "check power, cable and port",
             )
         if device.mavlink is not None:
-            yield from _autopilot(rig, device, status, port)
+            yield from _autopilot_findings(rig, device, status, port)
     if not status.latest:
         return
     for name in silent_devices(rig, status, [thruster.name for thruster in rig.thrusters]):
@@ -75,13 +85,16 @@ def check_ports(rig: Rig, status: Status) -> Iterator[Finding]:
                 "alive",
                 name.split()[1],
                 f"{name} sends nothing",
-                "its node, its power, the bus",
+                "check its node number, its power and the bus",
             )
 
 
-def _silent(device: Device, port: PortStatus | None) -> Finding:
-    """Return the finding on a device without a sample, with the probable cause: port, baud rate or output settings."""
-    text, advice = "nothing received", "power, cable, port, baud"
+def _silent_device_finding(device: Device, port: PortStatus | None) -> Finding:
+    """Return the fault of a device without a sample, with its probable cause: port, baud rate or output settings.
+
+    The cause is the message of the port, if it has one. ``port`` is None if the device has no port in the status.
+    """
+    text, advice = "nothing received", "check power, cable, port and baud rate"
     if port is not None and port.frames >= UNDERSTOOD:
         text = f"{port.frames} frames of {device.protocol} understood, but no frame contains a measurement"
         advice = "baud rate and protocol are right: look at the messages that the device is set to send"
@@ -90,12 +103,20 @@ def _silent(device: Device, port: PortStatus | None) -> Finding:
     return Finding(FAULT, "device-silent", "alive", device.name, (port.message if port else "") or text, advice)
 
 
-def _autopilot(rig: Rig, device: Device, status: Status, port: PortStatus) -> Iterator[Finding]:
-    """Yield the findings on an autopilot: its link, parameters, rates, arming and estimator."""
+def _autopilot_findings(rig: Rig, device: Device, status: Status, port: PortStatus) -> Iterator[Finding]:
+    """Yield the findings on an autopilot: its link, parameters, rates, arming and position estimator.
+
+    Without a heartbeat there is only that fault. ``port`` is the status of its port.
+    """
     link = status.links.get(device.name, LinkStatus())
     if not link.received:
         yield Finding(
-            FAULT, "no-heartbeat", "link", device.name, "no heartbeat", "system id, port and baud rate of that link"
+            FAULT,
+            "no-heartbeat",
+            "link",
+            device.name,
+            "no heartbeat was received",
+            "check system_id, port and baud rate of this link",
         )
         return
     assert device.mavlink is not None
@@ -106,8 +127,8 @@ def _autopilot(rig: Rig, device: Device, status: Status, port: PortStatus) -> It
             "parameters-unanswered",
             "parameters",
             device.name,
-            "not all have been answered yet",
-            "a longer --seconds",
+            "the autopilot has not sent all parameters yet",
+            "repeat the check with a longer --seconds",
         )
     else:
         for found in check_parameters(link.parameters, here, device.mavlink.own_system_id):
@@ -127,7 +148,7 @@ def _autopilot(rig: Rig, device: Device, status: Status, port: PortStatus) -> It
             "rate",
             device.name,
             f"refuses {line}",
-            "SCHED_LOOP_RATE, or a lower rate in the rig",
+            "raise SCHED_LOOP_RATE, or lower the rate in the rig",
         )
     name = device.name
     if here and link.vehicle != ROVER:
@@ -135,16 +156,23 @@ def _autopilot(rig: Rig, device: Device, status: Status, port: PortStatus) -> It
         yield Finding(FAULT, "autopilot-not-driven", "link", name, text, "log it; drive it by its own means")
     if link.rivals:
         own = device.mavlink.own_system_id
-        text = f"another ground station has system id {own}, as this rig: its heartbeats hide the loss of ours"
+        text = f"another ground station has system id {own}, the same as this rig: its heartbeats hide the loss of ours"
         yield Finding(FAULT, "rival-station", "link", name, text, "end it, or give one of the two another id")
     if link.lost > LOST * port.frames:
         text = f"{link.lost} frames lost on the way, {port.frames} received"
-        yield Finding(WARNING, "frames-lost", "link", name, text, "range and rate of the radio link; lower rates")
+        yield Finding(
+            WARNING,
+            "frames-lost",
+            "link",
+            name,
+            text,
+            "check range and data rate of the radio link, or request lower rates",
+        )
     if link.alarm:
         yield Finding(WARNING, "autopilot-alarm", "link", device.name, f"says {link.alarm}", "remove its cause")
     if link.armed:
         yield armed_finding(name)
-    trip = f", {1e3 * link.round_trip:.0f} ms there and back" if math.isfinite(link.round_trip) else ""
+    trip = f", round trip {1e3 * link.round_trip:.0f} ms" if math.isfinite(link.round_trip) else ""
     state = f"mode {link.mode}, {'armed' if link.armed else 'disarmed'}"
     if link.receiver is not None:
         state += ", a receiver was heard" if link.receiver else ", no receiver heard"
@@ -152,7 +180,7 @@ def _autopilot(rig: Rig, device: Device, status: Status, port: PortStatus) -> It
     if link.ekf >= 0 and (not link.ekf & EKF_POSITION or link.ekf & EKF_STANDS):
         text, advice = (
             f"{text}: its estimator has no position",
-            "open sky, and 40 s after power-on; a run cannot start before",
+            "give it open sky, and wait 40 s after power-on; a run cannot start before",
         )
         yield Finding(WARNING, "estimator-not-ready", "link", name, text, advice)
     else:
@@ -160,13 +188,17 @@ def _autopilot(rig: Rig, device: Device, status: Status, port: PortStatus) -> It
 
 
 def armed_finding(name: str) -> Finding:
-    """Return the finding that an autopilot is armed."""
+    """Return the warning that the autopilot ``name`` is armed."""
     text = "it is armed: its outputs follow any command that it receives"
     return Finding(WARNING, ARMED, "link", name, text, "disarm it, unless a run follows")
 
 
 def check_computer(rig: Rig, status: Status) -> Iterator[Finding]:
-    """Yield the finding on the free space of the disk for logs."""
+    """Yield the finding on the free space of the disk for logs: a fault, a warning or OK.
+
+    It is a fault below `[log] free_mb` of the rig, and a warning if the space lasts less than four more hours. The rate
+    of the log is that of the recording at rest.
+    """
     place = rig.log_directory
     while not place.exists() and place != place.parent:
         place = place.parent
@@ -181,25 +213,43 @@ def check_computer(rig: Rig, status: Status) -> Iterator[Finding]:
             "disk",
             str(place),
             f"{text}; [log] asks for {need / 1e6:g} MB",
-            "make room, or another disk",
+            "free space, or log to another disk",
         )
     elif free < need + HOURS * 3600.0 * rate:
         yield Finding(
-            WARNING, "disk-low", "disk", str(place), f"{text}: less than {HOURS:g} h", "make room, or another disk"
+            WARNING,
+            "disk-low",
+            "disk",
+            str(place),
+            f"{text}: room for less than {HOURS:g} h",
+            "free space, or log to another disk",
         )
     else:
         yield Finding(OK, "disk-as-expected", "disk", str(place), text)
 
 
 def _wanted_limits(rig: Rig) -> list[str]:
-    """Return the limits that a rig of this kind should have."""
+    """Return the names in [limits] that a rig like this should have: of a boat or bench, with or without a CAN bus."""
     on_bench = any(device.protocol in LOAD_CELLS for device in rig.devices)
     on_bus = any(thruster.output is None for thruster in rig.thrusters)  # an autopilot does not report motor currents
     return [*([] if on_bench else ["radius_m"]), "voltage_min_v", *(["current_a"] if on_bus else [])]
 
 
 def check_limits(rig: Rig, guard: SafetyGuard, status: Status) -> Iterator[Finding]:
-    """Yield the findings on the limits: those without a source, those that are missing, and those that are watched."""
+    """Yield the findings on the limits of a rig; none if it has no thruster.
+
+    Faults are limits whose quantity no device reports. Warnings are limits that the rig file exempts, and recommended
+    limits that it lacks. The last finding lists the limits that are watched.
+
+    Parameters
+    ----------
+    rig : Rig
+        The rig with its limits.
+    guard : SafetyGuard
+        Safety guard that got every status of the recording.
+    status : Status
+        The last status.
+    """
     if not rig.thrusters:
         return
     silent = guard.unwatched(status)
@@ -208,10 +258,10 @@ def check_limits(rig: Rig, guard: SafetyGuard, status: Status) -> Iterator[Findi
         yield Finding(FAULT, "limit-without-source", "limits", rig.name, text, remedy)
     for key in rig.limits.unwatched:
         text = f"limits.{key} = {getattr(rig.limits, key):g} is not watched, as [limits] says"
-        yield Finding(WARNING, "limit-unwatched", "limits", rig.name, text, "add a source for it")
+        yield Finding(WARNING, "limit-unwatched", "limits", rig.name, text, "add a device that reports the quantity")
     missing = [key for key in _wanted_limits(rig) if getattr(rig.limits, key) is None]
     if missing:
-        text = f"[limits] has no {', '.join(missing)}: no run ends because of it"
+        text = f"[limits] has no {', '.join(missing)}: a run does not end because of these quantities"
         advice = "set them (`seatrial devices --toml` writes examples), or leave them out on purpose"
         yield Finding(WARNING, "limit-missing", "limits", rig.name, text, advice)
     watched = [f"n_max {rig.limits.n_max:g}"]

@@ -19,7 +19,10 @@ from seatrial.daq.errors import SeatrialError  # noqa: E402
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Write both files. Return the exit status, which is 1 if the log of the bench cannot be used."""
+    """Write thesis.md and thesis.html. ``words`` are the arguments; None for those of the process.
+
+    Return the exit status: 0, or 1 with a message on standard error if a log or file cannot be read or written.
+    """
     parser = argparse.ArgumentParser(
         "python -m benchmarks.thesis", description="Make the tables and figures of the paper again from simulated data."
     )

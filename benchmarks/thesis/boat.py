@@ -51,16 +51,25 @@ SIZES = {
 
 @dataclass(frozen=True)
 class Sailed:
-    """Simulated mission of the boat."""
+    """Simulated mission of the boat.
 
-    channels: Mapping[str, Channel]  # by the names of ident
-    truth: Mapping[str, float]  # true values of the parameters
+    Attributes
+    ----------
+    channels : mapping of str to Channel
+        Measured outputs and shaft speeds, by the names of ident ("x", "psi", "n_left" and others).
+    truth : mapping of str to float
+        True values of all parameters (SI).
+    """
+
+    channels: Mapping[str, Channel]
+    truth: Mapping[str, float]
 
 
 def rolling_boat(truth: Mapping[str, float]) -> Model:
     """Return the model of the boat, with the shaft speeds as inputs.
 
-    The states are x, y, psi, phi, theta, u, v, r, p and q. ``truth`` has the values of hull, thrust and arms.
+    The states are x, y, psi, phi, theta, u, v, r, p and q. ``truth`` has the values of parameters of hull, thrust and
+    arms. Other parameters have the values of SIZES.
     """
     own = (*HULL, *THRUST, *ARMS, *CURRENT, *NOISE.values())
     more = tuple(Parameter(n, SIZES[n]) for n in ("s_u", "s_v", "s_r", "s_p", "s_q", "e_tilt"))
@@ -77,19 +86,28 @@ def rolling_boat(truth: Mapping[str, float]) -> Model:
         tuple(Input(f"n_{side}", hold="linear") for side in SIDES),
         tuple(Sensor(name, tuple(Output(o, noise=e) for o, e in outputs)) for name, outputs in sensors.items()),
         (*own, *more),
-        (("shaft", shaft), ("thrust", thrust), ("force", _force), ("rate", _rate), ("output", _output)),
+        (
+            ("shaft", shaft),
+            ("thrust", thrust),
+            ("force", _rotation_and_forces),
+            ("rate", _state_derivatives),
+            ("output", _outputs),
+        ),
     ).with_values(SIZES | dict(truth))
 
 
-def _force(s: Signals) -> None:
-    """Compute the rotation of the body and the forces of the turning motion."""
+def _rotation_and_forces(s: Signals) -> None:
+    """Compute the rotation matrix of the body and the forces of the turning motion, and store them in ``s``."""
     x = s.x
     set_orientation(s, rotation_matrix(x.phi, x.theta, x.psi), (x.p, x.q, x.r))
     turning(s)
 
 
-def _rate(s: Signals) -> None:
-    """Compute the derivatives of the states. Those of the Euler angles follow from the body rates."""
+def _state_derivatives(s: Signals) -> None:
+    """Compute the time derivatives of all states, and store them in ``s.rate``.
+
+    Those of the Euler angles follow from the body rates. Roll and pitch are second-order motions about an equilibrium.
+    """
     kinematic_rate(s)
     x, about = s.x, np.sin(s.x.phi) * s.x.q + np.cos(s.x.phi) * s.x.r
     s.rate["phi"] = x.p + np.tan(x.theta) * about
@@ -100,8 +118,11 @@ def _rate(s: Signals) -> None:
     s.rate["q"] = -(w_t**2) * (x.theta - lift * s.X_thrust) - 2 * damping_t * w_t * x.q
 
 
-def _output(s: Signals) -> None:
-    """Compute the outputs. Attitude and body rates are measured directly, without a bias of the gyro."""
+def _outputs(s: Signals) -> None:
+    """Compute the outputs, and store them in ``s.y``. Attitude and body rates are measured directly.
+
+    The bias of the gyro is set to 0.
+    """
     s.x.bias_r = 0.0
     kinematic_output(s)
     for name in ("psi", "phi", "theta", "p", "q", "r"):

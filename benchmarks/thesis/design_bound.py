@@ -30,10 +30,18 @@ MIXES = np.linspace(0.0, 1.0, 101)  # shares of the new input in the mixture tha
 
 @dataclass(frozen=True)
 class Bound:
-    """Upper bound of log det of the information."""
+    """Upper bound of log det of the information of all experiments of a problem.
 
-    value: float  # smallest bound of all rounds, in the scale of ``Design.value``
-    rounds: tuple[float, ...]  # bound of each round
+    Attributes
+    ----------
+    value : float
+        Smallest bound of all rounds, in the scale of ``Design.value`` (log det in characteristic parameter steps).
+    rounds : tuple of float
+        Bound of each round.
+    """
+
+    value: float
+    rounds: tuple[float, ...]
 
 
 def upper_bound(made: Design, *, rounds: int = 2, evaluations: int = 14_000, seed: int = 1) -> Bound:
@@ -44,11 +52,16 @@ def upper_bound(made: Design, *, rounds: int = 2, evaluations: int = 14_000, see
     made : Design
         D-optimal design of all learned parameters, without limits on the track.
     rounds : int
-        Number of searches; after each, the new input is mixed into M.
+        Number of searches. After each, the new input is mixed into M, the information of the mixture.
     evaluations : int
-        Evaluations in each search.
+        Number of evaluated inputs in each search.
     seed : int
         Seed of the searches.
+
+    Returns
+    -------
+    Bound
+        The smallest bound, and that of each round.
 
     Raises
     ------
@@ -58,16 +71,17 @@ def upper_bound(made: Design, *, rounds: int = 2, evaluations: int = 14_000, see
     task = made.task
     if task.criterion != "D" or task.chosen or task.robust or task.limits.bind:
         raise ValueError("the bound is for D-optimal designs of all parameters without limits")
-    finer = _finer(task)
+    finer = _problem_with_finer_steps(task)
     M, q = made.information + task.prior, len(task.free)
     reached = float(task.measure(M[None])[0])
     warm, found, rng = as_point(finer.steps, made.command, task.grid)[None], [], np.random.default_rng([seed, 23])
 
     def information(z: Array) -> Array:
+        """Return the information (n, q, q) of the inputs at points z (n, size) of the search space."""
         return finer.experiments(finer.actuation.inputs(finer.commands(z))).information + finer.prior
 
     for k in range(rounds):
-        judge = partial(_along, information, np.asarray(np.linalg.inv(M)))
+        judge = partial(_trace_criterion, information, np.asarray(np.linalg.inv(M)))
         starts = finer.steps.random(64, rng)
         starts = np.vstack([warm, starts[np.argsort(-judge(starts)[0])[:1]]])
         best = search_design(finer.steps, judge, evaluations, seed + k, starts, None)
@@ -79,13 +93,28 @@ def upper_bound(made: Design, *, rounds: int = 2, evaluations: int = 14_000, see
     return Bound(min(found), tuple(found))
 
 
-def _along(information: Callable[[Array], Array], W: Array, z: Array) -> tuple[Array, Array]:
-    """Return tr(W F) (n,) of the points z (n, size), and zeros (n,) for the violation of constraints."""
+def _trace_criterion(information: Callable[[Array], Array], W: Array, z: Array) -> tuple[Array, Array]:
+    """Return the criterion of the search for points of the search space, and their violation of constraints.
+
+    Parameters
+    ----------
+    information : callable
+        Returns the information F (n, q, q) of points (n, size).
+    W : Array (q, q)
+        Weight of the trace: the inverse of the information of the mixture.
+    z : Array (n, size)
+        Points of the search space.
+
+    Returns
+    -------
+    tuple of Array (n,)
+        tr(W F) of each point, and zeros, because there are no constraints.
+    """
     return np.einsum("ij,nij->n", W, information(z)), np.zeros(len(z))
 
 
-def _finer(task: DesignProblem) -> DesignProblem:
-    """Return the problem with at least one step per FINEST seconds."""
+def _problem_with_finer_steps(task: DesignProblem) -> DesignProblem:
+    """Return the problem with at least one step of the input per 2 s (FINEST) and shorter shortest steps."""
     steps = task.steps
     n_steps = max(steps.n_steps, round(steps.duration / FINEST))
     return replace(task, steps=replace(steps, n_steps=n_steps, shortest=min(steps.shortest, 2 * steps.grid)))

@@ -17,7 +17,7 @@ START = 5.0  # s, initial transient of the filter, which the figures leave out
 
 
 def noise_part(rest: Mapping[str, Rest]) -> Part:
-    """Return figures 4.1 and 4.2, on sensor noise."""
+    """Return the section with figures 4.1 and 4.2, on sensor noise. ``rest`` has the sensors at rest by channel."""
     return Part(
         "noise",
         "Sensor noise",
@@ -25,18 +25,18 @@ def noise_part(rest: Mapping[str, Rest]) -> Part:
             Drawing(
                 "Figure 4.1: accelerometer at rest",
                 "Hz",
-                [_density(rest[n]) for n in ("ax", "ay")],
+                [_density_chart(rest[n]) for n in ("ax", "ay")],
                 "The curves are Welch's periodogram, the identified model (white noise plus random walk) and the true "
                 "density.",
             ),
-            Drawing("Figure 4.2: magnetometer at rest", "Hz", [_density(rest[n]) for n in ("mx", "my", "mz")]),
+            Drawing("Figure 4.2: magnetometer at rest", "Hz", [_density_chart(rest[n]) for n in ("mx", "my", "mz")]),
         ],
     )
 
 
-def _density(rest: Rest) -> Chart:
-    """Return the spectral densities of a sensor at rest: periodogram, identified model and truth."""
-    f, power = _in_decades(*welch(rest.channel))
+def _density_chart(rest: Rest) -> Chart:
+    """Return a panel with the spectral densities of a sensor at rest: periodogram, identified model and truth."""
+    f, power = _logarithmic_means(*welch(rest.channel))
     (white, walk), dt = rest.truth, rest.found.interval
     truth = 2 * dt * (white**2 + walk**2 * dt / (4 * np.sin(np.pi * f * dt) ** 2))
     curves = [
@@ -47,20 +47,36 @@ def _density(rest: Rest) -> Chart:
     return Chart(f"{rest.channel.source} [({rest.channel.unit})²/Hz]", curves, log=True)
 
 
-def _in_decades(f: Array, power: Array, per_decade: int = 60) -> tuple[Array, Array]:
-    """Return means of frequency and power over bins of equal width in the logarithm of the frequency."""
+def _logarithmic_means(f: Array, power: Array, per_decade: int = 60) -> tuple[Array, Array]:
+    """Return means of frequency and power over bins of equal width in the logarithm of the frequency.
+
+    Parameters
+    ----------
+    f : Array (n,)
+        Frequencies [Hz], above zero.
+    power : Array (n,)
+        Spectral density at these frequencies.
+    per_decade : int
+        Number of bins in each decade. Empty bins are left out.
+
+    Returns
+    -------
+    tuple of Array (n_bins,)
+        Mean frequency [Hz] and mean spectral density of each bin.
+    """
     index = np.unique(np.floor(per_decade * np.log10(f)), return_inverse=True)[1]
     count = np.bincount(index)
     return np.bincount(index, f) / count, np.bincount(index, power) / count
 
 
 def bench_part(both: Both) -> Part:
-    """Return figure 4.3, on the thruster."""
+    """Return the section with figure 4.3: measured and predicted response of the thruster of ``both``."""
     record = both.record
     t, free, late = record.t, predicted(both), record.t > 35
     late &= record.t < 50
 
     def charts(rows: NDArray[np.bool_], outputs: Sequence[tuple[int, str]]) -> list[Chart]:
+        """Return a panel for each of ``outputs`` (column and title), with the selected ``rows``."""
         return [
             Chart(
                 title,
@@ -88,7 +104,10 @@ def bench_part(both: Both) -> Part:
 
 
 def predictor_part(turn: Both, run: Both) -> Part:
-    """Return figures 6.1 and 6.2, which compare output error and prediction error."""
+    """Return the section with figures 6.1 (yaw, ``turn``) and 6.2 (surge, ``run``).
+
+    They compare predictions by output error and by prediction error with the measurement.
+    """
     t, r = turn.record.t, turn.record.y[:, 0]
     ahead = r - turn.filtered.e[:, 0]
     yaw = Drawing(
@@ -144,22 +163,25 @@ def predictor_part(turn: Both, run: Both) -> Part:
 
 
 def innovation_part(three: Plane, six: Plane) -> Part:
-    """Return figures 6.3 to 6.6, on the innovations of 3DOF and 6DOF K."""
+    """Return the section with figures 6.3 to 6.6, on the innovations of 3DOF (``three``) and 6DOF K (``six``)."""
     return Part(
         "innovations",
         "Innovations of the models in the plane",
         [
-            _innovations("Figure 6.3: surge acceleration, 3DOF", three, ("ax",), "m/s2"),
-            _innovations("Figure 6.4: surge acceleration, 6DOF K", six, ("ax",), "m/s2"),
-            _innovations("Figure 6.5: position, 3DOF", three, ("x", "y"), "m"),
-            _innovations("Figure 6.6: position, 6DOF K", six, ("x", "y"), "m"),
+            _innovation_drawing("Figure 6.3: surge acceleration, 3DOF", three, ("ax",), "m/s2"),
+            _innovation_drawing("Figure 6.4: surge acceleration, 6DOF K", six, ("ax",), "m/s2"),
+            _innovation_drawing("Figure 6.5: position, 3DOF", three, ("x", "y"), "m"),
+            _innovation_drawing("Figure 6.6: position, 6DOF K", six, ("x", "y"), "m"),
             correlations(three, six),
         ],
     )
 
 
-def _innovations(title: str, plane: Plane, channels: Sequence[str], unit: str) -> Drawing:
-    """Return a figure of the innovations of some channels, with their predicted 95 % interval and a moving mean."""
+def _innovation_drawing(title: str, plane: Plane, channels: Sequence[str], unit: str) -> Drawing:
+    """Return a figure of the innovations of some channels, with their predicted 95 % interval and a mean over 2 s.
+
+    The first 5 s are left out. ``unit`` is the unit of all channels.
+    """
     charts = []
     for name in channels:
         t, e, sd = (z[plane.innovations(name)[0] > START] for z in plane.innovations(name))
@@ -169,21 +191,24 @@ def _innovations(title: str, plane: Plane, channels: Sequence[str], unit: str) -
                 [
                     Curve("95 % interval of the filter", t, -Z95 * sd, "band", Z95 * sd),
                     Curve("innovation", t, e, "measured"),
-                    Curve("mean over 2 s", t, _smooth(t, e, 2.0)),
+                    Curve("mean over 2 s", t, _moving_mean(t, e, 2.0)),
                 ],
             )
         )
     return Drawing(title, "s", charts)
 
 
-def _smooth(t: Array, e: Array, seconds: float) -> Array:
-    """Return the moving mean of e (n,) over ``seconds``."""
+def _moving_mean(t: Array, e: Array, seconds: float) -> Array:
+    """Return the moving mean (n,) of ``e`` (n,) over ``seconds``, at least three samples; ``t`` (n,) are times [s]."""
     width = max(3, round(seconds / float(np.median(np.diff(t)))))
     return np.convolve(e, np.ones(width) / width, mode="same")
 
 
 def correlations(three: Plane, six: Plane) -> Drawing:
-    """Return a figure of the autocorrelations of both models, whose difference is hard to see in the other figures."""
+    """Return a figure of the autocorrelations of the innovations of both models, for lags of 1 to 40 samples.
+
+    The channels are ax and x. The difference of the models is hard to see in the other figures.
+    """
     charts = []
     for name in ("ax", "x"):
         curves = []

@@ -55,15 +55,33 @@ output error unattainable, as the standard errors show.
 
 @dataclass(frozen=True)
 class Experiment:
-    """Designed experiment by one form of the information, with its baselines."""
+    """Experiment that is designed for the information of output error or of prediction error, with its baselines.
+
+    Attributes
+    ----------
+    title : str
+        Name of the experiment in the tables.
+    made : Design
+        The design.
+    judge : DesignProblem
+        Problem in which design and baselines are compared: nominal parameters, fine grid.
+    found : mapping of str to BaselineSignal
+        Best baseline of each kind: "PRBS" and "RGS".
+    samples : Robustness
+        Log det of design and baselines in 1000 parameter samples.
+    search_cpu : float
+        CPU time of the search [s].
+    samples_cpu : float
+        CPU time of the parameter samples for one input [s].
+    """
 
     title: str
     made: Design
-    judge: DesignProblem  # problem in which design and baselines are compared: nominal parameters, fine grid
-    found: Mapping[str, BaselineSignal]  # best baseline of each kind
-    samples: Robustness  # log det of design and baselines in 1000 parameter samples
-    search_cpu: float  # s, CPU time of the search
-    samples_cpu: float  # s, CPU time of the samples for one input
+    judge: DesignProblem
+    found: Mapping[str, BaselineSignal]
+    samples: Robustness
+    search_cpu: float
+    samples_cpu: float
 
     @property
     def value(self) -> float:
@@ -77,7 +95,7 @@ class Experiment:
 
     @property
     def margin(self) -> Array:
-        """Log det of the design less that of the better baseline, in each parameter sample (n_samples,)."""
+        """Log det of the design minus that of the better baseline, in each parameter sample (n_samples,)."""
         values = self.samples.values
         return np.asarray(values["design"] - np.max([v for n, v in values.items() if n != "design"], axis=0))
 
@@ -94,7 +112,7 @@ def experiment(title: str, *, process_noise: bool, seed: int, evaluations: int) 
     seed : int
         Seed of the search and of the samples.
     evaluations : int
-        Evaluations in the search.
+        Number of evaluated inputs in the search.
     """
     began = time.process_time()
     model = horizontal_model(current=False)
@@ -116,7 +134,19 @@ def experiment(title: str, *, process_noise: bool, seed: int, evaluations: int) 
 
 
 def chapter_5(seed: int, evaluations: int, n_repeats: int, say: Say) -> tuple[list[str], Part]:
-    """Return chapter 5 as lines of Markdown, and figures 5.1 to 5.3."""
+    """Compute chapter 5. Return it as lines of Markdown, and the section with figures 5.1 to 5.3.
+
+    Parameters
+    ----------
+    seed : int
+        Seed of all searches and simulations.
+    evaluations : int
+        Number of evaluated inputs in the search by prediction error; output error gets 1.6 times as many.
+    n_repeats : int
+        Number of simulated repeats of the designed experiment.
+    say : callable
+        Prints a line of progress.
+    """
     say("design of experiments, output error")
     oe = experiment("output error", process_noise=False, seed=seed, evaluations=evaluations * 8 // 5)
     say("design of experiments, prediction error")
@@ -125,12 +155,20 @@ def chapter_5(seed: int, evaluations: int, n_repeats: int, say: Say) -> tuple[li
     bound = upper_bound(pe.made, evaluations=evaluations, seed=seed)
     say("repeats of the designed experiment")
     delivered = repeat_design(pe.made, n_repeats, seed)
-    words = [*_words(oe, pe), *bound_words(pe, bound), *_errors(oe, pe), *_delivered(delivered, n_repeats)]
-    return words, _part(oe, pe)
+    words = [
+        *_design_table(oe, pe),
+        *bound_words(pe, bound),
+        *_error_table(oe, pe),
+        *_repeat_table(delivered, n_repeats),
+    ]
+    return words, _chapter_figures(oe, pe)
 
 
 def bound_words(pe: Experiment, bound: Bound) -> list[str]:
-    """Return the paragraph on the upper bound of the information by prediction error."""
+    """Return the paragraph on the upper bound of the information by prediction error as lines of Markdown.
+
+    ``pe`` is the experiment designed for prediction error.
+    """
     best = max(pe.found.values(), key=lambda r: r.value)
     return [
         "Because log det is concave, it has an upper bound for all inputs "
@@ -141,12 +179,15 @@ def bound_words(pe: Experiment, bound: Bound) -> list[str]:
     ]
 
 
-def _words(oe: Experiment, pe: Experiment) -> list[str]:
-    """Return the table of designs and baselines with its explanation."""
+def _design_table(oe: Experiment, pe: Experiment) -> list[str]:
+    """Return the table of designs and baselines with its explanation, as lines of Markdown.
+
+    ``oe`` and ``pe`` are the experiments designed for output error and for prediction error, here and below.
+    """
     rows = []
     for designed in (oe, pe):
         best = max(designed.found.values(), key=lambda r: r.value)
-        baseline = ", ".join(f"{r.kind} {r.value:.1f} ({_bandwidth(r)})" for r in designed.found.values())
+        baseline = ", ".join(f"{r.kind} {r.value:.1f} ({_bandwidth_text(r)})" for r in designed.found.values())
         rows.append(
             f"| {designed.title} | {designed.value:.1f} | {baseline} | {designed.value - best.value:+.1f} | "
             f"{100 * np.mean(designed.margin > 0):.1f} % | {100 * np.mean(designed.margin >= 3):.1f} % | "
@@ -155,13 +196,17 @@ def _words(oe: Experiment, pe: Experiment) -> list[str]:
     return [*OPENING.splitlines(), *rows, *CLOSING.splitlines(), ""]
 
 
-def _bandwidth(signal: BaselineSignal) -> str:
-    """Return the bandwidth of a baseline in words."""
+def _bandwidth_text(signal: BaselineSignal) -> str:
+    """Return the bandwidth of a baseline in words: the clock [s] of a PRBS, or the corner frequency [Hz] of an RGS."""
     return f"clock {signal.bandwidth:g} s" if signal.kind == "PRBS" else f"corner {signal.bandwidth:g} Hz"
 
 
-def _errors(oe: Experiment, pe: Experiment) -> list[str]:
-    """Return the table of predicted standard errors."""
+def _error_table(oe: Experiment, pe: Experiment) -> list[str]:
+    """Return the table of predicted standard errors with its explanation, as lines of Markdown.
+
+    The columns are the design for output error (by both predictions), the design for prediction error, and its best
+    baseline.
+    """
     names = pe.made.task.observed_parameters
     best = max(pe.found.values(), key=lambda r: r.value)
     fine = pe.judge.finer
@@ -185,8 +230,11 @@ def _errors(oe: Experiment, pe: Experiment) -> list[str]:
     ]
 
 
-def _delivered(found: list[RepeatStatistics], n: int) -> list[str]:
-    """Return the table of simulated repeats of the designed experiment."""
+def _repeat_table(found: list[RepeatStatistics], n: int) -> list[str]:
+    """Return the table of ``n`` simulated repeats of the designed experiment with its explanation, as Markdown lines.
+
+    ``found`` has the statistics of each parameter.
+    """
     rows = [
         f"| `{d.name}` | {d.predicted:.2g} | {d.ratio:.2f} | {d.interval[0]:.2f} to {d.interval[1]:.2f} | "
         f"{100 * d.coverage:.0f} % | {d.outliers} |"
@@ -207,23 +255,25 @@ def _delivered(found: list[RepeatStatistics], n: int) -> list[str]:
     ]
 
 
-def _part(oe: Experiment, pe: Experiment) -> Part:
-    """Return figures 5.1 to 5.3."""
+def _chapter_figures(oe: Experiment, pe: Experiment) -> Part:
+    """Return the section with figures 5.1 to 5.3, and a figure of the predicted track."""
     return Part(
         "design",
         "Design of experiments",
         [
-            _inputs("Figure 5.1: parametrisation, levels and durations of steps", pe, SHOWN),
-            _inputs("Figure 5.2: designed input, output error", oe, SECONDS),
-            _inputs("Figure 5.2: designed input, prediction error", pe, SECONDS),
-            _track(pe),
-            _histogram("Figure 5.3: log det of the information for 1000 parameter samples, output error", oe),
-            _histogram("Figure 5.3: log det of the information for 1000 parameter samples, prediction error", pe),
+            _input_drawing("Figure 5.1: parametrisation, levels and durations of steps", pe, SHOWN),
+            _input_drawing("Figure 5.2: designed input, output error", oe, SECONDS),
+            _input_drawing("Figure 5.2: designed input, prediction error", pe, SECONDS),
+            _track_drawing(pe),
+            _histogram_drawing("Figure 5.3: log det of the information for 1000 parameter samples, output error", oe),
+            _histogram_drawing(
+                "Figure 5.3: log det of the information for 1000 parameter samples, prediction error", pe
+            ),
         ],
     )
 
 
-def _inputs(title: str, designed: Experiment, until: float) -> Drawing:
+def _input_drawing(title: str, designed: Experiment, until: float) -> Drawing:
     """Return a figure of commands and shaft speeds of a design, from the start until ``until`` [s]."""
     task, rows = designed.judge, designed.judge.t <= until
     command = designed.command[rows]
@@ -242,8 +292,8 @@ def _inputs(title: str, designed: Experiment, until: float) -> Drawing:
     return Drawing(title, "s", charts)
 
 
-def _track(designed: Experiment) -> Drawing:
-    """Return a figure of the predicted track, with its spread over the parameter samples."""
+def _track_drawing(designed: Experiment) -> Drawing:
+    """Return a figure of the predicted track (north and east), with its 95 % band over the parameter samples."""
     track = predicted_track(designed.made)
     assert track is not None  # the horizontal model has a position
     charts = [
@@ -269,8 +319,11 @@ def _track(designed: Experiment) -> Drawing:
     return Drawing("Predicted track", "s", charts, caption)
 
 
-def _histogram(title: str, designed: Experiment) -> Drawing:
-    """Return histograms of log det over the parameter samples, for the design and its baselines."""
+def _histogram_drawing(title: str, designed: Experiment) -> Drawing:
+    """Return a figure of histograms of log det over the parameter samples, for the design and its baselines.
+
+    Values outside the 0.2 % and 99.8 % quantiles count in the outermost of 60 bins.
+    """
     values = np.concatenate(list(designed.samples.values.values()))
     low, high = (float(q) for q in np.quantile(values, [0.002, 0.998]))
     edges = np.linspace(low, high, BINS + 1)

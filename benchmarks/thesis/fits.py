@@ -36,12 +36,24 @@ from seatrial.ident.validation.prediction_errors import simulation_run
 
 @dataclass(frozen=True)
 class Both:
-    """Estimates of one record by output error and by prediction error."""
+    """Estimates of one record by output error and by prediction error.
+
+    Attributes
+    ----------
+    record : Record
+        Simulated data.
+    truth : mapping of str to float
+        True values of the parameters.
+    oe : Fit
+        Estimate by output error, without process noise.
+    pe : Fit
+        Estimate by prediction error, with process noise.
+    """
 
     record: Record
-    truth: Mapping[str, float]  # true values of the parameters
-    oe: Fit  # output error, without process noise
-    pe: Fit  # prediction error, with process noise
+    truth: Mapping[str, float]
+    oe: Fit
+    pe: Fit
 
     @property
     def simulated(self) -> Simulation:
@@ -55,9 +67,9 @@ class Both:
 
 
 def both(case: Case, seed: int) -> Both:
-    """Simulate a record of a case from rest, and estimate its parameters by both methods.
+    """Simulate a record of a case from rest, and estimate its parameters by output error and by prediction error.
 
-    The fits start at 1.3 times the true values.
+    The fits start at 1.3 times the true values. ``seed`` selects the noise.
     """
     model = case.model
     rng, values = np.random.default_rng([seed, 3]), np.array([list(model.values.values())])
@@ -69,9 +81,9 @@ def both(case: Case, seed: int) -> Both:
 
 
 def yaw_experiment(seed: int) -> Both:
-    """Return the estimates of table 3: yaw moment in steps, measured by a gyro.
+    """Return the estimates of table 3: a yaw moment in steps for 180 s, and the yaw rate of a gyro at 20 Hz.
 
-    The truth is the paper's PE estimate.
+    The true values are the paper's PE estimate.
     """
     t = np.arange(0.0, 180.0, 0.05)
     moment = random_levels(t, lambda rng: rng.uniform(-9.0, 9.0, 1), (4.0, 10.0), seed)
@@ -80,9 +92,9 @@ def yaw_experiment(seed: int) -> Both:
 
 
 def surge_experiment(seed: int) -> Both:
-    """Return the estimates of table 4: surge force in steps, measured by position.
+    """Return the estimates of table 4: a surge force in steps for 180 s, and positions at 5 Hz.
 
-    The truth is the paper's PE estimate, in which d_u is almost zero.
+    The true values are the paper's PE estimate, in which d_u is almost zero.
     """
     t = np.arange(0.0, 180.0, 0.2)
     force = random_levels(t, lambda rng: rng.uniform(-20.0, 75.0, 1), (6.0, 15.0), seed)
@@ -91,9 +103,9 @@ def surge_experiment(seed: int) -> Both:
 
 
 def bench_experiment(seed: int) -> Both:
-    """Return the estimates of table 2: steps of growing size, then one chirp of each sign.
+    """Return the estimates of table 2: a thruster with steps of growing size, then one chirp of each sign, in 90 s.
 
-    Command, shaft speed and force are sampled at 80 Hz.
+    Command, shaft speed and force are sampled at 80 Hz. The true values are the paper's estimates and a delay of 0.1 s.
     """
     t: Array = np.asarray(np.arange(round(90.0 / DELAY_STEP)) * DELAY_STEP)
     command = np.where(t < 50, np.ceil(t % 50 / 5) / 10 * (1 - 2 * (np.floor(t / 2.5) % 2)), 0.0)
@@ -107,7 +119,9 @@ def bench_experiment(seed: int) -> Both:
 
 
 def bench_log(path: Path) -> tuple[dict[str, tuple[float, float]], str]:
-    """Return the estimates and standard errors from a log of `seatrial bench`, and the name of the log.
+    """Return the estimates of table 2 from a log of `seatrial bench`, and the name of the log.
+
+    The estimates are pairs of value and standard error by parameter. A missing standard error is NaN.
 
     Raises
     ------
@@ -126,14 +140,27 @@ def bench_log(path: Path) -> tuple[dict[str, tuple[float, float]], str]:
 
 @dataclass(frozen=True)
 class Plane:
-    """Model of table 5 with its fit and its innovations on the mission."""
+    """Model of table 5 with its fit and its innovations on the mission.
+
+    Attributes
+    ----------
+    fit : Fit
+        Fit of the model.
+    record : Record
+        Data of the mission.
+    run : FilterResult
+        Result of the Kalman filter with the fitted parameters.
+    """
 
     fit: Fit
     record: Record
-    run: FilterResult  # of the filter with the fitted parameters
+    run: FilterResult
 
     def innovations(self, channel: str) -> tuple[Array, Array, Array]:
-        """Return the times [s], the innovations and their predicted standard deviations of a channel, each (n,)."""
+        """Return the times [s], the innovations and their predicted standard deviations of a channel, each (n,).
+
+        Rows without a sample of the channel are left out. Raises ValueError if the model lacks the channel.
+        """
         j = [o.name for o in self.fit.model.outputs].index(channel)
         good = np.isfinite(self.run.eps[:, j])
         return self.run.t[good], self.run.eps[good, j], np.sqrt(self.run.S[good, j])
@@ -142,14 +169,17 @@ class Plane:
 def plane_experiment(seed: int, seconds: float = 400.0) -> tuple[Sailed, Plane, Plane]:
     """Return the mission of table 5, and the fits of 3DOF and of 6DOF K (measured attitude).
 
-    The truth is the paper's estimate of 6DOF K.
+    The true values are the paper's estimate of 6DOF K. ``seconds`` is the duration of the mission.
     """
     sailed = sail(printed.TABLE_5["6DOF K"], seconds, seed)
     return sailed, plane(horizontal_model(), sailed), plane(kinematic_model(yaw=True), sailed)
 
 
 def plane(model: Model, sailed: Sailed) -> Plane:
-    """Fit a model to the mission, with process noise on its velocities as in the paper, and with sensor biases."""
+    """Fit a model to the mission, with process noise on its velocities as in the paper, and with sensor biases.
+
+    Return it with its record and its filter result. ``model`` is a model without biases.
+    """
     biased_sensors = [s.name for s in model.sensors if s.name in SENSORS]
     full = model + sensor_bias(biased_sensors)
     record = build_record(full, sailed.channels, name="mission", rate=20.0)
@@ -159,15 +189,25 @@ def plane(model: Model, sailed: Sailed) -> Plane:
 
 @dataclass(frozen=True)
 class Rest:
-    """Noise of a sensor at rest."""
+    """Noise of a sensor at rest.
 
-    channel: Channel  # simulated measurement
-    truth: tuple[float, float]  # standard deviation of the white noise, and diffusion of the random walk
-    found: NoiseFit  # estimate
+    Attributes
+    ----------
+    channel : Channel
+        Simulated measurement.
+    truth : tuple of two floats
+        True standard deviation of the white noise [unit], and true diffusion of the random walk [unit/sqrt(s)].
+    found : NoiseFit
+        Estimate of both.
+    """
+
+    channel: Channel
+    truth: tuple[float, float]
+    found: NoiseFit
 
 
 def at_rest(seed: int) -> dict[str, Rest]:
-    """Simulate sensors at rest and estimate their noise, for figures 4.1 and 4.2.
+    """Simulate sensors at rest and estimate their noise, for figures 4.1 and 4.2. Return them by channel.
 
     The channels of accelerometer [m/s2] and magnetometer [uT] have white noise and a random walk, and last 20 minutes
     at 50 Hz.
@@ -184,7 +224,10 @@ def at_rest(seed: int) -> dict[str, Rest]:
 
 
 def predicted(estimates: Both) -> Array:
-    """Return the simulation of a bench run from its commands (n_rows, n_outputs)."""
+    """Return the outputs (n_rows, n_outputs) of the prediction-error model, simulated from the inputs of its record.
+
+    ``estimates`` has the record and the fit. No measured output is used.
+    """
     return simulation_run(estimates.pe.model, estimates.record, estimates.pe.record_values[0]).y
 
 

@@ -47,17 +47,17 @@ def write(out: Path, seed: int, bench: Path | None, say: Say, *, evaluations: in
     Parameters
     ----------
     out : Path
-        Folder for both files.
+        Folder for both files. It is made if it does not exist.
     seed : int
         Seed of all simulations.
-    bench : Path, optional
-        Log of a bench run, whose estimates are added to table 2.
+    bench : Path or None
+        Log of a bench run, whose estimates are added to table 2; None for simulated data only.
     say : callable
         Function that prints a line of progress.
     evaluations : int
-        Evaluations in the search for designs of chapter 5.
+        Number of evaluated inputs in the search for designs of chapter 5.
     repeats : int
-        Simulated repeats of the designed experiment.
+        Number of simulated repeats of the designed experiment.
 
     Raises
     ------
@@ -67,14 +67,14 @@ def write(out: Path, seed: int, bench: Path | None, say: Say, *, evaluations: in
     measured = None if bench is None else bench_log(bench)  # first, so that a wrong log fails at once
     say("thruster")
     thruster = bench_experiment(seed)
-    second = _thruster_part(thruster, measured)
+    second = _thruster_section(thruster, measured)
     say("yaw and surge")
     turn, run = yaw_experiment(seed), surge_experiment(seed)
     say("three degrees of freedom, and measured attitude")
     sailed, three, six = plane_experiment(seed)
     forces = with_forces(sailed)
     command = f"python -m benchmarks.thesis --seed {seed}" + (f" --bench {bench.name}" if bench else "")
-    lines = [INTRODUCTION.format(command=command), *second, *_yaw_and_surge(turn, run)]
+    lines = [INTRODUCTION.format(command=command), *second, *_yaw_and_surge_sections(turn, run)]
     lines += [
         "## Table 5: the horizontal plane",
         "",
@@ -86,7 +86,7 @@ def write(out: Path, seed: int, bench: Path | None, say: Say, *, evaluations: in
         "",
         *tables.table_5(sailed.truth, three.fit, six.fit, forces),
         "",
-        *_errors_in_words(sailed.truth, {"3DOF": three.fit, "6DOF K": six.fit, "3DOF with forces": forces}),
+        *_largest_error_sentences(sailed.truth, {"3DOF": three.fit, "6DOF K": six.fit, "3DOF with forces": forces}),
         "",
         "The table has the root mean square of the innovations in the units of the channels, and their first three",
         "autocorrelations (figures 6.3-6.6). The innovations of a correct model are white.",
@@ -115,8 +115,12 @@ def write(out: Path, seed: int, bench: Path | None, say: Say, *, evaluations: in
     say(f"written: {out / 'thesis.md'}, {out / 'thesis.html'}")
 
 
-def _thruster_part(simulated: Both, bench: tuple[dict[str, tuple[float, float]], str] | None) -> list[str]:
-    """Return the section of table 2. ``bench`` has the estimates and standard errors of a log, and its name."""
+def _thruster_section(simulated: Both, bench: tuple[dict[str, tuple[float, float]], str] | None) -> list[str]:
+    """Return the section of table 2 as lines of Markdown.
+
+    ``simulated`` has the estimates from simulated data. ``bench`` has the estimates with standard errors of a measured
+    log by parameter, and the name of the log; None without a log.
+    """
     names = printed.TABLE_2
     columns = {label: {n: f.estimate(n) for n in names} for label, f in (("OE", simulated.oe), ("PE", simulated.pe))}
     lines = [
@@ -140,8 +144,8 @@ def _thruster_part(simulated: Both, bench: tuple[dict[str, tuple[float, float]],
     return lines
 
 
-def _yaw_and_surge(turn: Both, run: Both) -> list[str]:
-    """Return the sections of tables 3 and 4."""
+def _yaw_and_surge_sections(turn: Both, run: Both) -> list[str]:
+    """Return the sections of table 3 (yaw, from ``turn``) and table 4 (surge, from ``run``) as lines of Markdown."""
     return [
         "## Table 3: yaw",
         "",
@@ -149,7 +153,7 @@ def _yaw_and_surge(turn: Both, run: Both) -> list[str]:
         "",
         *tables.tables_3_and_4(turn, printed.TABLE_3),
         "",
-        *_errors_in_words(turn.truth, {"OE": turn.oe, "PE": turn.pe}),
+        *_largest_error_sentences(turn.truth, {"OE": turn.oe, "PE": turn.pe}),
         "",
         "## Table 4: surge",
         "",
@@ -159,18 +163,22 @@ def _yaw_and_surge(turn: Both, run: Both) -> list[str]:
         "",
         *tables.tables_3_and_4(run, printed.TABLE_4),
         "",
-        *_errors_in_words(run.truth, {"OE": run.oe, "PE": run.pe}),
+        *_largest_error_sentences(run.truth, {"OE": run.oe, "PE": run.pe}),
         "",
     ]
 
 
-def _errors_in_words(truth: Mapping[str, float], fits: Mapping[str, Fit]) -> list[str]:
-    """Return sentences on the largest error of each fit in standard errors, and on missing standard errors."""
-    parts = []
+def _largest_error_sentences(truth: Mapping[str, float], fits: Mapping[str, Fit]) -> list[str]:
+    """Return lines of text on the largest error of each fit, in units of its standard errors.
+
+    ``truth`` has the true values by parameter, and ``fits`` the fits by their name in the text. If a robust standard
+    error of output error is missing, the lines give the reason.
+    """
+    distances = []
     for label, fit in fits.items():
         names = [n for n in fit.names if n in printed.UNITS]
-        parts.append(f"{label} {tables.distance(fit, truth, names):.1f}")
-    lines = [f"The largest distances from the truth, in reported standard errors, are: {', '.join(parts)}."]
+        distances.append(f"{label} {tables.distance(fit, truth, names):.1f}")
+    lines = [f"The largest distances from the truth, in reported standard errors, are: {', '.join(distances)}."]
     if any(
         flag == AUTOCORRELATED_TOO_LONG
         for fit in fits.values()

@@ -17,7 +17,10 @@ CHANNELS = ("ax", "ay", "x", "y", "vx", "vy", "r", "psi")
 
 
 def markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> Lines:
-    """Return the lines of a table. All columns except the first are aligned as numbers."""
+    """Return the lines of a table in Markdown. All columns except the first are aligned as numbers.
+
+    ``head`` has the titles of the columns, and ``rows`` the cells of each row.
+    """
     return [
         "| " + " | ".join(head) + " |",
         "|---|" + "---:|" * (len(head) - 1),
@@ -26,7 +29,10 @@ def markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> Lines:
 
 
 def number(value: float, error: float | None = None) -> str:
-    """Return a value with four digits, followed by its standard error if it is finite."""
+    """Return a value as text with four digits, followed by its standard error if that is given and finite.
+
+    A value below 5e-5 in size is written as 0.
+    """
     text = "0" if abs(value) < 5e-5 else f"{value:.4g}"
     return text if error is None or not np.isfinite(error) else f"{text} ± {error:.2g}"
 
@@ -44,12 +50,15 @@ def table_2(estimates: Mapping[str, Estimates], truth: Mapping[str, float] | Non
     rows = []
     for n, value in printed.TABLE_2.items():
         true_value = [number(truth[n])] if truth else []
-        rows.append([_named(n), number(value), *true_value, *(number(*e[n]) for e in estimates.values())])
+        rows.append([_name_with_unit(n), number(value), *true_value, *(number(*e[n]) for e in estimates.values())])
     return markdown(["", "paper", *(["truth"] if truth else []), *estimates], rows)
 
 
 def tables_3_and_4(both: Both, paper: Mapping[str, Mapping[str, float]]) -> Lines:
-    """Return table 3 or 4: OE and PE on one record, with the robust standard errors of OE for coloured residuals."""
+    """Return table 3 or 4: OE and PE on one record, with the robust standard errors of OE for coloured residuals.
+
+    ``both`` has the estimates of the record. ``paper`` has the printed estimates by method ("OE", "PE") and parameter.
+    """
     head = ["", "paper OE", "paper PE", "truth", "OE", "OE, robust error", "PE"]
     rows = []
     for n in paper["OE"]:
@@ -57,7 +66,7 @@ def tables_3_and_4(both: Both, paper: Mapping[str, Mapping[str, float]]) -> Line
         (oe, error), pe = both.oe.estimate(n), both.pe.estimate(n)
         rows.append(
             [
-                _named(n),
+                _name_with_unit(n),
                 number(paper["OE"][n]),
                 number(paper["PE"][n]),
                 number(both.truth[n]),
@@ -70,11 +79,15 @@ def tables_3_and_4(both: Both, paper: Mapping[str, Mapping[str, float]]) -> Line
 
 
 def table_5(truth: Mapping[str, float], three: Fit, six: Fit, forces: Fit) -> Lines:
-    """Return table 5: 3DOF, 6DOF K (measured attitude), and 3DOF with disturbance forces."""
+    """Return table 5: the estimates of three models of the horizontal plane beside the paper's.
+
+    ``truth`` has the true values by parameter. The fits are those of 3DOF, 6DOF K (measured attitude), and 3DOF with
+    disturbance forces.
+    """
     paper = printed.TABLE_5
     rows = [
         [
-            _named(n),
+            _name_with_unit(n),
             number(paper["3DOF"][n]),
             number(paper["6DOF K"][n]),
             number(truth[n]),
@@ -86,16 +99,19 @@ def table_5(truth: Mapping[str, float], three: Fit, six: Fit, forces: Fit) -> Li
 
 
 def innovations(three: Plane, six: Plane) -> Lines:
-    """Return the table of RMS and autocorrelation of the innovations of both models, by channel."""
+    """Return the table of RMS and autocorrelation of the innovations of 3DOF and 6DOF K, with a row per channel."""
     rows = []
     for n in CHANNELS:
-        cells = [cell for plane in (three, six) for cell in _colour(plane, n)]
+        cells = [cell for plane in (three, six) for cell in _innovation_cells(plane, n)]
         rows.append([f"`{n}`", *cells])
     return markdown(["", "3DOF rms", "first three correlations", "6DOF K rms", "first three correlations"], rows)
 
 
-def _colour(plane: Plane, channel: str) -> list[str]:
-    """Return RMS and first three autocorrelations of the innovations of a channel; empty if the model lacks it."""
+def _innovation_cells(plane: Plane, channel: str) -> list[str]:
+    """Return two cells: RMS and first three autocorrelations of the innovations of a channel.
+
+    The cells are empty if the model lacks the channel. "(white)" is added if the whiteness test passes.
+    """
     if channel not in [o.name for o in plane.fit.model.outputs]:
         return ["", ""]
     t, e, sd = plane.innovations(channel)
@@ -104,11 +120,14 @@ def _colour(plane: Plane, channel: str) -> list[str]:
 
 
 def distance(estimate: Fit, truth: Mapping[str, float], names: Sequence[str]) -> float:
-    """Return the largest error of the estimates in units of their standard errors."""
+    """Return the largest error of the estimates of parameters ``names`` in units of their standard errors.
+
+    ``truth`` has the true values. Estimates without a finite standard error are skipped.
+    """
     z = [abs(v - truth[n]) / e for n in names for v, e in [estimate.estimate(n)] if np.isfinite(e)]
     return float(max(z))
 
 
-def _named(name: str) -> str:
-    """Return the name of a parameter with its unit."""
+def _name_with_unit(name: str) -> str:
+    """Return the name of a parameter in Markdown with its unit, such as "`m_u` [kg]"."""
     return f"`{name}` [{printed.UNITS[name]}]"

@@ -46,8 +46,8 @@ NEUTRAL_N = 0.02  # a stick that is further from neutral forbids arming
 class AutopilotEmulator(DeviceEmulator):
     """Emulator of one autopilot.
 
-    `encode` must be called with an attitude at the rate of the autopilot's loop, LOOP_HZ. `receive` must be called
-    with the bytes of the host.
+    `encode` must be called with an attitude at the rate of the autopilot's loop, LOOP_HZ (50 Hz). `receive` must be
+    called with the bytes of the host. The attribute `vehicle` is the state of the autopilot.
     """
 
     def __init__(
@@ -62,7 +62,7 @@ class AutopilotEmulator(DeviceEmulator):
         device : Device
             The autopilot.
         controllers : mapping of int to EscController
-            Speed controllers by servo output.
+            Speed controllers, by servo output.
         now_unix : float
             Present time [s since 1970] for the signatures of the messages.
 
@@ -82,22 +82,23 @@ class AutopilotEmulator(DeviceEmulator):
         self._address = (settings.system_id, settings.component_id)
         self._codec = Codec(*self._address, key, now_unix)
         self._decoder = mavlink.MavlinkDecoder(Samples({}), mavlink.ANY, settings.own_component_id, self._codec)
-        self._decoder.listener = self._handle
+        self._decoder.listener = self._handle_message
         self._rates: dict[str, float] = dict(ALWAYS)
         self._sent: dict[str, int] = {}  # number of the interval in which each message was sent last
         self._queue: deque[bytes] = deque()
         self._texts: deque[tuple[int, bytes, int, int]] = deque()  # each loop sends one text, behind the answers
-        self._t, self._text_id = 0.0, 0
+        self._now, self._text_id = 0.0, 0
         self._reports = Reports(self.vehicle, self._codec, self._thrusters, controllers)
 
     # Messages to the host.
 
     def encode(self, sample: Sample, t: float) -> bytes:
-        """Return the messages that are due at ``t`` [s].
+        """Return the messages that the autopilot sends at run time ``t`` [s], queued answers last.
 
-        An AHRS sample runs the loop of the autopilot. Other samples are stored for later messages.
+        An AHRS sample runs the loop of the autopilot: its failsafes, the messages that are due, and one text. Telemetry
+        and GNSS samples are stored for later messages.
         """
-        self._t = self._reports.t = t
+        self._now = self._reports.t = t
         self._reports.clock_error = self.clock_error
         if isinstance(sample, Esc | Gnss):
             self._reports.take(sample)
@@ -106,39 +107,45 @@ class AutopilotEmulator(DeviceEmulator):
             sent = [self._reports.encode_message(name, sample) for name in list(self._rates) if self._is_due(name)]
             if self._texts:
                 sent.append(self._codec.encode("STATUSTEXT", *self._texts.popleft()))
-            return b"".join(sent) + self._flush()
-        return self._flush()
+            return b"".join(sent) + self._take_answers()
+        return self._take_answers()
 
     def _is_due(self, name: str) -> bool:
-        """Return whether a message is due, which is once in each of its intervals.
+        """Return whether the message ``name`` is due, and note that it was sent. It is due once in each interval.
 
         The intervals are counted from boot, so messages of one rate are sent together, as by ArduPilot.
         """
-        count = math.floor((self._t + BOOT_S) * self._rates[name] + 1e-6)
+        count = math.floor((self._now + BOOT_S) * self._rates[name] + 1e-6)
         previous, self._sent[name] = self._sent.get(name, -1), count
         return count != previous
 
-    def _flush(self) -> bytes:
-        """Return the queued answers and clear the queue."""
+    def _take_answers(self) -> bytes:
+        """Return the queued answers to the host as bytes, and clear the queue."""
         out = b"".join(self._queue)
         self._queue.clear()
         return out
 
-    def _text(self, severity: int, text: str) -> None:
-        """Queue a text for the host as STATUSTEXT messages. Texts of several messages have a common number."""
+    def _queue_text(self, severity: int, text: str) -> None:
+        """Queue a text for the host as STATUSTEXT messages of at most 50 bytes each.
+
+        ``severity`` is a MAV_SEVERITY. The messages of a longer text have a common number.
+        """
         data = text.encode()
         self._text_id = self._text_id % 0xFFFF + (len(data) > CHUNK)
         number = self._text_id if len(data) > CHUNK else 0
         for k in range(0, len(data), CHUNK):
-            part = data[k : k + CHUNK]
-            self._texts.append((severity, part, number, k // CHUNK))
+            chunk = data[k : k + CHUNK]
+            self._texts.append((severity, chunk, number, k // CHUNK))
 
     # Actions of the autopilot.
 
     def _check_failsafes(self) -> None:
-        """End RC overrides that have timed out, and start failsafes, like Rover 4.7."""
+        """End RC overrides that have timed out, and start the failsafe of a lost ground station, like Rover 4.7.
+
+        The outputs repeat a command that lasts. The failsafe disarms, or changes the mode, as FS_ACTION says.
+        """
         own, p = self.vehicle, self.vehicle.parameters
-        silence = (self._t - own.overridden) / self._speed
+        silence = (self._now - own.overridden) / self._speed
         # After the time-out of an override the channels of the receiver apply. Without a receiver the override stays
         # until the throttle failsafe acts.
         lasts = p["RC_OVERRIDE_TIME"] if own.receiver else RADIO_S if p["FS_THR_ENABLE"] else math.inf
@@ -146,68 +153,80 @@ class AutopilotEmulator(DeviceEmulator):
             for node, controller in self._controllers.items():
                 n = own.sticks.get(node, 0.0)
                 if n and silence > lasts >= 0.0:
-                    controller.command(self._t, 0.0)
+                    controller.command(self._now, 0.0)
                 elif n:
-                    controller.command(self._t, n)  # the servo output repeats its pulse
-        self._drive()
+                    controller.command(self._now, n)  # the servo output repeats its pulse
+        self._drive_by_itself()
         # The failsafe needs a first heartbeat: before it, the time since the last heartbeat is infinite.
-        ground_silence = (self._t - own.ground_heard) / self._speed
+        ground_silence = (self._now - own.ground_heard) / self._speed
         watched = own.armed and p["FS_GCS_ENABLE"] and p["FS_ACTION"] and math.isfinite(ground_silence)
         if watched and own.mode == MANUAL and ground_silence > p["FS_GCS_TIMEOUT"] + p["FS_TIMEOUT"]:
-            self._text(CRITICAL, "GCS Failsafe")
+            self._queue_text(CRITICAL, "GCS Failsafe")
             if p["FS_ACTION"] == TERMINATE:
                 self.disarm()
             else:
                 self._set_mode(RTL if p["FS_ACTION"] == 1.0 else HOLD)
 
     def disarm(self, text: str = "Throttle disarmed") -> None:
-        """Disarm and stop the thrusters. ``text`` is sent to the host if the autopilot was armed."""
+        """Disarm and stop the thrusters. If the autopilot was armed, ``text`` is queued for the host."""
         if self.vehicle.armed:
             self.vehicle.armed = False
-            self._text(INFO, text)
-        self._stop()
+            self._queue_text(INFO, text)
+        self._stop_thrusters()
 
     def _set_mode(self, mode: int) -> None:
-        """Change the mode. All modes except MANUAL stop the thrusters first."""
+        """Change the mode to the number ``mode``. All modes except MANUAL stop the thrusters first.
+
+        AUTO and RTL then drive by themselves, if the autopilot is armed.
+        """
         self.vehicle.mode = mode
         if mode != MANUAL:
-            self._stop()
-        self._drive()
+            self._stop_thrusters()
+        self._drive_by_itself()
 
-    def _drive(self) -> None:
-        """Drive in the modes AUTO and RTL, in which RC overrides have no effect."""
+    def _drive_by_itself(self) -> None:
+        """Command OWN_N (0.4) to all thrusters if the autopilot is armed and in AUTO or RTL; else do nothing.
+
+        RC overrides have no effect in these modes.
+        """
         if self.vehicle.armed and self.vehicle.mode in (AUTO, RTL):
             for controller in self._controllers.values():
-                controller.command(self._t, OWN_N)
+                controller.command(self._now, OWN_N)
 
-    def _stop(self) -> None:
-        """Command zero to all thrusters."""
+    def _stop_thrusters(self) -> None:
+        """Command zero to all thrusters of the autopilot."""
         for controller in self._controllers.values():
-            controller.command(self._t, 0.0)
+            controller.command(self._now, 0.0)
 
     # Messages of the host.
 
     def receive(self, data: bytes, t: float) -> bytes:
-        """Process messages of the host and return the answers."""
-        self._t = self._reports.t = t
-        self._decoder.feed(data, t)
-        return self._flush()
+        """Process bytes of the host that arrive at run time ``t`` [s], and return the answers.
 
-    def _handle(self, m: Any) -> None:
-        """Process one message. Heartbeats and overrides of other ground stations are ignored."""
+        Bytes may end within a message; the rest is kept for the next call.
+        """
+        self._now = self._reports.t = t
+        self._decoder.feed(data, t)
+        return self._take_answers()
+
+    def _handle_message(self, m: Any) -> None:
+        """Process one decoded MAVLink message ``m``: act on it, and queue the answer.
+
+        Heartbeats and overrides of other ground stations, messages for other systems, and unknown messages are ignored.
+        """
         name = m.get_type()
         if name in ("HEARTBEAT", "RC_CHANNELS_OVERRIDE") and m.get_srcSystem() != self._ground:
             return
         if name == "HEARTBEAT":
-            self.vehicle.ground_heard = self._t
+            self.vehicle.ground_heard = self._now
         elif name == "TIMESYNC" and not m.tc1:
-            self._queue.append(self._codec.encode("TIMESYNC", round((self._t + BOOT_S) * 1e9), m.ts1))
+            self._queue.append(self._codec.encode("TIMESYNC", round((self._now + BOOT_S) * 1e9), m.ts1))
         elif getattr(m, "target_system", self._address[0]) != self._address[0]:
             return
         elif name == "RC_CHANNELS_OVERRIDE":
-            self._override(m)
+            self._apply_override(m)
         elif name == "COMMAND_LONG":
-            result = self._command(m)
+            result = self._execute_command(m)
             self._queue.append(self._codec.encode("COMMAND_ACK", m.command, result))
         elif name == "PARAM_REQUEST_READ" and m.param_id in self.vehicle.parameters:
             self._send_parameter(m.param_id)
@@ -219,17 +238,21 @@ class AutopilotEmulator(DeviceEmulator):
             self._send_parameter(m.param_id)
 
     def _send_parameter(self, name: str) -> None:
-        """Queue the PARAM_VALUE message of a parameter."""
+        """Queue the PARAM_VALUE message of the parameter ``name``, which must exist."""
         names = list(self.vehicle.parameters)
         value = self.vehicle.parameters[name]
         self._queue.append(self._codec.encode("PARAM_VALUE", name.encode(), value, 9, len(names), names.index(name)))
 
-    def _override(self, m: Any) -> None:
-        """Apply an RC override to the sticks, and to the thrusters if the autopilot is armed and in MANUAL."""
+    def _apply_override(self, m: Any) -> None:
+        """Apply the message RC_CHANNELS_OVERRIDE to the sticks.
+
+        If the autopilot is armed and in MANUAL, the sticks command the thrusters. The message is ignored if the ground
+        station is not MAV_GCS_SYSID, or if RC_OPTIONS forbids overrides.
+        """
         own = self.vehicle
         if own.parameters.get("MAV_GCS_SYSID") != self._ground or int(own.parameters["RC_OPTIONS"]) & IGNORES_OVERRIDES:
             return
-        own.overridden = self._t
+        own.overridden = self._now
         for node, thruster in self._thrusters.items():
             assert thruster.output is not None
             channel = thruster.output.rc_channel
@@ -243,25 +266,29 @@ class AutopilotEmulator(DeviceEmulator):
             n = (pulse - neutral) / (high - neutral if pulse > neutral else neutral - low)
             self.vehicle.sticks[node] = max(-1.0, min(1.0, n))
             if self.vehicle.armed and self.vehicle.mode == MANUAL and node in self._controllers:
-                self._controllers[node].command(self._t, self.vehicle.sticks[node])
+                self._controllers[node].command(self._now, self.vehicle.sticks[node])
 
-    def _command(self, m: Any) -> int:
-        """Execute a COMMAND_LONG and return its MAV_RESULT."""
+    def _execute_command(self, m: Any) -> int:
+        """Execute the message COMMAND_LONG and return its MAV_RESULT, which is UNSUPPORTED for unknown commands."""
         if m.command == 511:  # SET_MESSAGE_INTERVAL
-            return self._interval(int(m.param1), m.param2)
+            return self._set_message_interval(int(m.param1), m.param2)
         if m.command == 176:  # DO_SET_MODE
             if mode_name(int(m.param2)).startswith("mode "):
                 return FAILED
             self._set_mode(int(m.param2))
             return ACCEPTED
         if m.command == 400:  # COMPONENT_ARM_DISARM
-            return self._arm() if m.param1 == 1.0 else self._disarm()
+            return self._arm_by_command() if m.param1 == 1.0 else self._disarm_by_command()
         if m.command == 183:  # DO_SET_SERVO, which is denied for the outputs of motors
             return DENIED
         return UNSUPPORTED
 
-    def _interval(self, number: int, interval_us: float) -> int:
-        """Set the interval [us] of a message and return the MAV_RESULT. An interval of 0 or less stops the message."""
+    def _set_message_interval(self, number: int, interval_us: float) -> int:
+        """Set the interval [us] of the message with this number, and return the MAV_RESULT.
+
+        An interval of 0 or less stops the message. Unknown messages and HEARTBEAT fail. A rate above 80 % of the loop's
+        rate is denied.
+        """
         name = mavlink.message_name(number)
         if not name or name in ALWAYS:
             return FAILED
@@ -273,25 +300,31 @@ class AutopilotEmulator(DeviceEmulator):
             self._rates[name] = rate
         return ACCEPTED
 
-    def _disarm(self) -> int:
-        """Disarm and return the MAV_RESULT."""
+    def _disarm_by_command(self) -> int:
+        """Disarm, stop the thrusters and return the MAV_RESULT, which is always ACCEPTED."""
         self.disarm()
         return ACCEPTED
 
-    def _arm(self) -> int:
-        """Arm if all conditions are met and return the MAV_RESULT. Send the reason of a refusal as a text."""
+    def _arm_by_command(self) -> int:
+        """Arm if all conditions are met, and return the MAV_RESULT: ACCEPTED, or FAILED with the reason as a text.
+
+        An autopilot that is armed already accepts.
+        """
         if self.vehicle.armed:
             return ACCEPTED
-        refusal = self._refusal()
+        refusal = self._arming_refusal()
         if refusal:
-            self._text(CRITICAL, refusal)  # sent after the answer
+            self._queue_text(CRITICAL, refusal)  # sent after the answer
             return FAILED
         self.vehicle.armed = True
-        self._text(INFO, "Throttle armed")
+        self._queue_text(INFO, "Throttle armed")
         return ACCEPTED
 
-    def _refusal(self) -> str:
-        """Return the reason why the autopilot does not arm; empty if it can arm."""
+    def _arming_refusal(self) -> str:
+        """Return the text with the reason why the autopilot does not arm; empty if it can arm.
+
+        The estimator must be ready, the mode MANUAL or HOLD, and all sticks neutral (within 0.02).
+        """
         if self._reports.ekf != EKF_READY:
             return "PreArm: AHRS: EKF3 is still initialising, wait for it or reboot"
         if self.vehicle.mode not in (MANUAL, HOLD):

@@ -21,12 +21,14 @@ ROVER, ARDUPILOT, UNUSED = 11, 3, 0xFFFF  # MAV_TYPE_SURFACE_BOAT, MAV_AUTOPILOT
 
 
 def parameters(thrusters: list[Thruster], own_system: int, override_s: float) -> dict[str, float]:
-    """Return the parameters of an autopilot whose ground station drives two thrusters.
+    """Return the ArduPilot parameters of an emulated autopilot whose ground station drives two thrusters.
+
+    The values are those that `seatrial check` accepts. A thruster with ``position_m`` y < 0 is the left one.
 
     Parameters
     ----------
     thrusters : list of Thruster
-        Thrusters with their servo outputs and RC channels.
+        Thrusters with their servo outputs and RC channels. Each must have an `output`.
     own_system : int
         MAVLink system ID of the ground station.
     override_s : float
@@ -61,20 +63,48 @@ def parameters(thrusters: list[Thruster], own_system: int, override_s: float) ->
 
 @dataclass
 class Vehicle:
-    """State of the emulated autopilot."""
+    """State of the emulated autopilot.
+
+    Attributes
+    ----------
+    parameters : dict of str to float
+        ArduPilot parameters by name.
+    armed : bool
+        Whether the autopilot is armed.
+    mode : int
+        Number of the mode of ArduPilot Rover; 0 is MANUAL.
+    ekf_ready_at : float
+        Run time [s] at which the position estimator (EKF) is ready.
+    ground_heard : float
+        Run time [s] of the last heartbeat of the ground station; minus infinity before the first one.
+    overridden : float
+        Run time [s] of the last RC override; minus infinity before the first one.
+    receiver : bool
+        Whether the RC receiver has received a transmitter since boot.
+    sticks : dict of int to float
+        Command n (-1 to 1) of the last RC override, by servo output.
+    """
 
     parameters: dict[str, float]
     armed: bool = False
     mode: int = MANUAL
-    ekf_ready_at: float = 0.0  # s, run time at which the EKF is ready
-    ground_heard: float = -math.inf  # s, run time of the last heartbeat of the ground station
-    overridden: float = -math.inf  # s, run time of the last RC override
-    receiver: bool = True  # whether the RC receiver has received a transmitter since boot
-    sticks: dict[int, float] = field(default_factory=dict)  # command n of the last RC override, by servo output
+    ekf_ready_at: float = 0.0
+    ground_heard: float = -math.inf
+    overridden: float = -math.inf
+    receiver: bool = True
+    sticks: dict[int, float] = field(default_factory=dict)
 
 
 class Reports:
-    """Messages about the state of the autopilot and its latest measurements at the time ``t`` [s]."""
+    """Encoder of MAVLink messages about the state of the autopilot and its latest measurements.
+
+    Attributes
+    ----------
+    t : float
+        Present run time [s]. The owner sets it before each call.
+    clock_error : float
+        Time [s] by which the clock of the autopilot is fast.
+    """
 
     def __init__(
         self,
@@ -83,29 +113,44 @@ class Reports:
         thrusters: Mapping[int, Thruster],
         controllers: Mapping[int, EscController],
     ) -> None:
-        """Set up the messages. Both mappings have the number of the servo output as their key."""
+        """Set up the messages.
+
+        Parameters
+        ----------
+        vehicle : Vehicle
+            State of the autopilot, which may change between the calls.
+        codec : Codec
+            Encoder of MAVLink frames.
+        thrusters : mapping of int to Thruster
+            Thrusters, by servo output.
+        controllers : mapping of int to EscController
+            Speed controllers, by servo output.
+        """
         self.t = 0.0
         self._vehicle, self._codec, self._thrusters, self._controllers = vehicle, codec, thrusters, controllers
         self._esc: dict[int, Esc] = {}
         self._esc_counts: dict[int, int] = {}
-        self.clock_error = 0.0  # s by which the clock of the autopilot is fast
+        self.clock_error = 0.0
         self._gnss: Gnss | None = None  # last GNSS sample, with or without a fix
         self._fix: Gnss | None = None  # last GNSS sample with a fix
-        self._fix_at, self._fix_ms = 0.0, 0  # its run time [s], and its time since boot [ms]
+        self._fix_at, self._fix_boot_ms = 0.0, 0  # its run time [s], and its time since boot [ms]
 
     def take(self, sample: Esc | Gnss) -> None:
-        """Store telemetry of a speed controller or a GNSS sample as the latest measurement."""
+        """Store telemetry of a speed controller, or a GNSS sample, as the latest measurement.
+
+        A GNSS sample without a fix keeps the position and the time of the latest fix.
+        """
         if isinstance(sample, Esc):
             self._esc[sample.node] = sample
             self._esc_counts[sample.node] = self._esc_counts.get(sample.node, 0) % 0xFFFF + 1
         else:
             self._gnss = sample
             if sample.fix >= 2:  # without a fix the reported position and its time stay the same
-                self._fix, self._fix_at, self._fix_ms = sample, self.t, self._boot_ms
+                self._fix, self._fix_at, self._fix_boot_ms = sample, self.t, self._boot_ms
 
     @property
     def ekf(self) -> int:
-        """Flags of the message EKF_STATUS_REPORT."""
+        """Flags of the message EKF_STATUS_REPORT. Before `Vehicle.ekf_ready_at` they report no position."""
         return EKF_READY if self.t >= self._vehicle.ekf_ready_at else EKF_INITIALISING
 
     @property
@@ -119,7 +164,11 @@ class Reports:
         return round((self.t + self.clock_error + BOOT_S) * 1e6)
 
     def encode_message(self, name: str, ahrs: Ahrs) -> bytes:
-        """Return the message ``name``; empty bytes for an unknown name or a message without data so far."""
+        """Return the frame of the MAVLink message ``name`` at the present time.
+
+        ``ahrs`` is the newest attitude, for ATTITUDE and RAW_IMU. Empty bytes are returned for an unknown name, and for
+        a message whose data have not been measured yet.
+        """
         ms = self._boot_ms
         if name == "ATTITUDE":
             return self._codec.encode(name, ms, ahrs.roll, ahrs.pitch, ahrs.yaw, ahrs.p, ahrs.q, ahrs.r)
@@ -130,7 +179,7 @@ class Reports:
             field_ = (0 if math.isnan(b) else round(b * 1e7) for b in (ahrs.mx, ahrs.my, ahrs.mz))
             return self._codec.encode(name, self._boot_us, *accel, *gyro, *field_)
         if name == "SERVO_OUTPUT_RAW":
-            return self._codec.encode(name, self._boot_us % 2**32, 0, *(self._pulse(node) for node in range(1, 17)))
+            return self._codec.encode(name, self._boot_us % 2**32, 0, *(self._pulse_us(node) for node in range(1, 17)))
         if name == "HEARTBEAT":
             mode = 128 * self._vehicle.armed + 1 + 64  # MAV_MODE_FLAG: armed, custom mode, manual input
             return self._codec.encode(name, ROVER, ARDUPILOT, mode, self._vehicle.mode, 3 + self._vehicle.armed, 3)
@@ -145,7 +194,11 @@ class Reports:
         return self._encode_measurement(name)
 
     def _encode_measurement(self, name: str) -> bytes:
-        """Return a message about GNSS, battery or speed controllers; empty bytes if they were not measured yet."""
+        """Return the frame of GPS_RAW_INT, BATTERY_STATUS or ESC_TELEMETRY_1_TO_4.
+
+        Empty bytes are returned for other names, and if the quantity has not been measured yet. The battery has the
+        mean voltage and the sum of the currents of all speed controllers.
+        """
         if name == "GPS_RAW_INT" and self._gnss is not None:
             return self._encode_fix(self._gnss)
         if name == "BATTERY_STATUS" and self._esc:
@@ -160,22 +213,22 @@ class Reports:
         return b""
 
     def _encode_fix(self, gnss: Gnss) -> bytes:
-        """Return the message GPS_RAW_INT.
+        """Return the frame of GPS_RAW_INT for the latest sample ``gnss``.
 
         Time, position, velocity and accuracy are those of the latest fix. Before the first fix they are 0, or the
         value for "unknown" of the field. The type of fix and the satellites are those of the latest sample.
         """
         fix = self._fix or Gnss(0.0, NAN, NAN)
         course = math.degrees(math.atan2(fix.vel_e, fix.vel_n)) % 360.0
-        sigma = _whole(fix.sigma_h * math.sqrt(2.0) * 1e3)  # mm, of both horizontal axes together
+        sigma = _nearest_integer(fix.sigma_h * math.sqrt(2.0) * 1e3)  # mm, of both horizontal axes together
         return self._codec.encode(
             "GPS_RAW_INT",
-            self._fix_ms * 1000,
+            self._fix_boot_ms * 1000,
             {2: 2, 3: 3, 4: 4, 5: 6, 6: 5}.get(gnss.fix, NO_FIX),  # MAVLink: 6 RTK fixed, 5 RTK float
-            _whole(fix.lat * 1e7),
-            _whole(fix.lon * 1e7),
-            _whole(fix.alt * 1e3),
-            _whole(gnss.hdop * 100, UNUSED),
+            _nearest_integer(fix.lat * 1e7),
+            _nearest_integer(fix.lon * 1e7),
+            _nearest_integer(fix.alt * 1e3),
+            _nearest_integer(gnss.hdop * 100, UNUSED),
             UNUSED,
             UNUSED if math.isnan(fix.speed) else int(fix.speed * 100),  # rounded down, as ArduPilot does
             UNUSED if math.isnan(course) else round(course * 100) % 36000,
@@ -186,7 +239,7 @@ class Reports:
         )
 
     def _encode_escs(self, name: str) -> bytes:
-        """Return the message ESC_TELEMETRY_1_TO_4. Outputs without a speed controller have zeros."""
+        """Return the frame of ESC_TELEMETRY_1_TO_4. Outputs 1 to 4 without telemetry so far have zeros."""
         zeros = Esc(0, 0.0, 0.0, 0.0, 0.0, 0.0)
         escs = [self._esc.get(node, zeros) for node in range(1, 5)]
         return self._codec.encode(
@@ -199,8 +252,11 @@ class Reports:
             [self._esc_counts.get(node, 0) for node in range(1, 5)],
         )
 
-    def _pulse(self, node: int) -> int:
-        """Return the pulse width [us] at a servo output; 0 for an output without a thruster."""
+    def _pulse_us(self, node: int) -> int:
+        """Return the pulse width [us] at servo output ``node`` for its effective command.
+
+        An output without a thruster or a speed controller has 0.
+        """
         thruster, controller = self._thrusters.get(node), self._controllers.get(node)
         if thruster is None or thruster.output is None or controller is None:
             return 0
@@ -209,6 +265,6 @@ class Reports:
         return round(neutral + n * (high - neutral if n > 0.0 else neutral - low))
 
 
-def _whole(value: float, unknown: int = 0) -> int:
-    """Return the nearest integer; `unknown` for NaN."""
+def _nearest_integer(value: float, unknown: int = 0) -> int:
+    """Return the integer nearest to ``value``, or ``unknown`` if ``value`` is NaN."""
     return unknown if math.isnan(value) else round(value)

@@ -8,14 +8,26 @@ from seatrial.mocks.world import Sample
 
 
 class DeviceEmulator(ABC):
-    """Emulator of the device at one port: it encodes samples and reacts to the bytes of the host."""
+    """Emulator of the device at one port: it encodes samples and reacts to the bytes of the host.
 
-    clock_error = 0.0  # s by which the clock of the device is fast
+    Attributes
+    ----------
+    clock_error : float
+        Time [s] by which the clock of the device is fast; negative if it is slow.
+    """
+
+    clock_error = 0.0
 
     @abstractmethod
     def encode(self, sample: Sample, t: float) -> bytes:
-        """Return the message of a sample that the device takes at ``t`` [s]; empty bytes if no message is due."""
+        """Return the message of a sample that the device takes at run time ``t`` [s].
+
+        The bytes are empty if no message is due.
+        """
 
     def receive(self, data: bytes, t: float) -> bytes:
-        """Process bytes of the host that arrive at ``t`` [s] and return the answer. By default it is empty."""
+        """Process bytes of the host that arrive at run time ``t`` [s], and return the answer of the device.
+
+        This default ignores the bytes and returns empty bytes.
+        """
         return b""

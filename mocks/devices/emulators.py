@@ -28,7 +28,10 @@ class VectorNav(DeviceEmulator):
         self._ascii = ascii_
 
     def encode(self, sample: Sample, t: float) -> bytes:
-        """Return one message."""
+        """Return one message of an AHRS sample taken at run time ``t`` [s]: binary, or a $VNYMR sentence.
+
+        The time in a binary message is ``t`` plus the clock error, at least 0.
+        """
         assert isinstance(sample, Ahrs)
         if self._ascii:
             return vectornav.encode_ascii(sample)
@@ -40,7 +43,7 @@ class Nmea(DeviceEmulator):
     """GNSS receiver with NMEA sentences."""
 
     def encode(self, sample: Sample, t: float) -> bytes:
-        """Return the sentences GGA, RMC, VTG and GST of one fix."""
+        """Return the NMEA sentences GGA, RMC, VTG and GST of one fix. The clock error is added to its UTC."""
         assert isinstance(sample, Gnss)
         return nmea.encode(replace(sample, utc=sample.utc + self.clock_error))
 
@@ -50,7 +53,7 @@ class LoadCellLine(DeviceEmulator):
     """Load cell that sends one line of text for each reading."""
 
     def encode(self, sample: Sample, t: float) -> bytes:
-        """Return the line with the counts."""
+        """Return the line of text with the counts of one reading."""
         assert isinstance(sample, LoadCell)
         return loadcell.encode(sample.counts)
 
@@ -60,7 +63,7 @@ class VescBus(DeviceEmulator):
     """VESC speed controllers on a CAN bus behind an slcan adapter."""
 
     def __init__(self, controllers: Mapping[int, EscController], pole_pairs: Mapping[int, int]) -> None:
-        """Set up the bus. Both mappings have the node as their key."""
+        """Set up the bus. Arguments: the speed controllers and the pole pairs of their motors, both by CAN node."""
         self._controllers = controllers
         self._pole_pairs = pole_pairs
         self._adapter = Adapter()
@@ -68,7 +71,10 @@ class VescBus(DeviceEmulator):
         vesc.encode_duty(0, 0.0)  # loads the library at once, so that the first sample is not late
 
     def encode(self, sample: Sample, t: float) -> bytes:
-        """Return the frames of one controller: STATUS 1 always, STATUS 4 and 5 five times per second."""
+        """Return the status of one controller as bytes of the slcan adapter; empty while its channel is closed.
+
+        STATUS 1 is always sent, STATUS 4 and 5 (temperature and voltage) at most five times per second.
+        """
         assert isinstance(sample, Esc)
         if t < self._slow_due.get(sample.node, 0.0):
             sample = replace(sample, temperature=NAN, voltage=NAN)
@@ -78,7 +84,10 @@ class VescBus(DeviceEmulator):
         return b"".join(self._adapter.encode(CanFrame(*frame)) for frame in frames)
 
     def receive(self, data: bytes, t: float) -> bytes:
-        """Pass duty commands to their controllers and return the answers of the adapter."""
+        """Pass duty commands, clipped to -1 to 1, to their controllers. Return the answers of the adapter.
+
+        Other frames, and commands to unknown nodes, have no effect.
+        """
         answers, frames = self._adapter.feed(data)
         for frame in frames:
             command = vesc.decode_command(frame.arbitration_id, frame.data) if frame.extended else None
@@ -92,14 +101,14 @@ class DronecanBus(DeviceEmulator):
     """DroneCAN speed controllers behind an slcan adapter. The controller of index k is node 20 + k of the bus."""
 
     def __init__(self, controllers: Mapping[int, EscController]) -> None:
-        """Set up the bus. The mapping has the index of the controller as its key."""
+        """Set up the bus. ``controllers`` are the speed controllers by their DroneCAN index, which starts at 0."""
         self._controllers = controllers
         self._adapter = Adapter()
         self._commands = Assembler(dronecan.RAW_COMMAND)
         self._sent: dict[int, int] = {}  # transfer number of the last message, by index
 
     def encode(self, sample: Sample, t: float) -> bytes:
-        """Return the frames of one esc.Status message."""
+        """Return one esc.Status message as bytes of the slcan adapter; empty while its channel is closed."""
         assert isinstance(sample, Esc)
         number = self._sent[sample.node] = (self._sent.get(sample.node, -1) + 1) % NUMBERS
         frames = dronecan.encode(sample, FIRST_ESC_NODE + sample.node, number)
@@ -108,7 +117,8 @@ class DronecanBus(DeviceEmulator):
     def receive(self, data: bytes, t: float) -> bytes:
         """Pass commands to their controllers and return the answers of the adapter.
 
-        A RawCommand has the set-points of all controllers in the order of their indices.
+        A RawCommand has the set-points of all controllers in the order of their indices. Set-points of unknown indices
+        and other messages have no effect.
         """
         answers, frames = self._adapter.feed(data)
         for frame in frames:
@@ -124,7 +134,7 @@ class DronecanBus(DeviceEmulator):
 def make_emulator(
     rig: Rig, device: Device, controllers: Mapping[int, EscController], ascii_: bool = False
 ) -> DeviceEmulator:
-    """Return the emulator of a device.
+    """Return the emulator that suits the protocol of a device.
 
     Parameters
     ----------
@@ -149,7 +159,8 @@ def make_emulator(
     if device.protocol == "loadcell":
         if loadcell.compile_pattern(device.pattern).search(loadcell.encode(-123.0).decode().rstrip()) is None:
             raise SeatrialError(
-                f"{rig.path}: device {device.name}: the mock sends lines like -123, which the pattern does not match"
+                f"{rig.path}: device {device.name}: the mock sends lines like -123, which the pattern does not match: "
+                "change it"
             )
         return LoadCellLine()
     if device.protocol == "mavlink":
@@ -164,7 +175,7 @@ def make_emulator(
 
 
 def by_side(rig: Rig) -> tuple[Thruster, Thruster]:
-    """Return the left and the right thruster of a boat.
+    """Return the left and the right thruster of a boat, by the sign of ``position_m`` y (negative is left).
 
     Raises
     ------
@@ -176,6 +187,6 @@ def by_side(rig: Rig) -> tuple[Thruster, Thruster]:
     if len(left) != 1 or len(right) != 1 or len(rig.thrusters) != 2:
         raise SeatrialError(
             f"{rig.path}: a mock boat has two thrusters, one at position_m y < 0 and one at y > 0; "
-            f"this rig has {len(left)} and {len(right)} there"
+            f"this rig has {len(left)} and {len(right)} there: give another rig"
         )
     return left[0], right[0]

@@ -23,10 +23,18 @@ NOISE_SIGMAS = (math.radians(5.0), 0.1, 1.0, 1.0)
 
 @dataclass(frozen=True)
 class Kind:
-    """Kind of fault."""
+    """Kind of fault, such as "silence".
 
-    seconds: float  # s, default duration
-    text: str  # description in the help of --fault
+    Attributes
+    ----------
+    seconds : float
+        Default duration [s]; infinite for a fault that lasts to the end of the run.
+    text : str
+        Description in the help of --fault.
+    """
+
+    seconds: float
+    text: str
 
 
 KINDS = {
@@ -59,19 +67,31 @@ _FORM = re.compile(r"(?P<kind>[a-z-]+)(?:/(?P<target>\w+))?@(?P<t>usr1|\d+(?:\.\
 
 @dataclass(frozen=True)
 class Fault:
-    """One fault on the schedule."""
+    """One fault on the schedule.
 
-    kind: str  # a key of KINDS
-    target: str  # name of a device, or of a thruster for esc-dead and esc-stuck; empty for all of them
-    start: float | None  # s since the start of the run; None until the signal arrives
-    seconds: float  # s, duration
+    Attributes
+    ----------
+    kind : str
+        A key of KINDS.
+    target : str
+        Name of a device, or of a thruster for esc-dead and esc-stuck; empty for all of them.
+    start : float or None
+        Start [s since the start of the run]; None until the signal SIGUSR1 arrives.
+    seconds : float
+        Duration [s].
+    """
+
+    kind: str
+    target: str
+    start: float | None
+    seconds: float
 
     def active(self, t: float) -> bool:
-        """Return whether the fault is active at ``t`` [s]."""
+        """Return whether the fault is active at run time ``t`` [s]: from its start to just before its end."""
         return self.start is not None and self.start <= t < self.start + self.seconds
 
     def hits(self, target: str) -> bool:
-        """Return whether the fault concerns the device or thruster ``target``."""
+        """Return whether the fault concerns the device or thruster named ``target``."""
         return self.target in ("", target)
 
 
@@ -85,10 +105,15 @@ def parse_fault(text: str, devices: Sequence[str] = (), thrusters: Sequence[str]
     devices, thrusters : sequence of str
         Names that the rig has.
 
+    Returns
+    -------
+    Fault
+        The fault. Its start is None if T is `usr1`. Without SECONDS it has the default duration of its kind.
+
     Raises
     ------
     SeatrialError
-        If the text has another form, or the rig has no such fault, device or thruster.
+        If the text has another form, the fault is unknown, or the rig has no such device or thruster.
     """
     found = _FORM.fullmatch(text)
     if found is None:
@@ -108,10 +133,10 @@ def parse_fault(text: str, devices: Sequence[str] = (), thrusters: Sequence[str]
 
 
 class Faults:
-    """Schedule of the faults, which changes readings and bytes of the devices."""
+    """Schedule of the faults of a run, which changes samples and bytes of the devices while faults are active."""
 
     def __init__(self, faults: Sequence[Fault], rng: np.random.Generator) -> None:
-        """Set up the schedule. ``rng`` is the generator of random bytes and noise."""
+        """Set up the schedule of ``faults``. ``rng`` is the generator of random bytes and noise."""
         self._faults = list(faults)
         self._on_signal = [index for index, fault in enumerate(faults) if fault.start is None]
         self._rng = rng
@@ -121,18 +146,39 @@ class Faults:
         self._past: dict[_Source, deque[tuple[float, Sample]]] = {}  # readings of the last LATE_S, for "late"
 
     def trigger(self, t: float) -> None:
-        """Start the faults with the time `usr1` at ``t`` [s]. A fault that has ended starts again."""
+        """Start the faults with the time `usr1` at run time ``t`` [s].
+
+        A fault that has ended starts again, with its spikes. An active fault goes on.
+        """
         for index in self._on_signal:
             if not self._faults[index].active(t):
                 self._faults[index] = replace(self._faults[index], start=t)
                 self._spikes = {key: count for key, count in self._spikes.items() if key[0] != index}
 
     def active(self, kind: str, target: str, t: float) -> bool:
-        """Return whether a fault of ``kind`` is active at ``t`` [s] for the device or thruster ``target``."""
+        """Return whether a fault of ``kind`` (a key of KINDS) is active for the device or thruster ``target``.
+
+        ``t`` is the run time [s].
+        """
         return any(f.kind == kind and f.hits(target) and f.active(t) for f in self._faults)
 
     def reading(self, device: str, sample: Sample, t: float) -> Sample | None:
-        """Return the sample as the device sends it under the active faults, or None if it sends no sample."""
+        """Return the sample that a device sends under the active faults, or None if it sends no sample.
+
+        Parameters
+        ----------
+        device : str
+            Name of the device.
+        sample : Sample
+            The sample without a fault.
+        t : float
+            Run time [s]. It must not decrease from call to call.
+
+        Notes
+        -----
+        Each call updates the memory of the schedule: the last sample of each source, the samples of the last second for
+        the fault "late", and the number of spikes. Call it once for each sample.
+        """
         if not self._faults:
             return sample
         if self.active("silence", device, t):
@@ -156,14 +202,17 @@ class Faults:
                 past.popleft()
             sample = past[0][1]
         if self.active("noisy", device, t):
-            sample = self._noisy(sample)
+            sample = self._with_noise(sample)
         for kind, change in _CHANGES.items():
             if self.active(kind, device, t):
                 sample = change(sample)
-        return _spiked(sample) if self._spike_due(device, t) else sample
+        return _with_spike(sample) if self._spike_due(device, t) else sample
 
     def clock_error(self, device: str, t: float) -> float:
-        """Return the time [s] by which the clock of a device is fast at ``t`` [s]."""
+        """Return the time [s] by which the clock of a device is fast at run time ``t`` [s]; negative if it is slow.
+
+        The errors of all active faults "clock-back" and "clock-skew" add up.
+        """
         starts = [(f.kind, f.start) for f in self._faults if f.start is not None and f.hits(device) and f.active(t)]
         return sum(
             {"clock-back": -CLOCK_BACK_S, "clock-skew": CLOCK_SKEW * (t - start)}.get(kind, 0.0)
@@ -171,10 +220,10 @@ class Faults:
         )
 
     def bytes(self, device: str, data: bytes, t: float) -> bytes:
-        """Return the bytes of a device as they arrive: random bytes during a fault "garbage"."""
+        """Return the bytes that arrive from a device: as many random bytes during a fault "garbage", else ``data``."""
         return self._rng.bytes(len(data)) if self._faults and self.active("garbage", device, t) else data
 
-    def _noisy(self, sample: Sample) -> Sample:
+    def _with_noise(self, sample: Sample) -> Sample:
         """Return an AHRS sample with additional noise; other samples are returned unchanged."""
         if not isinstance(sample, Ahrs):
             return sample
@@ -182,7 +231,10 @@ class Faults:
         return replace(sample, yaw=sample.yaw + yaw, r=sample.r + r, ax=sample.ax + ax, ay=sample.ay + ay)
 
     def _spike_due(self, device: str, t: float) -> bool:
-        """Return whether the next reading is a spike, and count the spike."""
+        """Return whether the next reading of a device is a spike, and count the spike.
+
+        A fault "spike" has one spike at its start, and one more in each further second of its duration.
+        """
         for index, fault in enumerate(self._faults):
             if fault.kind == "spike" and fault.hits(device) and fault.start is not None and t >= fault.start:
                 done = self._spikes.get((index, device), 0)
@@ -193,7 +245,7 @@ class Faults:
 
 
 def _overloaded(sample: Sample) -> Sample:
-    """Return a load cell sample with 500,000 more counts, or telemetry with 200 A more."""
+    """Return a load cell sample with 500,000 more counts, or telemetry with 200 A more; other samples unchanged."""
     if isinstance(sample, LoadCell):
         return replace(sample, counts=sample.counts + 500_000.0)
     return replace(sample, current=sample.current + 200.0) if isinstance(sample, Esc) else sample
@@ -212,12 +264,16 @@ _CHANGES: dict[str, Callable[[Sample], Sample]] = {
 
 
 def _in_degrees(sample: Ahrs) -> Ahrs:
-    """Return the sample with body rates in degrees per second."""
+    """Return the sample with body rates in degrees per second instead of radians per second."""
     return replace(sample, p=math.degrees(sample.p), q=math.degrees(sample.q), r=math.degrees(sample.r))
 
 
-def _spiked(sample: Sample) -> Sample:
-    """Return the sample with a spike, as it is typical of each device."""
+def _with_spike(sample: Sample) -> Sample:
+    """Return the sample with a spike that is typical of its device; samples of other devices unchanged.
+
+    A load cell reads 2^22 - 1 counts. An AHRS has 5 rad/s more yaw rate and 30 m/s2 more forward acceleration. A GNSS
+    fix lies about 1 km further north.
+    """
     if isinstance(sample, LoadCell):  # an HX711 whose data line was read high
         return replace(sample, counts=float(2**22 - 1))
     if isinstance(sample, Ahrs):

@@ -14,7 +14,17 @@ _CLOSED_ONLY = b"sSUWMm"  # set-up commands, which the adapter refuses while the
 
 
 class CanFrame(NamedTuple):
-    """CAN data frame."""
+    """CAN data frame.
+
+    Attributes
+    ----------
+    arbitration_id : int
+        Identifier with 29 bits, or 11 bits if not ``extended``.
+    data : bytes
+        Up to 8 bytes.
+    extended : bool
+        Whether the identifier has 29 bits.
+    """
 
     arbitration_id: int
     data: bytes
@@ -22,9 +32,21 @@ class CanFrame(NamedTuple):
 
 
 class Adapter:
-    """CAN-to-serial adapter. It passes frames while its channel is open."""
+    """CAN-to-serial adapter. It passes frames while its channel is open.
+
+    Attributes
+    ----------
+    open : bool
+        Whether the channel is open.
+    listen_only : bool
+        Whether the channel was opened by the command `L`, in which case the host cannot send frames.
+    """
 
     def __init__(self, version: str = "1013", serial_number: str = "A001") -> None:
+        """Set up an adapter with a closed channel.
+
+        ``version`` and ``serial_number`` are its answers to the commands `V` and `v`, and `N`.
+        """
         self.open = False
         self.listen_only = False
         self._version = version
@@ -32,7 +54,15 @@ class Adapter:
         self._line = bytearray()
 
     def feed(self, data: bytes) -> tuple[bytes, list[CanFrame]]:
-        """Process bytes of the host. Return the answer of the adapter and the frames that it sends on the bus."""
+        """Process bytes of the host, which may end within a command line; the rest is kept for the next call.
+
+        Returns
+        -------
+        bytes
+            Answers of the adapter: one for each complete line, and BELL for a line that is too long.
+        list of CanFrame
+            Frames that the adapter sends on the bus.
+        """
         answers = bytearray()
         frames: list[CanFrame] = []
         for byte in data:
@@ -43,12 +73,12 @@ class Adapter:
                     answers += ERROR
                 continue
             line, self._line = bytes(self._line), bytearray()
-            frame = self._frame(line) if line[:1] in (b"t", b"T") else None
+            frame = self._parse_frame(line) if line[:1] in (b"t", b"T") else None
             if frame is not None:
                 frames.append(frame)
                 answers += b"Z\r" if frame.extended else b"z\r"
             else:
-                answers += self._answer(line)
+                answers += self._execute_line(line)
         return bytes(answers), frames
 
     def encode(self, frame: CanFrame) -> bytes:
@@ -58,8 +88,11 @@ class Adapter:
         digits = f"T{frame.arbitration_id:08X}" if frame.extended else f"t{frame.arbitration_id:03X}"
         return f"{digits}{len(frame.data)}{frame.data.hex().upper()}\r".encode()
 
-    def _frame(self, line: bytes) -> CanFrame | None:
-        """Return the frame of a command ``t`` or ``T``; None if it is malformed or the channel cannot send."""
+    def _parse_frame(self, line: bytes) -> CanFrame | None:
+        """Return the frame of a command line ``t`` (11 bits) or ``T`` (29 bits).
+
+        None is returned if the line is malformed, or if the channel is closed or listens only.
+        """
         if not self.open or self.listen_only:
             return None
         extended = line[:1] == b"T"
@@ -73,8 +106,11 @@ class Adapter:
             return None
         return CanFrame(arbitration_id, data, extended)
 
-    def _answer(self, line: bytes) -> bytes:
-        """Return the answer to a command that sends no frame."""
+    def _execute_line(self, line: bytes) -> bytes:
+        """Execute a command line that sends no frame, and return the answer; BELL for an error or unknown command.
+
+        The commands `O` and `L` open the channel, and `C` closes it.
+        """
         command = line[:1]
         if command in (b"", b"X") or (command == b"Z" and line == b"Z0"):
             return OK  # a single CR clears the line; auto-poll is always on, time stamps are always off

@@ -1,1 +1,2 @@
+from . import bench as bench
 from . import catalogue as catalogue

@@ -53,19 +53,19 @@ DEMO = (
 )
 
 
-SMALL = 0.05  # share of the full size that the minor effects of a mixture have
-_GROUPS = ((0, EFFECTS), (200, OUTSIDE), (300, NOISE))  # index of the first random stream of each group
+SMALL = 0.05  # fraction of the full size that the minor effects of a mixture have
+_TABLES = ((0, EFFECTS), (200, OUTSIDE), (300, NOISE))  # index of the first random stream of each table
 
 
 def make_effect(name: str, seed: int, scale: float = 1.0) -> HiddenEffect:
-    """Return the effect ``name`` with the size that ``seed`` draws.
+    """Return a hidden effect of the boat with a size that is drawn at random.
 
     Parameters
     ----------
     name : str
         A key of EFFECTS, OUTSIDE or NOISE.
     seed : int
-        Seed of the size, the sign and the direction of the effect.
+        Seed of the size, the sign and the direction of the effect. The same seed gives the same effect.
     scale : float
         Factor on the full size.
 
@@ -74,26 +74,38 @@ def make_effect(name: str, seed: int, scale: float = 1.0) -> HiddenEffect:
     KeyError
         If no effect has this name.
     """
-    for first, group in _GROUPS:
-        if name in group:
-            return group[name](random_stream(seed, EFFECT_SIZE, index=first + list(group).index(name)), scale)
+    for first, table in _TABLES:
+        if name in table:
+            return table[name](random_stream(seed, EFFECT_SIZE, index=first + list(table).index(name)), scale)
     raise KeyError(name)
 
 
 def mixture(name: str, seed: int, scale: float = 1.0, small: float = SMALL) -> tuple[HiddenEffect, ...]:
-    """Return the effect ``name``, followed by all other effects of EFFECTS at a small size.
+    """Return one large hidden effect together with all other effects of EFFECTS at a small size.
 
     Parameters
     ----------
+    name : str
+        Name of the large effect: a key of EFFECTS, OUTSIDE or NOISE.
+    seed : int
+        Seed of the sizes, signs and directions of all effects.
     scale : float
         Factor on the full size of the effect ``name``.
     small : float
         Factor on the full size of each other effect.
+
+    Returns
+    -------
+    tuple of HiddenEffect
+        The large effect first, then the others in the order of EFFECTS.
     """
     minor_effects = (make_effect(minor, seed, small) for minor in EFFECTS if minor != name)
     return (make_effect(name, seed, scale), *minor_effects)
 
 
 def draw_name(seed: int, names: tuple[str, ...] = DEMO) -> str:
-    """Return the name of the effect that ``--effect draw`` chooses for this seed."""
+    """Return one of ``names``, drawn with the seed.
+
+    With the default names it is the effect that ``--effect draw`` chooses for a boat of this seed.
+    """
     return names[int(random_stream(seed, EFFECT_NAME).integers(len(names)))]

@@ -11,9 +11,10 @@ from seatrial.mocks.plant import Gust, HiddenEffect, Maker, Noise, effect_size
 
 
 def _gps(rng: np.random.Generator, scale: float) -> HiddenEffect:
-    """Return time-correlated errors of the GNSS position.
+    """Return the hidden effect "noise-gps": time-correlated errors of the GNSS position.
 
     The error of each axis is a Gauss-Markov process of standard deviation ``sigma`` [m] and correlation time 30 s.
+    ``sigma`` is drawn around ``0.3 scale``.
     """
     sigma = scale * effect_size(rng, 0.3)  # m
     parameters = {"sigma": sigma, "tau": 30.0}
@@ -21,10 +22,10 @@ def _gps(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
 
 def _gusts(rng: np.random.Generator, scale: float) -> HiddenEffect:
-    """Return gusts: coloured forces whose strength changes in a period of 97 s.
+    """Return the hidden effect "noise-gusts": coloured forces whose strength changes in a period of 97 s.
 
     The forces X and Y have the standard deviation ``sigma`` [N], the moment N has ``0.12 sigma`` [N m], and all three
-    have a correlation time of 8 s.
+    have a correlation time of 8 s. ``sigma`` is drawn around ``1.5 scale``.
     """
     sigma = scale * effect_size(rng, 1.5)  # N
     gust = Gust((sigma, sigma, 0.12 * sigma), 8.0, 97.0)
@@ -32,9 +33,10 @@ def _gusts(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
 
 def _outliers(rng: np.random.Generator, scale: float) -> HiddenEffect:
-    """Return outliers of the GNSS position.
+    """Return the hidden effect "noise-outliers": outliers of the GNSS position.
 
-    A ``share`` of the fixes gets an additional error with a standard deviation of 3 m per axis.
+    The fraction ``share`` of the fixes gets an additional error with a standard deviation of 3 m per axis. ``share`` is
+    drawn around ``0.01 scale``.
     """
     share = scale * effect_size(rng, 0.01)
     noise = Noise(outliers=(share, 3.0))
@@ -42,9 +44,10 @@ def _outliers(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
 
 def _small_r(rng: np.random.Generator, scale: float) -> HiddenEffect:
-    """Return sensors that are noisier than declared: all white noise is multiplied by ``gain``.
+    """Return the hidden effect "noise-small-r": AHRS and GNSS are noisier than declared.
 
-    At full size ``gain = sqrt(2)``, which doubles the noise variance.
+    Their white noise is multiplied by ``gain = 1 + scale (sqrt(2) - 1)``. With ``scale = 1`` this doubles the noise
+    variance. Nothing is drawn from ``rng``.
     """
     gain = 1.0 + scale * (2.0**0.5 - 1.0)
     sentence = "the sensors have twice the noise variance that is declared"

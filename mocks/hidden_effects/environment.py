@@ -10,11 +10,13 @@ from seatrial.mocks.plant import HiddenEffect, Maker, Wave, effect_size
 
 
 def _wind(rng: np.random.Generator, scale: float) -> HiddenEffect:
-    """Return the force of a steady wind on the boat.
+    """Return the hidden effect "wind": the force of a steady wind on the boat.
 
-    With the apparent wind ``w = (w_x, w_y)`` [m/s] in body axes and the coefficient ``k`` (``drag``)::
+    With the apparent wind ``w = (w_x, w_y)`` [m/s] in body axes and the coefficient ``k = 0.28 scale`` [N s2/m2]::
 
         X = 0.7 k |w| w_x,  Y = k |w| w_y,  N = 0.2 k w_x w_y
+
+    The true wind speed is drawn around 5.3 m/s whatever ``scale`` is, and its direction uniformly.
     """
     drag = scale * 0.28  # N s2/m2, broadside
     speed = effect_size(rng, 5.3)  # m/s: 8 N broadside
@@ -22,6 +24,7 @@ def _wind(rng: np.random.Generator, scale: float) -> HiddenEffect:
     w_n, w_e = speed * math.cos(toward), speed * math.sin(toward)
 
     def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
+        """Return the force X, Y [N] and moment N [N m] of the effect. `Force` in the plant gives the arguments."""
         rel_n, rel_e = w_n - v_n, w_e - v_e
         forward, starboard = c * rel_n + s * rel_e, c * rel_e - s * rel_n
         speed = math.hypot(forward, starboard)
@@ -37,14 +40,16 @@ def _wind(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
 
 def _current_drift(rng: np.random.Generator, scale: float) -> HiddenEffect:
-    """Return a slow change of the ocean current, as at the turn of a tide.
+    """Return the hidden effect "current-drift": a slow change of the ocean current, as at the turn of a tide.
 
-    The vector ``change`` [m/s] is added to the constant current by the factor ``0.5 tanh((t - 200 s) / 180 s)``.
+    A vector [m/s] times the factor ``0.5 tanh((t - 200 s) / 180 s)`` is added to the constant current. The length of
+    the vector is drawn around ``0.22 scale``, and its direction uniformly.
     """
     change, toward = scale * effect_size(rng, 0.22), 2.0 * math.pi * rng.uniform()  # m/s
     north, east = change * math.cos(toward), change * math.sin(toward)
 
     def current(t: float) -> tuple[float, float]:
+        """Return the change of the current [m/s], north and east, at ``t`` [s] after the start."""
         part = 0.5 * math.tanh((t - 200.0) / 180.0)
         return part * north, part * east
 
@@ -53,16 +58,19 @@ def _current_drift(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
 
 def _tether(rng: np.random.Generator, scale: float) -> HiddenEffect:
-    """Return the drag of a line from the boat to its starting point.
+    """Return the hidden effect "tether": the drag of a line from the boat to its starting point.
 
     With the distance ``d`` [m] from the start and the velocity ``v`` [m/s] over ground::
 
         force = -k d^2 / (d + slack) |v| v
+
+    ``k`` [N s2/m3] is drawn around ``0.08 scale``, and ``slack`` is 8 m.
     """
     k = scale * effect_size(rng, 0.08)  # N s2/m3
     slack = 8.0  # m
 
     def tether(x: float, y: float, v_n: float, v_e: float) -> tuple[float, float]:
+        """Return the force of the line [N], north and east, at a position [m] and velocity over ground [m/s]."""
         away = math.hypot(x, y)
         paid_out = away * away / (away + slack)
         pull = k * paid_out * math.hypot(v_n, v_e)
@@ -73,10 +81,11 @@ def _tether(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
 
 def _waves(rng: np.random.Generator, scale: float) -> HiddenEffect:
-    """Return the forces of irregular waves with a narrow spectrum around ``frequency`` [Hz].
+    """Return the hidden effect "waves": the forces of irregular waves with a narrow spectrum.
 
-    The forces are sums of sines (``Sea`` in seatrial.mocks.plant.weather). Standard deviations at full size: 7 N in
-    surge, 6 N in sway and 0.7 N m in yaw.
+    The forces are sums of sines (``Sea`` in seatrial.mocks.plant.weather). The peak frequency is drawn around 0.45 Hz,
+    and the direction uniformly. The standard deviations are drawn around ``7 scale`` [N] in surge, ``6 scale`` [N] in
+    sway and ``0.7 scale`` [N m] in yaw.
     """
     frequency, toward = effect_size(rng, 0.45), 2.0 * math.pi * rng.uniform()  # Hz, rad
     wave = Wave(
@@ -94,15 +103,18 @@ def _waves(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
 
 def _heading_moment(rng: np.random.Generator, scale: float) -> HiddenEffect:
-    """Return a yaw moment that depends on heading with two cycles per turn, as a long swell causes it.
+    """Return the hidden effect "heading-moment": a yaw moment with two cycles per turn, as a long swell causes it.
 
     With ``a = psi - at``::
 
         N = n sin(2 a) / (1 + 0.3 cos(a))
+
+    ``n`` [N m] is drawn around ``0.5 scale``, and the heading ``at`` [rad] uniformly.
     """
     n, at = scale * effect_size(rng, 0.5), 2.0 * math.pi * rng.uniform()  # N m
 
     def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
+        """Return the force X, Y [N] and moment N [N m] of the effect. `Force` in the plant gives the arguments."""
         along, across = c * math.cos(at) + s * math.sin(at), s * math.cos(at) - c * math.sin(at)
         return 0.0, 0.0, n * 2.0 * along * across / (1.0 + 0.3 * along)
 

@@ -14,23 +14,27 @@ from seatrial.mocks.plant import thrust as thrust_at_rest
 
 
 def _thrust_band(rng: np.random.Generator, scale: float) -> HiddenEffect:
-    """Return a loss of thrust in a band of shaft speeds, as of propellers that draw air.
+    """Return the hidden effect "thrust-band": a loss of thrust in a band of shaft speeds.
 
-    With the mean shaft speed ``n`` of both thrusters, each thrust is multiplied by
-    ``1 - loss / (1 + ((n - at) / 0.12)^4)``.
+    Propellers that draw air lose thrust like this. With the mean shaft speed ``n`` of both thrusters, each thrust is
+    multiplied by ``1 - loss / (1 + ((n - at) / 0.12)^4)``. ``loss`` is drawn around ``0.28 scale``, and ``at`` around
+    0.55.
     """
     loss, at = scale * effect_size(rng, 0.28), effect_size(rng, 0.55)
 
     def lost(n: float) -> float:
+        """Return the fraction of the thrust that is lost at the mean shaft speed ``n``."""
         return loss / (1.0 + ((n - at) / 0.12) ** 4)
 
     def thrust(
         n_l: float, n_r: float, a_l: float, a_r: float, f_l: float, f_r: float, energy: float
     ) -> tuple[float, float]:
-        part = lost((n_l + n_r) / 2.0)
-        return f_l * (1.0 - part), f_r * (1.0 - part)
+        """Return the changed thrust [N], left and right. `Thrust` in the plant gives the arguments."""
+        share = lost((n_l + n_r) / 2.0)
+        return f_l * (1.0 - share), f_r * (1.0 - share)
 
     def curve(n: float) -> float:
+        """Return the change of the surge force [N] of a boat at rest, at the mean shaft speed ``n``."""
         return -2.0 * lost(n) * thrust_at_rest(ThrusterTruth(), n)
 
     sentence = f"both propellers draw air in a band of shaft speeds around {at:.2f}"
@@ -39,19 +43,23 @@ def _thrust_band(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
 
 def _yaw_saddle(rng: np.random.Generator, scale: float) -> HiddenEffect:
-    """Return a yaw moment that changes its sign at the speed ``at`` [m/s].
+    """Return the hidden effect "yaw-saddle": a yaw moment that changes its sign at the surge velocity ``at`` [m/s].
 
-    With ``z = (u - at) / 0.3``::
+    With the surge velocity ``u`` through the water and ``z = (u - at) / 0.3``::
 
         N = 1.65 n z exp(-z^2 / 2)
+
+    ``n`` [N m] is drawn around ``0.7 scale`` with a random sign, and ``at`` around 0.55.
     """
     n, at = scale * effect_size(rng, 0.7, signed=True), effect_size(rng, 0.55)  # N m, m/s
 
     def curve(u: float) -> float:
+        """Return the yaw moment [N m] at the surge velocity ``u`` [m/s]."""
         z = (u - at) / 0.3
         return n * 1.65 * z * math.exp(-0.5 * z * z)
 
     def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
+        """Return the force X, Y [N] and moment N [N m] of the effect. `Force` in the plant gives the arguments."""
         return 0.0, 0.0, curve(u)
 
     sentence = "a bent bow turns the boat one way at low speed and the other way at high speed"
@@ -59,13 +67,19 @@ def _yaw_saddle(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
 
 def _surge_step(rng: np.random.Generator, scale: float) -> HiddenEffect:
-    """Return a drag that drops above the speed ``at`` [m/s]: ``X = relief (1 + tanh((u - at) / 0.05)) / 2``."""
+    """Return the hidden effect "surge-step": a drag that drops above the surge velocity ``at`` [m/s].
+
+    The additional force is ``X = relief (1 + tanh((u - at) / 0.05)) / 2``. ``relief`` [N] is drawn around
+    ``6 scale``, and ``at`` around 0.75.
+    """
     relief, at = scale * effect_size(rng, 6.0), effect_size(rng, 0.75)  # N, m/s
 
     def curve(u: float) -> float:
+        """Return the surge force [N] at the surge velocity ``u`` [m/s]."""
         return relief * 0.5 * (1.0 + math.tanh((u - at) / 0.05))
 
     def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
+        """Return the force X, Y [N] and moment N [N m] of the effect. `Force` in the plant gives the arguments."""
         return curve(u), 0.0, 0.0
 
     sentence = f"above {at:.2f} m/s the stern breaks free and the boat drags less"
@@ -75,13 +89,19 @@ def _surge_step(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
 
 def _heading_third(rng: np.random.Generator, scale: float) -> HiddenEffect:
-    """Return a yaw moment with three cycles per turn of the boat: ``N = n sin(3 (psi - at))``."""
+    """Return the hidden effect "heading-third": a yaw moment with three cycles per turn of the boat.
+
+    The moment is ``N = n sin(3 (psi - at))``. ``n`` [N m] is drawn around ``0.5 scale``, and the heading ``at`` [rad]
+    uniformly.
+    """
     n, at = scale * effect_size(rng, 0.5), 2.0 * math.pi * rng.uniform()  # N m
 
     def curve(psi: float) -> float:
+        """Return the yaw moment [N m] at the heading ``psi`` [rad]."""
         return n * math.sin(3.0 * (psi - at))
 
     def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
+        """Return the force X, Y [N] and moment N [N m] of the effect. `Force` in the plant gives the arguments."""
         return 0.0, 0.0, curve(math.atan2(s, c))
 
     sentence = "waves thrown back by three quays turn the boat, by a moment of three cycles in a circle"
@@ -89,18 +109,22 @@ def _heading_third(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
 
 def _jet_on_hull(rng: np.random.Generator, scale: float) -> HiddenEffect:
-    """Return a side force of a jet that strikes the keel at one difference of the shaft speeds.
+    """Return the hidden effect "jet-on-hull": a sway force of a jet that strikes the keel.
 
-    With the difference ``d = n_left - n_right``::
+    The force depends on the difference ``d = n_left - n_right`` of the shaft speeds::
 
         Y = y exp(-((d - 0.35) / 0.15)^2 / 2)
+
+    ``y`` [N] is drawn around ``5 scale`` with a random sign.
     """
     y = scale * effect_size(rng, 5.0, signed=True)  # N
 
     def curve(difference: float) -> float:
+        """Return the sway force [N] at a difference of the shaft speeds, left minus right."""
         return y * math.exp(-0.5 * ((difference - 0.35) / 0.15) ** 2)
 
     def jet(n_l: float, n_r: float) -> float:
+        """Return the sway force [N] at the shaft speeds of the left and the right thruster."""
         return curve(n_l - n_r)
 
     sentence = "at one difference of the shaft speeds a jet strikes the keel and shoves the boat sideways"

@@ -10,17 +10,21 @@ from seatrial.mocks.plant import HiddenEffect, Maker, effect_size
 
 
 def _advance_ratio(rng: np.random.Generator, scale: float) -> HiddenEffect:
-    """Return the loss of thrust of a propeller that moves through the water.
+    """Return the hidden effect "advance-ratio": the loss of thrust of a propeller that moves through the water.
 
-    With the shaft speed ``n`` and the velocity ``a`` [m/s] of the thruster through the water::
+    With the shaft speed ``n`` and the forward velocity ``a`` [m/s] of the thruster through the water, its thrust ``f``
+    changes to::
 
-        f -> f - k |n| a / (1 + 0.35 |a|)
+        f - k |n| a / (1 + 0.35 |a|)
+
+    ``k`` [N s/m] is drawn around ``7 scale``.
     """
     k = scale * effect_size(rng, 7.0)  # N s/m; at n = 0.6 and 1 m/s the loss is 3 N of 14 N
 
     def thrust(
         n_l: float, n_r: float, a_l: float, a_r: float, f_l: float, f_r: float, energy: float
     ) -> tuple[float, float]:
+        """Return the changed thrust [N], left and right. `Thrust` in the plant gives the arguments."""
         loss_l = k * abs(n_l) * a_l / (1.0 + 0.35 * abs(a_l))
         loss_r = k * abs(n_r) * a_r / (1.0 + 0.35 * abs(a_r))
         return f_l - loss_l, f_r - loss_r
@@ -31,18 +35,21 @@ def _advance_ratio(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
 
 def _reverse_thrust(rng: np.random.Generator, scale: float) -> HiddenEffect:
-    """Return the loss of thrust in reverse, where the jets strike the hull.
+    """Return the hidden effect "reverse-thrust": the loss of thrust in reverse, where the jets strike the hull.
 
-    For ``n < 0`` the thrust is multiplied by ``1 - loss (1 - exp(2.5 n))``.
+    For a shaft speed ``n < 0`` the thrust is multiplied by ``1 - loss (1 - exp(2.5 n))``. ``loss`` is drawn around
+    ``0.4 scale``.
     """
     loss = scale * effect_size(rng, 0.40)  # at n = -0.5 the loss is 0.29 of the thrust
 
     def factor(n: float) -> float:
+        """Return the factor on the thrust at the shaft speed ``n``; 1 if ``n`` is not negative."""
         return 1.0 if n >= 0.0 else 1.0 - loss * (1.0 - math.exp(2.5 * n))
 
     def thrust(
         n_l: float, n_r: float, a_l: float, a_r: float, f_l: float, f_r: float, energy: float
     ) -> tuple[float, float]:
+        """Return the changed thrust [N], left and right. `Thrust` in the plant gives the arguments."""
         return f_l * factor(n_l), f_r * factor(n_r)
 
     sentence = "in reverse the jets strike the hull and part of the thrust is lost; the bench does not show it"
@@ -50,15 +57,17 @@ def _reverse_thrust(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
 
 def _mismatch(rng: np.random.Generator, scale: float) -> HiddenEffect:
-    """Return thrusters of different strength.
+    """Return the hidden effect "mismatch": thrusters of different strength.
 
     The thrust is multiplied by ``1 + eps (0.8 + 0.3 |n|)`` on the left and ``1 - eps (0.8 + 0.3 |n|)`` on the right.
+    ``eps`` is drawn around ``0.05 scale`` with a random sign.
     """
     eps = scale * effect_size(rng, 0.05, signed=True)
 
     def thrust(
         n_l: float, n_r: float, a_l: float, a_r: float, f_l: float, f_r: float, energy: float
     ) -> tuple[float, float]:
+        """Return the changed thrust [N], left and right. `Thrust` in the plant gives the arguments."""
         return f_l * (1.0 + eps * (0.8 + 0.3 * abs(n_l))), f_r * (1.0 - eps * (0.8 + 0.3 * abs(n_r)))
 
     stronger = "left" if eps > 0.0 else "right"
@@ -66,15 +75,17 @@ def _mismatch(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
 
 def _thruster_interaction(rng: np.random.Generator, scale: float) -> HiddenEffect:
-    """Return the loss of thrust in water that the opposite thruster has accelerated.
+    """Return the hidden effect "thruster-interaction": a loss of thrust in water that the other thruster accelerates.
 
-    The thrust is multiplied by ``1 - kappa |n|^1.3``, with the shaft speed ``n`` of the opposite thruster.
+    The thrust is multiplied by ``1 - kappa |n|^1.3``, with the shaft speed ``n`` of the opposite thruster. ``kappa`` is
+    drawn around ``0.17 scale``.
     """
     kappa = scale * effect_size(rng, 0.17)
 
     def thrust(
         n_l: float, n_r: float, a_l: float, a_r: float, f_l: float, f_r: float, energy: float
     ) -> tuple[float, float]:
+        """Return the changed thrust [N], left and right. `Thrust` in the plant gives the arguments."""
         return f_l * (1.0 - kappa * abs(n_r) ** 1.3), f_r * (1.0 - kappa * abs(n_l) ** 1.3)
 
     sentence = "each thruster draws from the water that the other has set in motion"
@@ -82,15 +93,17 @@ def _thruster_interaction(rng: np.random.Generator, scale: float) -> HiddenEffec
 
 
 def _battery_sag(rng: np.random.Generator, scale: float) -> HiddenEffect:
-    """Return the loss of thrust with a falling battery voltage.
+    """Return the hidden effect "battery-sag": the loss of thrust with a falling battery voltage.
 
     The thrust is multiplied by ``1 - beta (1 - exp(-1.6 energy))``, with the used energy in units of ENERGY_UNIT.
+    ``beta`` is drawn around ``0.2 scale``.
     """
     beta = scale * effect_size(rng, 0.20)  # after a mission of ten minutes the loss is 0.16 of the thrust
 
     def thrust(
         n_l: float, n_r: float, a_l: float, a_r: float, f_l: float, f_r: float, energy: float
     ) -> tuple[float, float]:
+        """Return the changed thrust [N], left and right. `Thrust` in the plant gives the arguments."""
         gain = 1.0 - beta * (1.0 - math.exp(-1.6 * energy))
         return gain * f_l, gain * f_r
 
@@ -98,16 +111,16 @@ def _battery_sag(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
 
 def _dead_band(rng: np.random.Generator, scale: float) -> HiddenEffect:
-    """Return propellers with almost no thrust at low shaft speed.
+    """Return the hidden effect "dead-band": propellers with almost no thrust at low shaft speed.
 
     The thrust is multiplied by ``(beyond / |n|)^2``. ``beyond`` is a smooth version of ``max(|n| - band, 0)``
-    (softplus with the width ``band / 4``, shifted to zero at ``n = 0``).
+    (softplus with the width ``band / 4``, shifted to zero at ``n = 0``). ``band`` is drawn around ``0.06 scale``.
     """
     band = scale * effect_size(rng, 0.06)
     soft = 0.25 * band
 
-    def part(n: float) -> float:
-        """Return the share of the thrust that is left at shaft speed ``n``."""
+    def remaining_share(n: float) -> float:
+        """Return the fraction of the thrust that is left at shaft speed ``n``; 1 without an effect or at ``n = 0``."""
         if not band or not n:
             return 1.0
         above = abs(n) - band
@@ -117,16 +130,18 @@ def _dead_band(rng: np.random.Generator, scale: float) -> HiddenEffect:
     def thrust(
         n_l: float, n_r: float, a_l: float, a_r: float, f_l: float, f_r: float, energy: float
     ) -> tuple[float, float]:
-        return f_l * part(n_l), f_r * part(n_r)
+        """Return the changed thrust [N], left and right. `Thrust` in the plant gives the arguments."""
+        return f_l * remaining_share(n_l), f_r * remaining_share(n_r)
 
     sentence = "slow propellers slip through the water and make hardly any thrust"
     return HiddenEffect("dead-band", sentence, {"band": band}, thrust=thrust)
 
 
 def _delay(rng: np.random.Generator, scale: float) -> HiddenEffect:
-    """Return a thrust that follows the shaft speed with a delay.
+    """Return the hidden effect "delay": a thrust that follows the shaft speed with a delay.
 
-    Five sixths of ``delay`` [s] are dead time. One sixth is the time constant of a first-order lag.
+    Five sixths of ``delay`` [s] are dead time. One sixth is the time constant of a first-order lag. ``delay`` is drawn
+    around ``0.3 scale``.
     """
     delay = scale * effect_size(rng, 0.30)  # s
     sentence = "the speed controllers report the shaft speed before the water has it"
@@ -134,9 +149,10 @@ def _delay(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
 
 def _lag(rng: np.random.Generator, scale: float) -> HiddenEffect:
-    """Return a thrust that follows the shaft speed with a first-order lag of time constant ``lag`` [s].
+    """Return the hidden effect "lag": a thrust that follows the shaft speed with a first-order lag.
 
-    The time constant is 20 % longer while the shaft slows down (``Inflow`` in seatrial.mocks.plant.thruster).
+    The time constant ``lag`` [s] is drawn around ``0.3 scale``. It is 20 % longer while the shaft slows down
+    (``Inflow`` in seatrial.mocks.plant.thruster).
     """
     lag = scale * effect_size(rng, 0.30)  # s
     sentence = "the jets take time to build up after the shafts have changed speed"

@@ -12,11 +12,16 @@ GRAVITY = 9.81  # m/s2
 
 
 def _compass(rng: np.random.Generator, scale: float) -> HiddenEffect:
-    """Return a compass deviation: the heading error is ``b sin(psi) + c cos(psi) + d sin(2 psi)`` [rad]."""
+    """Return the hidden effect "compass": a compass deviation as a function of heading.
+
+    The heading error (measured minus true) is ``b sin(psi) + c cos(psi) + d sin(2 psi)`` [rad]. ``b``, ``c`` and ``d``
+    are drawn around ``0.045 scale``, ``0.03 scale`` and ``0.006 scale``, with random signs.
+    """
     b, c = scale * effect_size(rng, 0.045, signed=True), scale * effect_size(rng, 0.03, signed=True)  # rad
     d = scale * effect_size(rng, 0.006, signed=True)
 
     def compass(psi: float) -> float:
+        """Return the compass deviation [rad] at the heading ``psi`` [rad]."""
         return b * math.sin(psi) + c * math.cos(psi) + d * math.sin(2.0 * psi)
 
     sentence = "iron on board deviates the compass, by an angle that depends on heading"
@@ -24,9 +29,10 @@ def _compass(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
 
 def _lever_arm(rng: np.random.Generator, scale: float) -> HiddenEffect:
-    """Return a GNSS antenna that lies ``(l_x, l_y)`` [m] away from its position in the rig file.
+    """Return the hidden effect "lever-arm": a GNSS antenna that lies ``(l_x, l_y)`` [m] from its place in the rig file.
 
-    Position and velocity at the antenna are ``p + R(psi) l`` and ``R(psi) (u - r l_y, v + r l_x)``.
+    Position and velocity at the antenna are ``p + R(psi) l`` and ``R(psi) (u - r l_y, v + r l_x)``. ``l_x`` and ``l_y``
+    are drawn around ``0.5 scale`` and ``0.15 scale``, with random signs.
     """
     forward, starboard = scale * effect_size(rng, 0.5, signed=True), scale * effect_size(rng, 0.15, signed=True)  # m
     sentence = "the GNSS antenna is not at the place in the rig file"
@@ -34,10 +40,10 @@ def _lever_arm(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
 
 def _gnss_latency(rng: np.random.Generator, scale: float) -> HiddenEffect:
-    """Return GNSS fixes that are ``latency`` [s] older than their time stamp.
+    """Return the hidden effect "gnss-latency": GNSS fixes that are ``latency`` [s] older than their time stamp.
 
     60 % of the latency is dead time. 40 % is the time constant of a first-order filter (``Antenna`` in
-    seatrial.mocks.plant.boat).
+    seatrial.mocks.plant.boat). ``latency`` is drawn around ``0.35 scale``.
     """
     latency = scale * effect_size(rng, 0.35)  # s
     sentence = "the GNSS receiver filters and delivers old fixes as if they were new"
@@ -45,9 +51,10 @@ def _gnss_latency(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
 
 def _mount(rng: np.random.Generator, scale: float) -> HiddenEffect:
-    """Return an AHRS that is mounted with a rotation of ``psi_0`` [rad] about the vertical axis.
+    """Return the hidden effect "mount": an AHRS that is mounted with a rotation of ``psi_0`` [rad] about the z axis.
 
-    The heading is measured as ``psi + psi_0``, and the accelerations are measured in the rotated axes.
+    The heading is measured as ``psi + psi_0``, and the accelerations are measured in the rotated axes. ``psi_0`` is
+    drawn around ``0.06 scale`` with a random sign.
     """
     turn = scale * effect_size(rng, 0.06, signed=True)  # rad
     sentence = f"the AHRS is screwed on {abs(math.degrees(turn)):.1f} deg askew"
@@ -55,26 +62,36 @@ def _mount(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
 
 def _gyro_scale(rng: np.random.Generator, scale: float) -> HiddenEffect:
-    """Return a scale error of the yaw gyro: the error of the rate is ``k (r + 0.15 r |r|)`` [rad/s]."""
+    """Return the hidden effect "gyro-scale": a scale error of the yaw gyro.
+
+    The error of the yaw rate is ``k (r + 0.15 r |r|)`` [rad/s]. ``k`` is drawn around ``0.03 scale`` with a random
+    sign.
+    """
     k = scale * effect_size(rng, 0.03, signed=True)
 
     def gyro(r: float) -> float:
+        """Return the error of the yaw rate [rad/s] at the true yaw rate ``r`` [rad/s]."""
         return k * (r + 0.15 * r * abs(r))
 
     return HiddenEffect("gyro-scale", "the yaw gyro's scale is off", {"k": k}, gyro=gyro)
 
 
 def _accelerometer_tilt(rng: np.random.Generator, scale: float) -> HiddenEffect:
-    """Return accelerometers that measure a part of gravity, since the boat pitches with thrust and heels in turns.
+    """Return the hidden effect "accelerometer-tilt": accelerometers that measure a part of gravity.
+
+    The boat pitches with thrust and heels in turns, although its simulated motion stays in the horizontal plane.
 
     With the thrust ``T`` [N] of both thrusters::
 
         a_x -> a_x + g 0.05 tanh(pitch T / 0.05)
         a_y -> a_y + g 0.12 tanh(roll u r / 0.12)
+
+    ``pitch`` [rad/N] is drawn around ``4e-4 scale``, and ``roll`` [rad s2/m] around ``0.04 scale``.
     """
     pitch, roll = scale * effect_size(rng, 4e-4), scale * effect_size(rng, 0.04)  # rad/N, rad s2/m
 
     def accelerometer(a_x: float, a_y: float, thrust: float, u: float, r: float) -> tuple[float, float]:
+        """Return the measured acceleration [m/s2], forward and to starboard."""
         squat = 0.05 * math.tanh(pitch * thrust / 0.05)
         heel = 0.12 * math.tanh(roll * u * r / 0.12)
         return a_x + GRAVITY * squat, a_y + GRAVITY * heel
@@ -84,10 +101,15 @@ def _accelerometer_tilt(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
 
 def _accelerometer_scale(rng: np.random.Generator, scale: float) -> HiddenEffect:
-    """Return a scale error of the accelerometers: each axis is multiplied by ``1 + k / (1 + 0.1 |a|)``."""
+    """Return the hidden effect "accelerometer-scale": a scale error of the accelerometers.
+
+    The acceleration ``a`` [m/s2] of each axis is multiplied by ``1 + k / (1 + 0.1 |a|)``. ``k`` is drawn around
+    ``0.15 scale`` with a random sign.
+    """
     k = scale * effect_size(rng, 0.15, signed=True)
 
     def accelerometer(a_x: float, a_y: float, thrust: float, u: float, r: float) -> tuple[float, float]:
+        """Return the measured acceleration [m/s2], forward and to starboard."""
         return a_x * (1.0 + k / (1.0 + 0.1 * abs(a_x))), a_y * (1.0 + k / (1.0 + 0.1 * abs(a_y)))
 
     sentence = "the accelerometers are set to another range than the driver assumes"

@@ -1,9 +1,10 @@
-from . import bench as bench
-from .bench import NONE as NONE
 from .bench import Bench as Bench
 from .bench import BenchPlant as BenchPlant
 from .bench import BenchShaft as BenchShaft
 from .bench import draw_bench as draw_bench
+from .bench_effect import NONE as NONE
+from .bench_effect import BenchEffect as BenchEffect
+from .bench_effect import ShaftEffect as ShaftEffect
 from .boat import Boat as Boat
 from .boat import BoatPlant as BoatPlant
 from .boat import RigidBodyState as RigidBodyState

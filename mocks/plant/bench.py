@@ -1,22 +1,19 @@
 """Simulated bench: one thruster on a rod in a pool, whose thrust is measured by a load cell.
 
-Hidden effects of the bench act on the force (`BenchEffect`) or on the response of the shaft (`ShaftEffect`).
+Hidden effects of the bench act on the force (`BenchEffect`) or on the response of the shaft (`ShaftEffect`), both in
+seatrial.mocks.plant.bench_effect.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 
-import numpy as np
-
+from seatrial.mocks.plant.bench_effect import NONE, BenchEffect, ShaftEffect
 from seatrial.mocks.plant.thruster import Shaft, ThrusterTruth, draw_thruster, thrust
 from seatrial.mocks.random_streams import (
     DISTURBANCE,
-    EFFECT_NAME,
-    EFFECT_SIZE,
     OrnsteinUhlenbeck,
     normals,
     random_stream,
@@ -25,164 +22,64 @@ from seatrial.mocks.random_streams import (
 STEP = 0.0025  # s
 DISTURBANCE_EVERY = 4  # steps; the disturbance force changes at 100 Hz
 SIGMA, TAU = 0.1, 0.3  # N, s; standard deviation and correlation time of the disturbance in a pool at rest
-# Fields of BenchEffect and ShaftEffect that belong to each effect
-_PARAMETERS: dict[str, tuple[str, ...]] = {
-    "none": (),
-    "rod-flex": ("flex_hz", "flex_damping", "flex_share"),
-    "recirculation": ("wash", "wash_s"),
-    "cell-drift": ("drift",),
-    "cell-lag": ("smooth_s",),
-    "reverse-loss": ("reverse",),
-    "thrust-exponent": ("slow_loss",),
-    "thrust-dead-band": ("band",),
-    "supply-sag": ("sag",),
-    "speed-curve": ("droop",),
-    "second-lag": ("late",),
-    "spin-up": ("brisk",),
-    "slew-limit": ("slew",),
-}
-
-
-@dataclass(frozen=True)
-class ShaftEffect:
-    """Hidden effects of the shaft's response to commands. A size of zero switches the effect off."""
-
-    late: float = 0.0  # s, time constant of a lag in front of the shaft; 5 % longer at rest than at full speed
-    brisk: float = 0.0  # fraction by which the pole is higher while the shaft speeds up
-    slew: float = 0.0  # s, inverse of the highest acceleration at rest; at full speed a sixth longer
-    droop: float = 0.0  # fraction of the speed that is missing at full command
-    sag: float = 0.0  # fraction of the speed that is lost with an empty battery
-
-    @property
-    def any(self) -> bool:
-        """Return whether one of the effects is switched on."""
-        return bool(self.late or self.brisk or self.slew or self.droop or self.sag)
-
-
-NO_SHAFT_EFFECT = ShaftEffect()
-
-
-@dataclass(frozen=True)
-class BenchEffect:
-    """Hidden effect of the bench, or no effect. A size of zero switches a part of the effect off."""
-
-    name: str
-    sentence: str  # description for the user
-    flex_hz: float = 0.0  # Hz, resonance of the rod in its mount
-    flex_damping: float = 0.04  # damping ratio of the rod
-    flex_share: float = 1.0  # share of the force that passes the resonance
-    wash: float = 0.0  # recirculation: fraction of the thrust that is lost if the pool is in full motion
-    wash_s: float = 4.0  # s, time constant in which the pool gets into motion
-    drift: float = 0.0  # N/min^1/2, drift of the load cell with the square root of time
-    smooth_s: float = 0.0  # s, total time constant of the load cell's filter, which has two equal poles
-    reverse: float = 0.0  # fraction of the thrust that is lost in reverse at full speed
-    slow_loss: float = 0.0  # fraction of the thrust that is lost at the lowest shaft speeds
-    band: float = 0.0  # shaft speed (normalised) below which there is almost no thrust
-    shaft: ShaftEffect = NO_SHAFT_EFFECT
-
-    @property
-    def parameters(self) -> dict[str, float]:
-        """Return the true sizes that belong to this effect (SI)."""
-        values = asdict(self) | asdict(self.shaft)
-        return {name: float(values[name]) for name in _PARAMETERS[self.name]}
-
-
-NONE = BenchEffect("none", "no hidden effect: the nominal model is complete")
-# The position in this table selects the stream of random numbers: add new effects at the end.
-EFFECTS: dict[str, Callable[[np.random.Generator, float], BenchEffect]] = {
-    "rod-flex": lambda rng, scale: BenchEffect(
-        "rod-flex", "the rod swings in its mount when thrust changes", flex_hz=_around(rng, 6.0), flex_share=scale
-    ),
-    "recirculation": lambda rng, scale: BenchEffect(
-        "recirculation", "the jet sets the pool in motion and loses thrust to it", wash=scale * _around(rng, 0.12)
-    ),
-    "cell-drift": lambda rng, scale: BenchEffect(
-        "cell-drift", "the load cell creeps as it warms up", drift=scale * _around(rng, 1.0, signed=True)
-    ),
-    "reverse-loss": lambda rng, scale: BenchEffect(
-        "reverse-loss", "in reverse the propeller gives less than its coefficients", reverse=scale * _around(rng, 0.15)
-    ),
-    "supply-sag": lambda rng, scale: _shaft(
-        "supply-sag", "the shaft slows down as the battery is used up", sag=scale * _around(rng, 0.08)
-    ),
-    "second-lag": lambda rng, scale: _shaft(
-        "second-lag", "the speed controller smooths its commands", late=scale * _around(rng, 0.08)
-    ),
-    "spin-up": lambda rng, scale: _shaft(
-        "spin-up", "the shaft speeds up faster than it slows down", brisk=scale * _around(rng, 0.24)
-    ),
-    "slew-limit": lambda rng, scale: _shaft(
-        "slew-limit", "the motor's current is limited, and so is the acceleration of the shaft",
-        slew=scale * _around(rng, 0.8),
-    ),
-    "speed-curve": lambda rng, scale: _shaft(
-        "speed-curve", "the larger the command, the more the shaft falls behind it", droop=scale * _around(rng, 0.08)
-    ),
-    "thrust-dead-band": lambda rng, scale: BenchEffect(
-        "thrust-dead-band", "at slow speed the propeller gives hardly any thrust", band=scale * _around(rng, 0.04)
-    ),
-    "thrust-exponent": lambda rng, scale: BenchEffect(
-        "thrust-exponent", "slow blades lose thrust to viscosity", slow_loss=scale * _around(rng, 0.3)
-    ),
-    "cell-lag": lambda rng, scale: BenchEffect(
-        "cell-lag", "the amplifier of the load cell smooths", smooth_s=scale * _around(rng, 0.06)
-    ),
-}  # fmt: skip
-DEMO = ("rod-flex", "recirculation", "cell-drift")  # effects that `--effect draw` chooses from
-
-
-def _around(rng: np.random.Generator, size: float, *, signed: bool = False) -> float:
-    """Return a random size within 15 % of ``size``; the sign is random too if ``signed`` is set."""
-    return float(size * rng.uniform(0.85, 1.15)) * (1 - 2 * (signed and rng.uniform() < 0.5))
-
-
-def _shaft(name: str, sentence: str, **sizes: float) -> BenchEffect:
-    """Return an effect on the response of the shaft."""
-    return BenchEffect(name, sentence, shaft=ShaftEffect(**sizes))
-
-
-def make_effect(name: str, seed: int, scale: float = 1.0) -> BenchEffect:
-    """Return the effect ``name`` with the size that ``seed`` draws, times ``scale``.
-
-    Raises
-    ------
-    KeyError
-        If no effect of the bench has this name.
-    """
-    return EFFECTS[name](random_stream(seed, EFFECT_SIZE, index=100 + list(EFFECTS).index(name)), scale)
-
-
-def draw_name(seed: int) -> str:
-    """Return the name of the effect that ``--effect draw`` chooses for this seed."""
-    return DEMO[int(random_stream(seed, EFFECT_NAME, index=1).integers(len(DEMO)))]
 
 
 @dataclass(frozen=True)
 class Bench:
-    """Bench parameters that are the same in all runs."""
+    """Bench parameters that are the same in all runs.
+
+    Attributes
+    ----------
+    thruster : ThrusterTruth
+        True parameters of the thruster.
+    effect : BenchEffect
+        Hidden effect of the bench.
+    seed : int
+        Seed of the random numbers of the plant and the sensors.
+    """
 
     thruster: ThrusterTruth
     effect: BenchEffect
     seed: int
 
     def truth(self) -> dict[str, float]:
-        """Return the true parameters of the thruster (SI)."""
+        """Return the true parameters of the thruster (SI), by the names of the fields of `ThrusterTruth`."""
         return asdict(self.thruster)
 
 
 def draw_bench(seed: int, effect: BenchEffect = NONE) -> Bench:
-    """Return the bench of a seed. The thrust coefficients of its thruster are within 5 % of their nominal values."""
+    """Return the bench of a seed.
+
+    The thrust coefficients c1 and c2 of its thruster are drawn within 5 % of their nominal values. ``effect`` is not
+    drawn.
+    """
     return Bench(draw_thruster(seed), effect, seed)
 
 
 class BenchPlant:
-    """Simulation of a bench with a fixed step."""
+    """Simulation of a bench, one thruster on a rod with a load cell, with a fixed step.
+
+    Attributes
+    ----------
+    bench : Bench
+        Parameters of the bench.
+    step_s : float
+        Step of the integration [s].
+    steps : int
+        Number of steps since the start.
+    energy : float
+        Integral of ``|n|^3`` over time [s], with the normalised shaft speed n. It measures the use of the battery.
+    shafts : tuple of one Shaft or BenchShaft
+        The shaft. `BenchShaft` is used only if a hidden effect acts on it.
+    """
 
     def __init__(self, bench: Bench, run: int = 0, *, step: float = STEP, disturbed: bool = True) -> None:
-        """Set up the bench at time 0.
+        """Set up the bench at time 0, with the shaft and the water at rest.
 
         Parameters
         ----------
+        bench : Bench
+            Parameters and hidden effect of the bench.
         run : int
             Number of the run. It selects the random disturbance.
         step : float
@@ -198,7 +95,7 @@ class BenchPlant:
         self.shafts: tuple[Shaft | BenchShaft] = (
             BenchShaft(bench.thruster, effect, step) if effect.any else Shaft(bench.thruster, step),
         )
-        self._pool = 0.0
+        self._water_force = 0.0
         self._disturbance: OrnsteinUhlenbeck | None = None
         if disturbed:
             draw = normals(random_stream(bench.seed, DISTURBANCE, run))
@@ -213,13 +110,16 @@ class BenchPlant:
         return self.steps * self.step_s
 
     def command(self, thruster: int, t: float, n_cmd: float) -> None:
-        """Set the command from time ``t`` [s] on: -1 to 1, positive forward. ``thruster`` is always 0."""
+        """Set the command from time ``t`` [s] on: -1 to 1, positive forward. ``thruster`` must be 0.
+
+        Values beyond -1 to 1 are clipped. Values in the dead zone count as 0. Times must not decrease.
+        """
         self.shafts[thruster].command(t, n_cmd)
 
     def advance(self) -> None:
-        """Integrate one step."""
+        """Integrate one step: disturbance, shaft, used energy, motion of the pool, rod and load cell filter."""
         if self._disturbance is not None and self.steps % DISTURBANCE_EVERY == 0:
-            self._pool = self._disturbance.step()
+            self._water_force = self._disturbance.step()
         n = self.shafts[0].advance()
         self.energy += self.step_s * abs(n) ** 3
         if self.bench.effect.wash:
@@ -227,11 +127,14 @@ class BenchPlant:
         if self.bench.effect.flex_hz:
             self._rod.advance(self.thrust())
         if self.bench.effect.smooth_s:
-            self._smooth()
+            self._advance_cell_filter()
         self.steps += 1
 
     def thrust(self, thruster: int = 0) -> float:
-        """Return the force [N] of the propeller on its shaft, positive forward."""
+        """Return the thrust [N] of the propeller at its present shaft speed, positive forward.
+
+        The losses of hidden effects are included. The rod, the load cell and the disturbance are not.
+        """
         effect, n = self.bench.effect, self.shafts[thruster].n
         if effect.band:
             n -= effect.band * math.tanh(n / effect.band)
@@ -245,34 +148,37 @@ class BenchPlant:
         return force
 
     def force(self) -> float:
-        """Return the force [N] that the load cell measures, without noise."""
+        """Return the force [N] that the load cell measures, positive forward.
+
+        It includes the rod, the disturbance, and the filter and drift of the load cell, but no sensor noise.
+        """
         effect = self.bench.effect
         if effect.smooth_s:
             return self._cell[1] + effect.drift * math.sqrt(self.t / 60.0)
         return self._rod_force() + effect.drift * math.sqrt(self.t / 60.0)
 
     def _rod_force(self) -> float:
-        """Return the force [N] at the end of the rod: the thrust behind the rod's resonance, and the disturbance."""
+        """Return the force [N] on the load cell: the thrust, filtered by the resonance of the rod, plus disturbance."""
         effect, force = self.bench.effect, self.thrust()
         if effect.flex_hz:
             force += effect.flex_share * (self._rod.force - force)
-        return force + self._pool
+        return force + self._water_force
 
-    def _smooth(self) -> None:
-        """Advance the filter of the load cell by one step."""
+    def _advance_cell_filter(self) -> None:
+        """Advance the two equal first-order lags of the load cell's filter by one step."""
         decay, force = math.exp(-2.0 * self.step_s / self.bench.effect.smooth_s), self._rod_force()
         for k in range(2):
             force = self._cell[k] = force + (self._cell[k] - force) * decay
 
 
 class _Rod:
-    """Rod in its mount: a second-order system with little damping.
+    """Rod in its mount: a second-order system with little damping and unit static gain.
 
-    The solution is exact for a force that is constant in each step.
+    The solution is exact for a force that is constant in each step. `force` is the present output [N].
     """
 
     def __init__(self, frequency_hz: float, damping: float, step: float) -> None:
-        """Set the natural frequency [Hz], the damping ratio and the step [s]."""
+        """Start at rest. Arguments: the natural frequency [Hz], the damping ratio (below 1) and the step [s]."""
         omega = 2.0 * math.pi * frequency_hz
         sigma, self._omega_d = damping * omega, omega * math.sqrt(1.0 - damping**2)
         decay, angle = math.exp(-sigma * step), self._omega_d * step
@@ -281,7 +187,7 @@ class _Rod:
         self._rate = 0.0
 
     def advance(self, force: float) -> None:
-        """Advance by one step under ``force`` [N]. The force at the load cell is then `self.force`."""
+        """Advance by one step under the constant input ``force`` [N]. The new output is then in `self.force`."""
         c, s, sigma = self._rotate
         x, v, w = self.force - force, self._rate, self._omega_d
         self.force = force + c * x + s * (v + sigma * x) / w
@@ -295,11 +201,22 @@ class BenchShaft:
     lag. The pole of the shaft may depend on the direction of the change, and the acceleration may be limited.
 
     Each step is split at the times at which the reference changes. Lag and shaft are solved exactly one after the
-    other.
+    other. `n` is the present shaft speed (normalised, positive forward), and `energy` is the integral of ``|n|^3`` over
+    time [s].
     """
 
     def __init__(self, truth: ThrusterTruth, effect: ShaftEffect, dt: float) -> None:
-        """Start at rest at time 0. ``dt`` is the step [s]."""
+        """Start at rest at time 0.
+
+        Parameters
+        ----------
+        truth : ThrusterTruth
+            True parameters of the thruster.
+        effect : ShaftEffect
+            Hidden effects of the shaft's response.
+        dt : float
+            Step [s].
+        """
         self._truth, self._effect, self._dt = truth, effect, dt
         self._steps = 0
         self._ref = self._late = 0.0
@@ -308,7 +225,10 @@ class BenchShaft:
         self.energy = 0.0
 
     def command(self, t: float, n_cmd: float) -> None:
-        """Queue a command (-1 to 1, positive forward) that was received at time ``t`` [s]; ``t`` never decreases."""
+        """Queue a command (-1 to 1, positive forward) that was received at time ``t`` [s]; ``t`` never decreases.
+
+        Values beyond -1 to 1 are clipped. Values in the dead zone count as 0. The delay is added to ``t``.
+        """
         ref = 0.0 if abs(n_cmd) < self._truth.dead_zone else max(-1.0, min(1.0, n_cmd))
         self._pending.append((t + self._truth.delay, ref))
 
@@ -319,14 +239,14 @@ class BenchShaft:
         while self._pending and self._pending[0][0] < end:
             t_switch, ref = self._pending.popleft()
             if t_switch > t:
-                self._relax(t_switch - t)
+                self._advance_with_constant_reference(t_switch - t)
                 t = t_switch
             self._ref = ref
-        self._relax(end - t)
+        self._advance_with_constant_reference(end - t)
         return self.n
 
-    def _relax(self, dt: float) -> None:
-        """Advance by ``dt`` [s] with a constant reference."""
+    def _advance_with_constant_reference(self, dt: float) -> None:
+        """Advance the lag and the shaft by ``dt`` [s] with a constant reference, and add up the used energy."""
         effect = self._effect
         target = self._ref * (1.0 - effect.droop * abs(self._ref) ** 1.3)
         target *= 1.0 - effect.sag * (1.0 - math.exp(-self.energy / 30.0))

@@ -22,16 +22,34 @@ TAU = 2.0  # s, correlation time of the disturbance forces
 
 @dataclass(frozen=True)
 class Boat:
-    """Boat parameters that are the same in all runs. The same seed and effects give the same boat."""
+    """Boat parameters that are the same in all runs. The same seed and effects give the same boat.
+
+    Attributes
+    ----------
+    hull : Hull
+        Masses and damping.
+    thruster : ThrusterTruth
+        Parameters of both thrusters.
+    current : tuple of two floats
+        Constant velocity of the ocean current [m/s], north and east.
+    effects : tuple of HiddenEffect
+        Hidden effects; empty if the nominal model is complete.
+    seed : int
+        Seed of the random numbers of the plant and the sensors.
+    """
 
     hull: Hull
-    thruster: ThrusterTruth  # of both thrusters
-    current: tuple[float, float]  # m/s, north and east
+    thruster: ThrusterTruth
+    current: tuple[float, float]
     effects: tuple[HiddenEffect, ...]
     seed: int
 
     def truth(self) -> dict[str, float]:
-        """Return the true parameters of this boat (SI), with the names of the thesis' model."""
+        """Return the true parameters of this boat (SI) by name: masses, damping, thruster, current and arm.
+
+        The masses of the thesis' model (m_u, m_v, m_r) include the added mass; ``mass`` and ``inertia`` are those of
+        the rigid body. The parameters of hidden effects are not included.
+        """
         rigid = {"mass": self.hull.mass, "inertia": self.hull.inertia}
         current = {"current_n": self.current[0], "current_e": self.current[1], "arm": ARM}
         return {**self.hull.lumped(), **asdict(self.thruster), **current, **rigid}
@@ -40,12 +58,16 @@ class Boat:
 def draw_boat(seed: int, effects: Sequence[HiddenEffect] = (), thruster: ThrusterTruth | None = None) -> Boat:
     """Return the boat of a seed.
 
-    The parameters of the hull are within 10 % of their nominal values. The current is constant.
+    The parameters of the hull are drawn within 10 % of their nominal values. The current is constant and drawn too.
 
     Parameters
     ----------
+    seed : int
+        Seed of the boat.
+    effects : sequence of HiddenEffect
+        Hidden effects of the boat. They are not drawn.
     thruster : ThrusterTruth, optional
-        Parameters of both thrusters; without it the nominal ones.
+        Parameters of both thrusters; the nominal ones if None.
     """
     return Boat(draw_hull(seed), thruster or ThrusterTruth(), draw_current(seed), tuple(effects), seed)
 
@@ -54,26 +76,64 @@ class RigidBodyState(NamedTuple):
     """True motion of the plant at one time, as the input of the sensors.
 
     The axes are NED and body axes as in seatrial.daq.samples.
+
+    Attributes
+    ----------
+    t : float
+        Time since the plant's start [s].
+    x, y : float
+        Position of the origin of the body frame [m], north and east of the start.
+    psi : float
+        Heading [rad], not limited to a turn.
+    r : float
+        Yaw rate [rad/s].
+    ax, ay : float
+        Acceleration of the origin in body axes [m/s2], forward and to starboard.
+    vel_n, vel_e : float
+        Velocity of the origin over ground [m/s], north and east.
+    fix_x, fix_y : float
+        Position [m] that the GNSS receiver reports, without noise: of its antenna, and with its latency.
+    fix_vel_n, fix_vel_e : float
+        Velocity [m/s] that the GNSS receiver reports, without noise.
+    thrust : float
+        Sum of the static thrust of both thrusters at their shaft speeds [N].
     """
 
-    t: float  # s since the plant's start
-    x: float  # m, north
-    y: float  # m, east
-    psi: float  # rad
-    r: float  # rad/s
-    ax: float  # m/s2, acceleration of the origin in body axes
-    ay: float  # m/s2
-    vel_n: float  # m/s
-    vel_e: float  # m/s
-    fix_x: float  # m, position and velocity that the GNSS receiver reports, without noise
-    fix_y: float  # m
-    fix_vel_n: float  # m/s
-    fix_vel_e: float  # m/s
-    thrust: float = 0.0  # N, static thrust of both thrusters at their shaft speeds
+    t: float
+    x: float
+    y: float
+    psi: float
+    r: float
+    ax: float
+    ay: float
+    vel_n: float
+    vel_e: float
+    fix_x: float
+    fix_y: float
+    fix_vel_n: float
+    fix_vel_e: float
+    thrust: float = 0.0
 
 
 class BoatPlant:
-    """Simulation of a boat with a fixed step. Thruster 0 is the left one, thruster 1 the right one."""
+    """Simulation of a boat with a fixed step. Thruster 0 is the left one, thruster 1 the right one.
+
+    Attributes
+    ----------
+    boat : Boat
+        Parameters and hidden effects of the boat.
+    step_s : float
+        Step of the integration [s].
+    steps : int
+        Number of steps since the start.
+    energy : float
+        Integral of ``|n|^3`` over time [s], summed over both thrusters. It measures the use of the battery.
+    shafts : tuple of two Shaft
+        Shafts of the left and the right thruster.
+    state : tuple of eight floats
+        Position x, y [m], heading psi [rad], velocity u, v [m/s] over ground in body axes, yaw rate r [rad/s], and
+        angle [rad] and rate [rad/s] of a swinging payload.
+    """
 
     def __init__(
         self,
@@ -89,14 +149,17 @@ class BoatPlant:
 
         Parameters
         ----------
+        boat : Boat
+            Parameters and hidden effects of the boat.
         run : int
             Number of the run. It selects the random disturbances and the initial heading.
         step : float
             Step of the integration [s].
         state : State, optional
-            Initial state. Without it the boat drifts with the current.
+            Initial state. If it is None, the boat drifts with the current from the position (0, 0), with a random
+            heading.
         disturbed : bool
-            Whether random disturbance forces act.
+            Whether random disturbance forces act. Waves and gusts of hidden effects act in any case.
         n : float
             Initial shaft speed of both thrusters, normalised.
         """
@@ -121,12 +184,15 @@ class BoatPlant:
         self._antenna = Antenna(arm, sum(e.latency for e in boat.effects), step)
 
     def _make_inflows(self, n: float) -> list[Inflow]:
-        """Return the delay from shaft speed to thrust of each thruster; empty if no effect delays the thrust."""
+        """Return the filters from shaft speed to thrust of both thrusters; empty if no effect delays the thrust.
+
+        Delays and lags of several effects add up. ``n`` is the initial shaft speed (normalised).
+        """
         delay, lag = (sum(e.inflow[k] for e in self.boat.effects) for k in (0, 1))
         return [Inflow(delay, lag, 0.5 * self.step_s, n) for _ in range(2)] if delay or lag else []
 
     def _first_state(self, run: int) -> State:
-        """Return a state that drifts with the current, with a random heading."""
+        """Return the initial state of a run: at (0, 0), drifting with the current, with a random heading."""
         psi = float(random_stream(self.boat.seed, START, run).uniform(-math.pi, math.pi))
         v_n, v_e = self.boat.current
         c, s = math.cos(psi), math.sin(psi)
@@ -138,34 +204,40 @@ class BoatPlant:
         return self.steps * self.step_s
 
     def command(self, thruster: int, t: float, n_cmd: float) -> None:
-        """Set the command of thruster 0 (left) or 1 (right) from time ``t`` [s] on: -1 to 1, positive forward."""
+        """Set the command of thruster 0 (left) or 1 (right) from time ``t`` [s] on: -1 to 1, positive forward.
+
+        Values beyond -1 to 1 are clipped. Values in the dead zone count as 0. Times must not decrease.
+        """
         self.shafts[thruster].command(t, n_cmd)
 
     def advance(self) -> None:
-        """Integrate one step."""
+        """Integrate one step: external forces, shafts, state of the boat, used energy and GNSS latency."""
         if self.steps % DISTURBANCE_EVERY == 0:
-            self._disturb()
+            self._update_external_forces()
         left, right = self.shafts
         energy = self.energy / ENERGY_UNIT
         k1 = self._rhs(self.state, *self._n, energy, *self._forces)
         n_mid = (left.advance(), right.advance())
         n_end = (left.advance(), right.advance())
-        f_mid, self._n = self._delayed(n_mid), self._delayed(n_end)
+        f_mid, self._n = self._delayed_shaft_speeds(n_mid), self._delayed_shaft_speeds(n_end)
         self.state = rk4(self._rhs, self.state, k1, self.step_s, (*f_mid, *self._n), energy, self._forces)
         self.energy += self.step_s * (abs(n_mid[0]) ** 3 + abs(n_mid[1]) ** 3)
         self.steps += 1
         if self._antenna.latency:
             self._antenna.push(self.state)
 
-    def _delayed(self, n: tuple[float, float]) -> tuple[float, float]:
-        """Return the delayed shaft speeds that produce thrust. Call it once for each half step."""
+    def _delayed_shaft_speeds(self, n: tuple[float, float]) -> tuple[float, float]:
+        """Return the shaft speeds that produce thrust: left and right, behind the delays of hidden effects.
+
+        Each call advances the delays by half a step. Without such effects ``n`` is returned.
+        """
         if not self._inflows:
             return n
         left, right = self._inflows
         return left.advance(n[0]), right.advance(n[1])
 
-    def _disturb(self) -> None:
-        """Update the external forces and the current for the next DISTURBANCE_EVERY steps."""
+    def _update_external_forces(self) -> None:
+        """Draw the disturbance forces, waves, gusts and the current for the next DISTURBANCE_EVERY steps."""
         x, y, n = (d.step() for d in self._disturbances) if self._disturbances else (0.0, 0.0, 0.0)
         if self._weather:
             weather = self._weather.forces(self.t, self.state[2])
@@ -176,7 +248,7 @@ class BoatPlant:
             self._water[:] = (v + sum(c[k] for c in changes) for k, v in enumerate(self.boat.current))
 
     def motion(self) -> RigidBodyState:
-        """Return the true motion at the present time, as the input of the sensors."""
+        """Return the true motion at the present time, as the input of the sensors. The plant does not change."""
         s = self.state
         x, y, psi, u, v, r = s[:6]
         rate = self._rhs(s, *self._n, self.energy / ENERGY_UNIT, *self._forces)
@@ -186,14 +258,18 @@ class BoatPlant:
         return RigidBodyState(self.t, x, y, psi, r, ax, ay, vel_n, vel_e, *self._antenna.place(s), thrust)
 
     def thrust(self, thruster: int) -> float:
-        """Return the static thrust [N] at the shaft speed of a thruster. Its motor current depends on this thrust."""
+        """Return the static thrust [N] of thruster 0 (left) or 1 (right) at its shaft speed, positive forward.
+
+        Hidden effects and delays are not included. The simulated motor current depends on this thrust.
+        """
         return thrust(self.boat.thruster, self.shafts[thruster].n)
 
 
 class Antenna:
     """GNSS antenna with a lever arm and a latency.
 
-    60 % of the latency is dead time. 40 % is the time constant of a first-order filter.
+    60 % of the latency is dead time. 40 % is the time constant of a first-order filter. The attribute `latency` is the
+    latency [s].
     """
 
     def __init__(self, arm: tuple[float, float], latency: float, step: float) -> None:
@@ -201,29 +277,30 @@ class Antenna:
         self._arm = arm
         self.latency = latency
         self._queue: deque[tuple[float, float, float, float]] = deque()
-        self._length = round(0.6 * latency / step)
-        self._keep = math.exp(-step / (0.4 * latency)) if latency else 0.0
+        self._queue_length = round(0.6 * latency / step)
+        self._decay = math.exp(-step / (0.4 * latency)) if latency else 0.0
         self._filtered: tuple[float, float, float, float] | None = None
 
     def push(self, state: State) -> None:
-        """Add the state after a step. Only an antenna with a latency needs these calls."""
-        self._queue.append(self._at(state))
+        """Add the state of the boat after a step to the dead time and the filter. Needed only with a latency."""
+        self._queue.append(self._position_and_velocity(state))
         if self._filtered is None:
             self._filtered = self._queue[0]
-        if len(self._queue) > self._length:
-            new, old, keep = self._queue.popleft(), self._filtered, self._keep
+        if len(self._queue) > self._queue_length:
+            new, old, keep = self._queue.popleft(), self._filtered, self._decay
             x, y, v_n, v_e = (b + keep * (a - b) for a, b in zip(old, new, strict=True))
             self._filtered = (x, y, v_n, v_e)
 
     def place(self, state: State) -> tuple[float, float, float, float]:
-        """Return the reported position [m, m] and velocity [m/s, m/s], each north and east.
+        """Return the reported position and velocity of the antenna: north [m], east [m], north [m/s], east [m/s].
 
-        Without a latency they belong to ``state``; with one, to the states that `push` has added.
+        Without a latency, or before the first `push`, they belong to ``state``. With a latency they belong to the
+        states that `push` has added.
         """
-        return self._at(state) if self._filtered is None else self._filtered
+        return self._position_and_velocity(state) if self._filtered is None else self._filtered
 
-    def _at(self, state: State) -> tuple[float, float, float, float]:
-        """Return position and velocity of the antenna, without a latency."""
+    def _position_and_velocity(self, state: State) -> tuple[float, float, float, float]:
+        """Return the position [m, m] and velocity [m/s, m/s] of the antenna, north and east, at a state of the boat."""
         x, y, psi, u, v, r = state[:6]
         c, s = math.cos(psi), math.sin(psi)
         forward, starboard = self._arm

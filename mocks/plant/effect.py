@@ -1,4 +1,7 @@
-"""Hidden effect of the mock boat: the hooks by which it acts on the plant and on the sensors."""
+"""Hidden effect of the mock boat: the hooks by which it acts on the plant and on the sensors.
+
+A hook is a function or a number of the effect that the plant or a sensor model uses in its equations.
+"""
 
 from __future__ import annotations
 
@@ -29,79 +32,188 @@ ENERGY_UNIT = 150.0  # s; integral of |n|^3 over a mission of ten minutes, summe
 
 @dataclass(frozen=True)
 class Wave:
-    """Long-crested irregular waves with one peak in their spectrum."""
+    """Long-crested irregular waves with one peak in their spectrum.
 
-    frequency: float  # Hz, of the peak
-    width: float  # of the peak, as a share of the frequency
-    toward: float  # rad, direction of travel in NED
-    surge: float  # N, standard deviation of the force in head seas
-    sway: float  # N, standard deviation of the force in beam seas
-    yaw: float  # N m, standard deviation of the moment in quartering seas
+    Attributes
+    ----------
+    frequency : float
+        Frequency of the spectral peak [Hz].
+    width : float
+        Width of the peak, as a fraction of ``frequency``.
+    toward : float
+        Direction in which the waves travel [rad], from north to east.
+    surge : float
+        Standard deviation of the surge force [N] if the waves travel along the boat.
+    sway : float
+        Standard deviation of the sway force [N] if the waves travel across the boat.
+    yaw : float
+        Standard deviation of the yaw moment [N m] if the waves travel at 45 degrees to the boat.
+    """
+
+    frequency: float
+    width: float
+    toward: float
+    surge: float
+    sway: float
+    yaw: float
 
 
 @dataclass(frozen=True)
 class Gust:
-    """Gusts: first-order coloured forces whose strength alternates between strong and weak."""
+    """Gusts: first-order Gauss-Markov forces whose strength alternates between strong and weak.
 
-    sigma: tuple[float, float, float]  # N, N, N m, standard deviations of X, Y and N
-    tau: float  # s, correlation time
-    period: float  # s, from one strong phase to the next
+    Attributes
+    ----------
+    sigma : tuple of three floats
+        Standard deviations of the surge force, the sway force and the yaw moment [N, N, N m], as RMS over a period.
+    tau : float
+        Correlation time of the forces [s].
+    period : float
+        Time from the start of one strong phase to the start of the next [s]. Half of it is strong, half weak.
+    """
+
+    sigma: tuple[float, float, float]
+    tau: float
+    period: float
 
 
 @dataclass(frozen=True)
 class Noise:
-    """Size of the noise of AHRS and GNSS, and GNSS errors that are not white: correlated errors and outliers."""
+    """Size of the noise of AHRS and GNSS, and GNSS errors that are not white: correlated errors and outliers.
 
-    gain: float = 1.0  # factor on all white noise of AHRS and GNSS
-    # Gauss-Markov error of the GNSS position: standard deviation (m) and correlation time (s)
+    Attributes
+    ----------
+    gain : float
+        Factor on the standard deviations of the white noise of AHRS (except its magnetometer) and GNSS.
+    colour : tuple of two floats
+        Gauss-Markov error of each axis of the GNSS position: standard deviation [m] and correlation time [s]. A
+        standard deviation of 0 switches it off.
+    outliers : tuple of two floats
+        Fraction of the GNSS fixes that are outliers, and standard deviation of their additional error per axis [m]. A
+        fraction of 0 switches them off.
+    """
+
+    gain: float = 1.0
     colour: tuple[float, float] = (0.0, 1.0)
-    # Share of the GNSS fixes that are outliers, and standard deviation of their error (m)
     outliers: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True)
 class Answer:
-    """Correct diagnosis of an effect that has no name: a force as a function of one variable."""
+    """Correct diagnosis of an effect that has no name in the catalogue of ident: a force as a function of one variable.
 
-    force: str  # "X", "Y" or "N"
-    variable: str  # "u", "v", "r", "psi", "n_sum" (mean of both shaft speeds) or "n_diff" (left less right)
-    curve: Callable[[float], float]  # force in N, or moment in N m
+    Attributes
+    ----------
+    force : str
+        Affected force: "X" (surge), "Y" (sway) or "N" (yaw moment).
+    variable : str
+        Variable on which the force depends: "u", "v", "r", "psi", "n_sum" (mean of both shaft speeds) or "n_diff" (left
+        minus right shaft speed).
+    curve : callable
+        Function of the variable (SI, shaft speeds normalised) that returns the force [N] or moment [N m].
+    """
+
+    force: str
+    variable: str
+    curve: Callable[[float], float]
 
 
 @dataclass(frozen=True)
 class HiddenEffect:
-    """Hidden effect: its name, its true parameters and its hooks.
+    """Hidden effect of the mock boat: its name, its true parameters and its hooks.
 
-    Hooks that the effect does not use are None or zero.
+    Hooks that the effect does not use have their default, which is None or zero. The comments at the top of this file
+    give the arguments of the callable hooks.
+
+    Attributes
+    ----------
+    name : str
+        Name of the effect, for example "wind".
+    sentence : str
+        Description for the user.
+    parameters : dict of str to float
+        True values of the parameters (SI), for the ground-truth file.
+    thrust : callable, optional
+        Replaces the thrust of both thrusters [N].
+    inflow : tuple of two floats
+        Delay and time constant of a first-order lag from shaft speed to thrust [s].
+    force : callable, optional
+        Returns an additional force and moment (X, Y, N) [N, N, N m] as a function of the motion.
+    jet : callable, optional
+        Returns an additional sway force [N] as a function of both shaft speeds.
+    tether : callable, optional
+        Returns an additional force [N], north and east, as a function of the position.
+    current : callable, optional
+        Returns the change of the ocean current [m/s], north and east, as a function of time.
+    wave : Wave, optional
+        Waves that act on the boat.
+    gust : Gust, optional
+        Gusts that act on the boat.
+    x_g : float
+        Position of the centre of gravity forward of the origin of the body frame [m].
+    pendulum : tuple of three floats, optional
+        Mass [kg], length [m] and damping [1/s] of a payload that swings fore and aft.
+    compass : callable, optional
+        Returns the compass deviation [rad] (measured minus true) as a function of heading [rad].
+    mount : float
+        Rotation of the AHRS about the vertical axis [rad]: measured minus true heading.
+    gyro : callable, optional
+        Returns the error of the yaw gyro [rad/s] as a function of the true yaw rate [rad/s].
+    accelerometer : callable, optional
+        Returns the measured acceleration [m/s2], forward and to starboard.
+    lever_arm : tuple of two floats, optional
+        True position of the GNSS antenna from the origin [m], forward and to starboard.
+    latency : float
+        Latency of the GNSS fixes [s].
+    noise : Noise, optional
+        Noise that differs from the declared noise.
+    answer : Answer, optional
+        Correct diagnosis of an effect that has no name in the catalogue of ident.
     """
 
     name: str
-    sentence: str  # description for the user
-    parameters: dict[str, float] = field(default_factory=dict)  # true values, SI
+    sentence: str
+    parameters: dict[str, float] = field(default_factory=dict)
     thrust: Thrust | None = None
-    inflow: tuple[float, float] = (0.0, 0.0)  # s, delay and first-order lag from shaft speed to thrust
+    inflow: tuple[float, float] = (0.0, 0.0)
     force: Force | None = None
     jet: Jet | None = None
     tether: Tether | None = None
     current: Current | None = None
     wave: Wave | None = None
     gust: Gust | None = None
-    x_g: float = 0.0  # m, centre of gravity forward of the origin
-    pendulum: tuple[float, float, float] | None = None  # mass (kg), length (m) and damping (1/s) of a swinging payload
-    compass: Callable[[float], float] | None = None  # deviation (rad) as a function of heading (rad)
-    mount: float = 0.0  # rad, measured less true heading
-    gyro: Callable[[float], float] | None = None  # error of the gyro (rad/s) as a function of the yaw rate (rad/s)
+    x_g: float = 0.0
+    pendulum: tuple[float, float, float] | None = None
+    compass: Callable[[float], float] | None = None
+    mount: float = 0.0
+    gyro: Callable[[float], float] | None = None
     accelerometer: Accelerometer | None = None
-    lever_arm: tuple[float, float] | None = None  # m, GNSS antenna forward and to starboard of the origin
-    latency: float = 0.0  # s, of the GNSS
+    lever_arm: tuple[float, float] | None = None
+    latency: float = 0.0
     noise: Noise | None = None
-    answer: Answer | None = None  # correct diagnosis, if the effect has no name
+    answer: Answer | None = None
 
 
+# maker(rng, scale) -> HiddenEffect: draws the size of an effect and multiplies it by scale
 Maker = Callable[[np.random.Generator, float], HiddenEffect]
 
 
 def effect_size(rng: np.random.Generator, full: float, *, signed: bool = False) -> float:
-    """Return a random size within 15 % of ``full``; the sign is random too if ``signed`` is set."""
+    """Draw the random size of an effect.
+
+    Parameters
+    ----------
+    rng : np.random.Generator
+        Generator of random numbers. One number is drawn, or two if ``signed`` is true.
+    full : float
+        Mean size, in any unit.
+    signed : bool
+        Whether the sign is random too, plus or minus with equal probability.
+
+    Returns
+    -------
+    float
+        ``full`` times a factor that is uniform between 0.85 and 1.15, with the random sign.
+    """
     sign = -1.0 if signed and rng.uniform() < 0.5 else 1.0
     return float(sign * full * rng.uniform(0.85, 1.15))

@@ -32,24 +32,38 @@ class Hull:
 
     The defaults are the nominal values of table 1 of the thesis. Rigid-body and added masses are separated as in DSOR's
     mred_sim.yaml.
+
+    Attributes
+    ----------
+    mass : float
+        Rigid-body mass [kg].
+    inertia : float
+        Rigid-body moment of inertia in yaw about the centre of gravity [kg m2].
+    added_u, added_v, added_r : float
+        Added mass in surge [kg] and sway [kg], added moment of inertia in yaw [kg m2].
+    d_u, d_v, d_r : float
+        Linear damping in surge [kg/s], sway [kg/s] and yaw [kg m2/s].
+    d_uu, d_vv, d_rr : float
+        Quadratic damping in surge [kg/m], sway [kg/m] and yaw [kg m2].
     """
 
-    mass: float = 17.0  # kg
-    inertia: float = 9.19  # kg m2, yaw, about the centre of gravity
-    added_u: float = 20.0  # kg
-    added_v: float = 30.0  # kg
-    added_r: float = 0.5  # kg m2
-    d_u: float = 0.2  # kg/s
-    d_uu: float = 25.0  # kg/m
-    d_v: float = 50.0  # kg/s
-    d_vv: float = 20.0  # kg/m; the thesis prints 0.01, with which the damping in sway would be almost linear
-    d_r: float = 4.14  # kg m2/s
-    d_rr: float = 6.23  # kg m2
+    mass: float = 17.0
+    inertia: float = 9.19
+    added_u: float = 20.0
+    added_v: float = 30.0
+    added_r: float = 0.5
+    d_u: float = 0.2
+    d_uu: float = 25.0
+    d_v: float = 50.0
+    d_vv: float = 20.0  # the thesis prints 0.01, with which the damping in sway would be almost linear
+    d_r: float = 4.14
+    d_rr: float = 6.23
 
     def lumped(self) -> dict[str, float]:
-        """Return the parameters of the thesis' model.
+        """Return the parameters of the thesis' model by name.
 
-        Its masses [kg, kg, kg m2] are sums of the rigid-body and the added mass. The damping is unchanged.
+        m_u, m_v and m_r [kg, kg, kg m2] are sums of the rigid-body and the added mass. d_u, d_uu, d_v, d_vv, d_r and
+        d_rr are the fields of the same name.
         """
         return {
             "m_u": self.mass + self.added_u,
@@ -64,7 +78,10 @@ CURRENT_MAX = 0.25  # m/s, largest speed of the current
 
 
 def draw_hull(seed: int, spread: float = 0.10) -> Hull:
-    """Return a hull with random parameters, each within the fraction ``spread`` of its nominal value."""
+    """Return the hull of a seed.
+
+    Each parameter is its nominal value times a factor that is uniform between ``1 - spread`` and ``1 + spread``.
+    """
     nominal = Hull()
     factors = 1.0 + spread * random_stream(seed, PARAMETERS).uniform(-1.0, 1.0, len(fields(Hull)))
     return replace(
@@ -74,7 +91,10 @@ def draw_hull(seed: int, spread: float = 0.10) -> Hull:
 
 
 def draw_current(seed: int) -> tuple[float, float]:
-    """Return the velocity [m/s] (north, east) of a random current with a speed of up to CURRENT_MAX."""
+    """Return the ocean current of a seed: its constant velocity [m/s], north and east.
+
+    The speed is uniform between 0 and CURRENT_MAX (0.25 m/s), and the direction is uniform.
+    """
     rng = random_stream(seed, CURRENT)
     speed, toward = CURRENT_MAX * rng.uniform(), 2.0 * math.pi * rng.uniform()
     return speed * math.cos(toward), speed * math.sin(toward)
@@ -88,9 +108,10 @@ Forces = Callable[[State, Pair, Pair, Pair, Pair, float, Triple], Triple]
 
 
 def _make_forces(hull: Hull, thruster: ThrusterTruth, effects: Sequence[HiddenEffect]) -> Forces:
-    """Return the function that sums all forces on the boat [N, N, N m].
+    """Return the function that sums all forces on the boat: surge force, sway force and yaw moment [N, N, N m].
 
-    The sum has the thrust, the damping, the forces of the hidden effects and the external forces.
+    The sum contains the thrust, the damping, the forces of the hooks of ``effects``, and the external forces, which are
+    an argument of the function. `Forces` gives all its arguments. Coriolis forces and masses are not in the sum.
     """
     c1, c2 = thruster.c1, thruster.c2
     d_u, d_uu, d_v, d_vv, d_r, d_rr = hull.d_u, hull.d_uu, hull.d_v, hull.d_vv, hull.d_r, hull.d_rr
@@ -100,6 +121,7 @@ def _make_forces(hull: Hull, thruster: ThrusterTruth, effects: Sequence[HiddenEf
     tethers = [e.tether for e in effects if e.tether is not None]
 
     def forces(s: State, water: Pair, ground: Pair, turn: Pair, n: Pair, energy: float, external: Triple) -> Triple:
+        """Return the sum of all forces X, Y, N [N, N, N m]. `Forces` gives the arguments."""
         (u_w, v_w), (vel_n, vel_e), (c, si), (n_l, n_r) = water, ground, turn, n
         x_force, y_force, n_moment = external
         r = s[5]
@@ -125,15 +147,25 @@ def _make_forces(hull: Hull, thruster: ThrusterTruth, effects: Sequence[HiddenEf
 def make_rhs(
     hull: Hull, thruster: ThrusterTruth, current: Sequence[float], effects: Sequence[HiddenEffect] = ()
 ) -> Rhs:
-    """Return the right-hand side of the equations of motion.
+    """Return the right-hand side of the equations of motion as a function.
 
     Parameters
     ----------
+    hull : Hull
+        Masses and damping of the boat.
+    thruster : ThrusterTruth
+        Thrust coefficients of both thrusters.
     current : sequence of two floats
         Velocity of the current [m/s], north and east. The caller may change the values between steps, but slowly:
         the equations neglect the acceleration of the current.
     effects : sequence of HiddenEffect
         Hidden effects whose hooks act on forces and masses.
+
+    Returns
+    -------
+    callable
+        Function of the state, the shaft speeds of the left and the right thruster (normalised), the used energy in
+        units of ENERGY_UNIT, and the external forces X, Y, N [N, N, N m]. It returns the time derivative of the state.
 
     Notes
     -----
@@ -149,6 +181,7 @@ def make_rhs(
     bob_mass, bob_length, bob_damping = bob if bob is not None else (0.0, 1.0, 0.0)
 
     def rhs(s: State, n_l: float, n_r: float, energy: float, x_force: float, y_force: float, n_moment: float) -> State:
+        """Return the time derivative of the state ``s``."""
         _, _, psi, u, v, r, angle, rate = s
         c, si = cos(psi), sin(psi)
         v_n, v_e = current
@@ -202,14 +235,14 @@ def rk4(
         External forces [N, N, N m], constant in the step.
     """
     mid_l, mid_r, end_l, end_r = n
-    k2 = rhs(_shift(s, k1, 0.5 * h), mid_l, mid_r, energy, *forces)
-    k3 = rhs(_shift(s, k2, 0.5 * h), mid_l, mid_r, energy, *forces)
-    k4 = rhs(_shift(s, k3, h), end_l, end_r, energy, *forces)
-    return _shift(s, _weigh(k1, k2, k3, k4), h / 6.0)
+    k2 = rhs(_state_plus(s, k1, 0.5 * h), mid_l, mid_r, energy, *forces)
+    k3 = rhs(_state_plus(s, k2, 0.5 * h), mid_l, mid_r, energy, *forces)
+    k4 = rhs(_state_plus(s, k3, h), end_l, end_r, energy, *forces)
+    return _state_plus(s, _weighted_sum(k1, k2, k3, k4), h / 6.0)
 
 
-def _weigh(a: State, b: State, c: State, d: State) -> State:
-    """Return ``a + 2 b + 2 c + d``."""
+def _weighted_sum(a: State, b: State, c: State, d: State) -> State:
+    """Return ``a + 2 b + 2 c + d`` of four time derivatives of the state, as the Runge-Kutta method needs it."""
     # Written out, since a loop takes three times as long.
     return (
         a[0] + 2.0 * (b[0] + c[0]) + d[0],
@@ -223,8 +256,8 @@ def _weigh(a: State, b: State, c: State, d: State) -> State:
     )
 
 
-def _shift(s: State, k: State, h: float) -> State:
-    """Return ``s + h k``."""
+def _state_plus(s: State, k: State, h: float) -> State:
+    """Return ``s + h k``: the state ``s`` after the time ``h`` [s] with the constant time derivative ``k``."""
     # Written out, since a loop takes three times as long.
     x, y, psi, u, v, r, angle, rate = s
     a, b, c, d, e, f, g, i = k

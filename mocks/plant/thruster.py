@@ -16,17 +16,33 @@ from seatrial.mocks.random_streams import THRUSTER, random_stream
 
 @dataclass(frozen=True)
 class ThrusterTruth:
-    """True parameters of a thruster. The shaft speed ``n`` is normalised by ``rpm_max``."""
+    """True parameters of a thruster. The shaft speed ``n`` is divided by the full shaft speed.
 
-    c1: float = 40.05  # N; force = c1 n|n| + c2 n^2
-    c2: float = 1.11  # N
-    pole: float = 7.2115  # 1/s
-    delay: float = 0.345  # s, from the command to the shaft
-    dead_zone: float = 0.086  # for smaller commands the motor stands still; for larger ones n_ref = n_cmd
+    Attributes
+    ----------
+    c1, c2 : float
+        Thrust coefficients [N]: the static thrust is ``c1 n|n| + c2 n^2``.
+    pole : float
+        Pole of the first-order lag from the set-point to the shaft speed [1/s].
+    delay : float
+        Dead time from the command to the shaft [s].
+    dead_zone : float
+        Smallest command that turns the shaft, as a fraction of full command. Smaller commands count as zero.
+    """
+
+    c1: float = 40.05
+    c2: float = 1.11
+    pole: float = 7.2115
+    delay: float = 0.345
+    dead_zone: float = 0.086
 
 
 def draw_thruster(seed: int, spread: float = 0.05) -> ThrusterTruth:
-    """Return a thruster with random thrust coefficients, within the fraction ``spread`` of the nominal ones."""
+    """Return the thruster of a seed.
+
+    c1 and c2 are their nominal values, each times a factor that is uniform between ``1 - spread`` and ``1 + spread``.
+    The other parameters are nominal.
+    """
     rng = random_stream(seed, THRUSTER)
     nominal = ThrusterTruth()
     c1, c2 = (1.0 + spread * rng.uniform(-1.0, 1.0, 2)).tolist()
@@ -37,11 +53,15 @@ class Shaft:
     """Shaft of a thruster, with delayed commands and a first-order lag.
 
     The equation ``n' = pole (n_ref(t - delay) - n)`` is linear, and ``n_ref`` is piecewise constant. The solution is
-    therefore exact between the switching times and needs no numerical integration.
+    therefore exact between the switching times and needs no numerical integration. The attribute `n` is the present
+    shaft speed (normalised, positive forward).
     """
 
     def __init__(self, truth: ThrusterTruth, dt: float, n: float = 0.0) -> None:
-        """Start at time 0 with the constant shaft speed ``n`` (normalised). ``dt`` is the step [s]."""
+        """Start at time 0 with the constant shaft speed ``n`` (normalised).
+
+        ``truth`` has the pole, the delay and the dead zone. ``dt`` is the step [s].
+        """
         self._truth = truth
         self._dt = dt
         self._decay = math.exp(-truth.pole * dt)
@@ -51,7 +71,10 @@ class Shaft:
         self.n = n
 
     def command(self, t: float, n_cmd: float) -> None:
-        """Queue a command (-1 to 1, positive forward) that was received at time ``t`` [s]; ``t`` never decreases."""
+        """Queue a command (-1 to 1, positive forward) that was received at time ``t`` [s]; ``t`` never decreases.
+
+        Values beyond -1 to 1 are clipped. Values in the dead zone count as 0. The delay is added to ``t``.
+        """
         ref = 0.0 if abs(n_cmd) < self._truth.dead_zone else max(-1.0, min(1.0, n_cmd))
         self._pending.append((t + self._truth.delay, ref))
 
@@ -60,29 +83,29 @@ class Shaft:
         self._steps += 1
         pending = self._pending
         if pending and pending[0][0] < self._steps * self._dt:
-            self._switch()
+            self._advance_with_new_references()
         else:
             self.n = self._ref + (self.n - self._ref) * self._decay
         return self.n
 
-    def _switch(self) -> None:
-        """Advance by one step in which the reference changes once or several times."""
+    def _advance_with_new_references(self) -> None:
+        """Advance by one step in which the reference changes at least once. The step is split at these times."""
         t, t_end = (self._steps - 1) * self._dt, self._steps * self._dt
         while self._pending and self._pending[0][0] < t_end:
             t_switch, ref = self._pending.popleft()
             if t_switch > t:
-                self._relax(t_switch - t)
+                self._advance_with_constant_reference(t_switch - t)
                 t = t_switch
             self._ref = ref
-        self._relax(t_end - t)
+        self._advance_with_constant_reference(t_end - t)
 
-    def _relax(self, dt: float) -> None:
-        """Advance by ``dt`` [s] with a constant reference."""
+    def _advance_with_constant_reference(self, dt: float) -> None:
+        """Advance the shaft by ``dt`` [s] with a constant reference."""
         self.n = self._ref + (self.n - self._ref) * math.exp(-self._truth.pole * dt)
 
 
 class Inflow:
-    """Delay and first-order lag from the shaft speed to the shaft speed that produces thrust."""
+    """Delay and first-order lag of the water: from the shaft speed to the shaft speed that produces thrust."""
 
     def __init__(self, delay: float, lag: float, dt: float, n: float = 0.0) -> None:
         """Set the delay [s], the time constant of the lag [s], the step [s] and the initial shaft speed.
@@ -103,5 +126,9 @@ class Inflow:
 
 
 def thrust(truth: ThrusterTruth, n: float) -> float:
-    """Return the force [N] of a thruster that does not move through the water (thesis, section 4.2)."""
+    """Return the static thrust [N], ``c1 n|n| + c2 n^2``, at the normalised shaft speed ``n`` (thesis, section 4.2).
+
+    ``truth`` has the coefficients c1 and c2. Static means that the thruster does not move through the water. Positive
+    is forward.
+    """
     return truth.c1 * n * abs(n) + truth.c2 * n * n

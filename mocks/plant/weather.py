@@ -18,20 +18,36 @@ class Weather:
     """All waves and gusts of a boat in one run. Its truth value is False if the boat has no waves and no gusts."""
 
     def __init__(self, effects: Sequence[HiddenEffect], seed: int, run: int, dt: float) -> None:
-        """Draw the waves and gusts of ``effects``. `forces` must be called every ``dt`` [s]."""
-        self._parts: list[Sea | Squalls] = [
+        """Draw the waves and gusts of a run.
+
+        Parameters
+        ----------
+        effects : sequence of HiddenEffect
+            Hidden effects. Those without waves and gusts are ignored.
+        seed : int
+            Seed of the boat.
+        run : int
+            Number of the run. It selects the stream of random numbers.
+        dt : float
+            Time between two calls of `forces` [s].
+        """
+        self._sources: list[Sea | Squalls] = [
             Sea(e.wave, random_stream(seed, WAVES, run, k)) for k, e in enumerate(effects) if e.wave is not None
         ]
-        self._parts += [
+        self._sources += [
             Squalls(e.gust, random_stream(seed, GUSTS, run, k), dt) for k, e in enumerate(effects) if e.gust is not None
         ]
 
     def __bool__(self) -> bool:
-        return bool(self._parts)
+        """Return whether the boat has waves or gusts."""
+        return bool(self._sources)
 
     def forces(self, t: float, psi: float) -> Forces:
-        """Return the sum of all forces at time ``t`` [s] and heading ``psi`` [rad]. Each call is one step."""
-        every = [part.forces(t, psi) for part in self._parts]
+        """Return the sum of all forces X, Y, N [N, N, N m] at time ``t`` [s] and heading ``psi`` [rad].
+
+        Each call advances the gusts by one step.
+        """
+        every = [part.forces(t, psi) for part in self._sources]
         return sum(f[0] for f in every), sum(f[1] for f in every), sum(f[2] for f in every)
 
 
@@ -43,7 +59,10 @@ class Sea:
     """
 
     def __init__(self, wave: Wave, rng: np.random.Generator) -> None:
-        """Draw frequencies and phases. The spectrum is ``1 / (1 + s^4)``, with ``s`` in units of the peak's width."""
+        """Draw the frequencies and phases of 24 sines.
+
+        The spectrum is ``1 / (1 + s^4)``. ``s`` is the distance from the peak in units of the peak's width, -3 to 3.
+        """
         spread = np.linspace(-3.0, 3.0, COMPONENTS) + 3.0 / COMPONENTS * rng.uniform(-1.0, 1.0, COMPONENTS)
         power = 1.0 / (1.0 + spread**4)
         omega = 2.0 * math.pi * wave.frequency * (1.0 + wave.width * spread)
@@ -53,7 +72,7 @@ class Sea:
         self._components = list(zip(amplitude.tolist(), omega.tolist(), phase.tolist(), strict=True))
 
     def forces(self, t: float, psi: float) -> Forces:
-        """Return the forces at time ``t`` [s] and heading ``psi`` [rad]."""
+        """Return the wave forces X, Y, N [N, N, N m] at time ``t`` [s] and heading ``psi`` [rad]."""
         w = self._wave
         angles = [(a, omega * t + phase) for a, omega, phase in self._components]
         along = sum(a * math.cos(angle) for a, angle in angles)
@@ -66,14 +85,17 @@ class Squalls:
     """Forces of gusts: first-order coloured noise, which is weak (a fifth) in the second half of each period."""
 
     def __init__(self, gust: Gust, rng: np.random.Generator, dt: float) -> None:
-        """Draw the initial forces. `forces` must be called every ``dt`` [s]."""
+        """Draw the initial forces of ``gust`` with ``rng``. `forces` must be called every ``dt`` [s]."""
         draw = normals(rng)
         self._period = gust.period
-        self._parts = [OrnsteinUhlenbeck(draw, dt, sigma, gust.tau) for sigma in gust.sigma]
+        self._sources = [OrnsteinUhlenbeck(draw, dt, sigma, gust.tau) for sigma in gust.sigma]
 
     def forces(self, t: float, psi: float) -> Forces:
-        """Return the forces at time ``t`` [s]; they do not depend on the heading. Each call is one step."""
+        """Return the gust forces X, Y, N [N, N, N m] at time ``t`` [s]. Each call advances the noise by one step.
+
+        The forces do not depend on the heading ``psi``.
+        """
         # The factors keep the mean variance near one: (1.4^2 + 0.28^2) / 2.
         strength = 1.4 if math.sin(2.0 * math.pi * t / self._period) > 0.0 else 0.28
-        x, y, n = (strength * part.step() for part in self._parts)
+        x, y, n = (strength * part.step() for part in self._sources)
         return x, y, n

@@ -14,7 +14,18 @@ BACKLOG_MAX = 1 << 20  # bytes that wait for a slow reader; more are dropped
 
 
 class NetPort:
-    """Device's end of a `udp:`, `udpin:`, `udpout:` or `tcp:` port of a rig, on loopback only."""
+    """Device's end of a `udp:`, `udpin:`, `udpout:` or `tcp:` port of a rig, on loopback only.
+
+    With `udp:` and `udpin:` the host listens at the address, and the device sends first. With `udpout:` and `tcp:` the
+    device listens, and the host sends or connects first.
+
+    Attributes
+    ----------
+    path : str
+        Address as in the rig file.
+    dropped : int
+        Bytes that were lost because no host received them.
+    """
 
     def __init__(self, port: str) -> None:
         """Open the port.
@@ -27,11 +38,11 @@ class NetPort:
         Raises
         ------
         SeatrialError
-            If the address is not on the loopback of this machine, or the port is in use.
+            If the address is not on the loopback of this machine, or the port cannot be opened.
         """
         kind, _, address = port.partition(":")
         host, _, number = address.rpartition(":")
-        self.dropped = 0  # bytes that were lost because no host was there to read them
+        self.dropped = 0
         self._kind, self._address, self.path = kind, (host.strip("[]"), int(number)), port
         self._socket: socket.socket | None = None  # UDP socket, or TCP socket that accepts the client
         self._client: socket.socket | None = None  # TCP connection of the host
@@ -43,11 +54,11 @@ class NetPort:
 
     @property
     def plugged(self) -> bool:
-        """Whether the socket is open."""
+        """Whether the port is open: between `plug` and `unplug`."""
         return self._socket is not None
 
     def plug(self) -> None:
-        """Open the socket."""
+        """Open the socket. Raises SeatrialError if the system refuses, for example if the port is in use."""
         family = socket.AF_INET6 if ":" in self._address[0] else socket.AF_INET
         sock = socket.socket(family, socket.SOCK_STREAM if self._kind == "tcp" else socket.SOCK_DGRAM)
         try:
@@ -79,26 +90,33 @@ class NetPort:
         self.unplug()
 
     def fileno(self) -> int:
-        """Return the file descriptor for `select`. The port must be plugged."""
+        """Return the file descriptor for `select`: of the client if one is connected. The port must be plugged."""
         current = self._client or self._socket
         assert current is not None
         return current.fileno()
 
     def read(self) -> bytes:
-        """Return the bytes that the host has sent since the last call. The call never blocks."""
+        """Return the bytes that the host has sent since the last call; empty without any. The call never blocks.
+
+        A UDP port sends its answers to the host from which the newest datagram came. A TCP port accepts a client, or
+        closes a client that has left.
+        """
         if self._kind == "tcp":
             return self._read_stream()
         assert self._socket is not None
-        parts = []
+        datagrams = []
         with contextlib.suppress(OSError):  # no datagram is left, or the host does not listen yet
             while True:
                 data, sender = self._socket.recvfrom(READ_MAX)
                 self._peer = sender
-                parts.append(data)
-        return b"".join(parts)
+                datagrams.append(data)
+        return b"".join(datagrams)
 
     def _read_stream(self) -> bytes:
-        """Return the received bytes of a TCP port. Accept a client if none is connected; close a client that left."""
+        """Return the received bytes of a TCP port; empty if there are none or no client is connected.
+
+        Without a client, one is accepted. A client that has left is closed, and the bytes for it are dropped.
+        """
         assert self._socket is not None
         if self._client is None:
             with contextlib.suppress(BlockingIOError):
@@ -118,7 +136,11 @@ class NetPort:
         return data
 
     def write(self, data: bytes, wall: float) -> None:
-        """Send ``data`` to the host. The call never blocks; bytes are dropped if no host is there."""
+        """Send ``data`` to the host. The call never blocks.
+
+        The bytes are dropped if the port is not plugged or no host receives them. Bytes of a TCP port may wait for a
+        slow host. ``wall`` is passed to `flush`.
+        """
         if not (self.plugged and data):
             return
         if self._kind == "tcp":
@@ -133,7 +155,10 @@ class NetPort:
                 self.dropped += len(data)
 
     def flush(self, wall: float) -> None:
-        """Send waiting bytes of a TCP port. Drop them if they are more than BACKLOG_MAX."""
+        """Send waiting bytes of a TCP port without blocking. If more than BACKLOG_MAX (1 MiB) still wait, drop them.
+
+        ``wall`` is not used; the ptys need it.
+        """
         if self._client is None or not self._backlog:
             return
         with contextlib.suppress(OSError):

@@ -28,10 +28,17 @@ class PtyPort:
 
     Bytes wait for a slow reader. Without a reader at most one write is kept, the newest in each interval of CHECK. A
     reader that comes late therefore gets no old bytes, as on a UART.
+
+    Attributes
+    ----------
+    path : Path
+        Path of the link to the host's end.
+    dropped : int
+        Bytes that were not read in time.
     """
 
     def __init__(self, path: Path) -> None:
-        """Open the port.
+        """Lock the path, and open the port (`plug`).
 
         Parameters
         ----------
@@ -44,14 +51,14 @@ class PtyPort:
             If another mock serves this path, or the path is a file that is not a link.
         """
         self.path = path
-        self.dropped = 0  # bytes that were not read in time
+        self.dropped = 0
         self._backlog = bytearray()
         self._progress = 0.0  # wall s, last time at which bytes were read
         self._idle = True  # whether the port has no reader
         self._checked = 0.0  # wall s of the last count of unread bytes
         self._unread = self._written = 0  # bytes unread at the last count, and bytes written since
         self._master = self._slave = -1
-        self._lock = _lock(path)
+        self._port_lock = _lock_port_path(path)
         try:
             self.plug()
         except BaseException:
@@ -60,11 +67,14 @@ class PtyPort:
 
     @property
     def plugged(self) -> bool:
-        """Whether the pty is open."""
+        """Whether the pty is open: between `plug` and `unplug`."""
         return self._master >= 0
 
     def plug(self) -> None:
-        """Open the pty and create its link."""
+        """Open the pty and create its link. A link of the same name is replaced.
+
+        Raises SeatrialError if the path is a file that is not a link.
+        """
         if os.path.lexists(self.path) and not self.path.is_symlink():
             raise SeatrialError(f"{self.path}: exists and is no mock's port; give the rig a port path that is free")
         self._master, self._slave = os.openpty()
@@ -77,7 +87,10 @@ class PtyPort:
         link.replace(self.path)  # a reader finds the old link or the new link at any time
 
     def unplug(self) -> None:
-        """Remove the port. A host that has the port open gets a hang-up. `plug` opens the port again."""
+        """Remove the link and close the pty, as if the cable were pulled; waiting bytes are dropped.
+
+        A host that has the port open gets a hang-up. `plug` opens the port again.
+        """
         if self.plugged:
             self.path.unlink(missing_ok=True)
             os.close(self._slave)
@@ -87,28 +100,34 @@ class PtyPort:
             self._become_idle()
 
     def close(self) -> None:
-        """Close the port for good and release its lock."""
+        """Close the port for good, release its lock and remove the lock file."""
         self.unplug()
         with contextlib.suppress(FileNotFoundError):
-            os.unlink(self._lock.name)
-        self._lock.close()
+            os.unlink(self._port_lock.name)
+        self._port_lock.close()
 
     def fileno(self) -> int:
         """Return the file descriptor for `select`. The port must be plugged."""
         return self._master
 
     def read(self) -> bytes:
-        """Return the bytes that the host has written since the last call. The call never blocks."""
+        """Return the bytes that the host has written since the last call; empty without any. The call never blocks.
+
+        A host that has written is assumed to read too.
+        """
         try:
             data = os.read(self._master, READ_MAX)
         except BlockingIOError:
             return b""
-        if self._idle:  # a host that writes is assumed to read too
+        if self._idle:
             self._idle, self._progress = False, self._checked
         return data
 
     def write(self, data: bytes, wall: float) -> None:
-        """Send ``data`` to the host at the monotonic time ``wall`` [s]. The call never blocks."""
+        """Send ``data`` to the host at the monotonic time ``wall`` [s]. The call never blocks.
+
+        Bytes wait for a slow reader. They are dropped if the port is not plugged, or if it has no reader.
+        """
         if not (self.plugged and data):
             return
         if wall - self._checked >= CHECK:
@@ -121,15 +140,22 @@ class PtyPort:
         self.flush(wall)
 
     def flush(self, wall: float) -> None:
-        """Send waiting bytes. Drop them if they are more than BACKLOG_MAX."""
+        """Send waiting bytes without blocking. If more than BACKLOG_MAX (1 MiB) still wait, drop them.
+
+        ``wall`` is not used.
+        """
         if self._backlog:
             with contextlib.suppress(BlockingIOError):
                 del self._backlog[: os.write(self._master, self._backlog)]
             if len(self._backlog) > BACKLOG_MAX:
-                self._discard()
+                self._drop_waiting_bytes()
 
     def _detect_reader(self, wall: float) -> None:
-        """Detect from the number of unread bytes whether the port has a reader. Drop all bytes if it has none."""
+        """Detect from the number of unread bytes whether the port has a reader. Drop waiting bytes if it has none.
+
+        A port has a reader if unread bytes became fewer than those written. A port whose bytes were not read for
+        PATIENCE (0.3 s) has none. ``wall`` is the monotonic time [s].
+        """
         unread: int = struct.unpack("i", fcntl.ioctl(self._slave, termios.FIONREAD, b"\0\0\0\0"))[0]
         read = unread == 0 or unread < min(self._unread + self._written, FULL)
         if self._idle and read and self._written:
@@ -137,12 +163,12 @@ class PtyPort:
         if read:
             self._progress = wall
         if self._idle or wall - self._progress > PATIENCE:
-            self._discard()
+            self._drop_waiting_bytes()
             unread = 0
         self._checked, self._unread, self._written = wall, unread, 0
 
-    def _discard(self) -> None:
-        """Drop all waiting bytes, in this object and in the line discipline, since the port has no reader."""
+    def _drop_waiting_bytes(self) -> None:
+        """Mark the port as one without a reader, and drop all bytes that wait here and in the line discipline."""
         self._become_idle()
         self.dropped += len(self._backlog)
         self._backlog.clear()
@@ -151,12 +177,17 @@ class PtyPort:
                 self.dropped += len(data)
 
     def _become_idle(self) -> None:
+        """Mark the port as one without a reader, and reset the counts of unread and written bytes."""
         self._idle = True
         self._unread = self._written = 0
 
 
-def _lock(path: Path) -> IO[str]:
-    """Return a lock on the path of the port. The system releases it at the end of this process, even after a crash."""
+def _lock_port_path(path: Path) -> IO[str]:
+    """Lock the path of a port, and return the open lock file `.NAME.lock`. Its folder is made if it does not exist.
+
+    The system releases the lock at the end of this process, even after a crash. Raises SeatrialError if another process
+    holds the lock.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     file = open(path.with_name(f".{path.name}.lock"), "w")  # noqa: SIM115 (held open as long as the port)
     try:

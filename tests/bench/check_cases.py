@@ -7,8 +7,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
+from seatrial.bench.execution.actuator_test import actuator_plan
 from seatrial.bench.mission_generators import make_mission
-from seatrial.bench.preflight.actuator_test import actuator_plan
 from seatrial.daq.checks.device_checks import check_devices
 from seatrial.daq.checks.findings import Finding
 from seatrial.daq.config.mission_file import Mission

@@ -46,7 +46,7 @@ def test_steps_are_held_for_the_requested_time(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     plans: list[Mission] = []
-    monkeypatch.setattr("seatrial.bench.cli._run", lambda plan, *_: plans.append(plan))
+    monkeypatch.setattr("seatrial.bench.cli._run_plan", lambda plan, *_: plans.append(plan))
     rig = str(Path(__file__).resolve().parents[2] / "mocks/rigs/bench.toml")
     for words in (["steps", rig], ["steps", rig, "--hold", "5"]):
         assert run(capsys, "bench", *words)[0] == 0

@@ -206,7 +206,7 @@ def test_two_mocks_do_not_share_a_port(tmp_path: Path) -> None:
     [
         (("boat", "nowhere.toml"), 2, r"seatrial mock boat: .*nowhere\.toml' does not exist.*\n"),
         (("boat", "{bench}"), 1, r"seatrial: .*a mock boat has two thrusters.*\n"),
-        (("bench", "{boat}"), 1, r"seatrial: .*a mock bench has one thruster; this rig has 2\n"),
+        (("bench", "{boat}"), 1, r"seatrial: .*a mock bench has one thruster; this rig has 2: give another rig\n"),
         (("boat", "{boat}", "--fault", "fire@3"), 1, r"seatrial: --fault fire@3: no fault 'fire'.*\n"),
         (("boat", "{boat}", "--effect", "magic"), 2, r"(?s).*'magic' is not one of.*"),
     ],

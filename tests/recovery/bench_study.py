@@ -3,8 +3,8 @@
     python -m tests.recovery.bench_study [--seed S] [--seeds N] [--jobs 2] [--effects a,b] [--scales 1,0.5]
                                          [--out FILE] [--report] [--docs]
 
-The cases are every effect of ``seatrial.mocks.plant.bench``, and no effect, on benches of N seeds, at full and half
-size. One run of the plan `all` is for the fit of the thruster and its diagnosis, and another for validation. Each
+The cases are every effect of ``seatrial.mocks.hidden_effects.bench``, and no effect, on benches of N seeds, at full and
+half size. One run of the plan `all` is for the fit of the thruster and its diagnosis, and another for validation. Each
 finished case is written as a line to the out file. An interrupted study is resumed. --report runs no case.
 """
 
@@ -27,7 +27,9 @@ from seatrial.ident.estimation.maximum_likelihood import EstimationOptions
 from seatrial.ident.model.structure import Model
 from seatrial.ident.models.thruster import delay_step, delayed_channels, thruster_model
 from seatrial.ident.validation.prediction_errors import pooled_errors, simulation_run
-from seatrial.mocks.plant.bench import EFFECTS, NONE, Bench, draw_bench, make_effect
+from seatrial.mocks.hidden_effects.bench import EFFECTS, make_effect
+from seatrial.mocks.plant.bench import Bench, draw_bench
+from seatrial.mocks.plant.bench_effect import NONE
 from tests.missions import bench_channels_of, push
 from tests.recovery.cases import code_state
 from tests.recovery.resumable import read, resume
@@ -202,7 +204,7 @@ def document(rows: Sequence[Row], command: str) -> str:
     """Return the text of docs/recovery-bench.md."""
     return (
         "# Recovery study of the bench\n\n"
-        "Each mock bench has one hidden effect (`mocks/plant/bench.py`, in another form than in the catalogue of "
+        "Each mock bench has one hidden effect (`mocks/hidden_effects/bench.py`, in another form than in the catalogue of "
         "`ident`), or no hidden effect (a clean bench). Each bench runs the plan `all` (126 s) twice. The first run is "
         "for the fit and the diagnosis, the second for validation. Every bench has its own thrust coefficients, pool "
         "and noise.\n\n"

@@ -3,7 +3,8 @@
 Each force is the output of a second-order filter driven by white noise (linear approximation of the wave spectrum,
 Fossen 2011, section 8.2). The size A of a force is a standard deviation. The likelihood is therefore an even function
 of A, and its score at zero vanishes. A score test cannot detect waves. Waves are detected as a peak in the spectrum of
-the innovations (``seatrial.ident.validation.whiteness.spectral_peak``), and the fit starts from ``waves_at``.
+the innovations (``seatrial.ident.validation.whiteness.spectral_peak``). The refit starts at the frequency of the peak
+(``seatrial.ident.diagnosis.candidates.wave_peak_score``).
 """
 
 from __future__ import annotations

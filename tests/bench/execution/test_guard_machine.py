@@ -894,7 +894,7 @@ def test_a_parameter_that_changed_before_the_start_is_no_reason(known: dict[str,
     guard.start(known)
     link = LinkStatus(received=True, age=0.0, armed=True, mode="MANUAL", changed=("FS_THR_ENABLE is 0, was 1",))
     now = Status(T, {"autopilot": port("autopilot")}, {}, {}, 0, "", 1, 1, 1.0, "", (), links={"autopilot": link})
-    codes = [stop.code for stop in guard._links(now)]
+    codes = [stop.code for stop in guard._link_stops(now)]
     assert codes == ([StopCode.PARAMETER] if stops else [])
 
 

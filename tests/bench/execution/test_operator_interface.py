@@ -100,11 +100,11 @@ def test_signals_end_the_wait_at_once_and_never_raise(number: signal.Signals) ->
 
 def test_a_key_that_is_held_or_pressed_twice_counts_once() -> None:
     keys = Keys()
-    assert keys._once(" ", 10.0) == " "
-    assert [keys._once("  p", 10.0 + 0.03 * k) for k in range(100)] == [""] * 100
-    assert keys._once(" ", 12.9 + AGAIN_S) == ""
-    assert keys._once("p", 14.0 + 2 * AGAIN_S) == " "
-    assert keys._once("mm", 20.0) == "mm"
+    assert keys._without_repetitions(" ", 10.0) == " "
+    assert [keys._without_repetitions("  p", 10.0 + 0.03 * k) for k in range(100)] == [""] * 100
+    assert keys._without_repetitions(" ", 12.9 + AGAIN_S) == ""
+    assert keys._without_repetitions("p", 14.0 + 2 * AGAIN_S) == " "
+    assert keys._without_repetitions("mm", 20.0) == "mm"
 
 
 def test_handlers_come_back_when_no_signal_came() -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from seatrial.bench.preflight.actuator_test import actuator_plan
+from seatrial.bench.execution.actuator_test import actuator_plan
 from seatrial.bench.preflight.mission_checks import check_mission, track
 from seatrial.daq.config.mission_file import Mission, Prediction, Segment
 from seatrial.daq.errors import SeatrialError

@@ -361,12 +361,12 @@ def test_whether_a_receiver_was_heard_is_told_and_forgotten_with_a_restart(heard
 
 def test_an_alarm_of_before_arming_ends_no_run_and_a_later_one_does() -> None:
     ends = ready(Ends(mav_rig()))
-    ends.autopilot._text(2, "GCS Failsafe")
+    ends.autopilot._queue_text(2, "GCS Failsafe")
     ends.run(0.1)
     assert ends.driver.link_at(ends.t).alarm
     armed(ends)
     assert ends.driver.link_at(ends.t).alarm == ""
-    ends.autopilot._text(2, "Leak detected, and a text so long that it comes in two parts of fifty")
+    ends.autopilot._queue_text(2, "Leak detected, and a text so long that it comes in two parts of fifty")
     ends.run(0.1)
     assert ends.driver.link_at(ends.t).alarm.endswith("in two parts of fifty")
 
@@ -436,7 +436,7 @@ def test_rates_that_somebody_else_has_lowered_are_asked_for_again() -> None:
     ends = ready(Ends(mav_rig()))
     ends.run(31.0)
     for number in (30, 36):  # ATTITUDE, SERVO_OUTPUT_RAW at 1 Hz
-        ends.autopilot._interval(number, 1e6)
+        ends.autopilot._set_message_interval(number, 1e6)
     ends.run(5.0)
     before = len(ends.frames)
     ends.run(2.0)

@@ -25,7 +25,8 @@ from seatrial.ident.model.structure import ForceCurve, Model
 from seatrial.ident.models.catalogue import make_model
 from seatrial.ident.models.disturbances import residuals_of, variables_of, with_disturbances
 from seatrial.ident.models.thruster import delayed_channels, thruster_model
-from seatrial.mocks.plant.bench import draw_bench, make_effect
+from seatrial.mocks.hidden_effects.bench import make_effect
+from seatrial.mocks.plant.bench import draw_bench
 from tests.missions import bench_log
 
 BENCH = [name for name, effect in catalogue().items() if "bench" in effect.requires]

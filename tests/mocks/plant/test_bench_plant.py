@@ -7,19 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from seatrial.mocks.plant.bench import (
-    DEMO,
-    EFFECTS,
-    NONE,
-    Bench,
-    BenchEffect,
-    BenchPlant,
-    BenchShaft,
-    ShaftEffect,
-    draw_bench,
-    draw_name,
-    make_effect,
-)
+from seatrial.mocks.hidden_effects.bench import DEMO, EFFECTS, draw_name, make_effect
+from seatrial.mocks.plant.bench import Bench, BenchPlant, BenchShaft, draw_bench
+from seatrial.mocks.plant.bench_effect import NONE, BenchEffect, ShaftEffect
 from seatrial.mocks.plant.thruster import ThrusterTruth, thrust
 
 

@@ -1,4 +1,8 @@
-"""Actuator test of a preflight: each thruster runs for some seconds at low thrust. The operator is warned before."""
+"""Actuator test of `seatrial check --actuators`: each thruster runs for some seconds at low thrust.
+
+This module has the plan of the test and the warning for the operator. The test is run as a mission
+(seatrial.bench.execution.runner).
+"""
 
 from __future__ import annotations
 
@@ -7,20 +11,24 @@ from seatrial.daq.config import STATIC, Mission
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.rig import Rig
 
-N_TEST = 0.3  # of full command: above the usual dead zones, and low enough that a boat hardly moves
+N_ACTUATOR_TEST = 0.3  # of full command: above the usual dead zones, and low enough that a boat hardly moves
 STATIC_S, HOLD_S, REST_S = 4.0, 3.0, 1.5  # s
 STAIRS, STAIR_S = 6, 0.8  # number of levels of the staircase, and s of each; it shows the edge of the dead zone
 
 
-def actuator_plan(rig: Rig, n: float = N_TEST) -> Mission:
-    """Return the mission of an actuator test: each thruster forward, in reverse and in a staircase, then all together.
+def actuator_plan(rig: Rig, n: float = N_ACTUATOR_TEST) -> Mission:
+    """Return the mission of an actuator test for all thrusters of a rig.
+
+    The thrusters run one after the other: forward, in reverse, and forward in a staircase of six levels up to ``n``.
+    Then all thrusters run together, forward and in reverse. Between these commands, and for 4 s at the start and at
+    the end, the commands are zero.
 
     Parameters
     ----------
     rig : Rig
         The rig with its thrusters.
     n : float
-        Largest command; limited to `limits.n_max` of the rig.
+        Largest command, as a fraction of full command. A value above `limits.n_max` of the rig is reduced to it.
 
     Raises
     ------
@@ -50,6 +58,10 @@ def actuator_plan(rig: Rig, n: float = N_TEST) -> Mission:
     )
 
 
-def warning(plan: Mission) -> str:
-    """Return the warning that the operator has to confirm: the thrusters, the largest command, and the duration."""
+def turning_warning(plan: Mission) -> str:
+    """Return the warning that an operator has to confirm before a plan is run.
+
+    The text names the thrusters of the plan, its largest command, and its duration in run seconds. It is used for the
+    actuator test and for the link test.
+    """
     return f"{', '.join(plan.thrusters)} will turn, at up to n = {plan.n_max:g}, for up to {plan.end:.0f} s"
