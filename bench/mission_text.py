@@ -30,10 +30,10 @@ def describe_mission(mission: Mission) -> str:
 def describe_segments(mission: Mission) -> list[str]:
     """Return a table with a line for each segment: begin, end [s], name, and range of each thruster's command."""
     t, n = mission.setpoints()
-    names = max(len("segment"), *(len(name) for _, _, name in mission.starts()))
+    names = max(len("segment"), *(len(name) for _, _, name in mission.segment_times()))
     head = "".join(f"  {'n_cmd ' + thruster:>14}" for thruster in mission.thrusters)
     lines = ["", f"  {'time [s]':<17}  {'segment':<{names}}{head}"]
-    for begin, end, name in mission.starts():
+    for begin, end, name in mission.segment_times():
         ranges = (_range(*command_range(t, column, begin, end)) for column in n.T)
         lines.append(f"  {begin:7.1f} - {end:7.1f}  {name:<{names}}" + "".join(f"  {text:>14}" for text in ranges))
     return lines

@@ -57,10 +57,10 @@ HIGHEST_ID = 255  # of a MAVLink system or component
 class LoadCellCalibration:
     """Calibration of a load cell: from counts to the force at the thruster."""
 
-    newton_per_count: float  # gain of the load cell
-    zero_counts: float = 0.0  # reading without force
+    newton_per_count: float  # gain of the load cell [N/count]; negative if the count falls with the force
+    zero_counts: float = 0.0  # reading without force [counts]
     lever_ratio: float = 1.0  # force at the thruster over force at the load cell
-    # Standard uncertainties; None: not given.
+    # Standard uncertainties, in the units of the values; None: not given.
     newton_per_count_sd: float | None = None
     lever_ratio_sd: float | None = None
 
@@ -80,8 +80,8 @@ class LoadCellCalibration:
 class DbcSignal:
     """Mapping of a signal in a DBC file to a field of `Esc`: value = scale * (value by the DBC file) + offset."""
 
-    message: str
-    signal: str
+    message: str  # name of the message in the DBC file
+    signal: str  # name of the signal in the message
     field: str  # one of ESC_FIELDS
     node: int | str  # number of the node, name of the signal that contains it, or SOURCE
     scale: float = 1.0
@@ -92,10 +92,10 @@ class DbcSignal:
 class MavlinkSettings:
     """Settings of the link to an autopilot: addresses of both ends, signing key, requested message rates."""
 
-    system_id: int = 1
-    component_id: int = 1
-    own_system_id: int = 255
-    own_component_id: int = 190
+    system_id: int = 1  # MAVLink system id of the autopilot
+    component_id: int = 1  # its component id
+    own_system_id: int = 255  # system id of this program; 255 is the usual one of a ground station
+    own_component_id: int = 190  # component id of this program
     # File with the signing key. If it is given, we sign our messages and ignore unsigned ones.
     key_file: Path | None = None
     gnss: str = "raw"  # raw: fixes of the receiver; fused: position estimate of the autopilot
@@ -104,7 +104,8 @@ class MavlinkSettings:
     def requested(self, rate_hz: float) -> dict[str, float]:
         """Return the rates to request [Hz] by name of the message, in the order of RATES.
 
-        `rate_hz` is the rate of the device.
+        `rate_hz` is the rate of the device [Hz]. Messages with rate 0 are left out. With fused positions the estimate
+        of the autopilot takes the place of the fixes of its receiver.
         """
         rates = {name: rate_hz if rate is None else rate for name, rate in RATES.items()}
         if self.gnss == "fused":
@@ -116,21 +117,21 @@ class MavlinkSettings:
 class Device:
     """Device of the rig and its port. Fields that its protocol does not use keep their defaults."""
 
-    name: str
-    protocol: str
+    name: str  # name in the rig file, and first part of its topics in a log
+    protocol: str  # name of its protocol, such as "vectornav"
     port: str  # absolute path, or an address of the network; a CAN port begins with `slcan:` or `socketcan:`
     baud: int  # bit/s of a serial port
     bitrate: int  # bit/s of a CAN bus
-    rate_hz: float  # expected rate of the samples
-    lever_arm_m: tuple[float, float, float] = (0.0, 0.0, 0.0)  # position of an antenna in body axes
+    rate_hz: float  # expected rate of the samples [Hz]
+    lever_arm_m: tuple[float, float, float] = (0.0, 0.0, 0.0)  # position in body axes [m]: forward, starboard, down
     pattern: str = DEFAULT_PATTERN  # regular expression of a line of a load cell
     saturation: float | None = None  # counts, largest reading of a load cell's converter
-    calibration: LoadCellCalibration | None = None
-    mavlink: MavlinkSettings | None = None
+    calibration: LoadCellCalibration | None = None  # of a load cell; None: the force is unknown
+    mavlink: MavlinkSettings | None = None  # of an autopilot; None for all other devices
     # rad, true heading minus magnetic heading, positive to the east; None: magnetic headings are not used.
     declination: float | None = None
     dbc: str = ""  # absolute path of the DBC file
-    signals: tuple[DbcSignal, ...] = ()
+    signals: tuple[DbcSignal, ...] = ()  # signals of the DBC file to read
     query: str = ""  # request for each sample, for a device that sends only on request
     own_node: int = OWN_NODE  # our node on a DroneCAN bus
     index_offset: int = 0  # index of a controller in its DroneCAN telemetry, minus its index in the command
@@ -139,7 +140,7 @@ class Device:
 
     @property
     def sends_many_kinds(self) -> bool:
-        """Return whether the port has several kinds of samples, of which only one counts for ``rate_hz``."""
+        """Whether the port has several kinds of samples, of which only one counts for ``rate_hz``."""
         return self.protocol in MANY_KINDS
 
     def is_rated(self, kind: type, yaw: Any, with_attitudes: bool) -> Any:
@@ -198,12 +199,12 @@ class AutopilotOutput:
 class Thruster:
     """Thruster: its controller, its position, and the scale of its commands."""
 
-    name: str
+    name: str  # name in the rig file
     device: str  # name of the device that drives it
     node: int  # id of its controller on the bus, or number of its servo output
-    position_m: tuple[float, float, float]  # body axes: forward, starboard, down
+    position_m: tuple[float, float, float]  # body axes [m]: forward, starboard, down
     pole_pairs: int  # of the motor
-    rpm_max: float  # rev/min at n = 1: n = rpm / rpm_max
+    rpm_max: float  # rev/min at n = 1: n = rpm / rpm_max; NaN if it is not given for a thruster behind an autopilot
     reversed: bool = False  # whether a positive command of the controller gives reverse thrust
     timeout_s: float = 1.0  # run s; failsafe of the controller: it stops after this time without a command
     output: AutopilotOutput | None = None  # only of a thruster behind an autopilot
@@ -216,16 +217,16 @@ Named = TypeVar("Named", Device, Thruster)
 class Limits:
     """Guard limits of a run. A limit is None if the rig does not set it."""
 
-    n_max: float = 1.0  # largest command
+    n_max: float = 1.0  # largest magnitude of a command, 0..1
     force_n: float | None = None  # N, of a load cell
     current_a: float | None = None  # A, of a motor
     temperature_c: float | None = None  # deg C, of a controller
     voltage_min_v: float | None = None  # V, of the supply
     radius_m: float | None = None  # m, largest distance from the start
     rpm: float | None = None  # rev/min, of a shaft
-    roll_deg: float | None = None  # deg
-    pitch_deg: float | None = None  # deg
-    battery_min: float | None = None  # charge, 0..1
+    roll_deg: float | None = None  # deg, largest magnitude of the roll angle
+    pitch_deg: float | None = None  # deg, largest magnitude of the pitch angle
+    battery_min: float | None = None  # smallest charge, 0..1
     link_test_n: float = 0.3  # larger commands to thrusters behind an autopilot need a link test first
     # Limits that need no device which reports their quantity. A limit is compared if a device reports it all the same.
     # "telemetry": the reports of speed controllers are not compared with their commands.
@@ -246,16 +247,16 @@ class Segments:
 
 @dataclass(frozen=True)
 class Live:
-    """Settings of the live view."""
+    """Settings of the live view: the server to which Foxglove connects."""
 
     host: str = "127.0.0.1"  # address to listen at; the default is reachable from this machine only
-    port: int = 8765
+    port: int = 8765  # TCP port; 0 for any free one
     origins: tuple[str, ...] = ("https://app.foxglove.dev",)  # web sites whose pages may connect
 
 
 @dataclass(frozen=True)
 class Ros2:
-    """Settings of the ROS 2 node."""
+    """Settings of the ROS 2 node, which connects to a Zenoh router."""
 
     router: str = "tcp/127.0.0.1:7447"  # Zenoh router that the node connects to
     domain: int = 0  # ROS_DOMAIN_ID
@@ -268,11 +269,11 @@ class Ros2:
 class Rig:
     """Content of a checked rig file."""
 
-    name: str
-    path: Path
+    name: str  # name of the boat or bench
+    path: Path  # path of the rig file
     text: str  # text of the file, which is attached to logs
     speed: float  # run seconds per wall second
-    log_directory: Path
+    log_directory: Path  # folder for new logs
     devices: tuple[Device, ...]
     thrusters: tuple[Thruster, ...] = ()
     limits: Limits = field(default_factory=Limits)
@@ -284,11 +285,11 @@ class Rig:
 
     def device(self, name: str) -> Device:
         """Return the device with a name. Raise SeatrialError, which lists the known names, if there is none."""
-        return _named(name, self.devices, "device", self.path)
+        return _find_by_name(name, self.devices, "device", self.path)
 
     def thruster(self, name: str) -> Thruster:
         """Return the thruster with a name. Raise SeatrialError, which lists the known names, if there is none."""
-        return _named(name, self.thrusters, "thruster", self.path)
+        return _find_by_name(name, self.thrusters, "thruster", self.path)
 
 
 def parse_address(port: str) -> tuple[str, int]:
@@ -305,8 +306,11 @@ def parse_address(port: str) -> tuple[str, int]:
     return host.strip("[]"), int(number)
 
 
-def _named(name: str, rows: Sequence[Named], label: str, path: Path) -> Named:
-    """Return the row with a name. Raise SeatrialError, which lists the known names, if there is none."""
+def _find_by_name(name: str, rows: Sequence[Named], label: str, path: Path) -> Named:
+    """Return the device or thruster with a name. If there is none, raise SeatrialError, which lists the known names.
+
+    `label` is "device" or "thruster", and `path` is that of the rig file, for the message.
+    """
     for row in rows:
         if row.name == name:
             return row

@@ -25,20 +25,20 @@ def wrap_angle(angle: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Ahrs:
-    """Attitude, body rates, specific force and magnetic field of an AHRS or IMU."""
+    """Attitude, body rates, specific force and magnetic field of an AHRS or IMU, in body axes (FRD)."""
 
     yaw: float  # rad, NED
-    pitch: float  # rad
-    roll: float  # rad
-    p: float = NAN  # rad/s, body rates
-    q: float = NAN
-    r: float = NAN
-    ax: float = NAN  # m/s2, specific force (at rest and level: 0, 0, -9.81)
-    ay: float = NAN
-    az: float = NAN
-    mx: float = NAN  # T
-    my: float = NAN
-    mz: float = NAN
+    pitch: float  # rad, positive with the bow up
+    roll: float  # rad, positive with starboard down
+    p: float = NAN  # rad/s, roll rate
+    q: float = NAN  # rad/s, pitch rate
+    r: float = NAN  # rad/s, yaw rate
+    ax: float = NAN  # m/s2, specific force forward (at rest and level: 0, 0, -9.81)
+    ay: float = NAN  # m/s2, to starboard
+    az: float = NAN  # m/s2, down
+    mx: float = NAN  # T, magnetic field forward
+    my: float = NAN  # T, to starboard
+    mz: float = NAN  # T, down
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,18 +53,19 @@ class Gnss:
     lat: float  # deg
     lon: float  # deg
     alt: float = NAN  # m above mean sea level
-    vel_n: float = NAN  # m/s over ground
-    vel_e: float = NAN
-    vel_d: float = NAN
+    vel_n: float = NAN  # m/s over ground, north
+    vel_e: float = NAN  # m/s over ground, east
+    vel_d: float = NAN  # m/s, down
     fix: int = 0  # 0 none, 1 dead reckoning, 2 2D, 3 3D, 4 differential, 5 RTK fixed, 6 RTK float
     n_sat: int = -1  # number of satellites
-    hdop: float = NAN
+    hdop: float = NAN  # horizontal dilution of precision
     sigma_h: float = NAN  # m, standard deviation of the horizontal position per axis
     speed: float = NAN  # m/s over ground, horizontal; the norm of the velocity if the receiver does not report a speed
     # 0 no fix, 2 with a fixed height, 3, -1 not reported. Follows from ``fix`` if that is 0, 2 or 3.
     dimensions: int = -1
 
     def __post_init__(self) -> None:
+        """Set `speed` and `dimensions` from the velocity and `fix` if the receiver does not report them."""
         if self.speed != self.speed:
             object.__setattr__(self, "speed", math.hypot(self.vel_n, self.vel_e))
         if self.dimensions < 0 and self.fix in (0, 2, 3):
@@ -96,7 +97,7 @@ class LoadCell:
 class Command:
     """Command to a thruster. Its time is that of sending."""
 
-    node: int
+    node: int  # controller id on the bus, or number of the servo output
     n_cmd: float  # normalised shaft speed or duty, -1..1, sign as in the rig (positive forward)
 
 
@@ -132,29 +133,29 @@ class Autopilot:
 class Scalar:
     """Value of a named signal of an imported file. The log's topic contains its name, the log's channel its unit."""
 
-    value: float
+    value: float  # in the unit of the channel
 
 
 @dataclass(frozen=True, slots=True)
 class Event:
     """Event of a run, for example the start of a segment, a tare, or a stop with its reason."""
 
-    kind: str
-    text: str
+    kind: str  # kind of the event, such as "segment" or "stop"
+    text: str  # description in one line
 
 
 @dataclass(frozen=True, slots=True)
 class PortHealth:
     """Counters of one port since the start of the log."""
 
-    port: str
-    bytes_in: int
-    frames: int
-    checksum_errors: int
-    unparsed_bytes: int
-    dropped: int
-    reconnects: int
-    clock_bias: float  # s, mean of receive time minus estimated sample time
+    port: str  # device file or address
+    bytes_in: int  # received bytes
+    frames: int  # valid frames
+    checksum_errors: int  # frames with a wrong checksum
+    unparsed_bytes: int  # received bytes that belong to no valid frame
+    dropped: int  # samples and reads for which the log queue had no room
+    reconnects: int  # how often the port was opened again after a loss
+    clock_bias: float  # s, mean of receive time minus estimated sample time; NaN for a device without a clock
     clock_spread: float  # s, standard deviation of the same difference
 
 

@@ -18,8 +18,8 @@ class StuckLimit(NamedTuple):
     """Limit of a kind of sensor. It is stuck if its fields repeat for at least these numbers of samples and seconds."""
 
     fields: tuple[str, ...]  # names of the compared fields
-    samples: int
-    seconds: float  # run s
+    samples: int  # number of equal samples in a row
+    seconds: float  # time from the first to the last equal sample [run s]
 
 
 _MOTION = ("yaw", "p", "q", "r", "ax", "ay", "az")

@@ -33,7 +33,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from seatrial.bench.execution.link_test import NEUTRAL
-from seatrial.daq.acquisition import NO_STATUS_S, Source, Status, senders
+from seatrial.daq.acquisition import NO_STATUS_S, Source, Status, count_senders
 from seatrial.daq.drivers import LinkStatus
 from seatrial.daq.errors import SafetyStop, counted
 from seatrial.daq.rig import Rig, Thruster
@@ -751,7 +751,7 @@ class SafetyGuard:
     def is_outdated(self, source: Source, status: Status) -> bool:
         """Return whether the newest sample of a source is too old for the display. No limit depends on it."""
         name = source[0].partition("/")[0]
-        kinds, nodes = senders(status, name)
+        kinds, nodes = count_senders(status, name)
         rate_hz = self._rig.device(name).rate_hz / (1 if source[1] is None else nodes)
         # The rate holds for one kind of samples or for all kinds together, so that a further kind may be slower.
         slow = SLOW if kinds > 1 or name != source[0] else QUICK

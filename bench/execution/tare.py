@@ -43,7 +43,7 @@ def static_windows(mission: Mission, start: float) -> list[tuple[str, float, flo
     list of tuple
         ("start" or "end", begin, end) in run seconds.
     """
-    return windows_of([(start + begin, start + end, name) for begin, end, name in mission.starts()])
+    return windows_of([(start + begin, start + end, name) for begin, end, name in mission.segment_times()])
 
 
 def windows_of(spans: Sequence[tuple[float, float, str]]) -> list[tuple[str, float, float]]:

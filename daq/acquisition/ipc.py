@@ -35,14 +35,14 @@ ANSWER = b"a"  # answer of the watchdog to heartbeats
 class Configuration:
     """Configuration of the acquisition: the first message of the parent."""
 
-    rig_text: str
+    rig_text: str  # text of the rig file
     rig_path: str  # absolute
     path: str  # absolute path of the log
     speed: float  # run seconds per wall second
-    origin: Sequence[float]  # `RunClock.origin`
+    origin: Sequence[float]  # raw monotonic time [s] and run time [s] of one instant (`RunClock.origin`)
     role: str  # value of LinkRole: the role towards autopilots
-    attachments: Mapping[str, bytes] = field(default_factory=dict)
-    metadata: Mapping[str, str] = field(default_factory=dict)
+    attachments: Mapping[str, bytes] = field(default_factory=dict)  # attachments of the log by name
+    metadata: Mapping[str, str] = field(default_factory=dict)  # metadata of the log by name
     terminal: int = -1  # inherited descriptor of the parent's standard error; -1 if it has none
 
 
@@ -71,17 +71,17 @@ class ZeroThrust:
 class LogEvent:
     """Request to write an event to the log."""
 
-    kind: str
-    text: str
+    kind: str  # kind of the event, such as "zero" or "warning"
+    text: str  # description in one line
 
 
 @dataclass(frozen=True)
 class DriverRequest:
-    """Request to the driver of a device: `arm`, `disarm`, `mode` (value: its number), or `mute` (value: seconds)."""
+    """Request to the driver of a device."""
 
-    device: str
-    action: str
-    value: float
+    device: str  # name of the device
+    action: str  # `arm`, `disarm`, `mode` or `mute`
+    value: float  # number of the mode for `mode`, wall seconds for `mute`; unused otherwise
 
 
 @dataclass(frozen=True)
@@ -113,29 +113,29 @@ class SampleBatch:
 class Failed:
     """Report that the process ends because of an error."""
 
-    reason: str
+    reason: str  # the error in one line
 
 
 @dataclass(frozen=True)
 class Closed:
     """Report that the log is closed without an error and that the process ends."""
 
-    reason: str
+    reason: str  # why the acquisition ended, in one line
 
 
 @dataclass(frozen=True)
 class WatchdogConfiguration:
     """Configuration of the watchdog: the process to monitor, and the rig whose thrusters it brings to zero."""
 
-    rig_text: str
-    rig_path: str
-    pid: int  # of the acquisition process
-    log: str  # absolute path
+    rig_text: str  # text of the rig file
+    rig_path: str  # its path
+    pid: int  # process id of the acquisition process
+    log: str  # absolute path of the log
 
 
 @dataclass(frozen=True)
 class WatchdogReady:
-    """Report that the watchdog is ready."""
+    """Report of the watchdog at its start: it is ready, or it cannot work."""
 
     trouble: str = ""  # why it is not ready; empty if it is
 
@@ -162,7 +162,7 @@ def encode_message(message: Message) -> bytes:
 
 
 def decode_message(line: bytes | bytearray) -> Message:
-    """Return the message in a line of `encode_message`."""
+    """Return the message that `encode_message` has written as one line of JSON."""
     name, values = json.loads(line)
     kind = _TYPES[name]
     if kind is Configuration:

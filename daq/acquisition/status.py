@@ -16,39 +16,39 @@ Source = tuple[str, int | None]
 
 
 class Latest(NamedTuple):
-    """The newest sample of a source and its estimated run time."""
+    """The newest sample of a source."""
 
     sample: Sample
-    t: float
+    t: float  # its estimated run time [s]
 
 
 class StreamedSample(NamedTuple):
-    """A sample of a device as it goes into the log, with its estimated run time."""
+    """A sample of a device as it is written to the log."""
 
-    device: str
+    device: str  # name of the device
     sample: Sample
-    t: float
+    t: float  # its estimated run time [s]
 
 
 @dataclass(frozen=True)
 class PortStatus:
     """State of one port. Counters start at the start of the log. Rates and ages refer to run time."""
 
-    name: str  # of the device
-    protocol: str
+    name: str  # name of the device
+    protocol: str  # name of its protocol
     port: str  # device file or address
     expected: float  # samples per run second, from the rig
     rate: float  # samples per run second over the last few seconds, NaN before the second sample
     age: float  # run seconds since the last sample, infinite before the first
-    samples: int
-    frames: int
-    checksum_errors: int
-    unparsed_bytes: int
+    samples: int  # decoded samples
+    frames: int  # valid frames
+    checksum_errors: int  # frames with a wrong checksum
+    unparsed_bytes: int  # received bytes that belong to no valid frame
     dropped: int  # samples and reads for which the log queue had no room
-    reconnects: int
-    bytes_in: int
+    reconnects: int  # how often the port was opened again after a loss
+    bytes_in: int  # received bytes
     latency: float  # s, mean of receive time minus estimated sample time; NaN for a device without a clock
-    latency_spread: float  # s
+    latency_spread: float  # s, standard deviation of the same difference; NaN for a device without a clock
     message: str  # fault of the port in one line, else `remark`; empty without both
     remark: str = ""  # note for the user on a stream without a fault
     stuck: tuple[str, ...] = ()  # kinds of samples that repeat the same values, as a dead sensor does
@@ -78,7 +78,7 @@ class Status:
     hints: tuple[str, ...] = ()  # possible improvements that are no faults, one line each
 
 
-def senders(status: Status, device: str) -> tuple[int, int]:
+def count_senders(status: Status, device: str) -> tuple[int, int]:
     """Count the senders of one device.
 
     Parameters
@@ -99,12 +99,12 @@ def senders(status: Status, device: str) -> tuple[int, int]:
 
 
 def fields_of(sample: Sample) -> list[Any]:
-    """Return the values of a sample in the order of its fields, ten times as fast as `dataclasses.astuple`."""
+    """Return the values of a sample in the order of its fields. It is ten times as fast as `dataclasses.astuple`."""
     return [getattr(sample, name) for name in type(sample).__slots__]
 
 
 def to_json(status: Status) -> dict[str, Any]:
-    """Return a status as values for JSON. NaN and Infinity are written as Python's json does."""
+    """Return a status as a dictionary that `json.dumps` can write. NaN and infinity stay floats."""
     out = {field.name: getattr(status, field.name) for field in dataclasses.fields(status)}
     out["ports"] = [dataclasses.asdict(port) for port in status.ports.values()]
     out["links"] = {name: dataclasses.asdict(link) for name, link in status.links.items()}
@@ -116,7 +116,7 @@ def to_json(status: Status) -> dict[str, Any]:
 
 
 def from_json(data: dict[str, Any]) -> Status:
-    """Return the status in values of `to_json`."""
+    """Return the status from a dictionary that `to_json` has made and JSON has transported."""
     ports = {port["name"]: PortStatus(**port | {"stuck": tuple(port["stuck"])}) for port in data["ports"]}
     latest: dict[Source, Latest] = {}
     for device, node, kind, values, t in data["latest"]:

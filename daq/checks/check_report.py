@@ -22,7 +22,7 @@ class PredictedTrack:
     x, y : Array (n_points,)
         Position north and east of the start [m].
     source : str
-        Source of the prediction, in words.
+        Source of the prediction in words, for example the name of the model.
     radius : Array (n_points,), optional
         Radius [m] of the circle around each point that contains the boat with a probability of 95 %. None if it is not
         predicted.
@@ -72,7 +72,7 @@ class CheckReport:
     Attributes
     ----------
     subject : str
-        Name of the checked file, or of several files.
+        Name of the checked file; names of several files are separated by commas.
     findings : tuple of Finding
         The findings.
     logs : tuple of Path

@@ -53,7 +53,7 @@ LEAST = 200  # smallest number of time stamps whose digits are checked
 
 
 def check_devices(log: Log) -> Iterator[Finding]:
-    """Yield all findings on the devices of an open log."""
+    """Yield all findings on the devices of an open log, and on the log itself: damage and clocks that ran back."""
     rig = log.rig
     for text in log.warnings:
         yield Finding(
@@ -65,26 +65,29 @@ def check_devices(log: Log) -> Iterator[Finding]:
     for topic, (n, longest) in log.clock_steps.items():
         text = f"its times ran back {counted(n, 'time')}, by up to {longest:.1f} s"
         yield Finding(FAULT, "clock-ran-back", "clock", topic, text, "two clocks, or one that was set?")
-    for source, tables in _tables(log).items():
+    for source, tables in _tables_by_device(log).items():
         tables = [row for row in tables if len(row[2])]  # a part of a log may contain no sample of a kind
         device = next((d for d in rig.devices if d.name == source), None) if rig else None
         timing: list[Finding] = []
         for _, name, table in tables:
             timing += check_timestamps(name, table, log.end if rig else None, rig.speed if rig else 1.0)
-        yield from _rate(source, device, log, tables, any(f.code == "sections-missing" for f in timing))
+        yield from _check_rate(source, device, log, tables, any(f.code == "sections-missing" for f in timing))
         yield from timing
         for kind, name, table in tables:
-            yield from _stuck(kind, name, table)
-            yield from _VALUES.get(kind, _no_findings)(name, table, rig)
-        yield from _port(source, log)
-    yield from _absent(log, rig)
+            yield from _check_stuck(kind, name, table)
+            yield from _VALUE_CHECKS.get(kind, _no_findings)(name, table, rig)
+        yield from _check_port_counters(source, log)
+    yield from _check_devices_present(log, rig)
     yield from check_thruster_coverage(log)
-    yield from _controllers(log)
-    yield from _imported(log)
+    yield from _check_shaft_speeds(log)
+    yield from _check_imported_signals(log)
 
 
-def _tables(log: Log) -> dict[str, Tables]:
-    """Return the tables of samples by device. An autopilot that sends only its state has no table."""
+def _tables_by_device(log: Log) -> dict[str, Tables]:
+    """Return the tables of samples of each device by name of the device.
+
+    Speed controllers have a table for each node. An autopilot that sends only its state has an empty list.
+    """
     found: dict[str, Tables] = {}
     for kind in (Ahrs, Gnss, LoadCell, Battery):
         for source in log.sources(kind):
@@ -98,8 +101,11 @@ def _tables(log: Log) -> dict[str, Tables]:
     return found
 
 
-def _absent(log: Log, rig: Rig | None) -> Iterator[Finding]:
-    """Yield a finding for each device of the rig without a sample. Commands to a device do not count as samples."""
+def _check_devices_present(log: Log, rig: Rig | None) -> Iterator[Finding]:
+    """Yield a finding for each device of the rig without a sample in the log; none if the log has no rig.
+
+    Commands to a device do not count as samples.
+    """
     topics = [name.split("/")[1:] for name in log.counts]
     present = {parts[0] for parts in topics if len(parts) > 1 and parts[-1] != "command"}
     for device in rig.devices if rig else ():
@@ -114,10 +120,21 @@ def _absent(log: Log, rig: Rig | None) -> Iterator[Finding]:
             )
 
 
-def _rate(source: str, device: Device | None, log: Log, tables: Tables, gaps_known: bool) -> Iterator[Finding]:
-    """Compare the rate of the samples with `rate_hz` of the rig.
+def _check_rate(source: str, device: Device | None, log: Log, tables: Tables, gaps_known: bool) -> Iterator[Finding]:
+    """Yield the finding on the rate of the samples of one device, compared with `rate_hz` of the rig.
 
-    `gaps_known`: a finding reports missing sections already. They are then left out of the rate.
+    Parameters
+    ----------
+    source : str
+        Name of the device.
+    device : Device or None
+        Device of the rig; None if the rig lacks it. The rate is then reported and not compared.
+    log : Log
+        The log.
+    tables : Tables
+        Tables of its samples.
+    gaps_known : bool
+        Whether another finding reports missing sections. The sections are then left out of the rate.
     """
     # In an imported tlog the ground station has set the rates, so that `rate_hz` does not apply.
     ours = device is not None and (device.protocol != "mavlink" or log.metadata.get("import") != "mavlink")
@@ -152,9 +169,9 @@ def _rate(source: str, device: Device | None, log: Log, tables: Tables, gaps_kno
 
 
 def _rated_times(device: Device | None, tables: Tables) -> FloatArray:
-    """Return the sorted times of the samples that count for the rate, as in the live table.
+    """Return the sorted times (n,) [s] of the samples that count for the rate of a device, as in the live table.
 
-    Without a device, which has `rate_hz`, all samples count.
+    If `device` is None, all samples count.
     """
     with_attitudes = any(kind is Ahrs and np.isfinite(table["yaw"]).any() for kind, _, table in tables)
     found = [np.empty(0)]
@@ -164,12 +181,15 @@ def _rated_times(device: Device | None, tables: Tables) -> FloatArray:
     return np.sort(np.concatenate(found))
 
 
-def _stuck(kind: type, name: str, table: Any) -> Iterator[Finding]:
-    """Yield a finding if all values of a sensor stay exactly the same for too long."""
+def _check_stuck(kind: type, name: str, table: Any) -> Iterator[Finding]:
+    """Yield a finding on the longest interval in which all values of a sensor stay exactly the same for too long.
+
+    `kind` is the kind of the samples. Kinds without limits in STUCK_IN_LOG are not checked.
+    """
     if kind not in STUCK_IN_LOG:
         return
     start = float(table["t"][0])
-    alive = _can_be_stuck(kind, table)
+    alive = _rows_that_can_be_stuck(kind, table)
     table = table if alive.all() else table[alive]
     # An autopilot sends attitudes and accelerations in different rows. Each row is compared only with rows that lack
     # the same columns. A bit mask stands for the missing columns, since np.unique of rows takes sixty times as long.
@@ -177,7 +197,7 @@ def _stuck(kind: type, name: str, table: Any) -> Iterator[Finding]:
     for k, column in enumerate(STUCK_IN_LOG[kind].fields):
         form |= np.isnan(table[column]).view(np.uint8) << k
     forms = np.flatnonzero(np.bincount(form))
-    found = [run for f in forms for run in _holds(kind, table if forms.size == 1 else table[form == f])]
+    found = [run for f in forms for run in _constant_intervals(kind, table if forms.size == 1 else table[form == f])]
     if found:
         since, until = max(found, key=lambda run: run[1] - run[0])
         text = f"the same reading for {until - since:.1f} s, from {since - start:.1f} s on"
@@ -191,8 +211,8 @@ def _stuck(kind: type, name: str, table: Any) -> Iterator[Finding]:
         )
 
 
-def _can_be_stuck(kind: type, table: Any) -> Any:
-    """Return for each row of a table whether its values would change if the sensor worked.
+def _rows_that_can_be_stuck(kind: type, table: Any) -> Any:
+    """Return a mask (n,): for each row of a table, whether its values would change if the sensor worked.
 
     For a load cell these are the rows that are not at rest, because under load even coarse counts flicker.
     """
@@ -203,7 +223,10 @@ def _can_be_stuck(kind: type, table: Any) -> Any:
 
 
 def _smallest_step(counts: Any) -> float:
-    """Return the smallest step between two counts. If all counts are equal, return the unit of their last digit."""
+    """Return the smallest step between two successive counts of a load cell, in counts.
+
+    If all counts are equal, return the unit of their last digit, such as 0.01 for 12.34.
+    """
     steps = np.abs(np.diff(counts))
     if (steps := steps[steps > 0.0]).size:
         return float(steps.min())
@@ -211,8 +234,11 @@ def _smallest_step(counts: Any) -> float:
     return 10.0 ** -next(digits, MOST_DIGITS)
 
 
-def _holds(kind: type, table: Any) -> Iterator[tuple[float, float]]:
-    """Yield begin and end [s] of each interval in which the same reading is repeated for too long."""
+def _constant_intervals(kind: type, table: Any) -> Iterator[tuple[float, float]]:
+    """Yield begin and end [s] of each interval in which all compared columns of a table repeat their values too long.
+
+    The smallest number of samples and the shortest duration come from STUCK_IN_LOG. NaN equals NaN.
+    """
     columns, samples, seconds = STUCK_IN_LOG[kind]
     same = np.ones(max(len(table) - 1, 0), dtype=bool)
     for column in columns:
@@ -227,11 +253,11 @@ def _holds(kind: type, table: Any) -> Iterator[tuple[float, float]]:
             yield since, until
 
 
-def _ahrs(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
-    """Yield the findings on noise, specific force and mounting of an AHRS."""
+def _check_ahrs(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
+    """Yield the findings on noise, specific force and mounting of an AHRS. `rig` is not used."""
     is_quiet, noises = True, dict[str, float]()
     for column, (limit, unit) in NOISE.items():
-        noise = noises[column] = white(_finite(table, column))
+        noise = noises[column] = white_noise_sd(_finite_values(table, column))
         if noise > limit:
             is_quiet = False
             text = f"{column} has white noise of {noise:.2g} {unit}, expected below {limit:.2g}"
@@ -276,32 +302,33 @@ def _ahrs(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
         )
 
 
-def _finite(table: Any, column: str) -> FloatArray:
-    """Return the finite values of a column. Headings are unwrapped."""
+def _finite_values(table: Any, column: str) -> FloatArray:
+    """Return the finite values of a column, in order. Values of the column `yaw` are unwrapped [rad]."""
     values: FloatArray = table[column][np.isfinite(table[column])]
     return np.unwrap(values) if column == "yaw" else values
 
 
-def white(values: FloatArray) -> float:
+def white_noise_sd(values: FloatArray) -> float:
     """Estimate the standard deviation of the white noise of a signal that changes slowly.
 
     Parameters
     ----------
     values : Array (n_samples,)
-        The signal.
+        The signal, in any unit.
 
     Returns
     -------
     float
-        Robust estimate from the median of the second differences; NaN for fewer than 23 samples.
+        Robust estimate, in the unit of the signal, from the median of the second differences; NaN if fewer than 21 of
+        these are finite.
     """
     second = np.diff(values, 2)
     second = second[np.isfinite(second)]
     return float(np.median(np.abs(second)) / 0.6745 / math.sqrt(6.0)) if second.size > 20 else math.nan
 
 
-def _gnss(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
-    """Yield the findings on the fixes and satellites of a GNSS receiver."""
+def _check_gnss(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
+    """Yield the findings on the fixes and satellites of a GNSS receiver. `rig` is not used."""
     at_zero = (table["fix"] >= 2) & (table["lat"] == 0.0) & (table["lon"] == 0.0)
     if at_zero.any():
         first = float(table["t"][int(np.argmax(at_zero))] - table["t"][0])
@@ -325,16 +352,19 @@ def _gnss(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
         )
 
 
-def _esc(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
-    """Yield the finding on the voltage that a speed controller reports."""
+def _check_esc_voltage(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
+    """Yield the finding on the voltage of a speed controller: the median of its last 20 values against the rig's limit.
+
+    There is no finding if the rig has no limit or the controller reports no voltage.
+    """
     lowest = None if rig is None else rig.limits.voltage_min_v
     volts = table["voltage"][np.isfinite(table["voltage"])]
     if lowest is not None and volts.size:
-        yield _voltage(name, float(np.median(volts[-20:])), lowest)
+        yield _voltage_finding(name, float(np.median(volts[-20:])), lowest)
 
 
-def _voltage(name: str, volts: float, lowest: float) -> Finding:
-    """Return the finding on a voltage and its lower limit [V]."""
+def _voltage_finding(name: str, volts: float, lowest: float) -> Finding:
+    """Return the finding on a voltage and its lower limit [V]: fault below the limit, warning within 5 % above it."""
     if volts < lowest:
         return Finding(FAULT, "voltage-low", "battery", name, f"{volts:.1f} V, limit {lowest:g}", "charge it")
     near = volts < 1.05 * lowest
@@ -342,8 +372,8 @@ def _voltage(name: str, volts: float, lowest: float) -> Finding:
     return Finding(level, code, "battery", name, f"{volts:.1f} V, limit {lowest:g}", advice)
 
 
-def _cell(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
-    """Yield the finding on flagged readings of a load cell."""
+def _check_load_cell(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
+    """Yield a finding if too many readings of a load cell are flagged as saturated or as spikes. `rig` is not used."""
     bad = float(np.mean(table["flags"] != 0))
     if bad > FLAGGED_SHARE:
         text = f"{100 * bad:.0f} % of the readings are saturated or spikes"
@@ -352,8 +382,8 @@ def _cell(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
         )
 
 
-def _battery(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
-    """Yield the finding on the remaining charge of a battery."""
+def _check_battery(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
+    """Yield the finding on the last reported charge of a battery against the rig's limit; none if either is missing."""
     left, least = table["remaining"][-1], None if rig is None else rig.limits.battery_min
     if least is not None and np.isfinite(left):
         low = left < least
@@ -361,15 +391,26 @@ def _battery(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
         yield Finding(level, code, "battery", name, f"{100 * left:.0f} % left, limit {100 * least:.0f}", advice)
 
 
-_VALUES = {Ahrs: _ahrs, Gnss: _gnss, Esc: _esc, LoadCell: _cell, Battery: _battery}
+_VALUE_CHECKS = {
+    Ahrs: _check_ahrs,
+    Gnss: _check_gnss,
+    Esc: _check_esc_voltage,
+    LoadCell: _check_load_cell,
+    Battery: _check_battery,
+}
 
 
 def _no_findings(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
+    """Return no finding, for kinds of samples whose values are not checked."""
     return iter(())
 
 
-def _port(source: str, log: Log) -> Iterator[Finding]:
-    """Yield the findings on the counters of a port: checksum errors, unparsed bytes, dropped samples, lost ports."""
+def _check_port_counters(source: str, log: Log) -> Iterator[Finding]:
+    """Yield the findings on the last counters of a device's port in the log.
+
+    The counters are those of checksum errors, unparsed bytes, dropped samples and lost ports. A log without counters of
+    the port has no finding.
+    """
     if source not in log.sources(PortHealth) or not (rows := log.health(source)):
         return
     last = rows[-1][1]
@@ -387,8 +428,11 @@ def _port(source: str, log: Log) -> Iterator[Finding]:
         yield Finding(WARNING, "port-lost", "link", source, text, "plug and cable")
 
 
-def _controllers(log: Log) -> Iterator[Finding]:
-    """Yield a finding for each shaft speed that does not change while the command changes."""
+def _check_shaft_speeds(log: Log) -> Iterator[Finding]:
+    """Yield a finding for each controller whose shaft speed stays equal for more than 2 s while its command changes.
+
+    Controllers without commands in the log, and a speed of zero, are not checked.
+    """
     for source in log.sources(Esc):
         for node in log.nodes(Esc, source):
             if node not in log.nodes(Command, source):
@@ -413,8 +457,11 @@ def _controllers(log: Log) -> Iterator[Finding]:
                     break
 
 
-def _imported(log: Log) -> Iterator[Finding]:
-    """Yield the findings on imported signals: rows left out, missing inputs, damaged time stamps, constant values."""
+def _check_imported_signals(log: Log) -> Iterator[Finding]:
+    """Yield the findings on imported signals.
+
+    They are about rows left out, missing inputs, damaged time stamps and outputs with constant values.
+    """
     by_map = log.attachments.get("import.toml", b"").replace(b"'", b'"')
     yield from check_rows_left_out(log.metadata)
     yield from check_missing_inputs(log)
@@ -426,7 +473,7 @@ def _imported(log: Log) -> Iterator[Finding]:
         # An imported command holds until the next one, so that a pause between commands is not a missing section.
         here = check_timestamps(source, table, None)
         yield from (f for f in here if f.check != "gap" or log.role(source) == "output")
-        yield from lost_zeros(source, table["t"])
+        yield from check_lost_zeros(source, table["t"])
         if len(table) > 20 and log.role(source) == "output" and np.nanstd(table["value"]) == 0.0:
             text = f"{table['value'][0]:g} all the time"
             yield Finding(WARNING, "signal-constant", "stuck", source, text, "not connected, or another column")
@@ -467,17 +514,31 @@ def check_timestamps(name: str, table: Any, end: float | None, speed: float = 1.
         yield Finding(
             WARNING, "samples-bunched", "time", name, text, "a busy computer, a bunching adapter (latency_timer)"
         )
-        yield from _gaps(name, t[:-1][pauses > 0.0], pauses[pauses > 0.0], speed, imported)  # from bunch to bunch
+        yield from _check_gaps(name, t[:-1][pauses > 0.0], pauses[pauses > 0.0], speed, imported)  # from bunch to bunch
     else:
-        yield from _gaps(name, t, pauses, speed, imported)
+        yield from _check_gaps(name, t, pauses, speed, imported)
     if end is not None and end - t[-1] > SILENT_S * max(1.0, 0.2 * speed):
         text = f"nothing for the last {end - t[-1]:.0f} s of the log"
         yield Finding(FAULT, "device-fell-silent", "silent", name, text, "power, cable, bus")
-    yield from _clock(name, table, speed)
+    yield from _check_clock(name, table, speed)
 
 
-def _gaps(name: str, t: FloatArray, pauses: FloatArray, speed: float, imported: bool) -> Iterator[Finding]:
-    """Yield a finding if sections of the samples are missing."""
+def _check_gaps(name: str, t: FloatArray, pauses: FloatArray, speed: float, imported: bool) -> Iterator[Finding]:
+    """Yield a finding if there are pauses between samples that are too long, so that sections of the data are missing.
+
+    Parameters
+    ----------
+    name : str
+        Name of the device or signal.
+    t : Array (n,)
+        Times of the samples [s].
+    pauses : Array (n - 1,)
+        Times between successive samples [s].
+    speed : float
+        Run seconds per wall second.
+    imported : bool
+        Whether the signal is imported. Many long pauses of an imported signal are no missing sections.
+    """
     least = max(GAP_S, GAP_PERIODS * float(np.median(pauses)), 4.0 * WALL_JITTER_S * speed)
     long = np.flatnonzero(pauses > least)
     # An imported signal that is written only when it changes has many long pauses without a missing section.
@@ -488,8 +549,12 @@ def _gaps(name: str, t: FloatArray, pauses: FloatArray, speed: float, imported: 
         yield Finding(WARNING, "sections-missing", "gap", name, text, "cable, range of the link, a busy computer")
 
 
-def _clock(name: str, table: Any, speed: float) -> Iterator[Finding]:
-    """Yield the findings on the clock of a device: jumps, delays and drift against the clock of the computer."""
+def _check_clock(name: str, table: Any, speed: float) -> Iterator[Finding]:
+    """Yield the findings on the clock of a device: jumps, delays and drift against the clock of the computer.
+
+    `table` has the columns t_rx and t_device [s]. With fewer than 50 times of the device nothing is checked. `speed` is
+    the number of run seconds per wall second.
+    """
     has_clock = np.isfinite(table["t_device"])
     if np.count_nonzero(has_clock) < 50:
         return
@@ -506,7 +571,7 @@ def _clock(name: str, table: Any, speed: float) -> Iterator[Finding]:
         )
         return
     offset = received - device
-    earliest = _earliest(received, offset)
+    earliest = _earliest_arrivals(received, offset)
     if earliest[0].size < 2:
         return
     jitter = 2.0 * WALL_JITTER_S * max(speed, 1.0)
@@ -549,10 +614,11 @@ def _clock(name: str, table: Any, speed: float) -> Iterator[Finding]:
         )
 
 
-def _earliest(received: FloatArray, offset: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return receive time and clock offset [s] of the earliest arrival in each block of samples.
+def _earliest_arrivals(received: FloatArray, offset: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return receive time and clock offset [s] of the sample with the smallest offset in each block of samples.
 
-    The blocks of a slow device are longer.
+    A block lasts BLOCK_S, or BLOCK_SAMPLES median sample periods if that is longer. Blocks with fewer than three
+    samples are left out. `received` (n,) are receive times, and `offset` (n,) is receive time minus device time [s].
     """
     long = max(BLOCK_S, BLOCK_SAMPLES * float(np.median(np.diff(received))))
     block = ((received - received[0]) / long).astype(int)
@@ -562,10 +628,10 @@ def _earliest(received: FloatArray, offset: FloatArray) -> tuple[FloatArray, Flo
     return received[best], offset[best]
 
 
-def lost_zeros(name: str, t: FloatArray) -> Iterator[Finding]:
-    """Check whether the fractions of time stamps were written without leading zeros.
+def check_lost_zeros(name: str, t: FloatArray) -> Iterator[Finding]:
+    """Yield a finding if the fractions of time stamps were written without leading zeros.
 
-    No such time stamp lies in the first tenth of its second.
+    No such time stamp lies in the first tenth of its second. Fewer than LEAST time stamps are not checked.
 
     Parameters
     ----------

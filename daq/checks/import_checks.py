@@ -43,7 +43,7 @@ def check_rows_left_out(metadata: Mapping[str, str]) -> Iterator[Finding]:
 
 
 def check_missing_inputs(log: Log) -> Iterator[Finding]:
-    """Yield a finding for each input that is unknown for some time, as an import marks it."""
+    """Yield a finding for each imported input of a log that is NaN for longer than `SHORTEST_GAP_S`."""
     for source in log.sources(Scalar):
         if log.role(source) != "input":
             continue
@@ -71,7 +71,7 @@ def unknown_times(t: npt.NDArray[np.float64], values: npt.NDArray[np.float64]) -
     Returns
     -------
     list
-        Begin and end [s] of each gap longer than `SHORTEST_GAP_S`: up to the next value, or to the end of the samples.
+        Begin and end [s] of each gap longer than `SHORTEST_GAP_S`. A gap ends at the next value, or at the last sample.
     """
     unknown = np.isnan(values).astype(np.int8)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], unknown, [0]])))
@@ -80,7 +80,7 @@ def unknown_times(t: npt.NDArray[np.float64], values: npt.NDArray[np.float64]) -
 
 
 def too_many_rows_missing(n: int, n_rows: int) -> bool:
-    """Return whether a log lacks too many rows to represent the recording.
+    """Return whether a log lacks too many rows to represent the recording: 5 rows or more, and more than 5 %.
 
     Parameters
     ----------

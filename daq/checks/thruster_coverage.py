@@ -16,8 +16,11 @@ LONGEST_PAUSE_S = 60.0  # s; a longer time between two speeds is a gap of the lo
 FEWEST = 10  # smallest number of samples of the fastest controller from which rates are compared
 
 
-def _without_rpm_max(log: Log, rig: Rig) -> Iterator[Finding]:
-    """Yield a finding for each thruster whose speed cannot be normalised, because the rig lacks its rpm_max."""
+def _check_rpm_max(log: Log, rig: Rig) -> Iterator[Finding]:
+    """Yield a finding for each thruster whose speed cannot be normalised, because the rig lacks its rpm_max.
+
+    Only thrusters with a shaft speed above zero in the log count.
+    """
     for thruster in rig.thrusters:
         if np.isfinite(thruster.rpm_max) or thruster.node not in log.nodes(Esc, thruster.device):
             continue
@@ -28,8 +31,21 @@ def _without_rpm_max(log: Log, rig: Rig) -> Iterator[Finding]:
             yield Finding(WARNING, "rpm-max-missing", "thrusters", thruster.name, text, advice)
 
 
-def _numbering(rig: Rig, device: str, nodes: set[int], heard: set[int]) -> str:
-    """Return the advice on wrong numbers of the controllers of a bus."""
+def _numbering_advice(rig: Rig, device: str, nodes: set[int], heard: set[int]) -> str:
+    """Return the advice on wrong numbers (nodes) of the speed controllers of a bus.
+
+    Parameters
+    ----------
+    rig : Rig
+        The rig.
+    device : str
+        Name of the bus.
+    nodes : set of int
+        Numbers of the controllers in the rig.
+    heard : set of int
+        Numbers of the controllers that are in the log. If they differ by one constant on a DroneCAN bus, the advice is
+        that constant.
+    """
     offset = min(heard) - min(nodes)
     of_dronecan = any(d.name == device and d.protocol == "dronecan" for d in rig.devices)
     if of_dronecan and offset and {node + offset for node in nodes} == heard:
@@ -38,14 +54,16 @@ def _numbering(rig: Rig, device: str, nodes: set[int], heard: set[int]) -> str:
 
 
 def check_thruster_coverage(log: Log) -> Iterator[Finding]:
-    """Compare the nodes of each bus of speed controllers with the thrusters of the rig.
+    """Compare the speed controllers of each bus with the thrusters of the rig, and yield the findings.
 
-    Thrusters behind an autopilot are left out, and so are buses without any telemetry.
+    The findings are about unknown controllers, silent controllers, rates of controllers, and missing `rpm_max`.
+    Thrusters behind an autopilot are left out, and so are buses without any telemetry. A log without a rig has no
+    finding.
     """
     rig = log.rig
     if rig is None:
         return
-    yield from _without_rpm_max(log, rig)
+    yield from _check_rpm_max(log, rig)
     for device in log.sources(Esc):
         names = {t.node: t.name for t in rig.thrusters if t.device == device and t.output is None}
         heard = log.nodes(Esc, device)
@@ -63,7 +81,7 @@ def check_thruster_coverage(log: Log) -> Iterator[Finding]:
                 text = f"its controller, node {node} of {device}, is not in the log"
                 advice = "its power and cable"
                 if unknown:
-                    advice += f"; node {listed} is unknown: {_numbering(rig, device, set(names), set(heard))}"
+                    advice += f"; node {listed} is unknown: {_numbering_advice(rig, device, set(names), set(heard))}"
                 yield Finding(FAULT, "thruster-not-heard", "thrusters", name, text, advice)
         counts = {node: len(log.table(Esc, device, node)) for node in names if node in heard}
         most_samples = max(counts.values(), default=0)

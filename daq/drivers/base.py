@@ -37,8 +37,8 @@ class LinkStatus:
     received: bool = False  # whether a heartbeat has been received
     vehicle: str = ""  # software of the autopilot, for example "ArduPilot Rover"
     age: float = math.inf  # wall s since its last heartbeat
-    armed: bool = False
-    mode: str = ""
+    armed: bool = False  # whether the motors are armed
+    mode: str = ""  # name of the flight or driving mode, for example "MANUAL"
     ekf: int = -1  # flags of EKF_STATUS_REPORT; -1 before the first
     parameters: dict[str, float] = dataclasses.field(default_factory=dict)  # requested parameters that were answered
     parameters_pending: bool = True  # whether answers to parameter requests are still awaited
@@ -121,7 +121,7 @@ class DeviceDriver(ABC):
 
     @property
     def hint(self) -> str:
-        """A possible improvement of the link, in one line; empty if there is none."""
+        """Advice to the user on the link, in one line; empty if there is none."""
         return ""
 
     @property
@@ -136,8 +136,17 @@ class DeviceDriver(ABC):
 
 @final
 class PollingDriver(DeviceDriver):
-    """Driver of a device that sends only on request: it sends `request` every `period` wall seconds.
+    """Driver of a device that sends only on request.
 
+    Parameters
+    ----------
+    request
+        Bytes of one request.
+    period
+        Time between two requests [wall s].
+
+    Notes
+    -----
     A delayed request does not delay the next ones. Requests that are late by a whole period are left out.
     """
 

@@ -131,22 +131,28 @@ def resample(log: Log, rate: float) -> Resampled:
             t, values = table.rows["t"][good], values[good]
             unit = table.units.get(column, "")
             if table.held or table.rows.dtype[column].kind in "iu":
-                columns[name] = _held(grid, t, values)
+                columns[name] = _hold_last_value(grid, t, values)
             else:
                 period = 2.0 * np.pi if unit == "rad" else 360.0 if column == "lon" else 0.0
-                columns[name] = _smooth(grid, t, values, 1.0 / rate, period)
+                columns[name] = _average_and_interpolate(grid, t, values, 1.0 / rate, period)
             units[name] = unit
     return Resampled(grid, columns, units)
 
 
-def _held(grid: Array, t: Array, values: Array) -> Array:
-    """Return the value of the last sample at each time of the grid, NaN before the first sample."""
+def _hold_last_value(grid: Array, t: Array, values: Array) -> Array:
+    """Return the value of the last sample at each time of the grid (n,) [s], NaN before the first sample.
+
+    `t` and `values` are the times [s] and values (m,) of the samples.
+    """
     newest = np.searchsorted(t, grid + 1e-9, side="right") - 1
     return np.where(newest >= 0, values[np.maximum(newest, 0)], np.nan)
 
 
-def _smooth(grid: Array, t: Array, values: Array, step: float, period: float) -> Array:
-    """Interpolate linearly between the means of the samples around each time of the grid.
+def _average_and_interpolate(grid: Array, t: Array, values: Array, step: float, period: float) -> Array:
+    """Average the samples around each time of the grid, and interpolate linearly where there is no sample.
+
+    The result (n,) is NaN before the first sample, after the last one, and in gaps longer than `GAP_S` and than five
+    usual intervals.
 
     Parameters
     ----------

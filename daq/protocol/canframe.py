@@ -31,7 +31,19 @@ def unpack_can(frame: bytes) -> tuple[int, bytes] | None:
 
 
 class FrameDecoder(ABC):
-    """Base class of the decoders of a CAN bus: it splits bytes into frames and has the counters."""
+    """Base class of the decoders of a CAN bus: it splits bytes into frames and has the counters.
+
+    Attributes
+    ----------
+    frames : int
+        Decoded messages.
+    checksum_errors : int
+        Messages of several frames with a wrong checksum.
+    unparsed_bytes : int
+        Bytes of frames that belong to no valid message.
+    remark : str
+        Advice about the stream for the user, in one line; empty if there is none.
+    """
 
     def __init__(self) -> None:
         self.frames = 0

@@ -140,12 +140,12 @@ class Decoder(FrameDecoder):
         self._newest: dict[int, dict[str, tuple[float, float]]] = {}  # node -> field -> value, t_rx [s]
         self._has_rpm = any(signal.field == "rpm" for signal in signals)
         for name in dict.fromkeys(signal.message for signal in signals):
-            message = _find(name, database.messages, "message")
+            message = _find_by_name(name, database.messages, "message")
             selected = tuple(signal for signal in signals if signal.message == name)
             for signal in selected:
                 for required in [signal.signal, *([signal.node] if isinstance(signal.node, str) else [])]:
                     if required != SOURCE:
-                        _find(required, message.signals, f"signal of {name}")
+                        _find_by_name(required, message.signals, f"signal of {name}")
             if is_j1939(message):
                 self._by_pgn[pgn_bits(message.frame_id)] = _MessageSignals(message, selected)
             else:
@@ -167,29 +167,31 @@ class Decoder(FrameDecoder):
         nodes: dict[int, None] = {}
         for signal in configured.signals:
             node = identifier & 0xFF if signal.node == SOURCE else raw.get(signal.node, signal.node)
-            value = self._value(configured.message, signal, raw)
+            value = self._scaled_value(configured.message, signal, raw)
             if isinstance(node, int) and value is not None:
                 self._newest.setdefault(node, {})[signal.field] = (value, t_rx)
                 if signal.field == "rpm" or not self._has_rpm:
                     nodes[node] = None
-        return [Frame(self._esc(node, t_rx), t_rx, NAN) for node in nodes]
+        return [Frame(self._newest_sample(node, t_rx), t_rx, NAN) for node in nodes]
 
-    def _value(self, message: Any, signal: DbcSignal, raw: dict[str, Any]) -> float | None:
+    def _scaled_value(self, message: Any, signal: DbcSignal, raw: dict[str, Any]) -> float | None:
         """Return the value of a signal with the scale and offset of the rig, or None if the frame lacks it."""
         if signal.signal not in raw:  # the signal belongs to another multiplexer value
             return None
         value = number(message, signal.signal, raw[signal.signal], signal.field)
         return signal.scale * value + signal.offset
 
-    def _esc(self, node: int, t_rx: float) -> Esc:
+    def _newest_sample(self, node: int, t_rx: float) -> Esc:
+        """Return a sample of the newest values of a node at time `t_rx` [s]. Values older than STALE are NaN."""
         newest = self._newest[node].items()
         return Esc(node, **{name: value for name, (value, t) in newest if t_rx - t <= STALE})
 
     def _forget(self) -> None:
+        """Discard the newest values of all nodes."""
         self._newest.clear()
 
 
-def _find(name: str | int, rows: Sequence[Any], label: str) -> Any:
+def _find_by_name(name: str | int, rows: Sequence[Any], label: str) -> Any:
     """Return the message or signal of that name. Raise SeatrialError with the known names if there is none."""
     for row in rows:
         if row.name == name:

@@ -80,18 +80,19 @@ class Decoder(FrameDecoder):
                 continue
             self.frames += 1
             out.append(Frame(unpack(payload, self._reversed, self._offset), t_first, NAN))
-        self._count()
+        self._take_counts()
         return out
 
-    def _count(self) -> None:
+    def _take_counts(self) -> None:
         """Move the counts of the assembler to the counters of the decoder."""
         self.unparsed_bytes += self._assembler.unparsed_bytes
         self.checksum_errors += self._assembler.checksum_errors
         self._assembler.unparsed_bytes = self._assembler.checksum_errors = 0
 
     def _forget(self) -> None:
+        """Discard all incomplete transfers. Their frames count as unparsed."""
         self._assembler.forget()
-        self._count()
+        self._take_counts()
 
 
 def unpack(payload: bytes, reversed_nodes: frozenset[int] = frozenset(), index_offset: int = 0) -> Esc:
@@ -137,14 +138,17 @@ def encode_command(commands: Mapping[int, float], source: int, number: int) -> l
             raise ValueError(
                 f"controller {index}: command {n} is invalid; commands are -1 to 1, controllers 0 to {MOST - 1}"
             )
-    bits = "".join(_scalar(round(FULL * commands.get(k, 0.0))) for k in range(max(commands, default=-1) + 1))
+    bits = "".join(_command_bits(round(FULL * commands.get(k, 0.0))) for k in range(max(commands, default=-1) + 1))
     padded = bits.ljust(-(-len(bits) // 8) * 8, "0")
     payload = bytes(int(padded[at : at + 8], 2) for at in range(0, len(padded), 8))
     return frames_of(RAW_COMMAND, payload, source, number, URGENT)
 
 
-def _scalar(value: int) -> str:
-    """Return the 14 bits of a number in the order of DroneCAN: the low byte first, each byte from its highest bit."""
+def _command_bits(value: int) -> str:
+    """Return the 14 bits of a command as text of "0" and "1", in the order of DroneCAN.
+
+    The low byte is first, and each byte begins with its highest bit. A negative value is in two's complement.
+    """
     word = value & (1 << _BITS) - 1
     return f"{word & 0xFF:08b}{word >> 8:06b}"
 
@@ -175,10 +179,10 @@ def frames_of(
     if len(payload) > PART:
         body = struct.pack("<H", crc16_ccitt(payload, kind.seed)) + payload
     parts = [body[at : at + PART] for at in range(0, max(len(body), 1), PART)]
-    return [(identifier, part + bytes((_tail(k, len(parts), number),))) for k, part in enumerate(parts)]
+    return [(identifier, part + bytes((_tail_byte(k, len(parts), number),))) for k, part in enumerate(parts)]
 
 
-def _tail(k: int, n_parts: int, number: int) -> int:
+def _tail_byte(k: int, n_parts: int, number: int) -> int:
     """Return the last byte of frame `k` of a transfer with `n_parts` frames."""
     return _BEGINS * (k == 0) | _ENDS * (k == n_parts - 1) | _TOGGLE * (k & 1) | number & _NUMBER
 
@@ -187,15 +191,28 @@ def _tail(k: int, n_parts: int, number: int) -> int:
 class _Transfer:
     """Received part of a transfer."""
 
-    number: int
-    t_rx: float  # s, of its first frame
+    number: int  # number of the transfer, 0..31
+    t_rx: float  # time of receipt of its first frame [s]
     toggle: int = 0  # expected toggle bit of the next frame
     frames: int = 0  # number of received frames
-    data: bytearray = field(default_factory=bytearray)
+    data: bytearray = field(default_factory=bytearray)  # received bytes, the checksum included
 
 
 class Assembler:
-    """Assembler of frames to messages of one type, for all nodes of a bus."""
+    """Assembler of frames to messages of one type, for all nodes of a bus.
+
+    Parameters
+    ----------
+    kind
+        Type of the messages. Frames of other types are ignored.
+
+    Attributes
+    ----------
+    checksum_errors
+        Transfers with a wrong checksum.
+    unparsed_bytes
+        Bytes of frames whose transfer was not completed.
+    """
 
     def __init__(self, kind: MessageType) -> None:
         self.checksum_errors = 0
@@ -249,6 +266,6 @@ class Assembler:
             self.unparsed_bytes += FRAME_BYTES * transfer.frames
 
     def forget(self) -> None:
-        """Discard all incomplete transfers."""
+        """Discard all incomplete transfers. Their frames count as unparsed."""
         for source in list(self._transfers):
             self._drop(source)

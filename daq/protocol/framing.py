@@ -21,6 +21,17 @@ class StreamDecoder(ABC, Generic[T]):
     """Decoder of a stream of frames: it buffers bytes and searches for the next frame.
 
     A subclass defines the first byte of a frame in `sync` and decodes one frame in `_take`.
+
+    Attributes
+    ----------
+    frames : int
+        Frames with a correct checksum.
+    checksum_errors : int
+        Complete frames with a wrong checksum.
+    unparsed_bytes : int
+        Bytes outside valid frames, without those that are allowed between frames.
+    remark : str
+        Advice about the stream for the user, in one line; empty if there is none.
     """
 
     sync: re.Pattern[bytes]  # the first byte of a frame

@@ -110,6 +110,10 @@ class Decoder(StreamDecoder[Frame]):
     sync = re.compile(rb"[$\xfa]")
 
     def _take(self, buffer: bytearray, start: int, t_rx: float) -> int:
+        """Decode the message at `start` and append its sample.
+
+        Return its length in bytes, 0 if more bytes are needed, or -1 if no valid message begins there.
+        """
         return (
             self._take_binary(buffer, start, t_rx) if buffer[start] == SYNC else self._take_ascii(buffer, start, t_rx)
         )
@@ -137,7 +141,7 @@ class Decoder(StreamDecoder[Frame]):
         values: Values = {quantity: form.unpack_from(message, at) for quantity, form, at in layout.fields}
         t_device = values.pop("startup", (NAN,))[0] * 1e-9
         if values:
-            self._out.append(Frame(_ahrs(values), t_rx, t_device))
+            self._out.append(Frame(_ahrs_sample(values), t_rx, t_device))
         return layout.length
 
     def _take_ascii(self, buffer: bytearray, start: int, t_rx: float) -> int:
@@ -149,16 +153,19 @@ class Decoder(StreamDecoder[Frame]):
         words = body.split(b",")
         fields = ASCII_FIELDS.get(words[0])
         if fields is not None:
-            values = _numbers(words[1:], fields)
+            values = _split_numbers(words[1:], fields)
             if values is None:
                 return -1
-            self._out.append(Frame(_ahrs(values), t_rx, NAN))
+            self._out.append(Frame(_ahrs_sample(values), t_rx, NAN))
         self.frames += 1
         return length
 
 
-def _numbers(words: list[bytes], fields: tuple[tuple[str, int], ...]) -> Values | None:
-    """Return the numbers of a sentence by quantity. Return None if a word is missing or not a number."""
+def _split_numbers(words: list[bytes], fields: tuple[tuple[str, int], ...]) -> Values | None:
+    """Return the numbers of an ASCII sentence by quantity. Return None if a word is missing or not a number.
+
+    `fields` are the quantities in order, each with its number of words.
+    """
     values: Values = {}
     at = 0
     for quantity, count in fields:
@@ -173,12 +180,12 @@ def _numbers(words: list[bytes], fields: tuple[tuple[str, int], ...]) -> Values 
 _NAN3 = (NAN, NAN, NAN)
 
 
-def _ahrs(values: Values) -> Ahrs:
+def _ahrs_sample(values: Values) -> Ahrs:
     """Return the sample of the quantities of one message in SI units, NaN for missing quantities."""
     if "ypr" in values:
         yaw, pitch, roll = (angle * DEG for angle in values["ypr"])
     elif "quaternion" in values:
-        yaw, pitch, roll = _angles(*values["quaternion"])
+        yaw, pitch, roll = _euler_angles(*values["quaternion"])
     else:
         yaw, pitch, roll = _NAN3
     p, q, r = values.get("rate", _NAN3)
@@ -187,7 +194,7 @@ def _ahrs(values: Values) -> Ahrs:
     return Ahrs(yaw, pitch, roll, p, q, r, ax, ay, az, mx, my, mz)
 
 
-def _angles(x: float, y: float, z: float, w: float) -> tuple[float, float, float]:
+def _euler_angles(x: float, y: float, z: float, w: float) -> tuple[float, float, float]:
     """Return yaw, pitch and roll [rad] of a quaternion whose scalar is `w` (UM001, attitude transformations)."""
     yaw = math.atan2(2.0 * (x * y + w * z), w * w + x * x - y * y - z * z)
     pitch = math.asin(min(max(-2.0 * (x * z - w * y), -1.0), 1.0))
@@ -237,4 +244,5 @@ def encode_binary(ahrs: Ahrs, t_device: float) -> bytes:
 
 
 def _or_zero(value: float) -> float:
+    """Return a number unchanged, and 0 for NaN."""
     return 0.0 if math.isnan(value) else value

@@ -19,7 +19,7 @@ from seatrial.daq.drivers.base import DISARMED, LinkRole
 from seatrial.daq.drivers.factory import make_driver
 from seatrial.daq.drivers.setpoints import Due
 from seatrial.daq.protocol.catalogue import make_decoder
-from seatrial.daq.protocol.mavlink_wire import Codec, Head, head
+from seatrial.daq.protocol.mavlink_wire import Codec, FrameHeader, parse_header
 from seatrial.daq.rig import Rig
 from seatrial.daq.samples import NAN, Ahrs, Battery, Esc, Gnss, Servo
 from seatrial.mocks.devices.autopilot import HOLD, OWN_N, RTL, AutopilotEmulator
@@ -299,8 +299,8 @@ def parsed(codec: Codec, data: bytes) -> list[Any]:
     """The messages in whole frames."""
     found = []
     while data:
-        about = head(data, 0)
-        assert isinstance(about, Head)
+        about = parse_header(data, 0)
+        assert isinstance(about, FrameHeader)
         found.append(codec.decode(data[: about.total]))
         data = data[about.total :]
     return found

@@ -22,7 +22,7 @@ from seatrial.daq.drivers.setpoints import Setpoints
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.protocol.catalogue import make_decoder
 from seatrial.daq.protocol.mavlink import MavlinkDecoder
-from seatrial.daq.protocol.mavlink_wire import Codec, Head, head
+from seatrial.daq.protocol.mavlink_wire import Codec, FrameHeader, parse_header
 from seatrial.daq.transport.base import Port, PortError, decode_read
 from seatrial.daq.transport.factory import make_net_port, make_port
 from seatrial.daq.transport.network_port import SILENT_S, UdpPort
@@ -276,8 +276,8 @@ def test_the_watchdog_is_heard_on_a_signed_link_long_after_it_was_made(tmp_path:
             with contextlib.suppress(TimeoutError):
                 data = own.recv(1000)
                 while data:
-                    about = head(data, 0)
-                    assert isinstance(about, Head)
+                    about = parse_header(data, 0)
+                    assert isinstance(about, FrameHeader)
                     message = autopilot.decode(data[: about.total])
                     heard += [] if message is None else [message.get_type()]
                     data = data[about.total :]
