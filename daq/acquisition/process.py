@@ -171,7 +171,7 @@ class Process:
         try:
             messages = self._link.receive()
         except EOFError:
-            self._request_end("the parent process is gone", unrequested=True)
+            self._request_end("the program that started the acquisition has ended", unrequested=True)
             return
         for message in messages:
             self._parent_seen = time.monotonic()
@@ -211,10 +211,16 @@ class Process:
         if any(setpoints.active for setpoints in self._setpoints.values()):
             if now - self._parent_seen > SILENCE_S:
                 self._parent_hangs = True
-                self._request_end(f"no heartbeat of the parent for {SILENCE_S} s", unrequested=True)
+                self._request_end(
+                    f"the program that started the acquisition has not responded for {SILENCE_S} s",
+                    unrequested=True,
+                )
             elif now - self._runner_seen > SILENCE_S:
                 self._parent_hangs = True
-                self._request_end(f"no sign of life of the runner for {SILENCE_S} s", unrequested=True)
+                self._request_end(
+                    f"the program that runs the mission has not responded for {SILENCE_S} s",
+                    unrequested=True,
+                )
 
     def _request_end(self, reason: str, unrequested: bool) -> None:
         """Store the reason to end; only the first reason counts. `unrequested`: the parent did not request the end."""
@@ -238,7 +244,7 @@ class Process:
             case StreamSamples():
                 self._writer.stream = self._writer.stream or SampleStream()
             case Stop():
-                self._request_end("closed as asked", unrequested=False)
+                self._request_end("closed on request", unrequested=False)
 
     def _append_setpoints(self, message: ScheduleSetpoints) -> None:
         """Append set-points, given by thruster, to the schedules of their devices, and wake the threads of the ports.
@@ -361,7 +367,7 @@ class Process:
         try:
             self._reporter.report(self._stopped, self._end_reason if self._unrequested else "")
         except OSError:
-            self._request_end("the parent process is gone", unrequested=True)
+            self._request_end("the program that started the acquisition has ended", unrequested=True)
 
 
 def _connect_watchdog(rig: Rig, path: Path) -> Heartbeat:

@@ -26,7 +26,7 @@ from seatrial.daq.sensor_limits import FLAGGED_SHARE, STUCK_IN_LOG, can_be_stuck
 Tables = list[tuple[type, str, Any]]  # kind of sample, name in findings, table
 FloatArray = npt.NDArray[np.float64]
 RATE_TOLERANCE = 0.2  # part of the expected rate by which the measured rate may differ
-WRONG_RATE = "the device's output rate, its baud rate, or rate_hz of the rig"
+WRONG_RATE = "check the device's output rate, its baud rate, and rate_hz of the rig"
 # An autopilot sends at its own rates until it receives our request after its first heartbeat. This part of a log, at
 # most this many seconds, is left out of its rate.
 UNASKED, UNASKED_S = 1.0 / 3.0, 10.0
@@ -61,10 +61,19 @@ def check_devices(log: Log) -> Iterator[Finding]:
         )
     for text in (text for _, kind, text in log.events() if kind == "clock"):
         source, _, text = text.partition(": ")
-        yield Finding(FAULT, "clock-ran-back", "clock", source, text, "import the parts before and after it separately")
+        yield Finding(
+            FAULT, "clock-ran-back", "clock", source, text, "import the parts before and after the step separately"
+        )
     for topic, (n, longest) in log.clock_steps.items():
         text = f"its times ran back {counted(n, 'time')}, by up to {longest:.1f} s"
-        yield Finding(FAULT, "clock-ran-back", "clock", topic, text, "two clocks, or one that was set?")
+        yield Finding(
+            FAULT,
+            "clock-ran-back",
+            "clock",
+            topic,
+            text,
+            "the times come from two clocks, or from one that was set: import each part by itself",
+        )
     for source, tables in _tables_by_device(log).items():
         tables = [row for row in tables if len(row[2])]  # a part of a log may contain no sample of a kind
         device = next((d for d in rig.devices if d.name == source), None) if rig else None
@@ -116,7 +125,7 @@ def _check_devices_present(log: Log, rig: Rig | None) -> Iterator[Finding]:
                 "alive",
                 device.name,
                 "the log contains no sample of it",
-                "power, cable, port, baud rate",
+                "check power, cable, port and baud rate",
             )
 
 
@@ -146,7 +155,7 @@ def _check_rate(source: str, device: Device | None, log: Log, tables: Tables, ga
     if t.size < 3 or t[-1] == t[0]:
         if tables:
             yield Finding(
-                FAULT, "too-few-samples", "rate", source, f"{t.size} samples in all", "power, cable, protocol"
+                FAULT, "too-few-samples", "rate", source, f"{t.size} samples in all", "check power, cable and protocol"
             )
         return
     if device is not None and device.protocol == "mavlink" and ours:
@@ -207,7 +216,7 @@ def _check_stuck(kind: type, name: str, table: Any) -> Iterator[Finding]:
             "stuck",
             name,
             text,
-            "the sensor hangs: power cycle, firmware, or its filter's settings",
+            "the sensor hangs: switch it off and on, and check its firmware and the settings of its filter",
         )
 
 
@@ -267,7 +276,7 @@ def _check_ahrs(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
                 "noise",
                 name,
                 text,
-                "vibration, mounting, interference; or the unit of that value",
+                "check vibration, mounting and interference, and the unit of the value",
             )
     yaw, rate = noises["yaw"], noises["r"]
     if is_quiet and math.isfinite(rate):
@@ -287,7 +296,7 @@ def _check_ahrs(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
             "units",
             name,
             f"specific force is {g:.3g} m/s2 and not 9.81{cause}",
-            "its output settings",
+            "check the output settings of the sensor",
         )
     tilt = max(abs(float(np.nanmedian(table[c]))) if np.isfinite(table[c]).any() else 0.0 for c in ("roll", "pitch"))
     if tilt > 0.35:
@@ -298,7 +307,7 @@ def _check_ahrs(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
             "mounting",
             name,
             text,
-            "axes forward, starboard, down? check its reference frame",
+            "its axes must be forward, starboard, down: check its mounting and its reference frame",
         )
 
 
@@ -333,12 +342,24 @@ def _check_gnss(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
     if at_zero.any():
         first = float(table["t"][int(np.argmax(at_zero))] - table["t"][0])
         text = f"{counted(int(at_zero.sum()), 'position')} at 0 N 0 E left out, the first at {first:.1f} s"
-        yield Finding(WARNING, "fixes-at-zero", "fix", name, text, "its receiver reports a fix that it does not have")
+        yield Finding(
+            WARNING,
+            "fixes-at-zero",
+            "fix",
+            name,
+            text,
+            "the receiver reports a fix that it does not have; its positions at 0 N 0 E are not used",
+        )
     fixes = (table["fix"] >= 2) & ~at_zero
     if np.mean(~fixes) > NO_FIX:
         text = f"no position in {100 * np.mean(~fixes):.0f} % of the epochs"
         yield Finding(
-            WARNING if fixes.any() else FAULT, "position-missing", "fix", name, text, "open sky, antenna and its cable"
+            WARNING if fixes.any() else FAULT,
+            "position-missing",
+            "fix",
+            name,
+            text,
+            "check the antenna, its cable, and its view of the sky",
         )
     used = table["n_sat"][(table["n_sat"] >= 0) & fixes]
     if used.size and np.median(used) < FEW_SATELLITES:
@@ -348,7 +369,7 @@ def _check_gnss(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
             "fix",
             name,
             f"{np.median(used):.0f} satellites",
-            "open sky, antenna and its cable",
+            "check the antenna, its cable, and its view of the sky",
         )
 
 
@@ -366,9 +387,11 @@ def _check_esc_voltage(name: str, table: Any, rig: Rig | None) -> Iterator[Findi
 def _voltage_finding(name: str, volts: float, lowest: float) -> Finding:
     """Return the finding on a voltage and its lower limit [V]: fault below the limit, warning within 5 % above it."""
     if volts < lowest:
-        return Finding(FAULT, "voltage-low", "battery", name, f"{volts:.1f} V, limit {lowest:g}", "charge it")
+        return Finding(FAULT, "voltage-low", "battery", name, f"{volts:.1f} V, limit {lowest:g}", "charge the battery")
     near = volts < 1.05 * lowest
-    level, code, advice = (WARNING, "voltage-near-limit", "charge it soon") if near else (OK, "voltage-as-expected", "")
+    level, code, advice = (
+        (WARNING, "voltage-near-limit", "charge the battery soon") if near else (OK, "voltage-as-expected", "")
+    )
     return Finding(level, code, "battery", name, f"{volts:.1f} V, limit {lowest:g}", advice)
 
 
@@ -378,7 +401,12 @@ def _check_load_cell(name: str, table: Any, rig: Rig | None) -> Iterator[Finding
     if bad > FLAGGED_SHARE:
         text = f"{100 * bad:.0f} % of the readings are saturated or spikes"
         yield Finding(
-            WARNING, "load-cell-saturated", "load cell", name, text, "its supply and wires; beyond its range?"
+            WARNING,
+            "load-cell-saturated",
+            "load cell",
+            name,
+            text,
+            "check its supply and wires, and whether the load is beyond its range",
         )
 
 
@@ -387,7 +415,7 @@ def _check_battery(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
     left, least = table["remaining"][-1], None if rig is None else rig.limits.battery_min
     if least is not None and np.isfinite(left):
         low = left < least
-        level, code, advice = (FAULT, "battery-low", "charge it") if low else (OK, "battery-as-expected", "")
+        level, code, advice = (FAULT, "battery-low", "charge the battery") if low else (OK, "battery-as-expected", "")
         yield Finding(level, code, "battery", name, f"{100 * left:.0f} % left, limit {100 * least:.0f}", advice)
 
 
@@ -416,16 +444,30 @@ def _check_port_counters(source: str, log: Log) -> Iterator[Finding]:
     last = rows[-1][1]
     if last.checksum_errors > max(1, 0.001 * last.frames):
         text = f"{last.checksum_errors} checksum errors in {last.frames} frames"
-        yield Finding(WARNING, "checksum-errors", "link", source, text, "ground, cable, two programs on one port")
+        yield Finding(
+            WARNING,
+            "checksum-errors",
+            "link",
+            source,
+            text,
+            "check ground and cable, and that only one program uses the port",
+        )
     if last.unparsed_bytes > 0.01 * last.bytes_in + 200:
         text = f"{last.unparsed_bytes} of {last.bytes_in} bytes not understood"
-        yield Finding(WARNING, "bytes-not-understood", "link", source, text, "baud rate; unexpected output")
+        yield Finding(
+            WARNING,
+            "bytes-not-understood",
+            "link",
+            source,
+            text,
+            "check the baud rate, and which messages the device sends",
+        )
     if last.dropped:
         text = f"{counted(last.dropped, 'sample')} dropped"
         yield Finding(WARNING, "samples-dropped", "link", source, text, "use a faster disk")
     if last.reconnects:
         text = f"its port was lost {counted(last.reconnects, 'time')}"
-        yield Finding(WARNING, "port-lost", "link", source, text, "plug and cable")
+        yield Finding(WARNING, "port-lost", "link", source, text, "check plug and cable")
 
 
 def _check_shaft_speeds(log: Log) -> Iterator[Finding]:
@@ -452,7 +494,12 @@ def _check_shaft_speeds(log: Log) -> Iterator[Finding]:
                 if during.size > 1 and np.ptp(during) > STEP:
                     text = f"{rpm[a]:.0f} rev/min for {t[b] - t[a]:.1f} s while its command changed"
                     yield Finding(
-                        FAULT, "shaft-speed-stuck", "stuck", f"{source} node {node}", text, "its sensor, or the bus"
+                        FAULT,
+                        "shaft-speed-stuck",
+                        "stuck",
+                        f"{source} node {node}",
+                        text,
+                        "check its speed sensor and the bus",
                     )
                     break
 
@@ -476,7 +523,14 @@ def _check_imported_signals(log: Log) -> Iterator[Finding]:
         yield from check_lost_zeros(source, table["t"])
         if len(table) > 20 and log.role(source) == "output" and np.nanstd(table["value"]) == 0.0:
             text = f"{table['value'][0]:g} all the time"
-            yield Finding(WARNING, "signal-constant", "stuck", source, text, "not connected, or another column")
+            yield Finding(
+                WARNING,
+                "signal-constant",
+                "stuck",
+                source,
+                text,
+                "check whether the sensor is connected, and the column in the import's map",
+            )
 
 
 def check_timestamps(name: str, table: Any, end: float | None, speed: float = 1.0) -> Iterator[Finding]:
@@ -507,19 +561,24 @@ def check_timestamps(name: str, table: Any, end: float | None, speed: float = 1.
             "time",
             name,
             text,
-            "its clock runs back or stands; import with its own rate instead",
+            "its clock runs back or stands still: import with rate_hz instead of the times",
         )
     elif repeated > BUNCHED and np.count_nonzero(pauses <= 0.0) >= BUNCHES:
         text = f"{100 * repeated:.0f} % of the samples came in bunches, their times are those of receipt"
         yield Finding(
-            WARNING, "samples-bunched", "time", name, text, "a busy computer, a bunching adapter (latency_timer)"
+            WARNING,
+            "samples-bunched",
+            "time",
+            name,
+            text,
+            "check the load of the computer, and latency_timer of the adapter",
         )
         yield from _check_gaps(name, t[:-1][pauses > 0.0], pauses[pauses > 0.0], speed, imported)  # from bunch to bunch
     else:
         yield from _check_gaps(name, t, pauses, speed, imported)
     if end is not None and end - t[-1] > SILENT_S * max(1.0, 0.2 * speed):
         text = f"nothing for the last {end - t[-1]:.0f} s of the log"
-        yield Finding(FAULT, "device-fell-silent", "silent", name, text, "power, cable, bus")
+        yield Finding(FAULT, "device-fell-silent", "silent", name, text, "check power, cable and bus")
     yield from _check_clock(name, table, speed)
 
 
@@ -546,7 +605,14 @@ def _check_gaps(name: str, t: FloatArray, pauses: FloatArray, speed: float, impo
         k = int(long[np.argmax(pauses[long])])
         missing = f"missing: {counted(long.size, 'section')}, {pauses[long].sum():.1f} s in all"
         text = f"{missing}, the longest at {t[k] - t[0]:.1f} s"
-        yield Finding(WARNING, "sections-missing", "gap", name, text, "cable, range of the link, a busy computer")
+        yield Finding(
+            WARNING,
+            "sections-missing",
+            "gap",
+            name,
+            text,
+            "check the cable, the range of the link, and the load of the computer",
+        )
 
 
 def _check_clock(name: str, table: Any, speed: float) -> Iterator[Finding]:
@@ -567,7 +633,7 @@ def _check_clock(name: str, table: Any, speed: float) -> Iterator[Finding]:
             "clock",
             name,
             text,
-            "the device restarted (power), or its clock was set by GNSS during the run",
+            "the device restarted (check its power), or its clock was set by GNSS during the run",
         )
         return
     offset = received - device
@@ -585,7 +651,7 @@ def _check_clock(name: str, table: Any, speed: float) -> Iterator[Finding]:
             "clock",
             name,
             text,
-            "its clock was set during the run: leave that part out, or start later",
+            "its clock was set during the run: leave that part of the log out, or begin the log later",
         )
         return
     if late > max(SPREAD_S, jitter):
@@ -596,13 +662,13 @@ def _check_clock(name: str, table: Any, speed: float) -> Iterator[Finding]:
             "clock",
             name,
             text,
-            "a bunching adapter (latency_timer), a busy computer; its own clock is used",
+            "check latency_timer of the adapter and the load of the computer; the samples have the times of the device",
         )
     span = float(received[-1] - received[0])
     drift = float(np.polyfit(earliest[0] - received[0], earliest[1], 1)[0]) if earliest[0].size > 3 else 0.0
     if span > 60.0 and abs(drift) > max(DRIFT, jitter / span):
         text = f"its clock drifts by {1e6 * drift:.0f} ppm"
-        advice = f"its crystal, or a simulator; beyond {1e6 * ClockMap.SKEW_MAX:.0f} ppm its stamps jump"
+        advice = f"its crystal is bad, or it is a simulator; beyond {1e6 * ClockMap.SKEW_MAX:.0f} ppm its times jump"
         yield Finding(WARNING, "clock-drifts", "clock", name, text, advice)
     elif late <= max(SPREAD_S, jitter):
         yield Finding(
@@ -644,4 +710,6 @@ def check_lost_zeros(name: str, t: FloatArray) -> Iterator[Finding]:
     share = np.bincount(tenth, minlength=10)[:10] / max(t.size, 1)
     if t.size >= LEAST and share[0] < 0.002 and share[1:].min() > 0.03:
         text = f"none of {t.size} time stamps is in the first tenth of its second: leading zeros were lost"
-        yield Finding(FAULT, "lost-zeros", "time", name, text, '`fraction = "unpadded-ns"` in the import\'s map')
+        yield Finding(
+            FAULT, "lost-zeros", "time", name, text, 'write `fraction = "unpadded-ns"` into the import\'s map'
+        )

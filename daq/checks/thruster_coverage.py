@@ -27,7 +27,7 @@ def _check_rpm_max(log: Log, rig: Rig) -> Iterator[Finding]:
         rpm = np.abs(log.table(Esc, thruster.device, thruster.node)["rpm"])
         if np.nanmax(rpm, initial=0.0) > 0.0:
             text = "the log contains its speed, but a fit uses its commands: the rig lacks its rpm_max"
-            advice = f"rpm_max of the rig's [[thruster]]; the log goes up to {np.nanmax(rpm):.0f} rev/min"
+            advice = f"give rpm_max in the rig's [[thruster]]; the log goes up to {np.nanmax(rpm):.0f} rev/min"
             yield Finding(WARNING, "rpm-max-missing", "thrusters", thruster.name, text, advice)
 
 
@@ -49,8 +49,8 @@ def _numbering_advice(rig: Rig, device: str, nodes: set[int], heard: set[int]) -
     offset = min(heard) - min(nodes)
     of_dronecan = any(d.name == device and d.protocol == "dronecan" for d in rig.devices)
     if of_dronecan and offset and {node + offset for node in nodes} == heard:
-        return f"index_offset = {offset} of the device, if telemetry and commands count from different numbers"
-    return "another number of a thruster in the rig?"
+        return f"give the device index_offset = {offset}, if telemetry and commands count from different numbers"
+    return "check `node` of the thrusters in the rig"
 
 
 def check_thruster_coverage(log: Log) -> Iterator[Finding]:
@@ -73,13 +73,13 @@ def check_thruster_coverage(log: Log) -> Iterator[Finding]:
         listed = ", ".join(str(node) for node in unknown)
         for node in unknown:
             text = f"node {node} reports a speed, and no thruster of the rig has it"
-            advice = "`node` of the rig's thrusters, or another controller on the bus"
+            advice = "check `node` of the rig's thrusters; it may be another controller on the bus"
             yield Finding(WARNING, "node-unknown", "thrusters", device, text, advice)
         for node, name in names.items():
             # A silent node that was commanded is reported by another check (seatrial.ident.checks.log_checks).
             if node not in heard and node not in log.nodes(Command, device):
                 text = f"its controller, node {node} of {device}, is not in the log"
-                advice = "its power and cable"
+                advice = "check its power and cable"
                 if unknown:
                     advice += f"; node {listed} is unknown: {_numbering_advice(rig, device, set(names), set(heard))}"
                 yield Finding(FAULT, "thruster-not-heard", "thrusters", name, text, advice)
@@ -94,7 +94,7 @@ def check_thruster_coverage(log: Log) -> Iterator[Finding]:
             rate = steps.size / float(steps.sum()) if steps.sum() > 0.0 else 0.0
             if n < SLOW * most_samples:
                 text = f"{n} speeds ({rate:.3g} Hz); another controller on {device} has {most_samples}"
-                advice = "bus load, its cable, its power"
+                advice = "check the load of the bus, and cable and power of the controller"
                 yield Finding(WARNING, "thruster-rate-low", "thrusters", names[node], text, advice)
             else:
                 yield Finding(OK, "thruster-rate-measured", "thrusters", names[node], f"{rate:.3g} Hz, node {node}")

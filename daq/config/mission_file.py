@@ -218,7 +218,7 @@ def parse_mission(text: str, source: Path | str) -> Mission:
     limits = root.table("limits") or TomlTable({}, root.source)
     end = root.table("end")
     if end is None:
-        raise root.error("end", "missing; from t of [end] on, thrust is zero")
+        raise root.error("end", "missing; add a table [end] with t, the time [s] from which thrust is zero")
     mission = Mission(
         name=root.line("name"),
         kind=root.text("kind", choices=KINDS),
@@ -255,7 +255,7 @@ def _read_thruster_names(root: TomlTable, key: str) -> tuple[str, ...]:
     items = _pop_list_items(root, key)
     names = tuple(items.line(item) for item in items.values)
     if len(set(names)) < len(names):
-        raise root.error(key, "names a thruster twice")
+        raise root.error(key, "names a thruster twice; give each thruster once")
     return names
 
 

@@ -144,7 +144,9 @@ def _read_log(root: TomlTable) -> tuple[str, Segments]:
     )
     if segments.keep_gigabytes is not None:
         if segments.megabytes is None and segments.seconds is None:
-            raise log.error("keep_gb", "needs a log in segments, the oldest is deleted: give segment_mb or segment_s")
+            raise log.error(
+                "keep_gb", "needs a log in segments, of which the oldest are deleted: give segment_mb or segment_s"
+            )
         if 1e3 * segments.keep_gigabytes < LEAST_SEGMENTS * (segments.megabytes or 0.0):
             raise log.error("keep_gb", f"must be at least {LEAST_SEGMENTS} segments of segment_mb")
     log.done()
@@ -169,7 +171,9 @@ def _read_ros2(table: TomlTable | None) -> Ros2:
     if not re.fullmatch(r"tcp/([\w.-]+|\[[0-9a-fA-F:]+\]):\d{1,5}", router, re.ASCII):
         raise table.error("router", f"must be tcp/HOST:PORT, not '{router}'")
     if namespace and not NAME.fullmatch(namespace):
-        raise table.error("namespace", f"'{namespace}' becomes a part of topics: a letter, then letters, digits or _")
+        raise table.error(
+            "namespace", f"'{namespace}' becomes a part of topics: use a letter, then letters, digits or _"
+        )
     settings = Ros2(
         router,
         table.integer("domain", Ros2.domain, low=0, high=232),
@@ -192,7 +196,9 @@ def _check_ports_differ(root: TomlTable, devices: Sequence[Device]) -> None:
             continue
         port = device.port.removeprefix("udpin:").removeprefix("udp:")
         if port in owner:
-            raise root.error("device", f"{owner[port]} and {device.name} have the same port, {device.port}")
+            raise root.error(
+                "device", f"{owner[port]} and {device.name} have the same port, {device.port}; give each its own"
+            )
         owner[port] = device.name
 
 
@@ -200,14 +206,14 @@ def _check_unique(root: TomlTable, key: str, names: Sequence[str]) -> None:
     """Raise SeatrialError for the first name that appears twice. The message names `key`, such as "thruster"."""
     for name in names:
         if names.count(name) > 1:
-            raise root.error(key, f"'{name}' appears twice; give each its own")
+            raise root.error(key, f"'{name}' appears twice; give each {key} its own")
 
 
 def _read_topic_name(table: TomlTable) -> str:
     """Return `name` of a device or thruster. It must consist of a letter, and then letters, digits or underscores."""
     name = table.text("name")
     if not NAME.fullmatch(name):
-        raise table.error("name", f"'{name}' becomes a topic of the log: a letter, then letters, digits or _")
+        raise table.error("name", f"'{name}' becomes a topic of the log: use a letter, then letters, digits or _")
     return name
 
 
@@ -379,7 +385,7 @@ def _read_dbc(table: TomlTable, folder: Path) -> dict[str, Any]:
     name = table.text("dbc")
     rows = table.tables("signal")
     if not rows:
-        raise table.error("signal", "missing; a [[device.signal]] maps a signal of the DBC to a field")
+        raise table.error("signal", "missing; add a [[device.signal]], which maps a signal of the DBC file to a field")
     # A name without folder and suffix is a DBC file of seatrial itself.
     path = Path(__file__).parents[1] / "protocol" / f"{name}.dbc" if re.fullmatch(r"\w+", name) else folder / name
     if not path.is_file():

@@ -151,7 +151,10 @@ def test_what_cannot_be_opened_says_so(other: socket.socket) -> None:
         (("udp:127.0.0.1:14550", "udp:14550"), r"device\[1\].port: must be udp:HOST:PORT"),
         (("udp:127.0.0.1:14550", "tcp:host:x"), r"device\[1\].port: must be udp:HOST:PORT"),
         (("rc_channel = 1", "rc_channel = 19"), r"rc_channel: must be within 1 .. 18"),
-        (("rc_channel = 3", "rc_channel = 1"), r"thruster: 'autopilot rc_channel 1' appears twice; give each its own"),
+        (
+            ("rc_channel = 3", "rc_channel = 1"),
+            r"thruster: 'autopilot rc_channel 1' appears twice; give each thruster its own",
+        ),
         (("node = 1", "node = 17"), r"thruster\[1\].node: must be the number of a servo output, 1 .. 16, not 17"),
         (("rpm_max = 4500.0", "pwm_us = [1500, 1500, 1900]"), r"pwm_us: must be \[full reverse, neutral"),
         (
