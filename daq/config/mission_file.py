@@ -64,7 +64,7 @@ class Prediction:
     Attributes
     ----------
     model : str
-        Name of the boat model that was simulated, such as "surge".
+        Name or path of the boat model that was simulated, such as "vehicle/model.toml".
     t : Array (K,)
         Times since the start of the mission [s].
     x, y : Array (K,)
