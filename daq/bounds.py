@@ -50,12 +50,24 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 class Bounds(NamedTuple):
-    """Resource limits of one command."""
+    """Resource limits of one command.
 
-    path: Path  # file that the error messages name
-    memory: int  # bytes of address space
-    cpu_s: int  # s of processor time
-    disk: int  # bytes; limit of all files in the temporary folder together, and of each single file elsewhere
+    Attributes
+    ----------
+    path
+        File that the error messages name.
+    memory
+        Limit of the address space [bytes].
+    cpu_s
+        Limit of the processor time [s].
+    disk
+        Limit [bytes] of all files in the temporary folder together, and of each single file elsewhere.
+    """
+
+    path: Path
+    memory: int
+    cpu_s: int
+    disk: int
 
 
 _enabled = False  # whether this process is the command itself, not a test or a program that calls its functions

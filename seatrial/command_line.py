@@ -47,10 +47,18 @@ OK, FAILED, WRONG_USAGE, HUNG_UP, INTERRUPTED = 0, 1, 2, 129, 130
 
 
 class Row(NamedTuple):
-    """Command in the list of commands."""
+    """Command in the list of commands.
 
-    target: str  # `module:attribute` of the command
-    short_help: str  # line in the list of commands
+    Attributes
+    ----------
+    target
+        `module:attribute` of the command.
+    short_help
+        Line in the list of commands.
+    """
+
+    target: str
+    short_help: str
 
 
 COMMANDS = {

@@ -24,13 +24,27 @@ DELETED = "the log was deleted while it is recorded: what comes now is lost"
 
 
 class LogItem(NamedTuple):
-    """Bytes and decoded frames of one read from a port or one write to it, for the log."""
+    """Bytes and decoded frames of one read from a port or one write to it, for the log.
 
-    device: str  # name of the device; empty for events of the process itself
-    direction: str  # "rx" or "tx"; "" if there are no raw bytes
+    Attributes
+    ----------
+    device
+        Name of the device; empty for events of the process itself.
+    direction
+        "rx" or "tx"; "" if there are no raw bytes.
+    raw
+        Bytes that were read or written; empty for events.
+    t
+        Run time of the read or write [s].
+    frames
+        Decoded samples, each with its estimated run time [s].
+    """
+
+    device: str
+    direction: str
     raw: bytes
-    t: float  # run time of the read or write [s]
-    frames: list[tuple[Frame, float]]  # each with its estimated run time [s]
+    t: float
+    frames: list[tuple[Frame, float]]
 
 
 class LogSink:

@@ -26,12 +26,24 @@ ERA = 1024 * 604_800.0  # s; the GPS week number repeats after this time
 
 
 class _RepeatedSample(NamedTuple):
-    """Values that successive samples of one form repeat."""
+    """Values that successive samples of one form repeat.
 
-    key: tuple[float, ...]  # compared values, 0 for NaN
-    since: float  # run time [s] of the first sample with these values
-    until: float  # run time [s] of the last sample with these values
-    repeats: int  # number of samples with these values, at least 1
+    Attributes
+    ----------
+    key
+        Compared values; 0 stands for NaN.
+    since
+        Run time [s] of the first sample with these values.
+    until
+        Run time [s] of the last sample with these values.
+    repeats
+        Number of samples with these values, at least 1.
+    """
+
+    key: tuple[float, ...]
+    since: float
+    until: float
+    repeats: int
 
 
 # A kind of sample, and which of its compared fields are not NaN. An autopilot sends attitudes and accelerations in

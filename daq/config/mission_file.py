@@ -99,20 +99,45 @@ class Prediction:
 
 @dataclass(frozen=True)
 class Mission:
-    """Content of one mission.toml. Times are in s from the start of the mission, commands are normalised to -1..1."""
+    """Content of one mission.toml. Times are in s from the start of the mission, commands are normalised to -1..1.
+
+    Attributes
+    ----------
+    name
+        Name of the mission.
+    kind
+        One of KINDS: "mission", "static", "steps" or "chirp".
+    thrusters
+        Names of the thrusters, in the order of the columns of the commands.
+    segments
+        Segments in the order of time.
+    end
+        Time [s] from which thrust is zero.
+    n_max
+        Largest magnitude of a command, 0..1.
+    slew_per_s
+        Largest rate of change of a command [1/s]; inf: no limit.
+    made_by
+        Command line that generated the mission.
+    seed
+        Seed of the random numbers; None if no random numbers were used.
+    predicted_errors
+        Predicted standard error of each model parameter after the mission, by name and in the unit of the parameter.
+    prediction
+        Predicted track; None if the mission was not designed by a model.
+    """
 
     name: str
-    kind: str  # one of KINDS
-    thrusters: tuple[str, ...]  # names, in the order of the columns of the commands
+    kind: str
+    thrusters: tuple[str, ...]
     segments: tuple[Segment, ...]
-    end: float  # s; thrust is zero from this time on
-    n_max: float = 1.0  # largest magnitude of a command, 0..1
-    slew_per_s: float = math.inf  # 1/s, largest rate of change of a command; inf: no limit
-    made_by: str = ""  # command line that generated the mission
-    seed: int | None = None  # seed of the random numbers; None if no random numbers were used
-    # Predicted standard errors of the model parameters after the mission, by name of the parameter.
+    end: float
+    n_max: float = 1.0
+    slew_per_s: float = math.inf
+    made_by: str = ""
+    seed: int | None = None
     predicted_errors: Mapping[str, float] = field(default_factory=dict)
-    prediction: Prediction | None = None  # predicted track; None if the mission was not designed by a model
+    prediction: Prediction | None = None
 
     def segment_times(self) -> list[tuple[float, float, str]]:
         """Return start [s], end [s] and name of each segment in order. A segment ends at the start of the next one."""

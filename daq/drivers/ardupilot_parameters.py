@@ -36,13 +36,27 @@ STOPPING_ACTIONS = (0.0, 2.0, 5.0)  # allowed actions of these failsafes: none, 
 
 
 class ParameterMismatch(NamedTuple):
-    """Parameter of the autopilot that has a wrong value or was not answered."""
+    """Parameter of the autopilot that has a wrong value or was not answered.
 
-    name: str  # name of the parameter
-    value: float | None  # value in the autopilot; None if it was not answered
-    wanted: str  # the required value, in words
-    why: str  # the consequence of the wrong value
-    fatal: bool  # whether thrust must not be commanded with this value
+    Attributes
+    ----------
+    name
+        Name of the parameter.
+    value
+        Value in the autopilot; None if it was not answered.
+    wanted
+        The required value, in words.
+    why
+        The consequence of the wrong value.
+    fatal
+        Whether thrust must not be commanded with this value.
+    """
+
+    name: str
+    value: float | None
+    wanted: str
+    why: str
+    fatal: bool
 
     def __str__(self) -> str:
         """Return the mismatch in one line, for the user."""

@@ -32,26 +32,61 @@ class LinkRole(enum.StrEnum):
 
 @dataclass(frozen=True)
 class LinkStatus:
-    """State of the autopilot at the other end of a link, as last reported."""
+    """State of the autopilot at the other end of a link, as last reported.
 
-    received: bool = False  # whether a heartbeat has been received
-    vehicle: str = ""  # software of the autopilot, for example "ArduPilot Rover"
-    age: float = math.inf  # wall s since its last heartbeat
-    armed: bool = False  # whether the motors are armed
-    mode: str = ""  # name of the flight or driving mode, for example "MANUAL"
-    ekf: int = -1  # flags of EKF_STATUS_REPORT; -1 before the first
-    parameters: dict[str, float] = dataclasses.field(default_factory=dict)  # requested parameters that were answered
-    parameters_pending: bool = True  # whether answers to parameter requests are still awaited
-    changed: tuple[str, ...] = ()  # changes of the parameters since they were first read, one line each
-    refused: tuple[str, ...] = ()  # message rates that the autopilot refused, one line each
-    # Answer to the last request, for example "arm: accepted" or "arm: failed (PreArm: ...)"; empty while it is awaited.
+    Attributes
+    ----------
+    received
+        Whether a heartbeat has been received.
+    vehicle
+        Software of the autopilot, for example "ArduPilot Rover".
+    age
+        Time since its last heartbeat [wall s]; infinite before the first.
+    armed
+        Whether the motors are armed.
+    mode
+        Name of the flight or driving mode, for example "MANUAL".
+    ekf
+        Flags of EKF_STATUS_REPORT; -1 before the first.
+    parameters
+        Values of the requested parameters that were answered, by name.
+    parameters_pending
+        Whether answers to parameter requests are still awaited.
+    changed
+        Changes of the parameters since they were first read, one line each.
+    refused
+        Message rates that the autopilot refused, one line each.
+    answer
+        Answer to the last request, for example "arm: accepted" or "arm: failed (PreArm: ...)"; empty while it is
+        awaited.
+    alarm
+        Last text of severity critical or above.
+    receiver
+        Whether the autopilot has received a transmitter since its start; None: it has not reported this.
+    rivals
+        Number of frames of another ground station with our own system id.
+    lost
+        Number of frames that are missing by the sequence numbers.
+    round_trip
+        Shortest round trip of a TIMESYNC [wall s]; NaN before the first.
+    """
+
+    received: bool = False
+    vehicle: str = ""
+    age: float = math.inf
+    armed: bool = False
+    mode: str = ""
+    ekf: int = -1
+    parameters: dict[str, float] = dataclasses.field(default_factory=dict)
+    parameters_pending: bool = True
+    changed: tuple[str, ...] = ()
+    refused: tuple[str, ...] = ()
     answer: str = ""
-    alarm: str = ""  # last text of severity critical or above
-    # Whether the autopilot has received a transmitter since its start; None: it has not reported this.
+    alarm: str = ""
     receiver: bool | None = None
-    rivals: int = 0  # frames of another ground station with our own system id
-    lost: int = 0  # frames that are missing by the sequence numbers
-    round_trip: float = math.nan  # wall s, shortest round trip of a TIMESYNC
+    rivals: int = 0
+    lost: int = 0
+    round_trip: float = math.nan
 
 
 class DeviceDriver(ABC):

@@ -70,14 +70,30 @@ VERSION = 3  # HEARTBEAT.mavlink_version
 
 @dataclass
 class _Command:
-    """COMMAND_LONG that waits for being sent or for its answer."""
+    """COMMAND_LONG that waits for being sent or for its answer.
 
-    number: int  # MAV_CMD
-    parameters: tuple[float, ...]  # param1 to param7
-    label: str  # "arm", "disarm", "mode", or the name of the message whose rate is requested
-    rate: float = 0.0  # requested rate of a message [Hz]
-    tries: int = 0  # how often the command was sent
-    sent: float = -math.inf  # wall time [s] at which it was sent last
+    Attributes
+    ----------
+    number
+        Number of the command (MAV_CMD).
+    parameters
+        Parameters 1 to 7 of the command.
+    label
+        "arm", "disarm", "mode", or the name of the message whose rate is requested.
+    rate
+        Requested rate of a message [Hz].
+    tries
+        How often the command was sent.
+    sent
+        Wall time [s] at which it was sent last.
+    """
+
+    number: int
+    parameters: tuple[float, ...]
+    label: str
+    rate: float = 0.0
+    tries: int = 0
+    sent: float = -math.inf
 
 
 @final

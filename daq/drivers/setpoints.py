@@ -17,11 +17,21 @@ ZERO_FOR_S = 0.5  # wall s in which zero is repeated, because a single frame may
 
 
 class Due(NamedTuple):
-    """Set-point to send."""
+    """Set-point to send.
 
-    node: int  # controller, or output of an autopilot
-    n: float  # command, -1..1
-    fresh: bool  # False for a repetition
+    Attributes
+    ----------
+    node
+        Controller, or output of an autopilot.
+    n
+        Command, -1..1.
+    fresh
+        Whether the set-point is new; False for a repetition.
+    """
+
+    node: int
+    n: float
+    fresh: bool
 
 
 class Setpoints:

@@ -34,11 +34,21 @@ HEAD = np.dtype(
 
 
 class Field(NamedTuple):
-    """Field of a message type after nested types have been expanded."""
+    """Field of a message type after nested types have been expanded.
 
-    name: str  # dotted, such as "header.stamp.sec"
-    primitive: str  # type of one element, such as "float64" or "string"
-    length: int = 1  # elements of an array; 0 for a sequence of variable length
+    Attributes
+    ----------
+    name
+        Name with dots for nested types, such as "header.stamp.sec".
+    primitive
+        Type of one element, such as "float64" or "string".
+    length
+        Number of elements of an array; 0 for a sequence of variable length.
+    """
+
+    name: str
+    primitive: str
+    length: int = 1
 
     @property
     def variable(self) -> bool:

@@ -723,10 +723,18 @@ class _AhrsTable(_TopicTable):
 
 
 class _UnmatchedCompanions(NamedTuple):
-    """Companion messages of an AHRS whose Imu message may be in the next chunks."""
+    """Companion messages of an AHRS whose Imu message may be in the next chunks.
 
-    sequence: NDArray[np.uint32]  # sequence numbers, shape (n,)
-    columns: dict[str, NDArray[np.float64]]  # values (n,) by name of the column of the AHRS table
+    Attributes
+    ----------
+    sequence
+        Sequence numbers, shape (n,).
+    columns
+        Values (n,) by name of the column of the AHRS table.
+    """
+
+    sequence: NDArray[np.uint32]
+    columns: dict[str, NDArray[np.float64]]
 
     def join(
         self,

@@ -314,11 +314,21 @@ class Recorder:
 
 
 class _FinishedSegment(NamedTuple):
-    """Segment of the log that is complete and may be deleted."""
+    """Segment of the log that is complete and may be deleted.
+
+    Attributes
+    ----------
+    path
+        Path of the segment.
+    size
+        Size of the file [bytes].
+    identity
+        Device, inode, time of change [ns] and size, which distinguish the file from other files.
+    """
 
     path: Path
-    size: int  # bytes
-    identity: tuple[int, ...]  # device, inode, time of change [ns] and size, which distinguish it from other files
+    size: int
+    identity: tuple[int, ...]
 
 
 def _file_identity(path: Path) -> tuple[int, ...]:
@@ -329,14 +339,30 @@ def _file_identity(path: Path) -> tuple[int, ...]:
 
 
 class _KeptMessage(NamedTuple):
-    """Arguments of `Recorder._add_message` for one message."""
+    """Arguments of `Recorder._add_message` for one message.
+
+    Attributes
+    ----------
+    topic
+        Topic of the message.
+    type_name
+        Message type, package/msg/Name.
+    log_ns
+        Log time [ns since 1970].
+    stamp_ns
+        Time of the sample [ns since 1970].
+    sequence
+        Sequence number.
+    data
+        Message in CDR.
+    """
 
     topic: str
-    type_name: str  # message type, package/msg/Name
-    log_ns: int  # log time [ns since 1970]
-    stamp_ns: int  # time of the sample [ns since 1970]
-    sequence: int  # sequence number
-    data: bytes  # message in CDR
+    type_name: str
+    log_ns: int
+    stamp_ns: int
+    sequence: int
+    data: bytes
 
 
 def free_bytes(path: Path) -> int:

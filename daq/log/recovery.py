@@ -17,11 +17,21 @@ CHUNK_BYTES = 1024 * 1024
 
 
 class RecoveredLog(NamedTuple):
-    """Result of a recovery."""
+    """Result of a recovery.
 
-    messages: int  # number of copied messages
-    files: int  # number of segments that were read
-    warnings: list[str]  # faults of these segments; empty if the log was whole
+    Attributes
+    ----------
+    messages
+        Number of copied messages.
+    files
+        Number of segments that were read.
+    warnings
+        Faults of these segments; empty if the log was whole.
+    """
+
+    messages: int
+    files: int
+    warnings: list[str]
 
 
 def recover_log(path: Path, out: Path, force: bool = False) -> RecoveredLog:

@@ -72,12 +72,24 @@ _YAW9 = doubles(_UNKNOWN_VARIANCE, 0.0, 0.0, 0.0, _UNKNOWN_VARIANCE, 0.0, 0.0, 0
 
 
 class Message(NamedTuple):
-    """One message to write."""
+    """One message to write.
+
+    Attributes
+    ----------
+    topic
+        Topic of the message.
+    type_name
+        Message type, package/msg/Name.
+    frame_id
+        Frame of the header, such as "ahrs_frd_ned".
+    values
+        Values of the fixed fields, in the form that `cdr.CdrLayout.pack` needs: numbers, and arrays as bytes.
+    """
 
     topic: str
-    type_name: str  # message type, package/msg/Name
-    frame_id: str  # frame of the header, such as "ahrs_frd_ned"
-    values: tuple[float | bytes, ...]  # the fixed fields in the form that `cdr.CdrLayout.pack` needs
+    type_name: str
+    frame_id: str
+    values: tuple[float | bytes, ...]
 
     def pack(self, stamp_ns: int) -> bytes:
         """Return the message in CDR with a time stamp [ns since 1970]."""

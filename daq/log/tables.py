@@ -51,21 +51,45 @@ class Log(Protocol):
 
 
 class LogTable(NamedTuple):
-    """One table of samples of a log."""
+    """One table of samples of a log.
 
-    name: str  # device, node and kind, such as "esc_1_command"; a signal has its own name
-    kind: type[Any]  # class of the samples
-    rows: NDArray[np.void]  # shape (n,)
-    units: dict[str, str]  # by column
-    held: bool  # whether a value stays constant until the next sample
+    Attributes
+    ----------
+    name
+        Device, node and kind, such as "esc_1_command"; a signal has its own name.
+    kind
+        Class of the samples.
+    rows
+        Samples, shape (n,), with the columns t, t_rx, t_device and the fields of the class.
+    units
+        Unit of each column that has one, by name of the column.
+    held
+        Whether a value stays constant until the next sample.
+    """
+
+    name: str
+    kind: type[Any]
+    rows: NDArray[np.void]
+    units: dict[str, str]
+    held: bool
 
 
 class Resampled(NamedTuple):
-    """A log on one time grid."""
+    """A log on one time grid.
 
-    t: Array  # s since 1970, shape (n,)
-    columns: dict[str, Array]  # shape (n,), by name; NaN for unknown values
-    units: dict[str, str]  # by name of the column
+    Attributes
+    ----------
+    t
+        Times of the grid [s since 1970], shape (n,).
+    columns
+        Values (n,) of each column by its name; NaN for unknown values.
+    units
+        Unit of each column, by name; empty if the column has none.
+    """
+
+    t: Array
+    columns: dict[str, Array]
+    units: dict[str, str]
 
 
 def log_tables(log: Log) -> Iterator[LogTable]:

@@ -22,17 +22,30 @@ GNSS_BAUDS = (9600, 38400, 115200, 4800, 57600, 460800, 230400, 921600)  # bit/s
 
 
 class DeviceType(NamedTuple):
-    """Description of one protocol: its bus, its keys in the rig file, and its decoder."""
+    """Description of one protocol: its bus, its keys in the rig file, and its decoder.
 
-    description: str  # description of the device, for lists of devices
-    bus: str  # kind of the port: SERIAL, CAN or NET
-    make: Callable[[Device, Rig], Decoder]  # maker of the decoder
-    # Keys of [[device]] that the protocol has beside the common ones. seatrial.daq.config.rig_file checks the keys of
-    # built-in protocols. The keys of other protocols are passed on in `Device.settings`.
+    Attributes
+    ----------
+    description
+        Description of the device, for lists of devices.
+    bus
+        Kind of the port: SERIAL, CAN or NET.
+    make
+        Function that returns a new decoder for a device of a rig.
+    options
+        Keys of [[device]] that the protocol has beside the common ones. seatrial.daq.config.rig_file checks the keys of
+        built-in protocols. The keys of other protocols are passed on in `Device.settings`.
+    bauds
+        Baud rates that `seatrial devices` tries, the commonest first. Empty if the protocol cannot be recognised.
+    module
+        Python module that the protocol needs. The extra with the protocol's name installs it. Empty if it needs none.
+    """
+
+    description: str
+    bus: str
+    make: Callable[[Device, Rig], Decoder]
     options: tuple[str, ...] = ()
-    # Baud rates that `seatrial devices` tries, the commonest first. Empty if the protocol cannot be recognised.
     bauds: tuple[int, ...] = ()
-    # Python module that the protocol needs. The extra with the protocol's name installs it. Empty if it needs none.
     module: str = ""
 
     @property

@@ -29,9 +29,17 @@ _RESERVED = 0xFB  # J1939: a highest byte from here on means that there is no va
 
 
 class _MessageSignals(NamedTuple):
-    """A message of the DBC file and the signals to read from it."""
+    """A message of the DBC file and the signals to read from it.
 
-    message: Any  # cantools.database.can.Message
+    Attributes
+    ----------
+    message
+        The message, of the class cantools.database.can.Message.
+    signals
+        Signals to read from the message.
+    """
+
+    message: Any
     signals: tuple[DbcSignal, ...]
 
 

@@ -31,11 +31,21 @@ _BEGINS, _ENDS, _TOGGLE, _NUMBER = 0x80, 0x40, 0x20, 0x1F  # bits of the last by
 
 @dataclass(frozen=True)
 class MessageType:
-    """Data type of a broadcast message."""
+    """Data type of a broadcast message.
 
-    number: int  # data type id
-    signature: int  # data type signature
-    longest: int  # bytes of its longest message
+    Attributes
+    ----------
+    number
+        Data type id, which is a part of the CAN identifier.
+    signature
+        Data type signature, from which the checksum starts.
+    longest
+        Number of bytes of its longest message.
+    """
+
+    number: int
+    signature: int
+    longest: int
 
     @cached_property
     def seed(self) -> int:
@@ -189,13 +199,27 @@ def _tail_byte(k: int, n_parts: int, number: int) -> int:
 
 @dataclass
 class _Transfer:
-    """Received part of a transfer."""
+    """Received part of a transfer.
 
-    number: int  # number of the transfer, 0..31
-    t_rx: float  # time of receipt of its first frame [s]
-    toggle: int = 0  # expected toggle bit of the next frame
-    frames: int = 0  # number of received frames
-    data: bytearray = field(default_factory=bytearray)  # received bytes, the checksum included
+    Attributes
+    ----------
+    number
+        Number of the transfer, 0..31.
+    t_rx
+        Time of receipt of its first frame [s].
+    toggle
+        Expected toggle bit of the next frame, 0 or 1.
+    frames
+        Number of received frames.
+    data
+        Received bytes, the checksum included.
+    """
+
+    number: int
+    t_rx: float
+    toggle: int = 0
+    frames: int = 0
+    data: bytearray = field(default_factory=bytearray)
 
 
 class Assembler:

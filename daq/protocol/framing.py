@@ -91,11 +91,21 @@ class StreamDecoder(ABC, Generic[T]):
 
 
 class Sentence(NamedTuple):
-    """Result of reading one NMEA-style sentence."""
+    """Result of reading one NMEA-style sentence.
 
-    length: int  # bytes; 0 if more bytes are needed, -1 if no valid sentence begins here
-    body: bytes | None = None  # text between `$` and `*`; None without a valid sentence
-    bad_checksum: bool = False  # whether the sentence is complete and its checksum is wrong
+    Attributes
+    ----------
+    length
+        Length [bytes]; 0 if more bytes are needed, -1 if no valid sentence begins here.
+    body
+        Text between `$` and `*`; None without a valid sentence.
+    bad_checksum
+        Whether the sentence is complete and its checksum is wrong.
+    """
+
+    length: int
+    body: bytes | None = None
+    bad_checksum: bool = False
 
 
 def take_sentence(buffer: bytearray, start: int) -> Sentence:

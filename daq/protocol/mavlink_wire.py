@@ -39,13 +39,27 @@ def dialect() -> Any:
 
 
 class EscStatus(NamedTuple):
-    """Message ESC_STATUS: the state of four consecutive speed controllers."""
+    """Message ESC_STATUS: the state of four consecutive speed controllers.
 
-    time_usec: int  # us since boot or since 1970
-    rpm: tuple[int, ...]  # rev/min, signed
-    voltage: tuple[float, ...]  # V
-    current: tuple[float, ...]  # A
-    first: int  # number of the first controller, from 0; the field `index` on the wire
+    Attributes
+    ----------
+    time_usec
+        Time since boot or since 1970 [us].
+    rpm
+        Speed of each shaft, with sign [rev/min].
+    voltage
+        Voltage of each controller [V].
+    current
+        Current of each controller [A].
+    first
+        Number of the first controller, from 0; the field `index` on the wire.
+    """
+
+    time_usec: int
+    rpm: tuple[int, ...]
+    voltage: tuple[float, ...]
+    current: tuple[float, ...]
+    first: int
 
     @staticmethod
     def get_type() -> str:
@@ -63,15 +77,33 @@ def _unpack_esc_status(payload: bytes) -> EscStatus:
 
 
 class FrameHeader(NamedTuple):
-    """Header of a frame."""
+    """Header of a frame.
 
-    total: int  # bytes of the whole frame
-    message_id: int  # id of the message
-    system: int  # system id of the sender
-    component: int  # component id of the sender
-    payload: int  # bytes of the payload
-    signed: bool  # whether the frame has a signature
-    sequence: int  # counter of the sender's frames on this link, 0 to 255
+    Attributes
+    ----------
+    total
+        Length of the whole frame [bytes].
+    message_id
+        Id of the message.
+    system
+        System id of the sender.
+    component
+        Component id of the sender.
+    payload
+        Length of the payload [bytes].
+    signed
+        Whether the frame has a signature.
+    sequence
+        Counter of the sender's frames on this link, 0 to 255.
+    """
+
+    total: int
+    message_id: int
+    system: int
+    component: int
+    payload: int
+    signed: bool
+    sequence: int
 
 
 def parse_header(buffer: bytes | bytearray, start: int) -> FrameHeader | int:

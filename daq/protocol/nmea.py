@@ -202,14 +202,30 @@ def _to_text(value: float, digits: int) -> str:
 
 @dataclass
 class _Epoch:
-    """Values of the received NMEA sentences of one epoch, which have the same time."""
+    """Values of the received NMEA sentences of one epoch, which have the same time.
 
-    seconds: float  # time of the day [s]; NaN if the receiver has no time
-    t_rx: float  # run time of receipt of the first sentence [s]
-    kinds: set[str] = field(default_factory=set)  # kinds of the received sentences, such as "GGA"
-    date: datetime.date | None = None  # date by RMC or ZDA; None before
-    position: dict[str, tuple[float, float]] = field(default_factory=dict)  # kind -> latitude, longitude [deg]
-    values: dict[str, float] = field(default_factory=dict)  # in SI units, by name
+    Attributes
+    ----------
+    seconds
+        Time of the day [s]; NaN if the receiver has no time.
+    t_rx
+        Run time of receipt of the first sentence [s].
+    kinds
+        Kinds of the received sentences, such as "GGA".
+    date
+        Date by RMC or ZDA; None before.
+    position
+        Latitude and longitude [deg], by kind of sentence.
+    values
+        Other values by name, in SI units; latitude and longitude are in degrees.
+    """
+
+    seconds: float
+    t_rx: float
+    kinds: set[str] = field(default_factory=set)
+    date: datetime.date | None = None
+    position: dict[str, tuple[float, float]] = field(default_factory=dict)
+    values: dict[str, float] = field(default_factory=dict)
 
     @property
     def timeless(self) -> bool:
@@ -562,11 +578,21 @@ _READERS = {
 
 
 class Transducer(NamedTuple):
-    """Measurement of a transducer in XDR that is not pitch or roll."""
+    """Measurement of a transducer in XDR that is not pitch or roll.
 
-    name: str  # name of the transducer in the sentence
-    unit: str  # SI unit, or "1" if the unit is unknown
-    value: float  # in `unit`
+    Attributes
+    ----------
+    name
+        Name of the transducer in the sentence.
+    unit
+        SI unit, or "1" if the unit is unknown.
+    value
+        Value in that unit.
+    """
+
+    name: str
+    unit: str
+    value: float
 
 
 class Headings:

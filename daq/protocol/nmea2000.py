@@ -50,12 +50,24 @@ def split_identifier(word: int) -> tuple[int, int]:
 
 @dataclass
 class _Packet:
-    """Received frames of an incomplete fast packet."""
+    """Received frames of an incomplete fast packet.
 
-    sequence: int  # number of the packet, 0 to 7
-    length: int  # bytes of the message
-    frames: int  # number of received frames
-    data: bytearray  # received bytes of the message
+    Attributes
+    ----------
+    sequence
+        Number of the packet, 0 to 7.
+    length
+        Length of the message [bytes].
+    frames
+        Number of received frames.
+    data
+        Received bytes of the message.
+    """
+
+    sequence: int
+    length: int
+    frames: int
+    data: bytearray
 
 
 class Decoder(FrameDecoder):

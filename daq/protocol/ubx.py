@@ -204,12 +204,24 @@ def _or_zero(value: float) -> float:
 
 @dataclass
 class _Epoch:
-    """Values of the received UBX messages of one epoch, which have the same time of week."""
+    """Values of the received UBX messages of one epoch, which have the same time of week.
 
-    i_tow: int  # ms, time of week
-    t_rx: float  # run time of receipt of the first message [s]
-    kinds: set[int] = field(default_factory=set)  # ids of the received messages
-    values: dict[str, float] = field(default_factory=dict)  # in SI units and degrees, by name
+    Attributes
+    ----------
+    i_tow
+        Time of week [ms].
+    t_rx
+        Run time of receipt of the first message [s].
+    kinds
+        Ids of the received messages.
+    values
+        In SI units and degrees, by name.
+    """
+
+    i_tow: int
+    t_rx: float
+    kinds: set[int] = field(default_factory=set)
+    values: dict[str, float] = field(default_factory=dict)
 
 
 class Epochs:

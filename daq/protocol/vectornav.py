@@ -58,11 +58,20 @@ Values = dict[str, tuple[float, ...]]
 
 
 class MessageLayout(NamedTuple):
-    """Layout of a binary message."""
+    """Layout of a binary message.
 
-    header: int  # bytes of sync byte and header
-    length: int  # bytes of the whole message
-    # Quantity, format and offset [bytes] of the fields that are read.
+    Attributes
+    ----------
+    header
+        Length of sync byte and header together [bytes].
+    length
+        Length of the whole message [bytes].
+    fields
+        Quantity, format and offset [bytes] of each field that is read.
+    """
+
+    header: int
+    length: int
     fields: tuple[tuple[str, struct.Struct, int], ...]
 
 
