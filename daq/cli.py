@@ -453,7 +453,7 @@ _LIMITS = """\
 
 
 def _rig_protocols() -> tuple[str, ...]:
-    """Return the protocols that a rig file can have."""
+    """Return the protocols that a rig file can have: the built-in ones and those of other installed packages."""
     from seatrial.daq.protocol import DEVICES
 
     return tuple(DEVICES)

@@ -260,7 +260,7 @@ class ClockMap:
         self._count, self._mean, self._m2 = 0, 0.0, 0.0
 
     def _to_run_time(self, t_device: float) -> float:
-        """Return the run time [s] of a device time by the present map."""
+        """Return the run time [s] of a device time [s] by the present map, which must have at least one point."""
         return t_device + self._base + self._skew * (t_device - self._zero)
 
     def _has_jumped(self, t_device: float, t_rx: float, unordered: bool, kind: object) -> bool:
@@ -297,7 +297,11 @@ class ClockMap:
         return False
 
     def _add_point(self, t_device: float, t_rx: float) -> None:
-        """Add a point to both hulls, and compute the skew and the offset of the map."""
+        """Add a point (device time, receive time) [s] to both hulls, and compute skew and offset of the map.
+
+        If there is no map, it begins with this point. The younger hull takes the place of the older one when it covers
+        half of the window.
+        """
         if self._old is None or self._young is None:
             # Offsets are relative to the first point, which keeps the precision of doubles.
             self._zero, self._first_offset = t_device, t_rx - t_device

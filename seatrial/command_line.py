@@ -89,7 +89,7 @@ class LazyGroup(click.Group):
     """Group of commands that imports a command only when it is used. It lists the commands without imports."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """Return the names in the order of the table."""
+        """Return the names of all commands, in the order of COMMANDS. No part is imported."""
         return list(COMMANDS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:

@@ -129,7 +129,10 @@ class DeviceLoop(threading.Thread):
         self._rate = RateMeter(max(RATE_WINDOW_S * clock.speed, 10.0 / device.rate_hz))
 
     def wake(self) -> None:
-        """Wake the thread to check the set-points now."""
+        """Wake the thread from its wait, so that it checks the set-points and the driver now.
+
+        Any thread may call this.
+        """
         with contextlib.suppress(OSError):  # the pipe is full: it is awake already
             os.write(self._wake_write, b"x")
 
@@ -139,7 +142,11 @@ class DeviceLoop(threading.Thread):
         self.wake()
 
     def run(self) -> None:
-        """Run until `end` is called. A port that fails is opened again."""
+        """Open the port, serve it until `end` is called, send zero and close it. This method is the thread.
+
+        After any error the port is closed and opened again, after a wait that grows with the number of failures in a
+        row.
+        """
         failures = 0
         while not self._ending:
             try:
@@ -239,7 +246,7 @@ class DeviceLoop(threading.Thread):
             self._on_lost(f"the computer was suspended for {slept:.1f} s")
 
     def _poll_driver(self, driver: DeviceDriver) -> None:
-        """Send the bytes and log the events of the driver."""
+        """Write the bytes of the driver that are due to the port, and log these bytes and the driver's events."""
         data = driver.poll(time.monotonic())
         t = self._clock.now()
         if data:

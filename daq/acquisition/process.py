@@ -109,7 +109,10 @@ class Process:
         self._unrequested = self._parent_hangs = False
 
     def terminate(self, number: int, frame: FrameType | None) -> None:
-        """Handle SIGTERM: end as on a `Stop` message."""
+        """Handle SIGTERM: request the end of the acquisition.
+
+        The main thread notices it at its next check of time-outs.
+        """
         self._terminated = True
 
     def run(self) -> None:
@@ -128,7 +131,10 @@ class Process:
         self._finish()
 
     def _serve(self) -> None:
-        """Send the status, handle messages and check time-outs until there is a reason to end."""
+        """Send status, samples and heartbeats, handle messages and check time-outs, until there is a reason to end.
+
+        The status is sent every STATUS_S. The reason is stored in `_end_reason`.
+        """
         status_at = 0.0
         while not self._end_reason:
             now = time.monotonic()
@@ -167,7 +173,10 @@ class Process:
         return self._role if drives else LinkRole.ASK
 
     def _receive_messages(self) -> None:
-        """Receive and handle messages of the parent. End if the parent is gone."""
+        """Receive the waiting messages of the parent and handle them.
+
+        Request the end if the parent has closed the socket.
+        """
         try:
             messages = self._link.receive()
         except EOFError:
@@ -228,7 +237,7 @@ class Process:
             self._end_reason, self._unrequested = reason, unrequested
 
     def _handle_message(self, message: Message) -> None:
-        """Act on a message of the parent."""
+        """Do what a message of the parent requests. Every message also counts as a heartbeat of the parent."""
         match message:
             case ParentAlive():
                 self._runner_seen = self._parent_seen if message.runner else self._runner_seen
@@ -363,7 +372,7 @@ class Process:
                 self._link.send(SampleBatch(stream.take(BATCH), stream.dropped))
 
     def _report_status(self) -> None:
-        """Send the status to the parent. End if the parent is gone."""
+        """Send the status to the parent, and new warnings to the log. Request the end if the parent is gone."""
         try:
             self._reporter.report(self._stopped, self._end_reason if self._unrequested else "")
         except OSError:

@@ -117,7 +117,10 @@ class SensorHealth:
         return tuple(dict.fromkeys(form[0] for form in self._same if self._is_stuck(form)))
 
     def _is_stuck(self, form: _SampleForm) -> bool:
-        """Return whether samples of this form repeat the same values for too long."""
+        """Return whether the samples of a form (kind and fields with a value) repeat the same values for too long.
+
+        The limits of number and duration are those of STUCK_LIVE. A form that is not sent any more is not stuck.
+        """
         same, limit = self._same[form], STUCK_LIVE[form[0]]
         still_sent = self._last - same.until < limit.seconds
         return still_sent and same.repeats >= limit.samples and same.until - same.since >= limit.seconds

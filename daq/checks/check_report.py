@@ -67,7 +67,7 @@ class DryRun:
 
 @dataclass(frozen=True)
 class CheckReport:
-    """Result of a check.
+    """Result of a check: findings, and for a mission its dry run. It is the data of the page.
 
     Attributes
     ----------
@@ -80,7 +80,7 @@ class CheckReport:
     rig : str, optional
         Name of the rig; None if logs were checked.
     mission : DryRun, optional
-        Dry run of the mission, if one was checked.
+        Dry run of the mission; None if no mission was checked.
     """
 
     subject: str

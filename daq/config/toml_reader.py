@@ -119,7 +119,10 @@ class TomlTable:
         return key in self.values
 
     def text(self, key: str, default: object = _MISSING, choices: Collection[str] = ()) -> str:
-        """Return a string. It must be one of `choices` if choices are given."""
+        """Return a string, or `default` if the key is missing.
+
+        The string must be one of `choices`, unless this is empty.
+        """
         value = self._take(key, default)
         if not isinstance(value, str):
             raise self.error(key, f"must be text in quotes, not {_describe_value(value)}")
@@ -139,7 +142,7 @@ class TomlTable:
         return value
 
     def flag(self, key: str, default: object = _MISSING) -> bool:
-        """Return true or false."""
+        """Return the boolean value of a key, or `default` if the key is missing. The numbers 0 and 1 are errors."""
         value = self._take(key, default)
         if not isinstance(value, bool):
             raise self.error(key, f"must be true or false, not {_describe_value(value)}")
@@ -173,7 +176,10 @@ class TomlTable:
         return number
 
     def scalar(self, key: str, default: object = _MISSING) -> str | float | bool:
-        """Return a text, a finite number, true or false."""
+        """Return a text, a finite number or a boolean, or `default` if the key is missing.
+
+        Lists, tables and dates are errors.
+        """
         value = self._take(key, default)
         if isinstance(value, (str, bool)):
             return value

@@ -115,15 +115,18 @@ class DeviceDriver(ABC):
         """
 
     def opened(self, now: float) -> None:
-        """Start again, because the port was opened for the first time or again."""
+        """Reset the state of the link, because the port was opened for the first time or again.
+
+        The default does nothing.
+        """
         return
 
     def poll(self, now: float) -> bytes:
-        """Return the bytes to send now, except set-points."""
+        """Return the bytes to send now, except set-points. The default returns none."""
         return b""
 
     def wait(self, now: float) -> float:
-        """Return the wall time [s] until `poll` may return bytes."""
+        """Return the wall time [s] until `poll` may return bytes. The default is infinite."""
         return math.inf
 
     def request(self, action: str, value: float) -> None:
@@ -139,15 +142,21 @@ class DeviceDriver(ABC):
         return
 
     def shutdown_bytes(self, now: float) -> bytes:
-        """Return the last bytes, which are sent after the last zero and before the port is closed."""
+        """Return the last bytes, which are sent after the last zero and before the port is closed.
+
+        The default returns none.
+        """
         return b""
 
     def zero(self, now: float) -> list[tuple[bytes, list[Due]]]:
-        """Encode zero for all thrusters of the link, independent of the commands before, for an emergency stop."""
+        """Encode zero for all thrusters of the link, independent of the commands before, for an emergency stop.
+
+        The result is that of `command`; the lists of set-points are empty. The default returns no message.
+        """
         return []
 
     def events(self) -> list[Event]:
-        """Return the events since the last call, for the log."""
+        """Return the events since the last call, for the log, and forget them. The default returns none."""
         return []
 
     def link_at(self, now: float) -> LinkStatus | None:
@@ -198,7 +207,10 @@ class PollingDriver(DeviceDriver):
         self._due = now
 
     def poll(self, now: float) -> bytes:
-        """Return the request if it is due."""
+        """Return the request if it is due at wall time `now` [s], else no bytes.
+
+        The next one is due a period after this one.
+        """
         if now < self._due:
             return b""
         self._due += self._period

@@ -40,7 +40,7 @@ class DronecanDriver(DeviceDriver):
         return [(self._node_status_if_due(now) + self._encode_command(setpoints), list(dues))]
 
     def zero(self, now: float) -> list[tuple[bytes, list[Due]]]:
-        """Encode zero for all controllers."""
+        """Encode zero for all controllers of the bus, as one message without set-points."""
         return [(self._encode_command(dict.fromkeys(self._nodes, 0.0)), [])]
 
     def _encode_command(self, setpoints: Mapping[int, float]) -> bytes:

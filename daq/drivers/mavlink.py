@@ -228,7 +228,13 @@ class MavlinkDriver(DeviceDriver):
             self._events.append(Event("autopilot", text))
 
     def _receive_answer(self, m: Any) -> None:
-        """Process the answer to the first command of the queue."""
+        """Process COMMAND_ACK, the answer of the autopilot to a command.
+
+        Answers to other ground stations, and to other commands than the first of the queue, are ignored. A command that
+        was temporarily rejected is sent again, up to TRIES times. Otherwise the command is removed from the queue: the
+        answer to a request of the operator is stored and logged, and a refused message rate is requested at half the
+        rate.
+        """
         if m.target_system not in (0, self._codec.system):
             return  # this is the answer to another ground station
         self._disarmed = self._disarmed or (self._role is LinkRole.RESCUE and m.command == ARM and m.result == ACCEPTED)
@@ -268,12 +274,12 @@ class MavlinkDriver(DeviceDriver):
             self._commands.appendleft(_rate_request(command.label, command.rate / 2.0))
 
     def _store_answer(self, label: str, word: str) -> None:
-        """Store the answer to a request of the operator, and log it."""
+        """Store the answer to a request of the operator, such as "arm: accepted", and log it as an event."""
         self._status = replace(self._status, answer=f"{label}: {word}")
         self._events.append(Event("autopilot", self._status.answer))
 
     def _receive_parameter(self, m: Any) -> None:
-        """Store the value of a requested parameter. Log it if it is new or has changed."""
+        """Store the value of a requested parameter, and log it if it is new or has changed. Others are ignored."""
         if self._awaited.pop(m.param_id, None) is not None or m.param_id in self._names:
             if m.param_id in GROUND_STATION_NAMES:  # each version has only one of both names
                 self._awaited = {name: n for name, n in self._awaited.items() if name not in GROUND_STATION_NAMES}
@@ -416,9 +422,10 @@ class MavlinkDriver(DeviceDriver):
         return b"".join(self._codec.encode("PARAM_REQUEST_READ", *address, name.encode(), -1) for name in self._awaited)
 
     def _poll_one_parameter(self, now: float) -> bytes:
-        """Return the request of one known parameter.
+        """Return the request of one known parameter if it is due and the program drives; else no bytes.
 
-        Another ground station may change a parameter, and the message about the change may be lost.
+        The parameters are requested one after the other. Another ground station may change a parameter, and the message
+        about the change may be lost. `now` is a wall time [s].
         """
         if self._role is not LinkRole.DRIVE or now - self._reread_at < REREAD_S:
             return b""
@@ -475,7 +482,7 @@ class MavlinkDriver(DeviceDriver):
 
     @property
     def hint(self) -> str:
-        """Advice about message rates if nothing is sent to the autopilot."""
+        """Advice about message rates if nothing is sent to the autopilot (role LISTEN); else empty."""
         if self._role is not LinkRole.LISTEN:
             return ""
         return "nothing is sent to it, so it chooses the message rates; --request-rates requests the rates of the rig"
@@ -503,7 +510,7 @@ class MavlinkDriver(DeviceDriver):
         return ""
 
     def events(self) -> list[Event]:
-        """Return the events since the last call."""
+        """Return the events since the last call and forget them. Lost frames are reported at most once in LOST_S."""
         lost = self._decoder.lost
         if lost > self._reported_lost and self._last_heartbeat - self._lost_at >= LOST_S:
             self._reported_lost, self._lost_at = lost, self._last_heartbeat

@@ -38,6 +38,11 @@ class Setpoints:
     """Schedule of set-points, and the present command of each node.
 
     A row of the schedule is a run time [s] and the commands, -1..1, by node.
+
+    Attributes
+    ----------
+    skipped
+        Number of set-points that a later one replaced before they were sent.
     """
 
     def __init__(self) -> None:

@@ -58,7 +58,7 @@ class Field(NamedTuple):
 
 @cache
 def definition(type_name: str) -> str:
-    """Return the text of the definition of a type `package/msg/Name` from daq/msg."""
+    """Return the text of the definition of a message type `package/msg/Name`, read from the files in daq/msg."""
     package, _, name = type_name.split("/")
     return resources.files("seatrial.daq").joinpath("msg", package, f"{name}.msg").read_text(encoding="utf-8")
 
@@ -213,7 +213,7 @@ class CdrLayout:
 
 
 def doubles(*values: float) -> bytes:
-    """Return an array of float64 as bytes, in the form that `CdrLayout.pack` needs."""
+    """Return numbers as the bytes of an array of float64 (little endian), in the form that `CdrLayout.pack` needs."""
     return struct.pack(f"<{len(values)}d", *values)
 
 

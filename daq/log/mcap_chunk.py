@@ -181,7 +181,7 @@ class Messages(NamedTuple):
         return rows_at(self.buffer, self.offsets + MESSAGE_HEAD.itemsize, dtype)
 
     def payloads(self) -> Iterator[memoryview]:
-        """Yield the data of each message."""
+        """Yield the data of each message, without its head, in order."""
         view, starts = memoryview(self.buffer.data), self.offsets + MESSAGE_HEAD.itemsize
         for start, length in zip(starts.tolist(), self.lengths.tolist(), strict=True):
             yield view[start : start + length]

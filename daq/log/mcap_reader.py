@@ -141,7 +141,13 @@ class RawLog:
             self._seen[n:] = -1
 
     def _open(self) -> tuple[int, int, tuple[int, int]]:
-        """Open the file. Return its descriptor, its size [bytes], and device and inode."""
+        """Open the file and check that it is a regular file and an MCAP file. Otherwise SeatrialError is raised.
+
+        Returns
+        -------
+        tuple
+            File descriptor, size of the file [bytes], and the pair of device and inode, which identifies the file.
+        """
         # Plain reads, no mmap: the file may still grow, and a failing disk must cause an error message, not a signal.
         try:
             fd = os.open(self.path, os.O_RDONLY | os.O_NONBLOCK)  # without O_NONBLOCK a named pipe waits for a writer
@@ -231,7 +237,10 @@ class RawLog:
         return n
 
     def _has_too_many_messages(self, n_messages: int) -> bool:
-        """Return whether a file of this size has too many messages, and warn if so."""
+        """Return whether a file of this size has too many messages: more than FEW_MESSAGES and than it has bytes.
+
+        Warn if so.
+        """
         if n_messages <= max(FEW_MESSAGES, self._size):  # a real message takes at least one compressed byte
             return False
         self._warn(f"more messages than a real log of its size has ({self._size} bytes): the rest is left out")
@@ -745,7 +754,7 @@ def _chunk_indexes(
 
 
 def _check_name(name: str) -> None:
-    """Raise ValueError if a text is too long for a name."""
+    """Raise ValueError if a text has more than MAX_NAME_CHARACTERS characters."""
     if len(name) > MAX_NAME_CHARACTERS:
         raise ValueError(f"a name of {len(name)} characters is too long")
 

@@ -71,7 +71,7 @@ def load_dbc(path: str) -> Any:
 
 
 def is_j1939(message: Any) -> bool:
-    """Return whether a message is identified by its PGN instead of its whole identifier."""
+    """Return whether a message of cantools is identified by its PGN alone (J1939, NMEA 2000)."""
     return bool(message.protocol == "j1939")
 
 

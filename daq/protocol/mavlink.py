@@ -269,7 +269,10 @@ class SampleConverter:
         self._chunks: tuple[int, str] = (0, "")  # id and received part of a long text
 
     def take(self, message: Any) -> TimedSamples:
-        """Return the samples that a message completes."""
+        """Return the samples that a message completes, each with its time [s since boot] or NaN.
+
+        Unused messages give none.
+        """
         handler = self.wanted.get(message.get_type())
         return [] if handler is None else handler(message)
 
@@ -342,20 +345,26 @@ class SampleConverter:
         return samples
 
     def _raw_imu(self, m: Any) -> TimedSamples:
-        """Convert RAW_IMU. Return nothing unless the autopilot is ArduPilot, because the units are its own."""
+        """Return the samples that a RAW_IMU message completes; none unless the autopilot is ArduPilot.
+
+        The units of other autopilots are not defined.
+        """
         return self._take_milli_imu(m, self._to_boot_time(m.time_usec)) if self._ardupilot else []
 
     def _scaled_imu(self, m: Any) -> TimedSamples:
-        """Convert SCALED_IMU."""
+        """Return the samples that a SCALED_IMU message completes."""
         return self._take_milli_imu(m, _since_boot(m.time_boot_ms))
 
     def _take_milli_imu(self, m: Any, t: float) -> TimedSamples:
-        """Convert an IMU message in thousandths of g and of a gauss, with the time `t` [s since boot]."""
+        """Return the samples that an IMU message in milli-g and milligauss completes.
+
+        `t` is the time of the message [s since boot].
+        """
         accel = tuple(1e-3 * GRAVITY * a for a in (m.xacc, m.yacc, m.zacc))
         return self._take_imu(t, accel, tuple(1e-7 * b for b in (m.xmag, m.ymag, m.zmag)))
 
     def _highres_imu(self, m: Any) -> TimedSamples:
-        """Convert HIGHRES_IMU, which is in m/s2 and gauss."""
+        """Return the samples that a HIGHRES_IMU message, in m/s2 and gauss, completes."""
         field = tuple(1e-4 * b for b in (m.xmag, m.ymag, m.zmag))
         return self._take_imu(self._to_boot_time(m.time_usec), (m.xacc, m.yacc, m.zacc), field)
 

@@ -210,7 +210,7 @@ class Codec:
 
 
 def encode_esc_status(system: int, component: int, sequence: int, status: EscStatus) -> bytes:
-    """Encode ESC_STATUS as an unsigned frame of version 2."""
+    """Encode ESC_STATUS as an unsigned frame of MAVLink 2. `sequence`, 0 to 255, is the counter of frames."""
     payload = _ESC_STATUS.pack(status.time_usec, *status.rpm, *status.voltage, *status.current, status.first)
     payload = payload.rstrip(b"\0") or b"\0"
     body = struct.pack("<BBBBBBHB", len(payload), 0, 0, sequence, system, component, ESC_STATUS, 0) + payload

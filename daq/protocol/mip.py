@@ -101,7 +101,10 @@ class Decoder(StreamDecoder[Frame]):
             self._append_sample(_attitude_angles(fields, quaternion=0x0A, euler=0x0C), t_rx)
 
     def _take_filter_packet(self, fields: Fields, t_rx: float) -> None:
-        """Append a sample for a filter packet with a valid attitude."""
+        """Append a sample for a filter packet with a valid attitude, received at `t_rx` [s].
+
+        If the filter reports that it has lost the attitude, the sensor packets give samples from now on.
+        """
         angles = _attitude_angles(fields, quaternion=0x03, euler=0x05)
         if angles != _NAN3:
             self._filtered = t_rx

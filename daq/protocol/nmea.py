@@ -278,7 +278,10 @@ class Epochs:
         return self._pop_completed()
 
     def forget(self) -> None:
-        """Discard the incomplete epoch, because the port was reopened."""
+        """Discard the incomplete epoch and the order of the sentences, because the port was reopened.
+
+        The date is kept.
+        """
         self._epoch = self._vtg = self._timed = None
         self._t_last, self._vtg_leads, self._epochs_against_order = -math.inf, False, ORDER_BY - 1
 
@@ -475,7 +478,7 @@ def _time_of_day(words: list[bytes], index: int) -> float:
 
 
 def _read_gga(epoch: _Epoch, message: Message) -> None:
-    """Store the values of GGA in the epoch."""
+    """Store fix and satellites of GGA in the epoch; position, height and HDOP only with a fix."""
     fix = _QUALITY.get(_to_integer(message.get("quality"), 0), 0)
     epoch.values["quality"] = fix
     _store_finite(epoch, "n_sat", _to_number(message.get("numSV")))
@@ -494,7 +497,7 @@ def _read_gns(epoch: _Epoch, message: Message) -> None:
 
 
 def _read_rmc(epoch: _Epoch, message: Message) -> None:
-    """Store the values of RMC in the epoch. RMC contains the date."""
+    """Store date, fix, position, speed and course of RMC in the epoch; the last three only if the sentence is valid."""
     if isinstance(date := message.get("date"), datetime.date):
         # RMC has two digits of the year. Before its first fix a receiver may send a year from 1980 on.
         century = 100 if date.year >= 2080 else 0

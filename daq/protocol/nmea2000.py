@@ -166,7 +166,10 @@ class Decoder(FrameDecoder):
         return bytes(packet.data[: packet.length])
 
     def _drop_packet(self, source: int, frames: int = 0) -> None:
-        """Discard the packet of a source. Count its frames, and `frames` more, as unparsed."""
+        """Discard the incomplete packet of a source, if there is one.
+
+        Count its frames, and `frames` more, as unparsed.
+        """
         packet = self._packets.pop(source, None)
         self.unparsed_bytes += FRAME_BYTES * (frames + (packet.frames if packet is not None else 0))
 
@@ -185,7 +188,11 @@ class Decoder(FrameDecoder):
         return min(key for key, when in senders.items() if t_rx - when <= STALE_S)[1] == source
 
     def _heading(self, source: int, data: bytes, t_rx: float) -> list[Frame]:
-        """Return the sample of a heading from the best sender."""
+        """Return the sample of a heading from the best sender, with the newest pitch and roll.
+
+        The list is empty for an invalid heading, for another sender, before all senders are found, and for a magnetic
+        heading with an unknown variation.
+        """
         raw, deviation, variation, reference = _HEADING.unpack_from(data)
         yaw, magnetic = _unsigned16(raw, _ANGLE), reference & 3 == MAGNETIC
         if not yaw <= math.tau + _ANGLE or reference & 3 > MAGNETIC:
@@ -219,7 +226,7 @@ class Decoder(FrameDecoder):
         return NAN
 
     def _turn(self, source: int, data: bytes, t_rx: float) -> list[Frame]:
-        """Return the sample of a rate of turn from the best sender."""
+        """Return the sample of a rate of turn from the best sender; none for other senders and invalid rates."""
         (raw,) = _TURN.unpack_from(data)
         rate = raw * _RATE if raw < 2**31 - 3 else NAN
         if math.isnan(rate) or not self._is_best_sender(TURN, 0, source, t_rx) or not self._has_settled(TURN, t_rx):
@@ -227,21 +234,21 @@ class Decoder(FrameDecoder):
         return [Frame(Ahrs(NAN, NAN, NAN, r=rate), t_rx, NAN)]
 
     def _attitude(self, source: int, data: bytes, t_rx: float) -> list[Frame]:
-        """Store pitch and roll for the next heading."""
+        """Store pitch and roll of the best sender for the next heading. Return no sample."""
         _, pitch, roll = (_signed16(raw, _ANGLE) for raw in _ATTITUDE.unpack_from(data))
         if not math.isnan(pitch + roll) and self._is_best_sender(ATTITUDE, 0, source, t_rx):
             self._level = pitch, roll, t_rx
         return []
 
     def _variation(self, source: int, data: bytes, t_rx: float) -> list[Frame]:
-        """Store the variation for magnetic headings and courses."""
+        """Store the variation of the best sender for magnetic headings and courses. Return no sample."""
         variation = _signed16(_VARIATION.unpack_from(data)[2], _ANGLE)
         if not math.isnan(variation) and self._is_best_sender(VARIATION, 0, source, t_rx):
             self._bus_variation = variation
         return []
 
     def _course(self, source: int, data: bytes, t_rx: float) -> list[Frame]:
-        """Store course and speed over ground for the next fix."""
+        """Store course and speed over ground of a sender for its next fix. Return no sample."""
         reference, raw_course, raw_speed = _COURSE.unpack_from(data)
         course, speed = _unsigned16(raw_course, _ANGLE), _unsigned16(raw_speed, _SPEED)
         if reference & 3:
@@ -255,13 +262,13 @@ class Decoder(FrameDecoder):
         return []
 
     def _dops(self, source: int, data: bytes, t_rx: float) -> list[Frame]:
-        """Store the dimensions of a sender's fixes."""
+        """Store the dimensions, 2 or 3, of a sender's fixes. Return no sample."""
         if (mode := _DOPS.unpack_from(data)[0] >> 3 & 7) in _DIMENSIONS:
             self._dimensions[source] = _DIMENSIONS[mode], t_rx
         return []
 
     def _fix(self, source: int, data: bytes, t_rx: float) -> list[Frame]:
-        """Return the sample of a fix from the best sender."""
+        """Return the sample of a fix from the best sender, with its newest course and speed; none for other senders."""
         day, ticks, lat, lon, alt, method, _, n_sat, hdop, _, _ = _FIX.unpack_from(data)
         counts = 0 < n_sat < 0xFD  # a device that relays fixes of another device often omits the number of satellites
         place = lat * _PLACE, lon * _PLACE

@@ -104,7 +104,10 @@ class Decoder(nmea.Decoder):
         return super()._take(buffer, start, t_rx)
 
     def _take_ubx(self, buffer: bytearray, start: int, t_rx: float) -> int:
-        """Decode the UBX message at `start`. Return its length as `_take` does."""
+        """Decode the UBX message at `start`, and append its samples.
+
+        Return its length in bytes, 0 if more bytes are needed, or -1 if no valid message begins there.
+        """
         if len(buffer) < start + HEAD:
             return 0 if SYNC.startswith(buffer[start : start + 2]) else -1
         if buffer[start + 1] != SYNC[1]:
@@ -215,7 +218,7 @@ class _Epoch:
     kinds
         Ids of the received messages.
     values
-        In SI units and degrees, by name.
+        Values by name, in SI units; latitude and longitude are in degrees.
     """
 
     i_tow: int
@@ -341,7 +344,10 @@ def _attitude_sample(payload: bytes, t_rx: float) -> list[Frame]:
 
 
 def _read_pvt(v: dict[str, float], payload: bytes) -> None:
-    """Store the values of NAV-PVT."""
+    """Store time, fix, satellites, position and velocity of NAV-PVT.
+
+    The fix is 0 unless the receiver marks it as valid.
+    """
     (
         _, year, month, day, hour, minute, second, valid, t_acc, nano, fix, flags, _, n_sat, lon, lat, _, h_msl, h_acc,
         _, vel_n, vel_e, vel_d, *_,
@@ -400,7 +406,7 @@ def _read_status(v: dict[str, float], payload: bytes) -> None:
 
 
 def _hnr_pvt_sample(payload: bytes) -> Gnss:
-    """Return the sample of HNR-PVT."""
+    """Return the sample of HNR-PVT, in which values without a fix are NaN."""
     (
         _, year, month, day, hour, minute, second, valid, nano, gps_fix, flags, lon, lat, _, h_msl, ground, _, course,
         _, h_acc, *_,

@@ -128,7 +128,10 @@ class Decoder(StreamDecoder[Frame]):
         )
 
     def _take_binary(self, buffer: bytearray, start: int, t_rx: float) -> int:
-        """Decode the binary message at `start`. Return its length as `_take` does."""
+        """Decode the binary message at `start`, and append its sample.
+
+        Return its length in bytes, 0 if more bytes are needed, or -1 if no valid message begins there.
+        """
         if len(buffer) < start + 2:
             return 0
         groups = buffer[start + 1]
@@ -154,7 +157,11 @@ class Decoder(StreamDecoder[Frame]):
         return layout.length
 
     def _take_ascii(self, buffer: bytearray, start: int, t_rx: float) -> int:
-        """Decode the sentence at `start`. Return its length as `_take` does."""
+        """Decode the ASCII sentence at `start`, and append its sample.
+
+        Return its length in bytes, 0 if more bytes are needed, or -1 if it is invalid. A sentence of an unknown kind is
+        counted as a frame and gives no sample.
+        """
         length, body, bad = take_sentence(buffer, start)
         self.checksum_errors += bad
         if body is None:

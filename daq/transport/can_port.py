@@ -171,7 +171,7 @@ class SocketCanPort(Port):
         self._bus: Any = None
 
     def open(self) -> None:
-        """Open a raw socket on the interface."""
+        """Open a raw socket on the interface. Raise PortError if this fails."""
         self.close()
         try:
             self._bus = self._can.Bus(interface="socketcan", channel=self._channel)

@@ -58,7 +58,7 @@ class UdpPort(Port):
         self._heard_at = 0.0  # wall s of the last confirmed read
 
     def open(self) -> None:
-        """Bind a local address, or connect to a remote one."""
+        """Bind the local address to listen at, or connect to the remote one. Raise PortError if this fails."""
         self._open_socket(shared=False)
 
     def take_over(self) -> None:
@@ -129,7 +129,7 @@ class UdpPort(Port):
         return self._candidate is None or self._candidate == self._peer
 
     def confirm(self) -> None:
-        """Answer the sender of the last read from now on."""
+        """Accept the sender of the last read, which is answered from now on. Its time of silence starts anew."""
         if self._candidate is not None:
             self._peer = self._candidate
         self._heard_at = time.monotonic()
@@ -170,7 +170,7 @@ class TcpPort(Port):
         self._socket: socket.socket | None = None
 
     def open(self) -> None:
-        """Connect to the server."""
+        """Connect to the server. Raise PortError if there is no connection within CONNECT_S."""
         self.close()
         _resolve_address(self._host, self._number, socket.SOCK_STREAM, False)
         try:
