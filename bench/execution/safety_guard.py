@@ -808,7 +808,7 @@ class SafetyGuard:
                 yield Stop(StopCode.LINK, f"{name} went over to {link.mode}{reason}")
             if link.alarm:
                 yield Stop(StopCode.LINK, f"{name} says {link.alarm}")
-            if link.rivals:
+            if link.other_station_frames:
                 yield Stop(StopCode.RIVAL, f"{name}: {RIVAL}")
             # A changed parameter may disable a failsafe. The run ends while the link can still transmit zero and the
             # request to disarm.

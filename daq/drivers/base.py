@@ -63,7 +63,7 @@ class LinkStatus:
         Last text of severity critical or above.
     receiver
         Whether the autopilot has received a transmitter since its start; None: it has not reported this.
-    rivals
+    other_station_frames
         Number of frames of another ground station with our own system id.
     lost
         Number of frames that are missing by the sequence numbers.
@@ -84,7 +84,7 @@ class LinkStatus:
     answer: str = ""
     alarm: str = ""
     receiver: bool | None = None
-    rivals: int = 0
+    other_station_frames: int = 0
     lost: int = 0
     round_trip: float = math.nan
 

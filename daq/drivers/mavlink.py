@@ -521,9 +521,9 @@ class MavlinkDriver(DeviceDriver):
 
     def link_at(self, now: float) -> LinkStatus:
         """Return the state of the autopilot at wall time `now` [s]."""
-        rivals = self._decoder.foreign.get(self._settings.own_system_id, 0)
+        other_station_frames = self._decoder.foreign.get(self._settings.own_system_id, 0)
         age = now - self._last_heartbeat
-        return replace(self._status, age=age, rivals=rivals, lost=self._decoder.lost)
+        return replace(self._status, age=age, other_station_frames=other_station_frames, lost=self._decoder.lost)
 
 
 def _rate_request(message: str, rate: float) -> _Command:

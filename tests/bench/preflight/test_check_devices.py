@@ -140,7 +140,12 @@ GOOD = LinkStatus(
         (replace(GOOD, parameters={"FS_ACTION": 1.0}), "fault", "autopilot-parameter", "FS_ACTION is 1, wanted 2"),
         (replace(GOOD, parameters_pending=True), "warning", "parameters-unanswered", "not all have been answered"),
         (replace(GOOD, refused=("RAW_IMU at 50 Hz: denied",)), "warning", "rate-refused", "refuses RAW_IMU at 50 Hz"),
-        (replace(GOOD, rivals=3), "fault", "rival-station", "another ground station has system id 255, as this rig"),
+        (
+            replace(GOOD, other_station_frames=3),
+            "fault",
+            "rival-station",
+            "another ground station has system id 255, as this rig",
+        ),
         (replace(GOOD, lost=20), "warning", "frames-lost", "20 frames lost on the way, 999 received"),
         (replace(GOOD, alarm="critical: Leak"), "warning", "autopilot-alarm", "says critical: Leak"),
     ],
