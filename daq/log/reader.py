@@ -241,7 +241,7 @@ class Log:
 
     @cached_property
     def _spacing(self) -> dict[str, _StampStatistics]:
-        """Rate, gaps and backward steps of all topics, from one pass through the file."""
+        """Rate, gaps and backward steps of the time stamps, by topic, from one pass through the file."""
         found = {topic: _StampStatistics() for topic in self.counts}
         topics = {number: channel.topic for number, channel in self._file.channels.items()}
         for messages in self._file.read(None, *self._span_ns):
@@ -507,7 +507,10 @@ class Log:
         return self._channel_metadata(signal).get("role", "output")
 
     def _channel_metadata(self, signal: str) -> dict[str, str]:
-        """Return the metadata of the channel of a signal."""
+        """Return the metadata of the channel of an imported signal, by name.
+
+        Raise SeatrialError if the log lacks the signal.
+        """
         return self._file.channels[self._channels(schema.topic(Scalar, signal))[0]].metadata
 
     def _error(self, text: str) -> SeatrialError:
@@ -599,7 +602,10 @@ def _layout(type_name: str, n_frame: int, lacking: tuple[str, ...]) -> CdrLayout
 
 
 def _table_type(kind: type[Measured], integers: Collection[str] = ()) -> np.dtype[np.void]:
-    """Return the numpy type of a table of samples. `integers`: columns of whole numbers."""
+    """Return the numpy type of a table of samples of a kind: t, t_rx, t_device and the fields of the class.
+
+    All columns are floats, except for those in `integers`, which are 64-bit integers.
+    """
     names = ["t", "t_rx", "t_device", *schema.field_names(kind)]
     return np.dtype([(name, "i8" if name in integers else "f8") for name in names])
 
@@ -654,7 +660,7 @@ class _TopicTable:
         raise NotImplementedError
 
     def done(self) -> NDArray[np.void]:
-        """Return the whole table."""
+        """Return the whole table, shape (n,), and free its unused memory. No further messages may be added."""
         return self._table.done()
 
 
@@ -685,7 +691,17 @@ class _NotNumberedError(SeatrialError):
 
 
 class _AhrsTable(_TopicTable):
-    """Table of an AHRS, from its Imu messages and the companion topics that have the other columns."""
+    """Table of an AHRS, from its Imu messages and the companion topics that have the other columns.
+
+    Parameters
+    ----------
+    log
+        The log.
+    topic, source
+        Topic of the Imu messages, and name of the device.
+    join
+        Whether to add the columns of the companion topics (device times and magnetic field); else they stay NaN.
+    """
 
     def __init__(self, log: Log, topic: str, source: str, join: bool) -> None:
         self._source, self._numbers = source, {"imu": log._channels(topic, schema.IMU)}
@@ -699,7 +715,11 @@ class _AhrsTable(_TopicTable):
         self._last = -1
 
     def take(self, messages: Messages) -> None:
-        """Add the next Imu messages, and join the companions to them by their sequence numbers."""
+        """Add the next Imu messages, and join the companion messages to them by their sequence numbers.
+
+        Companions that arrive before their Imu message wait for the next call. `_NotNumberedError` is raised if the
+        sequence numbers do not ascend.
+        """
         parts = {n: messages.where(np.isin(messages.heads["channel"], g)) for n, g in self._numbers.items()}
         imu = parts.pop("imu")
         rows, part = self._log._decode_rows(imu, self.topic, schema.IMU), self._table.append_rows(len(imu.heads))

@@ -55,7 +55,7 @@ class ReservedSpace:
         self.size = size
 
     def release(self) -> None:
-        """Free the space. A second call has no effect."""
+        """Free the space, so that other files can use it. A second call has no effect."""
         if self._fd >= 0:
             os.close(self._fd)
             self._fd = -1

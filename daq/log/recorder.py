@@ -170,7 +170,7 @@ class Recorder:
         self._add_message("/event", schema.EVENT, log_ns, stamp_ns, 0, message)
 
     def health(self, device: str, health: PortHealth, t: float) -> None:
-        """Write the counters of the port of a device at time t [s since 1970]."""
+        """Write the counters of the port of a device to the log at time t [s since 1970]."""
         log_ns, stamp_ns = self._log_and_stamp_ns(t, t)
         message = cdr_layout(schema.HEALTH, device.encode()).pack(
             stamp_ns,
@@ -241,7 +241,7 @@ class Recorder:
 
     @contextlib.contextmanager
     def _pause_if_full(self) -> Iterator[None]:
-        """Pause a patient recorder if the disk is full within the block."""
+        """Pause a patient recorder if the disk is full within the block. Otherwise the error is passed on."""
         try:
             yield
         except DiskFull as error:
@@ -257,7 +257,10 @@ class Recorder:
         self._retry_at = self._paused_at + RETRY_S
 
     def _resume(self) -> None:
-        """Continue in a new segment, and write the kept messages to it, if the disk has room."""
+        """Continue in a new segment, and write the kept messages to it, if the disk has room; else stay paused.
+
+        The duration of the pause is recorded as an event.
+        """
         self._retry_at = time.monotonic() + RETRY_S
         if free_bytes(self.first_path) < ROOM_BYTES:
             return
@@ -273,7 +276,10 @@ class Recorder:
         self.event(self._log_ns / NANO, "disk", f"full for {seconds:.1f} s; kept {counted(len(kept), 'message')}{loss}")
 
     def _begin_next_segment(self) -> None:
-        """Begin the next segment. Numbers whose file exists already are skipped."""
+        """Begin the next segment, and note the finished one for a later deletion.
+
+        Numbers whose file exists are skipped.
+        """
         before, number = self._size_before + self._writer.size, self._number + 1
         past = self._writer.path
         while (path := segment_path(self.first_path, number)).exists():

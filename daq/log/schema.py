@@ -97,7 +97,7 @@ class Message(NamedTuple):
 
 
 def field_names(kind: type[Measured]) -> list[str]:
-    """Return the names of the fields of a sample, in order."""
+    """Return the names of the fields of the class of a sample, in order."""
     return [field.name for field in fields(kind)]
 
 

@@ -65,7 +65,7 @@ def open_raw(path: Path) -> RawLog | SegmentedLog:
 
 
 def _recorder_metadata(raw: RawLog) -> dict[str, str]:
-    """Return the metadata that the recorder wrote; empty if a file has none."""
+    """Return the metadata record "seatrial" of a file, which the recorder wrote; empty if the file has none."""
     return next((dict(record.metadata) for record in raw.metadata if record.name == "seatrial"), {})
 
 

@@ -78,4 +78,4 @@ class FrameDecoder(ABC):
 
     @abstractmethod
     def _forget(self) -> None:
-        """Discard all received state."""
+        """Discard all received state of the protocol, because the port was reopened."""

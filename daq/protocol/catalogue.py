@@ -111,7 +111,7 @@ def _make_mantracourt(device: Device, rig: Rig) -> Decoder:
 
 
 def _make_vesc(device: Device, rig: Rig) -> Decoder:
-    """Return the decoder for the VESC controllers of the thrusters behind a device."""
+    """Return a new decoder of VESC controllers, with pole pairs and direction of the thrusters behind a device."""
     from seatrial.daq.protocol import vesc
 
     thrusters = [thruster for thruster in rig.thrusters if thruster.device == device.name]

@@ -112,7 +112,10 @@ def number(message: Any, name: str, raw: float, field: str = "") -> float:
 
 
 def _first_code(message: Any, signal: Any, is_speed: bool) -> int:
-    """Return the lowest raw number of a signal that means "error" or "not available"."""
+    """Return the lowest raw number of a signal of cantools that means "error" or "not available".
+
+    A shaft speed (`is_speed`) and the signals of J1939 have more such numbers than those of NMEA 2000.
+    """
     # PGNs of page 1 belong to NMEA 2000. Other PGNs, and those of manufacturers, occur in both standards.
     is_nmea2000 = bool(message.frame_id & _PAGE_1)
     length, is_signed = int(signal.length), bool(signal.is_signed)

@@ -80,7 +80,7 @@ class Decoder(FrameDecoder):
         self._assembler = Assembler(STATUS)
 
     def _take(self, identifier: int, extended: bool, data: bytes, t_rx: float) -> list[Frame]:
-        """Decode one frame. Return the sample of the esc.Status that it completes."""
+        """Decode one frame with a 29-bit identifier. Return the sample of the esc.Status that it completes, if any."""
         if not extended:
             return []
         out = []
@@ -193,7 +193,7 @@ def frames_of(
 
 
 def _tail_byte(k: int, n_parts: int, number: int) -> int:
-    """Return the last byte of frame `k` of a transfer with `n_parts` frames."""
+    """Return the last byte of frame `k`, from 0, of a transfer with `n_parts` frames: flags and transfer number."""
     return _BEGINS * (k == 0) | _ENDS * (k == n_parts - 1) | _TOGGLE * (k & 1) | number & _NUMBER
 
 

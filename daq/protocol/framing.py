@@ -146,6 +146,6 @@ def crc16_ccitt(data: bytes, seed: int = 0xFFFF) -> int:
 
 
 def sentence(body: str) -> bytes:
-    """Encode `body` as a sentence of NMEA 0183: `$body*hh` and CR LF."""
+    """Encode a text without `$` and checksum as a sentence of NMEA 0183: `$body*hh` and CR LF."""
     data = body.encode("ascii")
     return b"$%b*%02X\r\n" % (data, xor(data))
