@@ -163,7 +163,7 @@ class DeviceLoop(threading.Thread):
                 )
                 self._wait_for_bytes(-1, self._retry_s(failures))
                 failures += 1
-        self._finish()
+        self._send_final_zero()
 
     def _retry_s(self, failures: int) -> float:
         """Return the wall seconds until the next attempt to open the port.
@@ -251,11 +251,11 @@ class DeviceLoop(threading.Thread):
         t = self._clock.now()
         if data:
             self._port.write(data)
-            self._log("tx", data, t, [])
+            self._queue_for_log("tx", data, t, [])
         if events := driver.events():
-            self._log("", b"", t, [(Frame(event, t, NAN), t) for event in events])
+            self._queue_for_log("", b"", t, [(Frame(event, t, NAN), t) for event in events])
 
-    def _log(self, direction: str, raw: bytes, t: float, frames: list[tuple[Frame, float]]) -> None:
+    def _queue_for_log(self, direction: str, raw: bytes, t: float, frames: list[tuple[Frame, float]]) -> None:
         """Put the bytes and samples of one read or write into the queue of the log, or count them as dropped.
 
         `direction` is "rx" for received and "tx" for sent bytes, and empty without bytes. `t` is the run time [s] of
@@ -297,7 +297,7 @@ class DeviceLoop(threading.Thread):
             self._exclude_join_bytes()
         else:
             self._mute_bytes += len(data)
-        self._log("rx", data, t_rx, frames)
+        self._queue_for_log("rx", data, t_rx, frames)
 
     def _is_rated(self, sample: Sample) -> bool:
         """Return whether a sample counts for the rate of the device.
@@ -344,7 +344,7 @@ class DeviceLoop(threading.Thread):
             t = self._clock.now()
             self._port.write(raw)
             frames = [(Frame(Command(due.node, due.n), t, NAN), t) for due in carried if due.fresh]
-            self._log("tx", raw, t, frames)
+            self._queue_for_log("tx", raw, t, frames)
         self._setpoints.written()
         if any(n != 0.0 for n in self._setpoints.held.values()):
             self._zeroed = math.nan
@@ -356,7 +356,7 @@ class DeviceLoop(threading.Thread):
         """Run time [s] at which zero was written to every thruster of the port; NaN if a command has followed."""
         return self._zeroed
 
-    def _finish(self) -> None:
+    def _send_final_zero(self) -> None:
         """Close the port. If it is open, first send zero to every thruster three times, and the driver's last bytes."""
         with contextlib.suppress(PortError):
             if self._setpoints is not None and self._open:
@@ -365,7 +365,7 @@ class DeviceLoop(threading.Thread):
                     self._send_setpoints(self._setpoints.due(self._clock.now(), time.monotonic()))
             if self._driver is not None and self._open and (last := self._driver.shutdown_bytes(time.monotonic())):
                 self._port.write(last)
-                self._log("tx", last, self._clock.now(), [])
+                self._queue_for_log("tx", last, self._clock.now(), [])
         self._port.close()
 
     def latest(self) -> dict[Source, Latest]:

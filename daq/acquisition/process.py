@@ -128,7 +128,7 @@ class Process:
             self._serve()
         except Exception as error:  # a programming error must not leave thrust on
             self._request_end(f"internal error ({type(error).__name__}: {error})", unrequested=True)
-        self._finish()
+        self._shut_down()
 
     def _serve(self) -> None:
         """Send status, samples and heartbeats, handle messages and check time-outs, until there is a reason to end.
@@ -303,7 +303,7 @@ class Process:
         t = self._clock.now()
         self._sink.put(LogItem("", "", b"", t, [(Frame(Event(kind, text), t, NAN), t)]))
 
-    def _finish(self) -> None:
+    def _shut_down(self) -> None:
         """Command zero, wait until it was repeated, end all threads, close the log and report the end to the parent.
 
         The heartbeats to the watchdog go on until the ports are closed. If the parent is gone or hangs, the last line

@@ -51,14 +51,14 @@ class _RepeatedSample(NamedTuple):
 _SampleForm = tuple[type, tuple[bool, ...]]
 
 
-def _getter(fields: tuple[str, ...]) -> Callable[[Any], tuple[float, ...]]:
+def _make_getter(fields: tuple[str, ...]) -> Callable[[Any], tuple[float, ...]]:
     """Return a function that returns the values of the named fields of a sample as a tuple, also for a single field."""
     get: Callable[[Any], Any] = attrgetter(*fields)
     return get if len(fields) > 1 else lambda sample: (get(sample),)
 
 
 # These tables are built once, because every sample is compared.
-_VALUES = {kind: _getter(limit.fields) for kind, limit in STUCK_LIVE.items()}
+_VALUES = {kind: _make_getter(limit.fields) for kind, limit in STUCK_LIVE.items()}
 _WHOLE: dict[type, _SampleForm] = {kind: (kind, (True,) * len(limit.fields)) for kind, limit in STUCK_LIVE.items()}
 
 

@@ -47,7 +47,7 @@ def worst_first(findings: Iterable[Finding]) -> list[Finding]:
 
 def findings_lines(findings: Sequence[Finding]) -> list[str]:
     """Return one line for each finding: level, place, check, text and advice, in columns."""
-    rows = zip(_heads(findings), findings, strict=True)
+    rows = zip(_line_beginnings(findings), findings, strict=True)
     return [f"{head}{f.text}{f': {f.advice}' if f.advice else ''}" for head, f in rows]
 
 
@@ -66,7 +66,7 @@ def findings_paragraphs(findings: Sequence[Finding], width: int) -> list[str]:
     list of str
         The lines. The advice of each finding starts on a new line.
     """
-    heads = _heads(findings)
+    heads = _line_beginnings(findings)
     beside = len(heads[0]) <= width // 2 if heads else True
     indent = len(heads[0]) if heads and beside else LEVEL + 1
     lines = []
@@ -78,7 +78,7 @@ def findings_paragraphs(findings: Sequence[Finding], width: int) -> list[str]:
     return lines
 
 
-def _heads(findings: Sequence[Finding]) -> list[str]:
+def _line_beginnings(findings: Sequence[Finding]) -> list[str]:
     """Return the beginning of the line of each finding: level, place and check, padded to one length."""
     where_width = max((len(f.where) for f in findings), default=0)
     check_width = max((len(f.check) for f in findings), default=0)

@@ -92,7 +92,7 @@ class TomlTable:
         """Return a key with the name of its table, such as `limits.n_max`."""
         return f"{self.where}.{key}" if self.where else key
 
-    def _take(self, key: str, default: object) -> object:
+    def _read_value(self, key: str, default: object) -> object:
         """Note that a key was read, and return its value, or `default` if the table lacks the key.
 
         If the key is missing and `default` is _MISSING, SeatrialError is raised. The message suggests an unread key
@@ -123,7 +123,7 @@ class TomlTable:
 
         The string must be one of `choices`, unless this is empty.
         """
-        value = self._take(key, default)
+        value = self._read_value(key, default)
         if not isinstance(value, str):
             raise self.error(key, f"must be text in quotes, not {_describe_value(value)}")
         if choices and value not in choices:
@@ -143,14 +143,14 @@ class TomlTable:
 
     def flag(self, key: str, default: object = _MISSING) -> bool:
         """Return the boolean value of a key, or `default` if the key is missing. The numbers 0 and 1 are errors."""
-        value = self._take(key, default)
+        value = self._read_value(key, default)
         if not isinstance(value, bool):
             raise self.error(key, f"must be true or false, not {_describe_value(value)}")
         return value
 
     def integer(self, key: str, default: object = _MISSING, low: int | None = None, high: int | None = None) -> int:
         """Return a whole number within [low, high]. A bound that is None does not apply; 1.0 is no whole number."""
-        value = self._take(key, default)
+        value = self._read_value(key, default)
         if isinstance(value, bool) or not isinstance(value, int):
             raise self.error(key, f"must be a whole number, not {_describe_value(value)}")
         self._check_range(key, value, low, high)
@@ -168,7 +168,7 @@ class TomlTable:
 
         A bound that is None does not apply. True and false are no numbers.
         """
-        value = self._take(key, default)
+        value = self._read_value(key, default)
         number = self._to_finite(key, value)
         if positive and number <= 0.0:
             raise self.error(key, f"must be above zero, not {number:g}")
@@ -180,7 +180,7 @@ class TomlTable:
 
         Lists, tables and dates are errors.
         """
-        value = self._take(key, default)
+        value = self._read_value(key, default)
         if isinstance(value, (str, bool)):
             return value
         return self._to_finite(key, value)
@@ -191,7 +191,7 @@ class TomlTable:
 
     def numbers(self, key: str, default: object = _MISSING, length: int | None = None) -> tuple[float, ...]:
         """Return a list of finite numbers. It must have `length` items if a length is given."""
-        value = self._take(key, default)
+        value = self._read_value(key, default)
         if not isinstance(value, (list, tuple)):
             raise self.error(key, f"must be a list of numbers, not {_describe_value(value)}")
         if length is not None and len(value) != length:
@@ -213,14 +213,14 @@ class TomlTable:
 
     def texts(self, key: str, default: object = _MISSING) -> tuple[str, ...]:
         """Return a list of strings, which may be empty."""
-        value = self._take(key, default)
+        value = self._read_value(key, default)
         if not isinstance(value, (list, tuple)) or not all(isinstance(item, str) for item in value):
             raise self.error(key, "must be a list of texts in quotes")
         return tuple(value)
 
     def table(self, key: str) -> TomlTable | None:
         """Return a sub-table, or None if it is absent."""
-        value = self._take(key, None)
+        value = self._read_value(key, None)
         if value is None:
             return None
         if not isinstance(value, dict):
@@ -229,7 +229,7 @@ class TomlTable:
 
     def tables(self, key: str) -> list[TomlTable]:
         """Return the tables of a `[[key]]` list in order, or an empty list if it is absent."""
-        value = self._take(key, [])
+        value = self._read_value(key, [])
         if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
             raise self.error(key, f"must be a list of tables, [[{self._full_key(key)}]]")
         return [TomlTable(item, self.source, f"{self._full_key(key)}[{i}]") for i, item in enumerate(value, start=1)]

@@ -356,7 +356,7 @@ class RawLog:
         self._chunks, self._chunk_channels, self._unindexed = chunks, summary.chunk_channels, summary.unindexed
         self._seen = np.zeros(len(chunks), np.int8)
         for kind, data in [*summary.schemas, *summary.channels]:
-            self._register(kind, data)
+            self._keep_definition(kind, data)
         self.counts.update({k: n for k, n in statistics.channel_message_counts.items() if k in self.channels and n})
         self.span_ns = (statistics.message_start_time, statistics.message_end_time) if self.counts else None
         for at, length in [(len(MCAP0_MAGIC), first - len(MCAP0_MAGIC)), *summary.records]:
@@ -434,7 +434,7 @@ class RawLog:
             waiting.append(number)
             n_bytes += int(self._chunks["size"][number])
             if only_new or number + 1 == len(self._chunks) or n_bytes > BATCH_BYTES:
-                heads = self._read_messages(waiting, self._register).heads
+                heads = self._read_messages(waiting, self._keep_definition).heads
                 waiting, n_bytes = [], 0
                 for channel, n in zip(*np.unique(heads["channel"], return_counts=True), strict=True):
                     self.counts[int(channel)] += int(n)
@@ -523,7 +523,7 @@ class RawLog:
         self._held_bytes += stop - at
         data = self._read(at + HEADER, stop)
         if opcode in (Opcode.CHANNEL, Opcode.SCHEMA):
-            self._register(opcode, data)
+            self._keep_definition(opcode, data)
         elif opcode == Opcode.ATTACHMENT:
             (checksum,) = struct.unpack_from("<I", data, len(data) - 4)
             if checksum not in (0, zlib.crc32(memoryview(data)[:-4])):
@@ -538,7 +538,7 @@ class RawLog:
         elif opcode == Opcode.HEADER:
             self.profile = _parse(Header.read, data).profile
 
-    def _register(self, opcode: int, data: bytes) -> None:
+    def _keep_definition(self, opcode: int, data: bytes) -> None:
         """Decode and keep a schema or channel record by its opcode and content, and warn if it is damaged.
 
         A record is left out without a warning if the kept records would be larger than MAX_HELD_BYTES.
@@ -677,7 +677,7 @@ class _Summary:
                     begins.append(place)
                     ends.append(end)
                 else:
-                    self._add(opcode, block[place + HEADER : end])
+                    self._add_record(opcode, block[place + HEADER : end])
                 place = end
             if not place:
                 raise ValueError("a record of the summary is too long")
@@ -693,7 +693,7 @@ class _Summary:
         self.unindexed = np.ones(len(self.chunks), bool)  # chunks without an index
         self.unindexed[self.chunk_channels[0]] = False
 
-    def _add(self, opcode: int, data: bytes) -> None:
+    def _add_record(self, opcode: int, data: bytes) -> None:
         """Add a record of the summary by its opcode and content. Records of other kinds are ignored."""
         if opcode == Opcode.SCHEMA:
             self.schemas.append((opcode, data))

@@ -306,16 +306,16 @@ class Log:
         if kind is Scalar:
             return [name.removeprefix("/signal/") for name in self.counts if name.startswith("/signal/")]
         if kind in schema.NODE_TOPICS:
-            return list(dict.fromkeys(source for source, _ in self._nodes(kind)))
+            return list(dict.fromkeys(source for source, _ in self._devices_and_nodes(kind)))
         last = schema.topic(kind, "*").rsplit("/", 1)[1]  # type: ignore[arg-type]
         pairs = [name.split("/")[1:] for name in self.counts]
         return [pair[0] for pair in pairs if len(pair) == 2 and pair[1] == last and pair[0] not in ("raw", "health")]
 
     def nodes(self, kind: type[Esc] | type[Command] | type[Servo], source: str) -> list[int]:
         """Return the sorted controller ids on the bus of a device that have samples of a kind."""
-        return sorted(node for name, node in self._nodes(kind) if name == source)
+        return sorted(node for name, node in self._devices_and_nodes(kind) if name == source)
 
-    def _nodes(self, kind: type[Measured] | type[PortHealth]) -> list[tuple[str, int]]:
+    def _devices_and_nodes(self, kind: type[Measured] | type[PortHealth]) -> list[tuple[str, int]]:
         """Return pairs of device and controller id that have samples of a kind, from the names of the topics."""
         last = schema.NODE_TOPICS[kind]
         parts = [name.split("/")[1:] for name in self.counts]
@@ -413,7 +413,7 @@ class Log:
         rows: dict[str, _TopicTable] = {}
         for kind in (*MEASURED, Command):
             for source in self.sources(kind):
-                nodes = self._nodes(kind) if kind in schema.NODE_TOPICS else [(source, None)]
+                nodes = self._devices_and_nodes(kind) if kind in schema.NODE_TOPICS else [(source, None)]
                 for node in (node for name, node in nodes if name == source):
                     topic = schema.topic(kind, source, node)
                     with contextlib.suppress(SeatrialError):
@@ -511,13 +511,13 @@ class Log:
 
         Raise SeatrialError if the log lacks the signal.
         """
-        return self._file.channels[self._channels(schema.topic(Scalar, signal))[0]].metadata
+        return self._file.channels[self._channel_numbers(schema.topic(Scalar, signal))[0]].metadata
 
     def _error(self, text: str) -> SeatrialError:
         """Return an error about this log as one line; names in a damaged file may contain line ends."""
         return SeatrialError(f"{self.path}: {' '.join(text.split())}")
 
-    def _channels(self, topic: str, type_name: str = "") -> list[int]:
+    def _channel_numbers(self, topic: str, type_name: str = "") -> list[int]:
         """Return the numbers of the channels of a topic.
 
         Raises
@@ -539,7 +539,7 @@ class Log:
 
     def _missing_fields(self, topic: str, type_name: str) -> tuple[str, ...]:
         """Return the fields that the messages of a topic lack, because an older version wrote the log."""
-        channels = [self._file.channels[number] for number in self._channels(topic)]
+        channels = [self._file.channels[number] for number in self._channel_numbers(topic)]
         written = [self._file.schemas[c.schema_id].data for c in channels if c.schema_id in self._file.schemas]
         added = schema.ADDED.get(type_name, ())
         return tuple(name for name in added if not all(f" {name} ".encode() in data for data in written))
@@ -559,7 +559,7 @@ class Log:
             raise wrong
         # In logs of seatrial a topic has one frame_id: try the layout of the first message for all messages.
         heads = messages.rows(HEAD)
-        layout = _layout(type_name, heads["n_frame"][0] if len(heads) else 1, lacking)
+        layout = _layout_for_length(type_name, heads["n_frame"][0] if len(heads) else 1, lacking)
         if layout is not None and np.all(lengths >= layout.dtype.itemsize):
             rows = messages.rows(layout.dtype)
             if not len(rows) or (np.all(rows["n_frame"] == rows["n_frame"][0]) and np.all(rows["endian"] == _LITTLE)):
@@ -569,7 +569,7 @@ class Log:
         rows = np.zeros(len(heads), cdr_layout(type_name, b"", lacking).dtype)
         for n_frame in np.unique(heads["n_frame"]):
             mask = heads["n_frame"] == n_frame
-            layout = _layout(type_name, n_frame, lacking)
+            layout = _layout_for_length(type_name, n_frame, lacking)
             if layout is None or np.any(lengths[mask] < layout.dtype.itemsize):
                 raise wrong
             decoded = messages.where(mask).rows(layout.dtype)
@@ -579,7 +579,7 @@ class Log:
 
     def _decoded_messages(self, topic: str, type_name: str) -> Iterator[tuple[float, np.void, tuple[bytes, ...]]]:
         """Yield time stamp [s since 1970], fixed part and variable fields of each message of a topic, in file order."""
-        for messages in self._file.read(self._channels(topic, type_name), *self._span_ns):
+        for messages in self._file.read(self._channel_numbers(topic, type_name), *self._span_ns):
             rows = self._decode_rows(messages, topic, type_name)
             for t, row, data in zip(stamps(rows), rows, messages.payloads(), strict=True):
                 layout = cdr_layout(type_name, b"\0" * (int(row["n_frame"]) - 1))
@@ -596,7 +596,7 @@ def _span_ns(begin: float, end: float, within: tuple[int, int]) -> tuple[int, in
     return max(first, within[0]), min(last, within[1])
 
 
-def _layout(type_name: str, n_frame: int, lacking: tuple[str, ...]) -> CdrLayout | None:
+def _layout_for_length(type_name: str, n_frame: int, lacking: tuple[str, ...]) -> CdrLayout | None:
     """Return the layout for a `frame_id` of `n_frame` bytes with its final NUL; None if this length is invalid."""
     return cdr_layout(type_name, b"\0" * (int(n_frame) - 1), lacking) if 1 <= n_frame <= MAX_FRAME_ID else None
 
@@ -671,7 +671,7 @@ class _SampleTable(_TopicTable):
         self._kind, self._type_name = kind, schema.TYPES[kind]
         fixed = cdr_layout(self._type_name, b"").dtype
         whole = [name for name in schema.field_names(kind) if fixed[name].kind in "iu"]
-        super().__init__(log, topic, log._channels(topic, self._type_name), _table_type(kind, whole))
+        super().__init__(log, topic, log._channel_numbers(topic, self._type_name), _table_type(kind, whole))
 
     def take(self, messages: Messages) -> None:
         """Add the next messages, each of which is a sample."""
@@ -704,10 +704,10 @@ class _AhrsTable(_TopicTable):
     """
 
     def __init__(self, log: Log, topic: str, source: str, join: bool) -> None:
-        self._source, self._numbers = source, {"imu": log._channels(topic, schema.IMU)}
+        self._source, self._numbers = source, {"imu": log._channel_numbers(topic, schema.IMU)}
         for name, (type_name, _) in _COMPANIONS.items() if join else ():
             with contextlib.suppress(SeatrialError):
-                self._numbers[name] = log._channels(f"/{source}/{name}", type_name)
+                self._numbers[name] = log._channel_numbers(f"/{source}/{name}", type_name)
         channels = [number for group in self._numbers.values() for number in group]
         super().__init__(log, topic, channels, _table_type(Ahrs))
         self._order = _GrowingArray(np.dtype(np.uint32))

@@ -162,7 +162,7 @@ class Decoder(FrameDecoder):
             else:
                 self._exact[message.frame_id, message.is_extended_frame] = _MessageSignals(message, selected)
 
-    def _take(self, identifier: int, extended: bool, data: bytes, t_rx: float) -> list[Frame]:
+    def _decode_can_frame(self, identifier: int, extended: bool, data: bytes, t_rx: float) -> list[Frame]:
         """Decode one frame if its message is configured. Return one sample for each node that it completes."""
         configured = self._exact.get((identifier, extended))
         if configured is None and extended:
@@ -197,7 +197,7 @@ class Decoder(FrameDecoder):
         newest = self._newest[node].items()
         return Esc(node, **{name: value for name, (value, t) in newest if t_rx - t <= STALE})
 
-    def _forget(self) -> None:
+    def _forget_state(self) -> None:
         """Discard the newest values of all nodes."""
         self._newest.clear()
 

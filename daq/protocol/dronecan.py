@@ -79,7 +79,7 @@ class Decoder(FrameDecoder):
         self._reversed, self._offset = reversed_nodes, index_offset
         self._assembler = Assembler(STATUS)
 
-    def _take(self, identifier: int, extended: bool, data: bytes, t_rx: float) -> list[Frame]:
+    def _decode_can_frame(self, identifier: int, extended: bool, data: bytes, t_rx: float) -> list[Frame]:
         """Decode one frame with a 29-bit identifier. Return the sample of the esc.Status that it completes, if any."""
         if not extended:
             return []
@@ -99,7 +99,7 @@ class Decoder(FrameDecoder):
         self.checksum_errors += self._assembler.checksum_errors
         self._assembler.unparsed_bytes = self._assembler.checksum_errors = 0
 
-    def _forget(self) -> None:
+    def _forget_state(self) -> None:
         """Discard all incomplete transfers. Their frames count as unparsed."""
         self._assembler.forget()
         self._take_counts()
@@ -256,7 +256,7 @@ class Assembler:
             return
         source, tail = identifier & 0x7F, data[-1]
         if tail & _BEGINS:
-            self._drop(source)
+            self._drop_transfer(source)
             self._transfers[source] = _Transfer(tail & _NUMBER, t_rx)
         transfer = self._transfers.get(source)
         if transfer is None:
@@ -264,16 +264,16 @@ class Assembler:
             return
         continues = (tail & _NUMBER, bool(tail & _TOGGLE)) == (transfer.number, bool(transfer.toggle))
         if not continues or len(transfer.data) > self._kind.longest + 2:
-            self._drop(source)
+            self._drop_transfer(source)
             self.unparsed_bytes += FRAME_BYTES
             return
         transfer.data += data[:-1]
         transfer.frames += 1
         transfer.toggle ^= 1
         if tail & _ENDS:
-            yield from self._complete(source, transfer)
+            yield from self._finish_transfer(source, transfer)
 
-    def _complete(self, source: int, transfer: _Transfer) -> Iterator[tuple[bytes, float]]:
+    def _finish_transfer(self, source: int, transfer: _Transfer) -> Iterator[tuple[bytes, float]]:
         """Yield the message of a complete transfer if its checksum is correct. A single frame has no checksum."""
         del self._transfers[source]
         payload = bytes(transfer.data)
@@ -284,7 +284,7 @@ class Assembler:
                 return
         yield payload, transfer.t_rx
 
-    def _drop(self, source: int) -> None:
+    def _drop_transfer(self, source: int) -> None:
         """Discard the incomplete transfer of a node. Its frames count as unparsed."""
         if (transfer := self._transfers.pop(source, None)) is not None:
             self.unparsed_bytes += FRAME_BYTES * transfer.frames
@@ -292,4 +292,4 @@ class Assembler:
     def forget(self) -> None:
         """Discard all incomplete transfers. Their frames count as unparsed."""
         for source in list(self._transfers):
-            self._drop(source)
+            self._drop_transfer(source)

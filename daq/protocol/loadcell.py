@@ -67,7 +67,7 @@ class Decoder(LineDecoder):
         self._flags = FlagDetector(saturation)
         self._force = force
 
-    def _take(self, line: bytes, t_rx: float) -> Frame | None:
+    def _decode_line(self, line: bytes, t_rx: float) -> Frame | None:
         """Convert one line to a sample. Return None if it does not match the pattern."""
         match = self._pattern.search(line.rstrip(b"\r").decode("latin-1"))
         if match is None:

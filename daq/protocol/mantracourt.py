@@ -45,7 +45,7 @@ class Decoder(LineDecoder):
         self._flags = FlagDetector(saturation)
         self._force = force
 
-    def _take(self, line: bytes, t_rx: float) -> Frame | None:
+    def _decode_line(self, line: bytes, t_rx: float) -> Frame | None:
         """Convert one answer to a sample. Return None if it is not a number, for example a refusal or an echo."""
         line = line.lstrip(b"\n")
         if line == b"?":

@@ -128,7 +128,7 @@ class MavlinkDecoder(StreamDecoder[Frame]):
         self._samples.forget()
         self._sequence = -1
 
-    def _take(self, buffer: bytearray, start: int, t_rx: float) -> int:
+    def _decode_frame(self, buffer: bytearray, start: int, t_rx: float) -> int:
         """Decode the frame at `start` and append its samples to `self._out`.
 
         Frames of other systems are counted, and frames of other components are ignored. Return the length of the frame
@@ -240,8 +240,8 @@ class SampleConverter:
         self.wanted: dict[str, Callable[[Any], TimedSamples]] = {
             "HEARTBEAT": self._heartbeat, "ATTITUDE": self._attitude, "SYSTEM_TIME": self._system_time,
             "RAW_IMU": self._raw_imu, "SCALED_IMU": self._scaled_imu, "HIGHRES_IMU": self._highres_imu,
-            "SERVO_OUTPUT_RAW": self._servos, "BATTERY_STATUS": self._battery, "SYS_STATUS": self._sys_status,
-            "EKF_STATUS_REPORT": self._ekf, "STATUSTEXT": self._text, "ESC_STATUS": self._esc_status,
+            "SERVO_OUTPUT_RAW": self._servo_outputs, "BATTERY_STATUS": self._battery, "SYS_STATUS": self._sys_status,
+            "EKF_STATUS_REPORT": self._ekf, "STATUSTEXT": self._status_text, "ESC_STATUS": self._esc_status,
             **{f"ESC_TELEMETRY_{k}_TO_{k + 3}": self._esc_telemetry for k in range(1, 33, 4)},
         }  # fmt: skip
         self.wanted |= (
@@ -434,7 +434,7 @@ class SampleConverter:
         fix = Gnss(t + self._utc_of_boot, m.lat * 1e-7, m.lon * 1e-7, m.alt * 1e-3, north, east, down, fix=kind)
         return [(fix, t)]
 
-    def _servos(self, m: Any) -> TimedSamples:
+    def _servo_outputs(self, m: Any) -> TimedSamples:
         """Return the servo outputs of the rig's thrusters, or without a rig all outputs that had a pulse."""
         t = self._to_boot_time(m.time_usec, wraps=True)
         samples: TimedSamples = []
@@ -491,7 +491,7 @@ class SampleConverter:
             return []
         return [(_battery(m.voltage_battery * 1e-3, m.current_battery, m.battery_remaining), NAN)]
 
-    def _text(self, m: Any) -> TimedSamples:
+    def _status_text(self, m: Any) -> TimedSamples:
         """Return a status text as an event when its last chunk has been received."""
         number, received = self._chunks
         chunk = printable(m.text)

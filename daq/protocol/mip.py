@@ -63,7 +63,7 @@ class Decoder(StreamDecoder[Frame]):
         self._filtered = -math.inf
         self._vectors.clear()
 
-    def _take(self, buffer: bytearray, start: int, t_rx: float) -> int:
+    def _decode_frame(self, buffer: bytearray, start: int, t_rx: float) -> int:
         """Decode the packet at `start` and append its samples.
 
         Return its length in bytes, 0 if more bytes are needed, or -1 if no valid packet begins there.

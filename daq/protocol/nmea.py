@@ -85,7 +85,7 @@ class Decoder(StreamDecoder[Frame]):
         super().reset()
         self._sentences.forget()
 
-    def _take(self, buffer: bytearray, start: int, t_rx: float) -> int:
+    def _decode_frame(self, buffer: bytearray, start: int, t_rx: float) -> int:
         """Decode the sentence at `start`. Return its length, 0 if more bytes are needed, -1 if it is invalid."""
         length, body, bad = take_sentence(buffer, start)
         self.checksum_errors += bad

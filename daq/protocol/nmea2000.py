@@ -106,9 +106,9 @@ class Decoder(FrameDecoder):
             FIX: (_FIX.size, self._fix),
             DOPS: (_DOPS.size, self._dops),
         }
-        self._forget()
+        self._forget_state()
 
-    def _forget(self) -> None:
+    def _forget_state(self) -> None:
         """Discard all received state: incomplete packets, ranks of the senders, and values for the next samples."""
         self._packets: dict[int, _Packet] = {}  # incomplete fixes by source
         self._senders: dict[int, dict[tuple[int, int], float]] = {}  # PGN -> rank and source -> last t_rx [s]
@@ -120,7 +120,7 @@ class Decoder(FrameDecoder):
         self._bus_variation = NAN  # rad
         self._timed: set[int] = set()  # sources that had a fix; before a fix their time is from their own clock
 
-    def _take(self, identifier: int, extended: bool, data: bytes, t_rx: float) -> list[Frame]:
+    def _decode_can_frame(self, identifier: int, extended: bool, data: bytes, t_rx: float) -> list[Frame]:
         """Decode one frame of a known message. Return the samples that it completes."""
         pgn, source = split_identifier(identifier)
         if not extended or pgn not in self._take_message:

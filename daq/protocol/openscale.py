@@ -44,7 +44,7 @@ class Decoder(LineDecoder):
         self._last_ms = 0
         self._turns = 0
 
-    def _take(self, line: bytes, t_rx: float) -> Frame | None:
+    def _decode_line(self, line: bytes, t_rx: float) -> Frame | None:
         """Convert one line to a sample. Return None without a unit or if another word is not a number."""
         words = line.rstrip(b"\r").rstrip(b",").split(b",")
         unit = next((k for k, word in enumerate(words) if word in NEWTON), 0)

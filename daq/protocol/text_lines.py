@@ -12,7 +12,7 @@ _SPIKE_BITS = 12  # below 2^12 - 1, numbers 2^n - 1 are ordinary readings and no
 
 
 class LineDecoder(ABC):
-    """Base class of the decoders of lines of text. A subclass converts one line to a sample in `_take`.
+    """Base class of the decoders of lines of text. A subclass converts one line to a sample in `_decode_line`.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ class LineDecoder(ABC):
         out = []
         for line in lines:
             skip, self._skipping = self._skipping or len(line) >= LINE_MAX, False
-            frame = None if skip else self._take(bytes(line), t_rx)
+            frame = None if skip else self._decode_line(bytes(line), t_rx)
             if frame is None:
                 self._count_unparsed(line)
             else:
@@ -75,7 +75,7 @@ class LineDecoder(ABC):
         self.unparsed_bytes += len(data.translate(None, b"\r\n"))
 
     @abstractmethod
-    def _take(self, line: bytes, t_rx: float) -> Frame | None:
+    def _decode_line(self, line: bytes, t_rx: float) -> Frame | None:
         """Convert one line, without its line end, to a sample. Return None if the line is not a reading."""
 
 

@@ -94,14 +94,14 @@ class Decoder(nmea.Decoder):
         super().reset()
         self._epochs.forget()
 
-    def _take(self, buffer: bytearray, start: int, t_rx: float) -> int:
+    def _decode_frame(self, buffer: bytearray, start: int, t_rx: float) -> int:
         """Decode the UBX message or the NMEA sentence at `start`, and append its samples.
 
         Return its length in bytes, 0 if more bytes are needed, or -1 if no valid message begins there.
         """
         if buffer[start] == SYNC[0]:
             return self._take_ubx(buffer, start, t_rx)
-        return super()._take(buffer, start, t_rx)
+        return super()._decode_frame(buffer, start, t_rx)
 
     def _take_ubx(self, buffer: bytearray, start: int, t_rx: float) -> int:
         """Decode the UBX message at `start`, and append its samples.

@@ -118,7 +118,7 @@ class Decoder(StreamDecoder[Frame]):
 
     sync = re.compile(rb"[$\xfa]")
 
-    def _take(self, buffer: bytearray, start: int, t_rx: float) -> int:
+    def _decode_frame(self, buffer: bytearray, start: int, t_rx: float) -> int:
         """Decode the message at `start` and append its sample.
 
         Return its length in bytes, 0 if more bytes are needed, or -1 if no valid message begins there.

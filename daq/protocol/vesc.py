@@ -52,7 +52,7 @@ class Decoder(FrameDecoder):
         self._temperature: dict[int, tuple[float, float]] = {}  # node -> (value, t_rx)
         self._voltage: dict[int, tuple[float, float]] = {}
 
-    def _take(self, identifier: int, extended: bool, data: bytes, t_rx: float) -> list[Frame]:
+    def _decode_can_frame(self, identifier: int, extended: bool, data: bytes, t_rx: float) -> list[Frame]:
         """Decode one frame. Frames with an 11-bit identifier give no sample."""
         return self.feed_frame(identifier, data, t_rx) if extended else []
 
@@ -84,7 +84,7 @@ class Decoder(FrameDecoder):
             return [Frame(self._esc_sample(node, values, t_rx), t_rx, NAN)]
         return []
 
-    def _forget(self) -> None:
+    def _forget_state(self) -> None:
         """Discard the newest temperatures and voltages."""
         self._temperature.clear()
         self._voltage.clear()

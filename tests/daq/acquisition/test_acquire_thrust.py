@@ -374,7 +374,7 @@ def test_after_a_suspend_an_earlier_command_is_replaced_by_zero(
     assert reasons == ["the computer was suspended for 7.0 s"]
 
 
-@pytest.mark.parametrize("place", ["_decode_received", "_check_suspend", "_log"])
+@pytest.mark.parametrize("place", ["_decode_received", "_check_suspend", "_queue_for_log"])
 def test_a_pause_at_any_place_of_the_loop_ends_thrust(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, place: str
 ) -> None:
