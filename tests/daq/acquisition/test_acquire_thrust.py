@@ -131,16 +131,16 @@ def test_a_runner_that_falls_silent_ends_thrust_and_the_log(tmp_path: Path) -> N
             acquisition.schedule([(clock.now(), {"left": 0.5, "right": 0.5})])
             fell_silent = time.monotonic()
             wait_for(lambda: is_closed(tmp_path / "run.mcap"), seconds=3.0, what="the end of the log")
-            with pytest.raises(SeatrialError, match="no sign of life"):
+            with pytest.raises(SeatrialError, match="has not responded for 0.25 s"):
                 wait_for(lambda: acquisition.status().t < 0)
-            with pytest.raises(SeatrialError, match="no sign of life"):
+            with pytest.raises(SeatrialError, match="has not responded for 0.25 s"):
                 acquisition.schedule([(clock.now(), {"left": 0.5})])
         assert_ends_at_zero(boat)
         heard = boat.ports["can"].heard
         last_thrust = max(t for t, data in heard if any(n for _, n in commands_in(data)))
         assert last_thrust - fell_silent < 0.6
     log = open_log(tmp_path / "run.mcap")
-    stop = next(t for t, kind, text in log.events() if kind == "stop" and "no sign of life" in text)
+    stop = next(t for t, kind, text in log.events() if kind == "stop" and "has not responded" in text)
     assert log.table(Ahrs, "ahrs")["t"][-1] - stop > 0.8  # the recording went on
 
 
