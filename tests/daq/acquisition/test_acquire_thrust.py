@@ -131,9 +131,9 @@ def test_a_runner_that_falls_silent_ends_thrust_and_the_log(tmp_path: Path) -> N
             acquisition.schedule([(clock.now(), {"left": 0.5, "right": 0.5})])
             fell_silent = time.monotonic()
             wait_for(lambda: is_closed(tmp_path / "run.mcap"), seconds=3.0, what="the end of the log")
-            with pytest.raises(SeatrialError, match="has not responded for 0.25 s"):
+            with pytest.raises(SeatrialError, match="has not responded"):
                 wait_for(lambda: acquisition.status().t < 0)
-            with pytest.raises(SeatrialError, match="has not responded for 0.25 s"):
+            with pytest.raises(SeatrialError, match="has not responded"):
                 acquisition.schedule([(clock.now(), {"left": 0.5})])
         assert_ends_at_zero(boat)
         heard = boat.ports["can"].heard
