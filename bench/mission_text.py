@@ -34,10 +34,10 @@ def describe_segments(mission: Mission) -> list[str]:
     second one is the head of the table.
     """
     t, n = mission.setpoints()
-    names = max(len("segment"), *(len(name) for _, _, name in mission.starts()))
+    names = max(len("segment"), *(len(name) for _, _, name in mission.segment_times()))
     head = "".join(f"  {'n_cmd ' + thruster:>14}" for thruster in mission.thrusters)
     lines = ["", f"  {'time [s]':<17}  {'segment':<{names}}{head}"]
-    for begin, end, name in mission.starts():
+    for begin, end, name in mission.segment_times():
         ranges = (_format_range(*command_range(t, column, begin, end)) for column in n.T)
         lines.append(f"  {begin:7.1f} - {end:7.1f}  {name:<{names}}" + "".join(f"  {text:>14}" for text in ranges))
     return lines

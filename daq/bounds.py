@@ -50,12 +50,24 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 class Bounds(NamedTuple):
-    """Resource limits of one command."""
+    """Resource limits of one command.
 
-    path: Path  # file that the error messages name
-    memory: int  # bytes of address space
-    cpu_s: int  # s of processor time
-    disk: int  # bytes; limit of all files in the temporary folder together, and of each single file elsewhere
+    Attributes
+    ----------
+    path
+        File that the error messages name.
+    memory
+        Limit of the address space [bytes].
+    cpu_s
+        Limit of the processor time [s].
+    disk
+        Limit [bytes] of all files in the temporary folder together, and of each single file elsewhere.
+    """
+
+    path: Path
+    memory: int
+    cpu_s: int
+    disk: int
 
 
 _enabled = False  # whether this process is the command itself, not a test or a program that calls its functions
@@ -79,12 +91,15 @@ def require_files(path: Path) -> None:
     SeatrialError
         If a file is not regular, or if the folder has too many files.
     """
-    for file in _files(path):
+    for file in _walk_files(path):
         require_file(file)
 
 
-def _files(path: Path) -> Iterator[Path]:
-    """Yield the file itself, or all files in a folder and its subfolders. Links to folders are not followed."""
+def _walk_files(path: Path) -> Iterator[Path]:
+    """Yield the file itself, or all files in a folder and its subfolders. Links to folders are not followed.
+
+    A folder with more than MAX_FILES files raises SeatrialError.
+    """
     if not path.is_dir():
         yield path
         return
@@ -113,6 +128,8 @@ def bounded(
     """
 
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
+        """Return the command with the option `--trust-file`, running in a limited child unless the option is given."""
+
         @functools.wraps(command)
         def run(*args: Any, trust_file: bool, **options: Any) -> Any:
             if _enabled and not trust_file and when(options):
@@ -145,7 +162,7 @@ def continue_in_child(paths: Sequence[Path]) -> None:
     """
     for path in paths:
         require_files(path)
-    sizes = [sum(file.stat().st_size for file in (*_files(path), *_segments(path))) for path in paths]
+    sizes = [sum(file.stat().st_size for file in (*_walk_files(path), *_companion_files(path))) for path in paths]
     size, largest = sum(sizes), paths[sizes.index(max(sizes))]
     whole = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     memory = max(MEMORY_BYTES, min(MEMORY_BYTES + MEMORY_RATIO * size, whole))
@@ -157,6 +174,7 @@ def continue_in_child(paths: Sequence[Path]) -> None:
     child, early = 0, list[int]()  # `early`: signals before the child existed
 
     def forward(number: int, frame: FrameType | None) -> None:
+        """Send a received signal to the child, and note its number for a child that does not exist yet."""
         early.append(number)
         if child:
             with contextlib.suppress(ProcessLookupError):
@@ -177,14 +195,17 @@ def continue_in_child(paths: Sequence[Path]) -> None:
         return
     os.close(reports)
     try:
-        _wait(child, incoming, bounds, Path(scratch))
+        _wait_for_child(child, incoming, bounds, Path(scratch))
     finally:
         os.close(incoming)
         shutil.rmtree(scratch, ignore_errors=True)
 
 
-def _segments(path: Path) -> Iterator[Path]:
-    """Yield the files that are read together with a file: later segments of a log, or journals of a database."""
+def _companion_files(path: Path) -> Iterator[Path]:
+    """Yield the files that are read together with a file: later segments of a log, or journals of a database.
+
+    `path` itself is not yielded. Files with another suffix than `.mcap` or `.db3` have no such files.
+    """
     if path.suffix == ".db3":
         yield from (journal for end in ("-wal", "-journal") if (journal := Path(f"{path}{end}")).is_file())
     if path.suffix == ".mcap":
@@ -192,7 +213,17 @@ def _segments(path: Path) -> Iterator[Path]:
 
 
 def _become_child(bounds: Bounds, scratch: str, reports: int) -> None:
-    """Set the limits, the signal handlers and the temporary folder of the child process."""
+    """Set the limits, the signal handlers and the temporary folder of this process, which is the child.
+
+    Parameters
+    ----------
+    bounds
+        Limits of the child. A hard limit of the system that is lower stays.
+    scratch
+        The temporary folder.
+    reports
+        File descriptor of the pipe to which the names of scratch files are written.
+    """
     global _bounds
     _bounds = bounds
     report_scratch_to(reports)
@@ -203,7 +234,7 @@ def _become_child(bounds: Bounds, scratch: str, reports: int) -> None:
     os.environ["TMPDIR"] = tempfile.tempdir = scratch
     if signal.getsignal(signal.SIGINT) == signal.default_int_handler:
         signal.signal(signal.SIGINT, _interrupt_once())
-    signal.signal(signal.SIGXCPU, _too_slow)
+    signal.signal(signal.SIGXCPU, _raise_time_limit)
     for kind, limit in (
         (resource.RLIMIT_CORE, 0),
         (resource.RLIMIT_AS, bounds.memory),
@@ -225,6 +256,7 @@ def _interrupt_once() -> Callable[[int, FrameType | None], None]:
     last = -REPEAT_S
 
     def interrupt(number: int, frame: FrameType | None) -> None:
+        """Raise KeyboardInterrupt, unless the last interrupt is less than REPEAT_S old."""
         nonlocal last
         now = time.monotonic()
         if now - last >= REPEAT_S:
@@ -234,7 +266,7 @@ def _interrupt_once() -> Callable[[int, FrameType | None], None]:
     return interrupt
 
 
-def _too_slow(number: int, frame: FrameType | None) -> NoReturn:
+def _raise_time_limit(number: int, frame: FrameType | None) -> NoReturn:
     """Handle SIGXCPU: raise the error of the limit of processor time."""
     assert _bounds is not None
     signal.signal(number, signal.SIG_IGN)  # raise this error only once; the hard limit kills the process later
@@ -242,15 +274,20 @@ def _too_slow(number: int, frame: FrameType | None) -> NoReturn:
 
 
 def _time_message(bounds: Bounds) -> str:
+    """Return the error message of the limit of processor time."""
     return f"{bounds.path}: reading it took more than {bounds.cpu_s} s of processor time: {ADVICE}"
 
 
 def _disk_message(bounds: Bounds) -> str:
+    """Return the error message of the limit of written bytes."""
     return f"{bounds.path}: reading it wrote more than {bounds.disk / 1e6:.0f} MB to the disk: {ADVICE}"
 
 
-def exceeded(error: BaseException) -> str:
-    """Return the error message of a limit if a limit of this process caused an error; otherwise an empty text."""
+def limit_message(error: BaseException) -> str:
+    """Return the message for an error that was caused by the limit of memory or of the size of a file.
+
+    The causes of the error are searched too. The text is empty for other errors, and if this process has no limits.
+    """
     if _bounds is None:
         return ""
     cause: BaseException | None = error
@@ -263,8 +300,11 @@ def exceeded(error: BaseException) -> str:
     return ""
 
 
-def _wait(child: int, incoming: int, bounds: Bounds, scratch: Path) -> NoReturn:
+def _wait_for_child(child: int, incoming: int, bounds: Bounds, scratch: Path) -> NoReturn:
     """Wait until the child ends, delete the scratch files of a killed child, and end with its exit status.
+
+    The child is killed if its temporary folder grows beyond the limit. If SIGINT, SIGTERM or SIGHUP ended the child,
+    this process ends by the same signal.
 
     Parameters
     ----------
@@ -293,7 +333,7 @@ def _wait(child: int, incoming: int, bounds: Bounds, scratch: Path) -> NoReturn:
             if not block:  # the child has ended
                 break
             created += block
-        elif _used(scratch) > bounds.disk:
+        elif _disk_bytes(scratch) > bounds.disk:
             full = True
             os.kill(child, signal.SIGKILL)
             break
@@ -318,7 +358,7 @@ def _wait(child: int, incoming: int, bounds: Bounds, scratch: Path) -> NoReturn:
     raise SeatrialError(f"{printable(str(bounds.path))}: the reader of the file was ended by {name}: {ADVICE}")
 
 
-def _used(folder: Path) -> int:
+def _disk_bytes(folder: Path) -> int:
     """Return the number of bytes on the disk that the files in a folder and its subfolders use."""
     used = 0
     for place, _, names in os.walk(folder):

@@ -11,21 +11,21 @@ import sys
 from pathlib import Path
 
 
-def module_command(module: str, *words: str) -> list[str]:
+def module_command(module: str, *arguments: str) -> list[str]:
     """Return the command line that runs a module of this program.
 
     Parameters
     ----------
     module : str
         Full name of the module.
-    words : str
+    arguments : str
         Arguments.
     """
-    return [sys.executable, "-P", "-m", module, *words]
+    return [sys.executable, "-P", "-m", module, *arguments]
 
 
 def module_environment() -> dict[str, str]:
-    """Return the environment in which `module_command` finds this program from any working folder.
+    """Return the environment variables with which `module_command` finds this program from any working folder.
 
     Empty and relative entries of PYTHONPATH are left out, because they refer to the working folder.
     """

@@ -193,6 +193,7 @@ class _ImportGroup(click.Group):
     default = "map"
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Put the default command before the arguments if the first one is neither a command nor the help option."""
         if args and args[0] not in (*self.commands, "-h", "--help"):
             args = [self.default, *args]
         return super().parse_args(ctx, args)
@@ -236,7 +237,7 @@ def import_map(
       seatrial import --guess candump.log --dbc boat.dbc -o can.toml
     """
     if guess:
-        _guess(sources, dbc, out, force)
+        _write_guessed_map(sources, dbc, out, force)
         return
     if dbc is not None:
         raise click.UsageError("--dbc goes with --guess; a map has it as [can] dbc")
@@ -250,8 +251,12 @@ def import_map(
         click.echo(printable(str(path)))
 
 
-def _guess(sources: tuple[Path, ...], dbc: Path | None, out: Path | None, force: bool) -> None:
-    """Write the guessed map of one source to a file or to the screen."""
+def _write_guessed_map(sources: tuple[Path, ...], dbc: Path | None, out: Path | None, force: bool) -> None:
+    """Write the guessed map of one source to the file `out`, or to the screen if `out` is None.
+
+    `dbc` describes the frames of a CAN log. With `force` an existing file is replaced. More than one source is a usage
+    error. If the source does not suffice for a fit, a warning is printed.
+    """
     from seatrial.daq.files import write_output
     from seatrial.daq.importers.guess import guess_map
     from seatrial.daq.importers.write_log import replacing
@@ -315,7 +320,10 @@ def import_mavlink(file: Path, rig_path: Path | None, system: int | None, out: P
 
 
 def _serial_protocol(context: click.Context, parameter: click.Parameter, name: str) -> str:
-    """Check the name of a serial protocol. The names are listed at run time, because other packages may add some."""
+    """Return the name of a serial protocol after a check. An unknown name is a usage error.
+
+    The known names are listed at run time, because other packages may add some.
+    """
     from seatrial.daq.protocol import serial_protocols
 
     return str(click.Choice(serial_protocols()).convert(name, parameter, context))
@@ -347,8 +355,8 @@ def import_raw(protocol: str, file: Path, rate: float | None, out: Path | None, 
     click.echo(f"{path}: {summary}")
 
 
-def _addresses(_context: click.Context, _parameter: click.Parameter, ports: tuple[str, ...]) -> tuple[str, ...]:
-    """Check the network addresses among the ports."""
+def _check_addresses(_context: click.Context, _parameter: click.Parameter, ports: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the ports unchanged, after a check of those that are network addresses. A wrong one is a usage error."""
     from seatrial.daq.rig import NET_KINDS, parse_address
 
     for port in ports:
@@ -361,7 +369,7 @@ def _addresses(_context: click.Context, _parameter: click.Parameter, ports: tupl
 
 
 @click.command()
-@click.argument("ports", nargs=-1, metavar="[PORT]...", callback=_addresses)
+@click.argument("ports", nargs=-1, metavar="[PORT]...", callback=_check_addresses)
 @click.option(
     "--baud",
     "bauds",
@@ -392,10 +400,11 @@ def devices(ports: tuple[str, ...], bauds: tuple[int, ...], seconds: float, toml
       seatrial devices udp:127.0.0.1:14550 --toml > autopilot.toml
     """
     from seatrial.daq.rig import NET_KINDS
-    from seatrial.daq.tools import find, identify_autopilot, identify_protocol
+    from seatrial.daq.tools import discover_devices, identify_autopilot, identify_protocol
     from seatrial.daq.transport import UDEV_RULE
 
-    def say(text: str) -> None:
+    def print_progress(text: str) -> None:
+        """Print a line of progress to stderr."""
         click.echo(text, err=True)
 
     def identify(port: str) -> DiscoveredDevice:
@@ -405,7 +414,7 @@ def devices(ports: tuple[str, ...], bauds: tuple[int, ...], seconds: float, toml
         device = identify_protocol(port, bauds=bauds, listen=seconds)
         return identify_autopilot(port, device.baud, True) if toml and device.protocol == "mavlink" else device
 
-    found = [identify(port) for port in ports] if ports else find(seconds, bauds, say)
+    found = [identify(port) for port in ports] if ports else discover_devices(seconds, bauds, print_progress)
     if not found:
         raise SeatrialError("there is no serial port and no CAN bus; plug the device in, or name its port")
     if toml:
@@ -444,7 +453,7 @@ _LIMITS = """\
 
 
 def _rig_protocols() -> tuple[str, ...]:
-    """Return the protocols that a rig file can have."""
+    """Return the protocols that a rig file can have: the built-in ones and those of other installed packages."""
     from seatrial.daq.protocol import DEVICES
 
     return tuple(DEVICES)

@@ -70,16 +70,20 @@ class SuspendDetector:
     LEAST = 0.1  # s, shortest suspend that is detected
 
     def __init__(self) -> None:
-        self._ahead = self._difference()
+        self._ahead = self._suspended_time()
 
     @staticmethod
-    def _difference() -> float:
+    def _suspended_time() -> float:
+        """Return the time [s] that the computer was suspended since its start; 0 without a boot-time clock."""
         clock = getattr(time, "CLOCK_BOOTTIME", None)
         return 0.0 if clock is None else time.clock_gettime(clock) - time.clock_gettime(time.CLOCK_MONOTONIC)
 
     def slept(self) -> float:
-        """Return the seconds that the computer was suspended since the last detected suspend; 0 if it was not."""
-        ahead = self._difference()
+        """Return the seconds that the computer was suspended since the last detected suspend.
+
+        The result is 0 if the computer was not suspended for longer than `LEAST`. Each suspend is returned once.
+        """
+        ahead = self._suspended_time()
         slept = ahead - self._ahead
         if slept <= self.LEAST:
             return 0.0
@@ -88,7 +92,13 @@ class SuspendDetector:
 
 
 class _Hull:
-    """Lower convex hull of points (device time, offset), which are added in the order of device time."""
+    """Lower convex hull of points (device time [s], offset [s]), which are added in the order of device time.
+
+    Parameters
+    ----------
+    start : float
+        Device time of the first point.
+    """
 
     __slots__ = ("offset", "start", "x")
 
@@ -107,7 +117,7 @@ class _Hull:
         ys.append(offset)
 
     def slope(self) -> float:
-        """Return the slope of the segment over the middle of the window, which points on both sides support."""
+        """Return the slope [s/s] of the edge of the hull over the middle of its device times; 0 for a single point."""
         xs, ys = self.x, self.offset
         middle = 0.5 * (xs[0] + xs[-1])
         for i in range(1, len(xs)):
@@ -116,8 +126,11 @@ class _Hull:
         return 0.0
 
 
-class _Kind:
-    """State of the times of one kind of sample. The delay is receive time minus mapped device time."""
+class _SampleKindTimes:
+    """State of the times of one kind of sample, for the detection of a clock that was set or has stopped.
+
+    The delay of a sample is its receive time minus its mapped device time.
+    """
 
     __slots__ = ("after", "back", "back_at", "last", "least", "newest", "since")
 
@@ -173,7 +186,7 @@ class ClockMap:
         self._young: _Hull | None = None
         self._last_device = -math.inf
         self._last_run = -math.inf
-        self._kinds: dict[object, _Kind] = {}
+        self._kinds: dict[object, _SampleKindTimes] = {}
         self._skew = 0.0
         self._base = 0.0  # offset of the line at device time zero of the map
         self._zero = 0.0  # device time of the map's first point
@@ -214,53 +227,57 @@ class ClockMap:
         """
         if not math.isfinite(t_device):
             return t_rx
-        if self._old is not None and self._jumped(t_device, t_rx, unordered, kind):
+        if self._old is not None and self._has_jumped(t_device, t_rx, unordered, kind):
             self._old = self._young = None
             self._kinds.clear()
             self.resets += 1
         if self._old is None:
-            self._push(t_device, t_rx)
-            self._kinds[kind] = _Kind(t_device, 0.0)
+            self._add_point(t_device, t_rx)
+            self._kinds[kind] = _SampleKindTimes(t_device, 0.0)
         elif t_device < self._last_device:
-            return min(self._mapped(t_device), t_rx)
+            return min(self._to_run_time(t_device), t_rx)
         elif t_device > self._last_device:
-            before = self._mapped(t_device)
-            self._push(t_device, t_rx)
+            before = self._to_run_time(t_device)
+            self._add_point(t_device, t_rx)
             # A message with a smaller delay lowers the map, so that all earlier samples were later by that amount.
-            if (fell := before - self._mapped(t_device)) > 0.0:
+            if (fell := before - self._to_run_time(t_device)) > 0.0:
                 for times in self._kinds.values():
                     times.least += fell
         self._last_device = t_device
-        t = min(max(self._mapped(t_device), self._last_run), t_rx)
+        t = min(max(self._to_run_time(t_device), self._last_run), t_rx)
         self._last_run = t
-        self._note(t_rx - t)
+        self._update_delay_statistics(t_rx - t)
         return t
 
     @property
     def bias(self) -> float:
-        """Mean of receive time minus estimated time [s] since the last `forget_statistics`."""
+        """Mean of receive time minus estimated time [s] since the last `forget_statistics`; NaN without a sample."""
         return self._mean if self._count else math.nan
 
     @property
     def spread(self) -> float:
-        """Standard deviation of receive time minus estimated time [s]."""
+        """Standard deviation of receive time minus estimated time [s]; NaN with fewer than two samples."""
         return math.sqrt(self._m2 / (self._count - 1)) if self._count > 1 else math.nan
 
     def forget_statistics(self) -> None:
         """Reset `bias` and `spread`. The map does not change."""
         self._count, self._mean, self._m2 = 0, 0.0, 0.0
 
-    def _mapped(self, t_device: float) -> float:
-        """Return the run time [s] of a device time by the present map."""
+    def _to_run_time(self, t_device: float) -> float:
+        """Return the run time [s] of a device time [s] by the present map, which must have at least one point."""
         return t_device + self._base + self._skew * (t_device - self._zero)
 
-    def _jumped(self, t_device: float, t_rx: float, unordered: bool, kind: object) -> bool:
-        """Return whether the device clock has jumped or the device has restarted. Update the state of the kind."""
-        late = t_rx - self._mapped(t_device)
+    def _has_jumped(self, t_device: float, t_rx: float, unordered: bool, kind: object) -> bool:
+        """Return whether the device clock has jumped or the device has restarted. Update the state of the kind.
+
+        The parameters are those of `estimate`. A jump is a time too far ahead of the map or behind the newest time, or
+        samples of one kind that stay late.
+        """
+        late = t_rx - self._to_run_time(t_device)
         if late < -self.JUMP or self._last_device - t_device > (self.LATE if unordered else 0.0):
             return True
         if (seen := self._kinds.get(kind)) is None:
-            self._kinds[kind] = _Kind(t_device, late)
+            self._kinds[kind] = _SampleKindTimes(t_device, late)
             return False
         excess = late - seen.least
         if t_device == seen.last:
@@ -283,8 +300,12 @@ class ClockMap:
         seen.newest, seen.least = max(seen.newest, t_device), min(seen.least, late)
         return False
 
-    def _push(self, t_device: float, t_rx: float) -> None:
-        """Add a point to both hulls, and compute the skew and the offset of the map."""
+    def _add_point(self, t_device: float, t_rx: float) -> None:
+        """Add a point (device time, receive time) [s] to both hulls, and compute skew and offset of the map.
+
+        If there is no map, it begins with this point. The younger hull takes the place of the older one when it covers
+        half of the window.
+        """
         if self._old is None or self._young is None:
             # Offsets are relative to the first point, which keeps the precision of doubles.
             self._zero, self._first_offset = t_device, t_rx - t_device
@@ -298,8 +319,8 @@ class ClockMap:
         lowest = min(y - skew * x for x, y in zip(self._old.x, self._old.offset, strict=True))
         self._skew, self._base = skew, lowest + self._first_offset
 
-    def _note(self, delay: float) -> None:
-        """Update mean and variance of the delay (Welford's algorithm)."""
+    def _update_delay_statistics(self, delay: float) -> None:
+        """Update mean and variance of the delay [s] (receive time minus estimated time) by Welford's algorithm."""
         self._count += 1
         step = delay - self._mean
         self._mean += step / self._count

@@ -31,13 +31,14 @@ def counted(number: int, word: str) -> str:
     return f"{number} {word}{'' if number == 1 else 's'}"
 
 
-class _Spelled(dict[int, str]):
+class _EscapeTable(dict[int, str]):
     """Table of the replacement of each character by its code point, for `printable`.
 
     The table is filled on demand. `str.translate` with it is ten times as fast as a loop.
     """
 
     def __missing__(self, number: int) -> str:
+        """Return the replacement of a character by its code point, and store it if the point is below 65,536."""
         c = chr(number)
         replacement = c if c.isprintable() or c == "\n" else " " if c.isspace() else ascii(c)[1:-1]
         if number < 1 << 16:
@@ -45,7 +46,7 @@ class _Spelled(dict[int, str]):
         return replacement
 
 
-_SPELLED = _Spelled()
+_ESCAPES = _EscapeTable()
 
 
 def printable(text: str) -> str:
@@ -54,4 +55,4 @@ def printable(text: str) -> str:
     Control characters, which could move the cursor, change colours or reverse the text, are replaced by their escape
     sequences. Other white space becomes a space. Line ends stay.
     """
-    return text if text.isprintable() else text.translate(_SPELLED)
+    return text if text.isprintable() else text.translate(_ESCAPES)

@@ -20,7 +20,7 @@ from seatrial.daq.errors import SeatrialError
 
 # Descriptor of a pipe to the parent process of a bounded command; the parent deletes the scratch files of a killed
 # child. -1 in other processes.
-_reports = -1
+_report_pipe = -1
 
 
 def require_file(path: Path) -> None:
@@ -110,7 +110,7 @@ def new_file(path: Path, force: bool = True) -> Iterator[Path]:
         if force:
             os.replace(scratch, path)
         else:
-            _link(scratch, path)
+            _rename_to_new(scratch, path)
     except OSError as error:
         if error.filename not in (None, str(scratch), os.fsencode(scratch)):
             raise
@@ -120,8 +120,11 @@ def new_file(path: Path, force: bool = True) -> Iterator[Path]:
             scratch.unlink(missing_ok=True)
 
 
-def _link(scratch: Path, path: Path) -> None:
-    """Rename a complete scratch file. Fail if a file of the new name has been created in the meantime."""
+def _rename_to_new(scratch: Path, path: Path) -> None:
+    """Give a complete scratch file the name `path`. Raise FileExistsError if this name exists by now.
+
+    A file system without hard links cannot check this; there an existing file is replaced.
+    """
     try:
         os.link(scratch, path)
     except OSError as error:
@@ -172,8 +175,8 @@ def append_to(path: Path) -> IO[str]:
 
 def report_scratch_to(pipe: int) -> None:
     """Report the names of all later scratch files on a pipe, given by its file descriptor (see `daq.bounds`)."""
-    global _reports
-    _reports = pipe
+    global _report_pipe
+    _report_pipe = pipe
 
 
 def note_scratch(path: Path) -> None:
@@ -181,5 +184,5 @@ def note_scratch(path: Path) -> None:
 
     The parent process deletes the file if this process is killed.
     """
-    if _reports >= 0:
-        os.write(_reports, os.fsencode(path.absolute()) + b"\0")
+    if _report_pipe >= 0:
+        os.write(_report_pipe, os.fsencode(path.absolute()) + b"\0")

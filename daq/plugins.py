@@ -36,23 +36,23 @@ def plugins(group: str) -> dict[str, EntryPoint]:
     found: dict[str, EntryPoint] = {}
     for point in entry_points(group=group):
         before = found.setdefault(point.name, point)
-        if (before.value, _package(before)) != (point.value, _package(point)):
+        if (before.value, _package_name(before)) != (point.value, _package_name(point)):
             raise SeatrialError(
-                f"the packages {_package(before)} and {_package(point)} both add {point.name!r} to {group}; "
+                f"the packages {_package_name(before)} and {_package_name(point)} both add {point.name!r} to {group}; "
                 "uninstall one of them"
             )
     return found
 
 
 def load_plugin(point: EntryPoint, kind: type[T]) -> T:
-    """Import the object that an entry point names.
+    """Import the object that an entry point names, and return it if it is an instance of the class `kind`.
 
     Raises
     ------
     SeatrialError
         If the import fails, or if the object is not of this kind.
     """
-    place = f"{point.name!r} of the package {_package(point)} ({point.value})"
+    place = f"{point.name!r} of the package {_package_name(point)} ({point.value})"
     try:
         loaded = point.load()
     except Exception as error:  # code of other packages may raise any exception
@@ -74,6 +74,6 @@ def load_or_warn(point: EntryPoint, kind: type[T]) -> T | None:
         return None
 
 
-def _package(point: EntryPoint) -> str:
-    """Return name and version of the package of an entry point."""
+def _package_name(point: EntryPoint) -> str:
+    """Return name and version of the package of an entry point, or "unknown"."""
     return f"{point.dist.name} {point.dist.version}" if point.dist is not None else "unknown"

@@ -18,7 +18,8 @@ REAL_TIME = 2
 def set_realtime_priority(behind: int = 0) -> None:
     """Raise the priority of this thread and of threads that it starts, as far as the system allows.
 
-    On Linux the thread gets real-time scheduling.
+    On Linux the thread gets real-time scheduling. Without the right to do so, the priority stays, and no error is
+    raised.
 
     Parameters
     ----------
@@ -36,7 +37,7 @@ def set_realtime_priority(behind: int = 0) -> None:
 
 @contextlib.contextmanager
 def realtime_priority() -> Iterator[None]:
-    """Raise the priority of this thread while the context lasts; see `set_realtime_priority`."""
+    """Raise the priority of this thread as `set_realtime_priority` does, and restore the old one after the block."""
     niceness = os.getpriority(os.PRIO_PROCESS, 0)
     policy = os.sched_getscheduler(0) if hasattr(os, "sched_getscheduler") else 0
     set_realtime_priority()

@@ -55,12 +55,25 @@ HIGHEST_ID = 255  # of a MAVLink system or component
 
 @dataclass(frozen=True)
 class LoadCellCalibration:
-    """Calibration of a load cell: from counts to the force at the thruster."""
+    """Calibration of a load cell: from counts to the force at the thruster.
 
-    newton_per_count: float  # gain of the load cell
-    zero_counts: float = 0.0  # reading without force
-    lever_ratio: float = 1.0  # force at the thruster over force at the load cell
-    # Standard uncertainties; None: not given.
+    Attributes
+    ----------
+    newton_per_count
+        Gain of the load cell [N/count]; negative if the count falls with the force.
+    zero_counts
+        Reading without force [counts].
+    lever_ratio
+        Force at the thruster divided by the force at the load cell.
+    newton_per_count_sd
+        Standard uncertainty of `newton_per_count` [N/count]; None if it is not given.
+    lever_ratio_sd
+        Standard uncertainty of `lever_ratio`; None if it is not given.
+    """
+
+    newton_per_count: float
+    zero_counts: float = 0.0
+    lever_ratio: float = 1.0
     newton_per_count_sd: float | None = None
     lever_ratio_sd: float | None = None
 
@@ -78,33 +91,67 @@ class LoadCellCalibration:
 
 @dataclass(frozen=True)
 class DbcSignal:
-    """Mapping of a signal in a DBC file to a field of `Esc`: value = scale * (value by the DBC file) + offset."""
+    """Mapping of a signal in a DBC file to a field of `Esc`: value = scale * (value by the DBC file) + offset.
+
+    Attributes
+    ----------
+    message
+        Name of the message in the DBC file.
+    signal
+        Name of the signal in the message.
+    field
+        Field of `Esc` that gets the value, one of ESC_FIELDS.
+    node
+        Number of the node, name of the signal that contains it, or SOURCE for the address of the sender.
+    scale
+        Factor of the value by the DBC file.
+    offset
+        Number that is added after that, in the unit of the field.
+    """
 
     message: str
     signal: str
-    field: str  # one of ESC_FIELDS
-    node: int | str  # number of the node, name of the signal that contains it, or SOURCE
+    field: str
+    node: int | str
     scale: float = 1.0
     offset: float = 0.0
 
 
 @dataclass(frozen=True)
 class MavlinkSettings:
-    """Settings of the link to an autopilot: addresses of both ends, signing key, requested message rates."""
+    """Settings of the link to an autopilot: addresses of both ends, signing key, requested message rates.
+
+    Attributes
+    ----------
+    system_id
+        MAVLink system id of the autopilot.
+    component_id
+        MAVLink component id of the autopilot.
+    own_system_id
+        System id of this program; 255 is the usual one of a ground station.
+    own_component_id
+        Component id of this program.
+    key_file
+        File with the signing key. If it is given, we sign our messages and ignore unsigned ones.
+    gnss
+        "raw" for the fixes of the receiver, "fused" for the position estimate of the autopilot.
+    rates
+        Rates [Hz] by name of the message, which replace or extend RATES; 0 requests none.
+    """
 
     system_id: int = 1
     component_id: int = 1
     own_system_id: int = 255
     own_component_id: int = 190
-    # File with the signing key. If it is given, we sign our messages and ignore unsigned ones.
     key_file: Path | None = None
-    gnss: str = "raw"  # raw: fixes of the receiver; fused: position estimate of the autopilot
-    rates: Mapping[str, float] = field(default_factory=dict)  # Hz by name of the message; they replace or extend RATES
+    gnss: str = "raw"
+    rates: Mapping[str, float] = field(default_factory=dict)
 
     def requested(self, rate_hz: float) -> dict[str, float]:
         """Return the rates to request [Hz] by name of the message, in the order of RATES.
 
-        `rate_hz` is the rate of the device.
+        `rate_hz` is the rate of the device [Hz]. Messages with rate 0 are left out. With fused positions the estimate
+        of the autopilot takes the place of the fixes of its receiver.
         """
         rates = {name: rate_hz if rate is None else rate for name, rate in RATES.items()}
         if self.gnss == "fused":
@@ -114,32 +161,70 @@ class MavlinkSettings:
 
 @dataclass(frozen=True)
 class Device:
-    """Device of the rig and its port. Fields that its protocol does not use keep their defaults."""
+    """Device of the rig and its port. Fields that its protocol does not use keep their defaults.
+
+    Attributes
+    ----------
+    name
+        Name in the rig file, and first part of its topics in a log.
+    protocol
+        Name of its protocol, such as "vectornav".
+    port
+        Absolute path, or an address of the network; a CAN port begins with `slcan:` or `socketcan:`.
+    baud
+        Baud rate of a serial port [bit/s].
+    bitrate
+        Bit rate of a CAN bus [bit/s]; 0 for other ports.
+    rate_hz
+        Expected rate of the samples [Hz].
+    lever_arm_m
+        Position of its antenna or sensor in body axes [m]: forward, starboard, down.
+    pattern
+        Regular expression of a line of a load cell.
+    saturation
+        Largest reading of a load cell's converter [counts].
+    calibration
+        Calibration of a load cell; None: the force is unknown.
+    mavlink
+        Settings of the link to an autopilot; None for all other devices.
+    declination
+        True heading minus magnetic heading [rad], positive to the east; None: magnetic headings are not used.
+    dbc
+        Absolute path of the DBC file.
+    signals
+        Signals of the DBC file to read.
+    query
+        Request for each sample, for a device that sends only on request.
+    own_node
+        Our node on a DroneCAN bus.
+    index_offset
+        Index of a controller in its DroneCAN telemetry, minus its index in the command.
+    settings
+        Options of a protocol of another package: value in the rig file by key.
+    """
 
     name: str
     protocol: str
-    port: str  # absolute path, or an address of the network; a CAN port begins with `slcan:` or `socketcan:`
-    baud: int  # bit/s of a serial port
-    bitrate: int  # bit/s of a CAN bus
-    rate_hz: float  # expected rate of the samples
-    lever_arm_m: tuple[float, float, float] = (0.0, 0.0, 0.0)  # position of an antenna in body axes
-    pattern: str = DEFAULT_PATTERN  # regular expression of a line of a load cell
-    saturation: float | None = None  # counts, largest reading of a load cell's converter
+    port: str
+    baud: int
+    bitrate: int
+    rate_hz: float
+    lever_arm_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    pattern: str = DEFAULT_PATTERN
+    saturation: float | None = None
     calibration: LoadCellCalibration | None = None
     mavlink: MavlinkSettings | None = None
-    # rad, true heading minus magnetic heading, positive to the east; None: magnetic headings are not used.
     declination: float | None = None
-    dbc: str = ""  # absolute path of the DBC file
+    dbc: str = ""
     signals: tuple[DbcSignal, ...] = ()
-    query: str = ""  # request for each sample, for a device that sends only on request
-    own_node: int = OWN_NODE  # our node on a DroneCAN bus
-    index_offset: int = 0  # index of a controller in its DroneCAN telemetry, minus its index in the command
-    # Options of a protocol of another package: key of [[device]] -> value in the rig file.
+    query: str = ""
+    own_node: int = OWN_NODE
+    index_offset: int = 0
     settings: Mapping[str, str | float | bool] = field(default_factory=dict, hash=False)
 
     @property
     def sends_many_kinds(self) -> bool:
-        """Return whether the port has several kinds of samples, of which only one counts for ``rate_hz``."""
+        """Whether the port has several kinds of samples, of which only one counts for ``rate_hz``."""
         return self.protocol in MANY_KINDS
 
     def is_rated(self, kind: type, yaw: Any, with_attitudes: bool) -> Any:
@@ -170,11 +255,21 @@ class Device:
 
 @dataclass(frozen=True)
 class AutopilotOutput:
-    """Output of an autopilot to a thruster: its command channel, and the pulse widths of channel and output."""
+    """Output of an autopilot to a thruster: its command channel, and the pulse widths of channel and output.
 
-    rc_channel: int  # channel of RC_CHANNELS_OVERRIDE, from 1
-    rc_us: tuple[float, float, float]  # us, full reverse, neutral, full forward: RCn_MIN, RCn_TRIM, RCn_MAX
-    pwm_us: tuple[float, float, float]  # us, the same of the servo output: SERVOn_MIN, SERVOn_TRIM, SERVOn_MAX
+    Attributes
+    ----------
+    rc_channel
+        Channel of RC_CHANNELS_OVERRIDE, from 1.
+    rc_us
+        Pulse widths [us] of the channel for full reverse, neutral and full forward: RCn_MIN, RCn_TRIM, RCn_MAX.
+    pwm_us
+        Pulse widths [us] of the servo output for the same three: SERVOn_MIN, SERVOn_TRIM, SERVOn_MAX.
+    """
+
+    rc_channel: int
+    rc_us: tuple[float, float, float]
+    pwm_us: tuple[float, float, float]
 
     def command(self, n: float) -> int:
         """Return the pulse [us] of a command, -1..1. Return the neutral pulse for NaN and for values out of range."""
@@ -196,17 +291,40 @@ class AutopilotOutput:
 
 @dataclass(frozen=True)
 class Thruster:
-    """Thruster: its controller, its position, and the scale of its commands."""
+    """Thruster: its controller, its position, and the scale of its commands.
+
+    Attributes
+    ----------
+    name
+        Name in the rig file.
+    device
+        Name of the device that drives the thruster.
+    node
+        Id of its controller on the bus, or number of its servo output.
+    position_m
+        Position in body axes [m]: forward, starboard, down.
+    pole_pairs
+        Number of pole pairs of the motor; 1 if it is not needed.
+    rpm_max
+        Shaft speed [rev/min] at n = 1, so that n = rpm / rpm_max; NaN if it is not given for a thruster behind an
+        autopilot.
+    reversed
+        Whether a positive command of the controller gives reverse thrust.
+    timeout_s
+        Failsafe of the controller: time without a command after which it stops [run s].
+    output
+        Output of the autopilot to the thruster; None unless the thruster is behind an autopilot.
+    """
 
     name: str
-    device: str  # name of the device that drives it
-    node: int  # id of its controller on the bus, or number of its servo output
-    position_m: tuple[float, float, float]  # body axes: forward, starboard, down
-    pole_pairs: int  # of the motor
-    rpm_max: float  # rev/min at n = 1: n = rpm / rpm_max
-    reversed: bool = False  # whether a positive command of the controller gives reverse thrust
-    timeout_s: float = 1.0  # run s; failsafe of the controller: it stops after this time without a command
-    output: AutopilotOutput | None = None  # only of a thruster behind an autopilot
+    device: str
+    node: int
+    position_m: tuple[float, float, float]
+    pole_pairs: int
+    rpm_max: float
+    reversed: bool = False
+    timeout_s: float = 1.0
+    output: AutopilotOutput | None = None
 
 
 Named = TypeVar("Named", Device, Thruster)
@@ -214,81 +332,173 @@ Named = TypeVar("Named", Device, Thruster)
 
 @dataclass(frozen=True)
 class Limits:
-    """Guard limits of a run. A limit is None if the rig does not set it."""
+    """Guard limits of a run. A limit is None if the rig does not set it.
 
-    n_max: float = 1.0  # largest command
-    force_n: float | None = None  # N, of a load cell
-    current_a: float | None = None  # A, of a motor
-    temperature_c: float | None = None  # deg C, of a controller
-    voltage_min_v: float | None = None  # V, of the supply
-    radius_m: float | None = None  # m, largest distance from the start
-    rpm: float | None = None  # rev/min, of a shaft
-    roll_deg: float | None = None  # deg
-    pitch_deg: float | None = None  # deg
-    battery_min: float | None = None  # charge, 0..1
-    link_test_n: float = 0.3  # larger commands to thrusters behind an autopilot need a link test first
-    # Limits that need no device which reports their quantity. A limit is compared if a device reports it all the same.
-    # "telemetry": the reports of speed controllers are not compared with their commands.
+    Attributes
+    ----------
+    n_max
+        Largest magnitude of a command, 0..1.
+    force_n
+        Largest force of a load cell [N].
+    current_a
+        Largest current of a motor [A].
+    temperature_c
+        Highest temperature of a controller [deg C].
+    voltage_min_v
+        Lowest voltage of the supply [V].
+    radius_m
+        Largest distance from the start [m].
+    rpm
+        Largest speed of a shaft [rev/min].
+    roll_deg
+        Largest magnitude of the roll angle [deg].
+    pitch_deg
+        Largest magnitude of the pitch angle [deg].
+    battery_min
+        Smallest remaining charge of a battery, 0..1.
+    link_test_n
+        Largest command, 0..1, to thrusters behind an autopilot without a link test before.
+    unwatched
+        Limits that need no device which reports their quantity. A limit is compared if a device reports it all the
+        same. "telemetry": the reports of speed controllers are not compared with their commands.
+    """
+
+    n_max: float = 1.0
+    force_n: float | None = None
+    current_a: float | None = None
+    temperature_c: float | None = None
+    voltage_min_v: float | None = None
+    radius_m: float | None = None
+    rpm: float | None = None
+    roll_deg: float | None = None
+    pitch_deg: float | None = None
+    battery_min: float | None = None
+    link_test_n: float = 0.3
     unwatched: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class Segments:
-    """Segments of a log: their largest size and length, the needed disk space, and the size of the kept segments."""
+    """Segments of a log: their largest size and length, the needed disk space, and the size of the kept segments.
 
-    megabytes: float | None = None  # 1e6 bytes, after which a new segment begins; None: no limit
-    seconds: float | None = None  # run s, after which a new segment begins; None: no limit
-    free_megabytes: float = 50.0  # 1e6 bytes of free disk space that are needed to begin a log or segment
-    keep_gigabytes: float | None = (
-        None  # 1e9 bytes; the oldest segments except the first are deleted; None: all are kept
-    )
+    Attributes
+    ----------
+    megabytes
+        Size of a segment after which a new one begins [1e6 bytes]; None: no limit.
+    seconds
+        Duration of a segment after which a new one begins [run s]; None: no limit.
+    free_megabytes
+        Free disk space that is needed to begin a log or segment [1e6 bytes].
+    keep_gigabytes
+        Size of the log from which on the oldest segments, except the first, are deleted [1e9 bytes]; None: all are
+        kept.
+    """
+
+    megabytes: float | None = None
+    seconds: float | None = None
+    free_megabytes: float = 50.0
+    keep_gigabytes: float | None = None
 
 
 @dataclass(frozen=True)
 class Live:
-    """Settings of the live view."""
+    """Settings of the live view: the server to which Foxglove connects.
 
-    host: str = "127.0.0.1"  # address to listen at; the default is reachable from this machine only
+    Attributes
+    ----------
+    host
+        Address to listen at; the default is reachable from this machine only.
+    port
+        TCP port; 0 for any free one.
+    origins
+        Web sites whose pages may connect.
+    """
+
+    host: str = "127.0.0.1"
     port: int = 8765
-    origins: tuple[str, ...] = ("https://app.foxglove.dev",)  # web sites whose pages may connect
+    origins: tuple[str, ...] = ("https://app.foxglove.dev",)
 
 
 @dataclass(frozen=True)
 class Ros2:
-    """Settings of the ROS 2 node."""
+    """Settings of the ROS 2 node, which connects to a Zenoh router.
 
-    router: str = "tcp/127.0.0.1:7447"  # Zenoh router that the node connects to
-    domain: int = 0  # ROS_DOMAIN_ID
-    namespace: str = ""  # of the node and its topics, without slashes
-    commands: bool = False  # whether nodes of ROS 2 may command thrusters
-    timeout_s: float = 0.3  # wall s without a command, after which thrust is zero
+    Attributes
+    ----------
+    router
+        Address of the Zenoh router, tcp/HOST:PORT.
+    domain
+        Number of the ROS domain (ROS_DOMAIN_ID).
+    namespace
+        Namespace of the node and its topics, without slashes; may be empty.
+    commands
+        Whether nodes of ROS 2 may command thrusters.
+    timeout_s
+        Time without a command after which thrust is zero [wall s].
+    """
+
+    router: str = "tcp/127.0.0.1:7447"
+    domain: int = 0
+    namespace: str = ""
+    commands: bool = False
+    timeout_s: float = 0.3
 
 
 @dataclass(frozen=True)
 class Rig:
-    """Content of a checked rig file."""
+    """Content of a checked rig file.
+
+    Attributes
+    ----------
+    name
+        Name of the boat or bench.
+    path
+        Path of the rig file.
+    text
+        Text of the file, which is attached to logs.
+    speed
+        Run seconds per wall second.
+    log_directory
+        Folder for new logs.
+    devices
+        Devices in the order of the file.
+    thrusters
+        Thrusters in the order of the file.
+    limits
+        Values at which a run ends.
+    vehicle
+        Nominal values of model parameters by name.
+    segments
+        Rules by which a log is split into files.
+    live
+        Settings of the live view.
+    ros2
+        Settings of the ROS 2 node.
+    hardware_watchdog
+        Device file of the watchdog timer of the computer, which is active while a run drives; None if it is not used.
+    """
 
     name: str
     path: Path
-    text: str  # text of the file, which is attached to logs
-    speed: float  # run seconds per wall second
+    text: str
+    speed: float
     log_directory: Path
     devices: tuple[Device, ...]
     thrusters: tuple[Thruster, ...] = ()
     limits: Limits = field(default_factory=Limits)
-    vehicle: Mapping[str, float] = field(default_factory=dict)  # nominal model parameters by name
+    vehicle: Mapping[str, float] = field(default_factory=dict)
     segments: Segments = field(default_factory=Segments)
     live: Live = field(default_factory=Live)
     ros2: Ros2 = field(default_factory=Ros2)
-    hardware_watchdog: Path | None = None  # device of the computer's watchdog timer, which is active while a run drives
+    hardware_watchdog: Path | None = None
 
     def device(self, name: str) -> Device:
         """Return the device with a name. Raise SeatrialError, which lists the known names, if there is none."""
-        return _named(name, self.devices, "device", self.path)
+        return _find_by_name(name, self.devices, "device", self.path)
 
     def thruster(self, name: str) -> Thruster:
         """Return the thruster with a name. Raise SeatrialError, which lists the known names, if there is none."""
-        return _named(name, self.thrusters, "thruster", self.path)
+        return _find_by_name(name, self.thrusters, "thruster", self.path)
 
 
 def parse_address(port: str) -> tuple[str, int]:
@@ -305,8 +515,11 @@ def parse_address(port: str) -> tuple[str, int]:
     return host.strip("[]"), int(number)
 
 
-def _named(name: str, rows: Sequence[Named], label: str, path: Path) -> Named:
-    """Return the row with a name. Raise SeatrialError, which lists the known names, if there is none."""
+def _find_by_name(name: str, rows: Sequence[Named], label: str, path: Path) -> Named:
+    """Return the device or thruster with a name. If there is none, raise SeatrialError, which lists the known names.
+
+    `label` is "device" or "thruster", and `path` is that of the rig file, for the message.
+    """
     for row in rows:
         if row.name == name:
             return row

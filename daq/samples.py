@@ -21,18 +21,46 @@ def wrap_angle(angle: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Ahrs:
-    """Attitude, body rates, specific force and magnetic field of an AHRS or IMU."""
+    """Attitude, body rates, specific force and magnetic field of an AHRS or IMU, in body axes (FRD).
 
-    yaw: float  # rad, NED
-    pitch: float  # rad
-    roll: float  # rad
-    p: float = NAN  # rad/s, body rates
+    Attributes
+    ----------
+    yaw
+        Heading from true north, clockwise [rad].
+    pitch
+        Pitch angle, positive with the bow up [rad].
+    roll
+        Roll angle, positive with starboard down [rad].
+    p
+        Roll rate [rad/s].
+    q
+        Pitch rate [rad/s].
+    r
+        Yaw rate [rad/s].
+    ax
+        Specific force forward [m/s2]; at rest and level the three are 0, 0, -9.81.
+    ay
+        Specific force to starboard [m/s2].
+    az
+        Specific force down [m/s2].
+    mx
+        Magnetic field forward [T].
+    my
+        Magnetic field to starboard [T].
+    mz
+        Magnetic field down [T].
+    """
+
+    yaw: float
+    pitch: float
+    roll: float
+    p: float = NAN
     q: float = NAN
     r: float = NAN
-    ax: float = NAN  # m/s2, specific force (at rest and level: 0, 0, -9.81)
+    ax: float = NAN
     ay: float = NAN
     az: float = NAN
-    mx: float = NAN  # T
+    mx: float = NAN
     my: float = NAN
     mz: float = NAN
 
@@ -43,24 +71,55 @@ class Gnss:
 
     A receiver at low speed may report a speed without a course; its velocity is then NaN. A differential or RTK fix may
     be two-dimensional, so `fix` and `dimensions` are separate fields.
+
+    Attributes
+    ----------
+    utc
+        Time of the fix [s since 1970, UTC].
+    lat
+        Latitude [deg], positive to the north.
+    lon
+        Longitude [deg], positive to the east.
+    alt
+        Height above mean sea level [m].
+    vel_n
+        Velocity over ground, north [m/s].
+    vel_e
+        Velocity over ground, east [m/s].
+    vel_d
+        Velocity down [m/s].
+    fix
+        Kind of fix: 0 none, 1 dead reckoning, 2 two-dimensional, 3 three-dimensional, 4 differential, 5 RTK fixed, 6
+        RTK float.
+    n_sat
+        Number of satellites; -1 if it is not reported.
+    hdop
+        Horizontal dilution of precision.
+    sigma_h
+        Standard deviation of the horizontal position per axis [m].
+    speed
+        Horizontal speed over ground [m/s]; the norm of the velocity if the receiver does not report a speed.
+    dimensions
+        0 without a fix, 2 with a fixed height, 3 with a height, -1 if it is not reported. It follows from `fix` if that
+        is 0, 2 or 3.
     """
 
-    utc: float  # s since 1970-01-01 UTC
-    lat: float  # deg
-    lon: float  # deg
-    alt: float = NAN  # m above mean sea level
-    vel_n: float = NAN  # m/s over ground
+    utc: float
+    lat: float
+    lon: float
+    alt: float = NAN
+    vel_n: float = NAN
     vel_e: float = NAN
     vel_d: float = NAN
-    fix: int = 0  # 0 none, 1 dead reckoning, 2 2D, 3 3D, 4 differential, 5 RTK fixed, 6 RTK float
-    n_sat: int = -1  # number of satellites
+    fix: int = 0
+    n_sat: int = -1
     hdop: float = NAN
-    sigma_h: float = NAN  # m, standard deviation of the horizontal position per axis
-    speed: float = NAN  # m/s over ground, horizontal; the norm of the velocity if the receiver does not report a speed
-    # 0 no fix, 2 with a fixed height, 3, -1 not reported. Follows from ``fix`` if that is 0, 2 or 3.
+    sigma_h: float = NAN
+    speed: float = NAN
     dimensions: int = -1
 
     def __post_init__(self) -> None:
+        """Set `speed` and `dimensions` from the velocity and `fix` if the receiver does not report them."""
         if self.speed != self.speed:
             object.__setattr__(self, "speed", math.hypot(self.vel_n, self.vel_e))
         if self.dimensions < 0 and self.fix in (0, 2, 3):
@@ -69,71 +128,151 @@ class Gnss:
 
 @dataclass(frozen=True, slots=True)
 class Esc:
-    """State of one thruster's speed controller."""
+    """State of one thruster's speed controller.
 
-    node: int  # controller id on the bus
-    rpm: float = NAN  # rev/min of the shaft (electrical speed divided by the pole pairs), signed
-    current: float = NAN  # A, motor
-    duty: float = NAN  # -1..1
-    voltage: float = NAN  # V, supply
-    temperature: float = NAN  # deg C, controller
+    Attributes
+    ----------
+    node
+        Controller id on the bus.
+    rpm
+        Speed of the shaft, with sign [rev/min]: the electrical speed divided by the pole pairs.
+    current
+        Current of the motor [A].
+    duty
+        Duty cycle, -1..1.
+    voltage
+        Voltage of the supply [V].
+    temperature
+        Temperature of the controller [deg C].
+    """
+
+    node: int
+    rpm: float = NAN
+    current: float = NAN
+    duty: float = NAN
+    voltage: float = NAN
+    temperature: float = NAN
 
 
 @dataclass(frozen=True, slots=True)
 class LoadCell:
-    """One reading of a load cell. ``force`` follows from ``counts`` by the calibration in the rig."""
+    """One reading of a load cell. ``force`` follows from ``counts`` by the calibration in the rig.
 
-    counts: float  # raw reading
-    force: float = NAN  # N, along the thrust axis, positive for forward thrust
-    flags: int = 0  # bit 0 saturated, bit 1 spike
+    Attributes
+    ----------
+    counts
+        Raw reading of the converter [counts].
+    force
+        Force along the thrust axis, positive for forward thrust [N].
+    flags
+        Bit 0 is set if the reading is saturated, bit 1 if it is a spike.
+    """
+
+    counts: float
+    force: float = NAN
+    flags: int = 0
 
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """Command to a thruster. Its time is that of sending."""
+    """Command to a thruster. Its time is that of sending.
+
+    Attributes
+    ----------
+    node
+        Controller id on the bus, or number of the servo output.
+    n_cmd
+        Normalised shaft speed or duty, -1..1, positive forward.
+    """
 
     node: int
-    n_cmd: float  # normalised shaft speed or duty, -1..1, sign as in the rig (positive forward)
+    n_cmd: float
 
 
 @dataclass(frozen=True, slots=True)
 class Servo:
-    """Pulse at one output of an autopilot, after the limits and the mixing of the autopilot."""
+    """Pulse at one output of an autopilot, after the limits and the mixing of the autopilot.
 
-    node: int  # number of the output, from 1
-    pwm: float  # us; 0 without a pulse
-    n: float = NAN  # -1..1 by the pulse widths in the rig, positive forward; NaN without a rig
+    Attributes
+    ----------
+    node
+        Number of the output, from 1.
+    pwm
+        Pulse width [us]; 0 without a pulse.
+    n
+        Command, -1..1, by the pulse widths in the rig, positive forward; NaN without a rig.
+    """
+
+    node: int
+    pwm: float
+    n: float = NAN
 
 
 @dataclass(frozen=True, slots=True)
 class Battery:
-    """State of a battery."""
+    """State of a battery.
 
-    voltage: float = NAN  # V
-    current: float = NAN  # A, positive while the battery discharges
-    remaining: float = NAN  # charge, 0..1
+    Attributes
+    ----------
+    voltage
+        Voltage [V].
+    current
+        Current [A], positive while the battery discharges.
+    remaining
+        Remaining charge, 0..1.
+    """
+
+    voltage: float = NAN
+    current: float = NAN
+    remaining: float = NAN
 
 
 @dataclass(frozen=True, slots=True)
 class Autopilot:
-    """State of an autopilot."""
+    """State of an autopilot.
 
-    armed: int  # 1 armed, 0 not
-    mode: int  # number of the mode by the autopilot's definition (ArduPilot Rover: 0 MANUAL, 4 HOLD)
-    state: int  # MAV_STATE: 3 standby, 4 active, 5 critical, 6 emergency
-    ekf: int = -1  # flags of EKF_STATUS_REPORT; -1 before the first
+    Attributes
+    ----------
+    armed
+        1 if the motors are armed, 0 if not.
+    mode
+        Number of the mode by the autopilot's definition (ArduPilot Rover: 0 MANUAL, 4 HOLD).
+    state
+        State of the system (MAV_STATE): 3 standby, 4 active, 5 critical, 6 emergency.
+    ekf
+        Flags of its estimator (EKF_STATUS_REPORT); -1 before the first.
+    """
+
+    armed: int
+    mode: int
+    state: int
+    ekf: int = -1
 
 
 @dataclass(frozen=True, slots=True)
 class Scalar:
-    """Value of a named signal of an imported file. The log's topic contains its name, the log's channel its unit."""
+    """Value of a named signal of an imported file. The log's topic contains its name, the log's channel its unit.
+
+    Attributes
+    ----------
+    value
+        Value in the unit of the channel.
+    """
 
     value: float
 
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """Event of a run, for example the start of a segment, a tare, or a stop with its reason."""
+    """Event of a run, for example the start of a segment, a tare, or a stop with its reason.
+
+    Attributes
+    ----------
+    kind
+        Kind of the event, such as "segment" or "stop".
+    text
+        Description in one line.
+    """
 
     kind: str
     text: str
@@ -141,7 +280,29 @@ class Event:
 
 @dataclass(frozen=True, slots=True)
 class PortHealth:
-    """Counters of one port since the start of the log."""
+    """Counters of one port since the start of the log.
+
+    Attributes
+    ----------
+    port
+        Device file or address.
+    bytes_in
+        Number of received bytes.
+    frames
+        Number of valid frames.
+    checksum_errors
+        Number of frames with a wrong checksum.
+    unparsed_bytes
+        Number of received bytes that belong to no valid frame.
+    dropped
+        Number of samples and reads for which the log queue had no room.
+    reconnects
+        How often the port was opened again after a loss.
+    clock_bias
+        Mean of receive time minus estimated sample time [s]; NaN for a device without a clock.
+    clock_spread
+        Standard deviation of the same difference [s].
+    """
 
     port: str
     bytes_in: int
@@ -150,8 +311,8 @@ class PortHealth:
     unparsed_bytes: int
     dropped: int
     reconnects: int
-    clock_bias: float  # s, mean of receive time minus estimated sample time
-    clock_spread: float  # s, standard deviation of the same difference
+    clock_bias: float
+    clock_spread: float
 
 
 MEASURED = (Ahrs, Gnss, Esc, LoadCell, Servo, Battery, Autopilot, Scalar)  # kinds that a device or a file contains
@@ -159,8 +320,18 @@ Sample = Ahrs | Gnss | Esc | LoadCell | Command | Servo | Battery | Autopilot | 
 
 
 class Frame(NamedTuple):
-    """Decoded sample with its times, as ``Decoder.feed`` returns it."""
+    """Decoded sample with its times, as ``Decoder.feed`` returns it.
+
+    Attributes
+    ----------
+    sample
+        The sample.
+    t_rx
+        Run time at which the read of the sample's bytes returned [s].
+    t_device
+        Time by the clock of the device [s] (any origin); NaN if the device has no clock.
+    """
 
     sample: Sample
-    t_rx: float  # s, run time at which the read of the sample's bytes returned
-    t_device: float  # s, time by the clock of the device (any origin); NaN if the device has no clock
+    t_rx: float
+    t_device: float

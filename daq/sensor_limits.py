@@ -15,11 +15,21 @@ from seatrial.daq.samples import Ahrs, Gnss, LoadCell
 
 
 class StuckLimit(NamedTuple):
-    """Limit of a kind of sensor. It is stuck if its fields repeat for at least these numbers of samples and seconds."""
+    """Limit of a kind of sensor. It is stuck if its fields repeat for at least these numbers of samples and seconds.
 
-    fields: tuple[str, ...]  # names of the compared fields
+    Attributes
+    ----------
+    fields
+        Names of the compared fields.
+    samples
+        Number of equal samples in a row.
+    seconds
+        Time from the first to the last equal sample [run s].
+    """
+
+    fields: tuple[str, ...]
     samples: int
-    seconds: float  # run s
+    seconds: float
 
 
 _MOTION = ("yaw", "p", "q", "r", "ax", "ay", "az")

@@ -47,10 +47,18 @@ OK, FAILED, WRONG_USAGE, HUNG_UP, INTERRUPTED = 0, 1, 2, 129, 130
 
 
 class Row(NamedTuple):
-    """Command in the list of commands."""
+    """Command in the list of commands.
 
-    target: str  # `module:attribute` of the command
-    short_help: str  # line in the list of commands
+    Attributes
+    ----------
+    target
+        `module:attribute` of the command.
+    short_help
+        Line in the list of commands.
+    """
+
+    target: str
+    short_help: str
 
 
 COMMANDS = {
@@ -81,7 +89,7 @@ class LazyGroup(click.Group):
     """Group of commands that imports a command only when it is used. It lists the commands without imports."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """Return the names in the order of the table."""
+        """Return the names of all commands, in the order of COMMANDS. No part is imported."""
         return list(COMMANDS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
@@ -89,10 +97,10 @@ class LazyGroup(click.Group):
         row = COMMANDS.get(cmd_name)
         if row is None:
             return None
-        command = _load(cmd_name, row.target)
+        command = _load_command(cmd_name, row.target)
         for name, target in ATTACHED.get(cmd_name, {}).items():
             if isinstance(command, click.Group) and name not in command.commands:
-                command.add_command(_load(f"{cmd_name} {name}", target), name)
+                command.add_command(_load_command(f"{cmd_name} {name}", target), name)
         return command
 
     def invoke(self, ctx: click.Context) -> None:
@@ -112,14 +120,21 @@ class LazyGroup(click.Group):
             formatter.write_dl([(name, row.short_help) for name, row in COMMANDS.items()])
 
 
-def _needs(subject: str, missing: str) -> str:
-    """Return the message about a library that is not installed, with the extra that installs it."""
+def _missing_module_message(subject: str, missing: str) -> str:
+    """Return the message about a library that is not installed, with the extra that installs it.
+
+    `subject` is the command or function that needs it, and `missing` is the name of the module.
+    """
     extra = next((extra for extra, modules in EXTRAS.items() if missing.partition(".")[0] in modules), "all")
     return f"{subject} needs the Python module {missing}, which is not installed: pip install 'seatrial[{extra}]'"
 
 
-def _load(name: str, target: str) -> click.Command:
-    """Import the command at `module:attribute`. Raise SeatrialError if this installation does not have it."""
+def _load_command(name: str, target: str) -> click.Command:
+    """Import the command at `target`, which is `module:attribute`.
+
+    `name` is the command as the user writes it, for the message. SeatrialError is raised if this installation does not
+    have the command or a library that it needs.
+    """
     module_name, attribute = target.split(":")
     try:
         module = importlib.import_module(module_name)
@@ -127,7 +142,7 @@ def _load(name: str, target: str) -> click.Command:
         missing = error.name or module_name
         if f"{module_name}.".startswith(f"{missing}."):
             raise SeatrialError(f"`{name}` is not part of this installation (no module {missing})") from error
-        raise SeatrialError(_needs(f"`{name}`", missing)) from error
+        raise SeatrialError(_missing_module_message(f"`{name}`", missing)) from error
     command = getattr(module, attribute, None)
     if not isinstance(command, click.Command):
         raise SeatrialError(f"`{name}` is not part of this installation (no command {target})")
@@ -148,7 +163,7 @@ class MotionChecksOfIdent:
         try:
             from seatrial.ident.checks.log_checks import check_log
         except ModuleNotFoundError as error:
-            raise SeatrialError(_needs("the check of the motion", error.name or "ident")) from error
+            raise SeatrialError(_missing_module_message("the check of the motion", error.name or "ident")) from error
         return check_log(path)
 
     def write_check_page(self, report: CheckReport, out: Path) -> None:
@@ -162,7 +177,7 @@ class MotionChecksOfIdent:
         try:
             from seatrial.ident.workflows.check import write_check
         except ModuleNotFoundError as error:
-            raise SeatrialError(_needs("--report", error.name or "ident")) from error
+            raise SeatrialError(_missing_module_message("--report", error.name or "ident")) from error
         write_check(report, " ".join(["seatrial", *sys.argv[1:]]), out)
 
 
@@ -178,9 +193,9 @@ def cli(context: click.Context, debug: bool) -> None:
     context.obj = motion
 
 
-def _explain(error: BaseException) -> tuple[str, int]:
+def _line_and_status(error: BaseException) -> tuple[str, int]:
     """Return the line for stderr and the exit status of an error, except for wrong usage."""
-    if limit := bounds.exceeded(error):
+    if limit := bounds.limit_message(error):
         line, status = limit, FAILED
     elif isinstance(error, SeatrialError):
         line, status = str(error), error.exit_status
@@ -191,7 +206,7 @@ def _explain(error: BaseException) -> tuple[str, int]:
     elif isinstance(error, OSError) and error.filename is not None:
         line, status = f"{error.filename}: {error.strerror}", FAILED
     elif isinstance(error, ModuleNotFoundError) and error.name:
-        line, status = _needs("this command", error.name), FAILED
+        line, status = _missing_module_message("this command", error.name), FAILED
     elif isinstance(error, MemoryError):
         line, status = "the memory of this computer is not enough: give fewer or shorter logs", FAILED
     else:
@@ -200,20 +215,21 @@ def _explain(error: BaseException) -> tuple[str, int]:
     return printable(" ".join(line.split())), status
 
 
-def _usage(error: click.UsageError) -> str:
-    """Return the line for stderr about wrong usage."""
+def _usage_line(error: click.UsageError) -> str:
+    """Return the line for stderr about wrong usage. It ends with the command that shows the help."""
     path = "seatrial" if error.ctx is None else error.ctx.command_path
     text = printable(" ".join(error.format_message().split()).rstrip("."))
     return f"{path}: {text}{'' if text.endswith(('?', ')')) else ';'} `{path} --help` shows how"
 
 
-def _shown(default: Callable[..., None]) -> Callable[..., None]:
+def _warning_printer(default: Callable[..., None]) -> Callable[..., None]:
     """Return a function that prints a SeatrialWarning as one line, without its position in the code.
 
     All other warnings are passed to ``default``.
     """
 
     def show(message: Warning | str, category: type[Warning], *args: Any, **kwargs: Any) -> None:
+        """Print a warning in the form of its category."""
         if issubclass(category, SeatrialWarning):
             print(f"seatrial: {printable(str(message))}", file=sys.stderr)
         else:
@@ -222,11 +238,14 @@ def _shown(default: Callable[..., None]) -> Callable[..., None]:
     return show
 
 
-def _run(args: Sequence[str]) -> int:
-    """Run one command line and return its exit status. Exceptions of the command are passed on."""
+def _run_command_line(args: Sequence[str]) -> int:
+    """Run one command line and return its exit status. Exceptions of the command are passed on.
+
+    Wrong usage prints its own line and gives status 2. Other errors of click become SeatrialError.
+    """
     try:
         with warnings.catch_warnings():
-            warnings.showwarning = _shown(warnings.showwarning)
+            warnings.showwarning = _warning_printer(warnings.showwarning)
             result = cli.main(args=list(args), prog_name="seatrial", standalone_mode=False)
         sys.stdout.flush()
     except click.ClickException as error:  # the status is 2 for a UsageError and 1 for other errors of click
@@ -234,7 +253,7 @@ def _run(args: Sequence[str]) -> int:
             error.show()
             return WRONG_USAGE
         if isinstance(error, click.UsageError):
-            print(_usage(error), file=sys.stderr)
+            print(_usage_line(error), file=sys.stderr)
             return WRONG_USAGE
         raise SeatrialError(error.format_message()) from error
     return OK if result is None else int(result)  # a number here is the status of `ctx.exit(status)`
@@ -261,7 +280,7 @@ def main(args: Sequence[str] | None = None) -> None:
     debug = "--debug" in own
     words = [word for word in own if word != "--debug"] + words[len(own) :]
     try:
-        status = _run(words)
+        status = _run_command_line(words)
     except BrokenPipeError:
         # The reader of stdout has ended (`| head`). Without the redirection the last flush of the interpreter would
         # print an error.
@@ -270,18 +289,18 @@ def main(args: Sequence[str] | None = None) -> None:
     except (Exception, KeyboardInterrupt) as error:
         if debug:
             traceback.print_exc()
-        line, status = _explain(error)
+        line, status = _line_and_status(error)
         try:
             print(f"seatrial: {line}", file=sys.stderr)
         except OSError:  # the terminal was closed
-            _mute()
+            _silence_output()
     if any(thread.name == WAITING for thread in threading.enumerate()):
         sys.stdout.flush()
         os._exit(status)  # a normal exit would wait for the thread, which waits for an answer that may never come
     sys.exit(status)
 
 
-def _mute() -> None:
+def _silence_output() -> None:
     """Redirect stdout and stderr to the null device, so that the last flush of the interpreter cannot fail."""
     null_device = os.open(os.devnull, os.O_WRONLY)
     for stream in (sys.stdout, sys.stderr):

@@ -167,7 +167,7 @@ class Autopilots:
         assert device.mavlink is not None
         if link.vehicle != ROVER:
             raise SeatrialError(f"{device.name} is {link.vehicle or 'of an unknown kind'}: only {ROVER} is driven")
-        if link.rivals:
+        if link.other_station_frames:
             raise SeatrialError(f"{device.name}: {RIVAL}; end it, or give it another own_system_id")
         self.changes[device.name] = len(link.changed)
         here = [thruster for thruster in self._rig.thrusters if thruster.device == device.name]

@@ -33,7 +33,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from seatrial.bench.execution.link_test import NEUTRAL
-from seatrial.daq.acquisition import NO_STATUS_S, Source, Status, senders
+from seatrial.daq.acquisition import NO_STATUS_S, Source, Status, count_senders
 from seatrial.daq.drivers import LinkStatus
 from seatrial.daq.errors import SafetyStop, counted
 from seatrial.daq.rig import Rig, Thruster
@@ -961,7 +961,7 @@ class SafetyGuard:
         No limit depends on it. The source must have sent a sample.
         """
         name = source[0].partition("/")[0]
-        kinds, nodes = senders(status, name)
+        kinds, nodes = count_senders(status, name)
         rate_hz = self._rig.device(name).rate_hz / (1 if source[1] is None else nodes)
         # The rate holds for one kind of samples or for all kinds together, so that a further kind may be slower.
         slow = SLOW if kinds > 1 or name != source[0] else QUICK
@@ -1024,7 +1024,7 @@ class SafetyGuard:
                 yield Stop(StopCode.LINK, f"{name} went over to {link.mode}{reason}")
             if link.alarm:
                 yield Stop(StopCode.LINK, f"{name} says {link.alarm}")
-            if link.rivals:
+            if link.other_station_frames:
                 yield Stop(StopCode.RIVAL, f"{name}: {RIVAL}")
             # A changed parameter may disable a failsafe. The run ends while the link can still transmit zero and the
             # request to disarm.

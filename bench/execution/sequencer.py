@@ -472,7 +472,8 @@ class Schedule:
         t, n = rest.setpoints()  # the slew limit starts from zero thrust
         self._t, self._scheduled_n, self._sent = t + start, n, 0
         self._planned = [
-            ScheduledSegment(start + a, start + b, segment + k, name) for k, (a, b, name) in enumerate(rest.starts())
+            ScheduledSegment(start + a, start + b, segment + k, name)
+            for k, (a, b, name) in enumerate(rest.segment_times())
         ]
 
     def restart(self, segment: int, start: float) -> None:

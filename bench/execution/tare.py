@@ -60,7 +60,7 @@ def static_windows(mission: Mission, start: float) -> list[tuple[str, float, flo
         ("start" or "end", begin, end) in run seconds. An interval is missing if the mission does not rest there. The
         last interval begins 3 s (`SETTLE_S`) after zero thrust.
     """
-    return windows_of([(start + begin, start + end, name) for begin, end, name in mission.starts()])
+    return windows_of([(start + begin, start + end, name) for begin, end, name in mission.segment_times()])
 
 
 def windows_of(spans: Sequence[tuple[float, float, str]]) -> list[tuple[str, float, float]]:

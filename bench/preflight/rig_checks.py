@@ -154,7 +154,7 @@ def _autopilot_findings(rig: Rig, device: Device, status: Status, port: PortStat
     if here and link.vehicle != ROVER:
         text = f"it is {link.vehicle or 'of an unknown kind'}: only {ROVER} is driven"
         yield Finding(FAULT, "autopilot-not-driven", "link", name, text, "log it; drive it by its own means")
-    if link.rivals:
+    if link.other_station_frames:
         own = device.mavlink.own_system_id
         text = f"another ground station has system id {own}, the same as this rig: its heartbeats hide the loss of ours"
         yield Finding(FAULT, "rival-station", "link", name, text, "end it, or give one of the two another id")

@@ -4,4 +4,4 @@ from .status import PortStatus as PortStatus
 from .status import Source as Source
 from .status import Status as Status
 from .status import StreamedSample as StreamedSample
-from .status import senders as senders
+from .status import count_senders as count_senders

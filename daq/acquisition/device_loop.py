@@ -35,6 +35,7 @@ MAIN: dict[str, type] = {"nmea": Gnss, "ubx": Gnss, "vectornav": Ahrs, "mip": Ah
 
 
 def _is_attitude(sample: Sample) -> bool:
+    """Return whether a sample is of kind Ahrs and contains a heading, not only accelerations or rates."""
     return isinstance(sample, Ahrs) and not math.isnan(sample.yaw)
 
 
@@ -51,8 +52,10 @@ def source_of(device: Device, sample: Sample) -> Source:
     Returns
     -------
     Source
-        The name is that of the device for its main kind of sample, and `DEVICE/KIND` for every further kind. The node
-        is None except for speed controllers and outputs of autopilots.
+        The name is that of the device for its main kind of sample, and `DEVICE/KIND` in lower case for every further
+        kind, such as `autopilot/gnss`. The main kind of an autopilot or an NMEA 2000 bus is its attitude; servo outputs
+        of an autopilot also have the name of the device. The node is None except for speed controllers and servo
+        outputs.
     """
     if not device.sends_many_kinds:
         if isinstance(sample, MAIN.get(device.protocol, Sample)):
@@ -65,13 +68,27 @@ def source_of(device: Device, sample: Sample) -> Source:
 
 
 class DeviceLoop(threading.Thread):
-    """Thread of one port, with its counters and newest samples.
+    """Thread that serves the port of one device, with counters of the port and the newest samples of the device.
 
-    With `setpoints` the device is also an actuator. The thread sends the set-points that are due, encoded by `driver`.
-    The driver may also send messages of its own.
-
-    After the first command the thread calls `on_lost(reason)` if the port is lost or the computer was suspended, even
-    while the thrusters are at rest. It also calls `on_lost` if it was itself stopped for a while under thrust.
+    Parameters
+    ----------
+    device : Device
+        The device, from the rig.
+    port : Port
+        Its port, which is not open yet.
+    decoder : Decoder
+        Decoder of its protocol.
+    clock : RunClock
+        The run clock.
+    sink : LogSink
+        Queue of the log, into which all bytes and samples go.
+    setpoints : Setpoints, optional
+        Schedule of the thrusters of the device. None if the device drives no thruster.
+    driver : DeviceDriver, optional
+        Encoder of the set-points, which may also send messages of its own. None if nothing is sent to the device.
+    on_lost : Callable
+        Function that is called with a reason after the first command if the port is lost or the computer was suspended,
+        even while the thrusters are at rest. It is also called if this thread was stopped for a while under thrust.
     """
 
     def __init__(
@@ -112,7 +129,10 @@ class DeviceLoop(threading.Thread):
         self._rate = RateMeter(max(RATE_WINDOW_S * clock.speed, 10.0 / device.rate_hz))
 
     def wake(self) -> None:
-        """Wake the thread to check the set-points now."""
+        """Wake the thread from its wait, so that it checks the set-points and the driver now.
+
+        Any thread may call this.
+        """
         with contextlib.suppress(OSError):  # the pipe is full: it is awake already
             os.write(self._wake_write, b"x")
 
@@ -122,22 +142,28 @@ class DeviceLoop(threading.Thread):
         self.wake()
 
     def run(self) -> None:
-        """Run until `end` is called. A port that fails is opened again."""
+        """Open the port, serve it until `end` is called, send zero and close it. This method is the thread.
+
+        After any error the port is closed and opened again, after a wait that grows with the number of failures in a
+        row.
+        """
         failures = 0
         while not self._ending:
             try:
                 self._port.open()
-                self._start()
+                self._reset_after_open()
                 failures = 0
                 while not self._ending:
                     self._step()
             except Exception as error:
                 # After any error the port is opened again. The error is reported in the status and in the log.
                 is_port_error = isinstance(error, PortError)
-                self._lost(str(error) if is_port_error else f"internal error ({type(error).__name__}: {error})")
-                self._wait(-1, self._retry_s(failures))
+                self._close_lost_port(
+                    str(error) if is_port_error else f"internal error ({type(error).__name__}: {error})"
+                )
+                self._wait_for_bytes(-1, self._retry_s(failures))
                 failures += 1
-        self._finish()
+        self._send_final_zero()
 
     def _retry_s(self, failures: int) -> float:
         """Return the wall seconds until the next attempt to open the port.
@@ -153,21 +179,24 @@ class DeviceLoop(threading.Thread):
             return True
         return self._open and self._setpoints.is_settled(now)
 
-    def _start(self) -> None:
+    def _reset_after_open(self) -> None:
         """Reset the state of the decoder and of the driver after the port was opened, and zero the set-points."""
         self._opened += 1
         self._open, self._problem = True, ""
         self._checked = time.monotonic()
         self._mute_bytes = 0
         self._decoder.reset()
-        self._joining, self._unparsed_at_open = True, self._unparsed()
+        self._joining, self._unparsed_at_open = True, self._count_unparsed()
         if self._driver is not None:
             self._driver.opened(time.monotonic())
         if self._setpoints is not None and self._setpoints.held:
             self._setpoints.zero(time.monotonic())  # a command from before the loss must not be sent
 
-    def _lost(self, why: str) -> None:
-        """Note that the port is lost, zero the set-points and close the port."""
+    def _close_lost_port(self, why: str) -> None:
+        """Close the port and store `why` as its problem.
+
+        If the port was open and has commanded thrust, the set-points are first set to zero and `on_lost` is called.
+        """
         was_open, self._open, self._problem = self._open, False, why
         if was_open and self._setpoints is not None and self._setpoints.held:
             self._setpoints.zero(time.monotonic())
@@ -182,26 +211,27 @@ class DeviceLoop(threading.Thread):
             wait = min(wait, self._setpoints.wait(self._clock.now(), time.monotonic(), self._clock.speed))
         if self._driver is not None:
             wait = min(wait, self._driver.wait(time.monotonic()))
-        has_bytes = self._wait(self._port.fileno(), wait)
+        has_bytes = self._wait_for_bytes(self._port.fileno(), wait)
         if self._setpoints is not None:
             self._check_pause(self._setpoints, wait)
         if has_bytes:
             data = self._port.read()
             t_rx = self._clock.now()
             if data:
-                self._received(data, t_rx)
+                self._decode_received(data, t_rx)
         if self._setpoints is not None:
             self._check_suspend(self._setpoints)
             self._check_pause(self._setpoints)
-            self._send(self._setpoints.due(self._clock.now(), time.monotonic()))
+            self._send_setpoints(self._setpoints.due(self._clock.now(), time.monotonic()))
         if self._driver is not None:
             self._poll_driver(self._driver)
 
     def _check_pause(self, setpoints: Setpoints, waited: float = 0.0) -> None:
         """Command zero if this thread was stopped for a while, because it would repeat an old command.
 
-        The pause is the time since the last check, less the `waited` seconds of an intended wait. The method is called
-        at several places, because a pause can occur at any line of the loop.
+        A pause is the time since the last check minus `waited`, the seconds [wall s] of an intended wait. A pause
+        longer than STUCK_S counts unless zero was already sent and repeated. The method is called at several places,
+        because a pause can occur at any line of the loop.
         """
         now = time.monotonic()
         paused, self._checked = now - self._checked - waited, now
@@ -216,24 +246,28 @@ class DeviceLoop(threading.Thread):
             self._on_lost(f"the computer was suspended for {slept:.1f} s")
 
     def _poll_driver(self, driver: DeviceDriver) -> None:
-        """Send the bytes and log the events of the driver."""
+        """Write the bytes of the driver that are due to the port, and log these bytes and the driver's events."""
         data = driver.poll(time.monotonic())
         t = self._clock.now()
         if data:
             self._port.write(data)
-            self._log("tx", data, t, [])
+            self._queue_for_log("tx", data, t, [])
         if events := driver.events():
-            self._log("", b"", t, [(Frame(event, t, NAN), t) for event in events])
+            self._queue_for_log("", b"", t, [(Frame(event, t, NAN), t) for event in events])
 
-    def _log(self, direction: str, raw: bytes, t: float, frames: list[tuple[Frame, float]]) -> None:
-        """Put the bytes and samples of one read or write into the queue of the log, or count them as dropped."""
+    def _queue_for_log(self, direction: str, raw: bytes, t: float, frames: list[tuple[Frame, float]]) -> None:
+        """Put the bytes and samples of one read or write into the queue of the log, or count them as dropped.
+
+        `direction` is "rx" for received and "tx" for sent bytes, and empty without bytes. `t` is the run time [s] of
+        the read or write. Each frame has its estimated run time [s] beside it.
+        """
         if not self._sink.put(LogItem(self.device.name, direction, raw, t, frames)):
             self._dropped += max(len(frames), 1)
 
-    def _wait(self, fd: int, seconds: float) -> bool:
+    def _wait_for_bytes(self, fd: int, seconds: float) -> bool:
         """Wait for bytes at `fd`, for a wake-up or for the given time. Return whether there are bytes.
 
-        A negative `fd` is not waited for.
+        `seconds` is in wall time. If `fd` is negative, only a wake-up or the time ends the wait, and False is returned.
         """
         fds = [self._wake_read] if fd < 0 else [fd, self._wake_read]
         ready, _, _ = select.select(fds, [], [], seconds)
@@ -241,10 +275,15 @@ class DeviceLoop(threading.Thread):
             os.read(self._wake_read, 4096)
         return fd >= 0 and fd in ready
 
-    def _received(self, data: bytes, t_rx: float) -> None:
-        """Decode bytes that were received at run time `t_rx`, and store their samples."""
+    def _decode_received(self, data: bytes, t_rx: float) -> None:
+        """Decode bytes that were received at run time `t_rx` [s].
+
+        Newest samples and counters are updated, and bytes and samples are put into the queue of the log.
+        """
         frames_before = self._decoder.frames
-        frames = [(frame, self._estimate(frame)) for frame in decode_read(self._port, self._decoder, data, t_rx)]
+        frames = [
+            (frame, self._estimate_run_time(frame)) for frame in decode_read(self._port, self._decoder, data, t_rx)
+        ]
         for frame, t in frames:
             if not isinstance(frame.sample, Event):
                 self._latest[source_of(self.device, frame.sample)] = Latest(frame.sample, t)
@@ -255,10 +294,10 @@ class DeviceLoop(threading.Thread):
         self._sensor_health.count(t_rx, self._decoder.frames, self._decoder.checksum_errors, self._clock_map.resets)
         if self._decoder.frames > frames_before:
             self._mute_bytes = 0
-            self._join()
+            self._exclude_join_bytes()
         else:
             self._mute_bytes += len(data)
-        self._log("rx", data, t_rx, frames)
+        self._queue_for_log("rx", data, t_rx, frames)
 
     def _is_rated(self, sample: Sample) -> bool:
         """Return whether a sample counts for the rate of the device.
@@ -272,32 +311,40 @@ class DeviceLoop(threading.Thread):
         yaw = sample.yaw if isinstance(sample, Ahrs) else NAN
         return bool(self.device.is_rated(type(sample), yaw, self._attitudes))
 
-    def _join(self) -> None:
-        """Stop counting bytes before the first valid frame as unparsed: a port may be opened within a frame."""
+    def _exclude_join_bytes(self) -> None:
+        """Exclude the bytes before the first valid frame from the unparsed bytes, once after the port was opened.
+
+        The port may have been opened in the middle of a frame. More than JOIN_BYTES are not excluded.
+        """
         if self._joining:
             self._joining = False
-            before = self._unparsed() - self._unparsed_at_open
+            before = self._count_unparsed() - self._unparsed_at_open
             self._uncounted_bytes += before if before <= JOIN_BYTES else 0
 
-    def _unparsed(self) -> int:
+    def _count_unparsed(self) -> int:
+        """Return the number of received bytes that belong to no valid frame, without the excluded ones."""
         return self._decoder.unparsed_bytes + self._port.unparsed_bytes - self._uncounted_bytes
 
-    def _estimate(self, frame: Frame) -> float:
+    def _estimate_run_time(self, frame: Frame) -> float:
         """Return the estimated run time [s] of a frame; its time of receipt if the device has no clock."""
         if math.isnan(frame.t_device):
             return frame.t_rx
         self._has_clock = True
         return self._clock_map.estimate(frame.t_device, frame.t_rx, self._unordered, type(frame.sample))
 
-    def _send(self, dues: list[Due]) -> None:
-        """Write the set-points that are due."""
+    def _send_setpoints(self, dues: list[Due]) -> None:
+        """Write the set-points that are due to the port and to the log.
+
+        Only fresh set-points are logged as commands, and not their repetitions. The run time at which all thrusters are
+        at zero is stored in `zeroed`.
+        """
         if self._driver is None or self._setpoints is None or not dues:
             return
         for raw, carried in self._driver.command(dues, self._setpoints.held, time.monotonic()):
             t = self._clock.now()
             self._port.write(raw)
             frames = [(Frame(Command(due.node, due.n), t, NAN), t) for due in carried if due.fresh]
-            self._log("tx", raw, t, frames)
+            self._queue_for_log("tx", raw, t, frames)
         self._setpoints.written()
         if any(n != 0.0 for n in self._setpoints.held.values()):
             self._zeroed = math.nan
@@ -309,38 +356,41 @@ class DeviceLoop(threading.Thread):
         """Run time [s] at which zero was written to every thruster of the port; NaN if a command has followed."""
         return self._zeroed
 
-    def _finish(self) -> None:
-        """Send zero to every thruster if the port is open, and close the port."""
+    def _send_final_zero(self) -> None:
+        """Close the port. If it is open, first send zero to every thruster three times, and the driver's last bytes."""
         with contextlib.suppress(PortError):
             if self._setpoints is not None and self._open:
                 for _ in range(3):
                     self._setpoints.zero(time.monotonic())
-                    self._send(self._setpoints.due(self._clock.now(), time.monotonic()))
+                    self._send_setpoints(self._setpoints.due(self._clock.now(), time.monotonic()))
             if self._driver is not None and self._open and (last := self._driver.shutdown_bytes(time.monotonic())):
                 self._port.write(last)
-                self._log("tx", last, self._clock.now(), [])
+                self._queue_for_log("tx", last, self._clock.now(), [])
         self._port.close()
 
     def latest(self) -> dict[Source, Latest]:
-        """Return the newest samples by source."""
+        """Return a copy of the newest samples by source (name and node, as `source_of` returns them)."""
         return dict(self._latest)
 
     def request(self, action: str, value: float) -> None:
-        """Pass a request to the driver.
+        """Pass a request to the driver, and wake the thread. Without a driver nothing happens.
 
         Parameters
         ----------
         action : str
-            `arm`, `disarm`, `mode`, `mute` or `leave`.
+            `arm`, `disarm`, `mode`, `mute` (send no frame, except a zero command) or `leave` (the run ends).
         value : float
-            Number of the mode, or seconds to be mute.
+            Number of the mode for `mode`, seconds for `mute`; unused otherwise.
         """
         if self._driver is not None:
             self._driver.request(action, value)
             self.wake()
 
     def is_stuck(self, now: float) -> bool:
-        """Return whether the thread hangs under thrust: it has not checked its set-points for `STUCK_S`."""
+        """Return whether the thread hangs under thrust: it has not checked its set-points for `STUCK_S`.
+
+        `now` is a monotonic time [s]. False if the port is not open, or if zero was sent and repeated.
+        """
         commanded = self._setpoints is not None and not self._setpoints.is_settled(now)
         return commanded and self._open and now - self._stepped > STUCK_S
 
@@ -350,7 +400,7 @@ class DeviceLoop(threading.Thread):
 
     @property
     def hint(self) -> str:
-        """A possible improvement of the port or of the link, in one line; empty without one."""
+        """Advice to the user on the port or the link, in one line, such as a slow adapter; empty without advice."""
         return self._port.hint or ("" if self._driver is None else self._driver.hint)
 
     def health(self) -> PortHealth:
@@ -361,7 +411,7 @@ class DeviceLoop(threading.Thread):
             bytes_in=port.bytes_in,
             frames=decoder.frames,
             checksum_errors=decoder.checksum_errors,
-            unparsed_bytes=self._unparsed(),
+            unparsed_bytes=self._count_unparsed(),
             dropped=self._dropped,
             reconnects=max(self._opened - 1, 0),
             clock_bias=self._clock_map.bias if self._has_clock else NAN,
@@ -394,7 +444,10 @@ class DeviceLoop(threading.Thread):
         )
 
     def _message(self) -> str:
-        """Return the fault of the port, of the link or of the samples in one line, else the decoder's remark."""
+        """Return the most severe fault of the device in one line; without a fault the remark of the decoder, or "".
+
+        The order is: lost port, fault of the driver, no valid frame in MUTE_BYTES, faulty samples.
+        """
         if self._problem:
             return self._problem
         if self._driver is not None and (message := self._driver.message()):
@@ -405,7 +458,13 @@ class DeviceLoop(threading.Thread):
 
 
 class RateMeter:
-    """Estimator of the rate of events from a counter that is read from time to time."""
+    """Estimator of the rate of events from a counter that is read from time to time.
+
+    Parameters
+    ----------
+    window : float
+        Time [run s] over which the rate is averaged.
+    """
 
     def __init__(self, window: float) -> None:
         self._window = window
@@ -424,7 +483,7 @@ class RateMeter:
         Returns
         -------
         float
-            Rate [1/run s]; NaN until the counter has grown.
+            Rate [1/run s]. NaN if the counter is zero, or has not grown since the first read less than a window ago.
         """
         if count == 0:
             return math.nan

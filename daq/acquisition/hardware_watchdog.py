@@ -15,7 +15,17 @@ DISARM = b"V"  # the "magic close" of the kernel's watchdog API
 
 
 class HardwareWatchdog:
-    """Watchdog timer that is armed until `close`.
+    """Watchdog timer of the computer that is armed from the construction until `close`.
+
+    Parameters
+    ----------
+    path : Path
+        Device file of the timer, such as `/dev/watchdog`.
+
+    Raises
+    ------
+    OSError
+        If the device file cannot be opened.
 
     Notes
     -----
@@ -24,14 +34,14 @@ class HardwareWatchdog:
     """
 
     def __init__(self, path: Path) -> None:
-        """Open the timer, which arms it. Raises OSError."""
+        """Open the timer, which arms it, and set its time-out to TIMEOUT_S. Raise OSError if it cannot be opened."""
         self._file = os.open(path, os.O_WRONLY | os.O_CLOEXEC | os.O_NONBLOCK)
         with contextlib.suppress(OSError):  # some drivers have a fixed time-out
             fcntl.ioctl(self._file, SET_TIMEOUT, struct.pack("i", TIMEOUT_S))
         self._next = -float("inf")
 
     def beat(self, now: float) -> None:
-        """Restart the timer, at most once in `BEAT_S`; `now` is a monotonic time [s]."""
+        """Restart the timer, at most once in `BEAT_S`. `now` is a monotonic time [s]. A failed write is ignored."""
         if now >= self._next:
             self._next = now + BEAT_S
             with contextlib.suppress(OSError):

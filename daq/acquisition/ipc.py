@@ -33,43 +33,91 @@ ANSWER = b"a"  # answer of the watchdog to heartbeats
 
 @dataclass(frozen=True)
 class Configuration:
-    """Configuration of the acquisition: the first message of the parent."""
+    """Configuration of the acquisition: the first message of the parent.
+
+    Attributes
+    ----------
+    rig_text
+        Text of the rig file.
+    rig_path
+        Absolute path of the rig file.
+    path
+        Absolute path of the log.
+    speed
+        Run seconds per wall second.
+    origin
+        Raw monotonic time [s] and run time [s] of one instant (`RunClock.origin`).
+    role
+        Value of LinkRole: the role towards autopilots.
+    attachments
+        Attachments of the log by name.
+    metadata
+        Metadata of the log by name.
+    terminal
+        Inherited descriptor of the parent's standard error; -1 if it has none.
+    """
 
     rig_text: str
-    rig_path: str  # absolute
-    path: str  # absolute path of the log
-    speed: float  # run seconds per wall second
-    origin: Sequence[float]  # `RunClock.origin`
-    role: str  # value of LinkRole: the role towards autopilots
+    rig_path: str
+    path: str
+    speed: float
+    origin: Sequence[float]
+    role: str
     attachments: Mapping[str, bytes] = field(default_factory=dict)
     metadata: Mapping[str, str] = field(default_factory=dict)
-    terminal: int = -1  # inherited descriptor of the parent's standard error; -1 if it has none
+    terminal: int = -1
 
 
 @dataclass(frozen=True)
 class ParentAlive:
-    """Heartbeat of the parent."""
+    """Heartbeat of the parent.
 
-    runner: bool  # whether the runner has called `Acquisition.alive` since the last heartbeat
+    Attributes
+    ----------
+    runner
+        Whether the runner has called `Acquisition.alive` since the last heartbeat.
+    """
+
+    runner: bool
 
 
 @dataclass(frozen=True)
 class ScheduleSetpoints:
-    """Request to append set-points: rows of (run time [s], {thruster: n_cmd})."""
+    """Request to append set-points: rows of (run time [s], {thruster: n_cmd}).
+
+    Attributes
+    ----------
+    rows
+        Run time [s], and n_cmd, -1..1, by name of the thruster, of each set-point.
+    """
 
     rows: Sequence[tuple[float, Mapping[str, float]]]
 
 
 @dataclass(frozen=True)
 class ZeroThrust:
-    """Request to clear the schedule and command zero at once."""
+    """Request to clear the schedule and command zero at once.
 
-    reason: str  # is written to the log
+    Attributes
+    ----------
+    reason
+        Reason, which is written to the log as an event.
+    """
+
+    reason: str
 
 
 @dataclass(frozen=True)
 class LogEvent:
-    """Request to write an event to the log."""
+    """Request to write an event to the log.
+
+    Attributes
+    ----------
+    kind
+        Kind of the event, such as "zero" or "warning".
+    text
+        Description in one line.
+    """
 
     kind: str
     text: str
@@ -77,7 +125,17 @@ class LogEvent:
 
 @dataclass(frozen=True)
 class DriverRequest:
-    """Request to the driver of a device: `arm`, `disarm`, `mode` (value: its number), or `mute` (value: seconds)."""
+    """Request to the driver of a device.
+
+    Attributes
+    ----------
+    device
+        Name of the device.
+    action
+        `arm`, `disarm`, `mode` or `mute`.
+    value
+        Number of the mode for `mode`, wall seconds for `mute`; unused otherwise.
+    """
 
     device: str
     action: str
@@ -96,48 +154,92 @@ class Stop:
 
 @dataclass(frozen=True)
 class StatusReport:
-    """State of the acquisition, sent every 50 ms."""
+    """State of the acquisition, sent every 50 ms.
+
+    Attributes
+    ----------
+    status
+        State of all ports, set-points and the log.
+    """
 
     status: Status
 
 
 @dataclass(frozen=True)
 class SampleBatch:
-    """Logged samples."""
+    """Logged samples.
 
-    samples: Sequence[StreamedSample]  # oldest first
-    dropped: int  # number of samples, since the start, that could not be sent
+    Attributes
+    ----------
+    samples
+        The samples, oldest first.
+    dropped
+        Number of samples, since the start, that could not be sent.
+    """
+
+    samples: Sequence[StreamedSample]
+    dropped: int
 
 
 @dataclass(frozen=True)
 class Failed:
-    """Report that the process ends because of an error."""
+    """Report that the process ends because of an error.
+
+    Attributes
+    ----------
+    reason
+        The error in one line.
+    """
 
     reason: str
 
 
 @dataclass(frozen=True)
 class Closed:
-    """Report that the log is closed without an error and that the process ends."""
+    """Report that the log is closed without an error and that the process ends.
+
+    Attributes
+    ----------
+    reason
+        Why the acquisition ended, in one line.
+    """
 
     reason: str
 
 
 @dataclass(frozen=True)
 class WatchdogConfiguration:
-    """Configuration of the watchdog: the process to monitor, and the rig whose thrusters it brings to zero."""
+    """Configuration of the watchdog: the process to monitor, and the rig whose thrusters it brings to zero.
+
+    Attributes
+    ----------
+    rig_text
+        Text of the rig file.
+    rig_path
+        Path of the rig file.
+    pid
+        Process id of the acquisition process.
+    log
+        Absolute path of the log.
+    """
 
     rig_text: str
     rig_path: str
-    pid: int  # of the acquisition process
-    log: str  # absolute path
+    pid: int
+    log: str
 
 
 @dataclass(frozen=True)
 class WatchdogReady:
-    """Report that the watchdog is ready."""
+    """Report of the watchdog at its start: it is ready, or it cannot work.
 
-    trouble: str = ""  # why it is not ready; empty if it is
+    Attributes
+    ----------
+    trouble
+        Why the watchdog cannot work; empty if it is ready.
+    """
+
+    trouble: str = ""
 
 
 Message = (
@@ -162,7 +264,7 @@ def encode_message(message: Message) -> bytes:
 
 
 def decode_message(line: bytes | bytearray) -> Message:
-    """Return the message in a line of `encode_message`."""
+    """Return the message that `encode_message` has written as one line of JSON."""
     name, values = json.loads(line)
     kind = _TYPES[name]
     if kind is Configuration:

@@ -24,18 +24,39 @@ DELETED = "the log was deleted while it is recorded: what comes now is lost"
 
 
 class LogItem(NamedTuple):
-    """Data of one read or write, for the log."""
+    """Bytes and decoded frames of one read from a port or one write to it, for the log.
+
+    Attributes
+    ----------
+    device
+        Name of the device; empty for events of the process itself.
+    direction
+        "rx" or "tx"; "" if there are no raw bytes.
+    raw
+        Bytes that were read or written; empty for events.
+    t
+        Run time of the read or write [s].
+    frames
+        Decoded samples, each with its estimated run time [s].
+    """
 
     device: str
-    direction: str  # "rx" or "tx"; "" if there are no raw bytes
+    direction: str
     raw: bytes
-    t: float  # run time of the read or write [s]
-    frames: list[tuple[Frame, float]]  # each with its estimated run time [s]
+    t: float
+    frames: list[tuple[Frame, float]]
 
 
 class LogSink:
     """Bounded queue between the threads of the ports and the log thread. `put` never waits.
 
+    Parameters
+    ----------
+    limit : int
+        Largest number of items with raw bytes. Items without raw bytes are accepted up to twice that number.
+
+    Notes
+    -----
     Events have additional room, because a disk that hangs fills the queue with data. An event may contain the reason
     why a run ended.
     """
@@ -62,6 +83,11 @@ class LogSink:
 
 class SampleStream:
     """Bounded queue of logged samples for the parent. The log thread puts, the main thread takes, and neither waits.
+
+    Parameters
+    ----------
+    limit : int
+        Largest number of samples in the queue.
 
     Attributes
     ----------
@@ -94,6 +120,17 @@ class SampleStream:
 class LogThread(threading.Thread):
     """Thread that writes the queue into the log. No other thread uses the recorder.
 
+    Parameters
+    ----------
+    recorder : Recorder
+        The open log. The thread closes it at its end.
+    sink : LogSink
+        Queue of the items to write.
+    health : Callable
+        Function that returns the counters of each port by device; they are written every second.
+    clock : RunClock
+        The run clock.
+
     Attributes
     ----------
     messages : int
@@ -121,21 +158,24 @@ class LogThread(threading.Thread):
         self.alarm = ""
 
     def run(self) -> None:
-        """Run until `end` is called: write the queue every 10 ms, and the counters every second."""
+        """Run until `end` is called: write the queue every 10 ms, and the counters every second. Then close the log.
+
+        An error of the log ends the thread and is stored in `failure`.
+        """
         set_realtime_priority(behind=1)  # below the ports and set-points, because this thread compresses data
         health_at = time.monotonic() + HEALTH_S
         try:
             while not self._ending.wait(WRITE_S):
                 if not self._recorder.paused:  # while the recorder is paused, items wait in the queue
-                    self._write()
+                    self._write_queue()
                 if time.monotonic() >= health_at:
                     health_at += HEALTH_S
-                    self._health()
+                    self._write_counters()
                 self._recorder.tick()
                 self.alarm = self._recorder.paused or (DELETED if self._recorder.is_deleted else "")
                 self.size = self._recorder.size
-            self._write()
-            self._health()
+            self._write_queue()
+            self._write_counters()
         except SeatrialError as error:
             self.failure = str(error)
         except Exception as error:  # a programming error must be reported too, so that thrust ends
@@ -150,7 +190,7 @@ class LogThread(threading.Thread):
         """Request the last write; `join` waits until the log is closed."""
         self._ending.set()
 
-    def _write(self) -> None:
+    def _write_queue(self) -> None:
         """Write all items of the queue to the log, and put their samples into the stream."""
         for item in self._sink.take():
             if item.direction:
@@ -164,6 +204,7 @@ class LogThread(threading.Thread):
                     if self.stream is not None:
                         self.stream.put(StreamedSample(item.device, frame.sample, t))
 
-    def _health(self) -> None:
+    def _write_counters(self) -> None:
+        """Write the counters of all ports to the log."""
         for device, health in self._health_of().items():
             self._recorder.health(device, health, self._clock.now())

@@ -59,7 +59,25 @@ BATCH = 100  # samples in one message to the parent: about 25 kB, which a writab
 
 
 class Process:
-    """Acquisition process: its threads and the handling of the parent's messages."""
+    """Acquisition process: its threads and the handling of the parent's messages.
+
+    Parameters
+    ----------
+    link : AcquisitionChannel
+        Socket to the parent.
+    rig : Rig
+        The rig with its devices and thrusters.
+    recorder : Recorder
+        The open log.
+    clock : RunClock
+        The run clock, which the parent shares.
+    role : LinkRole
+        Role towards autopilots: listen, request rates and parameters, or drive.
+    heartbeat : Heartbeat, optional
+        Connection to the watchdog; None if no thrust will be commanded.
+    terminal : int
+        File descriptor of the parent's standard error; -1 if it has none.
+    """
 
     def __init__(
         self,
@@ -77,10 +95,12 @@ class Process:
         self._link, self._rig, self._clock, self._heartbeat = link, rig, clock, heartbeat
         self._sink = LogSink()
         self._setpoints = {device.name: Setpoints() for device in rig.devices if device.protocol in DRIVES}
-        self._loops = {device.name: self._loop(device.name) for device in rig.devices}
-        self._writer = LogThread(recorder, self._sink, self._health, clock)
+        self._loops = {device.name: self._make_loop(device.name) for device in rig.devices}
+        self._writer = LogThread(recorder, self._sink, self._port_counters, clock)
         path = str(self._path)
-        self._reporter = StatusReporter(link, rig, path, clock, self._loops, self._setpoints, self._writer, self._event)
+        self._reporter = StatusReporter(
+            link, rig, path, clock, self._loops, self._setpoints, self._writer, self._log_event
+        )
         self._parent_seen = self._runner_seen = time.monotonic()
         self._terminated = False
         self._stopped = ""  # why this process stopped thrust; thrust can start again only with a new run
@@ -89,37 +109,47 @@ class Process:
         self._unrequested = self._parent_hangs = False
 
     def terminate(self, number: int, frame: FrameType | None) -> None:
-        """Handle SIGTERM: end as on a `Stop` message."""
+        """Handle SIGTERM: request the end of the acquisition.
+
+        The main thread notices it at its next check of time-outs.
+        """
         self._terminated = True
 
     def run(self) -> None:
-        """Run until the parent stops it or is gone, or an error occurs. Then command zero and close the log."""
+        """Run until there is a reason to end, then command zero and close the log.
+
+        The reasons are: the parent requests the end, is gone or hangs, or an error occurs. All ports and the log have
+        threads of their own, which this method starts and ends.
+        """
         self._writer.start()
         for loop in self._loops.values():
             loop.start()
         try:
             self._serve()
         except Exception as error:  # a programming error must not leave thrust on
-            self._end(f"internal error ({type(error).__name__}: {error})", unrequested=True)
-        self._finish()
+            self._request_end(f"internal error ({type(error).__name__}: {error})", unrequested=True)
+        self._shut_down()
 
     def _serve(self) -> None:
-        """Send the status, handle messages and check time-outs until there is a reason to end."""
+        """Send status, samples and heartbeats, handle messages and check time-outs, until there is a reason to end.
+
+        The status is sent every STATUS_S. The reason is stored in `_end_reason`.
+        """
         status_at = 0.0
         while not self._end_reason:
             now = time.monotonic()
             if now >= status_at:
                 status_at = now + STATUS_S
-                self._report()
+                self._report_status()
                 self._send_samples()
             ready, _, _ = select.select([self._link], [], [], max(status_at - time.monotonic(), 0.0))
             if ready:
-                self._listen()
+                self._receive_messages()
             self._check_timeouts()
-            self._beat()
+            self._send_heartbeat()
 
-    def _loop(self, name: str) -> DeviceLoop:
-        """Return the thread of one device."""
+    def _make_loop(self, name: str) -> DeviceLoop:
+        """Return a new thread for the device `name`, with its port, decoder and driver. It is not started."""
         device = self._rig.device(name)
         decoder = make_decoder(device, self._rig)
         return DeviceLoop(
@@ -142,21 +172,25 @@ class Process:
         drives = self._role is not LinkRole.DRIVE or any(thruster.device == name for thruster in self._rig.thrusters)
         return self._role if drives else LinkRole.ASK
 
-    def _listen(self) -> None:
-        """Receive and handle messages of the parent. End if the parent is gone."""
+    def _receive_messages(self) -> None:
+        """Receive the waiting messages of the parent and handle them.
+
+        Request the end if the parent has closed the socket.
+        """
         try:
             messages = self._link.receive()
         except EOFError:
-            self._end("the parent process is gone", unrequested=True)
+            self._request_end("the program that started the acquisition has ended", unrequested=True)
             return
         for message in messages:
             self._parent_seen = time.monotonic()
-            self._handle(message)
+            self._handle_message(message)
 
-    def _beat(self, at_once: bool = False) -> None:
-        """Send the heartbeat to the watchdog, unless the thread of a port hangs.
+    def _send_heartbeat(self, at_once: bool = False) -> None:
+        """Send the heartbeat to the watchdog, unless the thread of a port hangs. Stop thrust if the watchdog fails.
 
-        Without heartbeats the watchdog kills this process and sends zero itself.
+        Without heartbeats the watchdog kills this process and sends zero itself. With `at_once` the heartbeat is sent
+        even if the last one was sent a moment ago. Without a watchdog nothing happens.
         """
         now = time.monotonic()
         if self._heartbeat is None or any(loop.is_stuck(now) for loop in self._loops.values()):
@@ -168,53 +202,65 @@ class Process:
             self._stop_thrust(self._heartbeat.trouble)
 
     def _check_timeouts(self) -> None:
-        """End or stop thrust after a time-out or failure.
+        """Request the end, or stop thrust, after a time-out or a failure.
 
-        Must be called after messages were received, so that a pause of this process does not count as one of the
+        The end is requested after SIGTERM, after a failure of the log, and if under thrust the parent or the runner
+        gives no sign of life for SILENCE_S. Thrust is stopped if no data can be written to the log at present. The
+        method must be called after messages were received, so that a pause of this process does not count as one of the
         parent.
         """
         now = time.monotonic()
         if self._terminated:
             active = any(setpoints.active for setpoints in self._setpoints.values())
-            self._end("the acquisition process was told to end (SIGTERM)", unrequested=active)
+            self._request_end("the acquisition process was told to end (SIGTERM)", unrequested=active)
         if self._writer.failure:
-            self._end(self._writer.failure, unrequested=False)
+            self._request_end(self._writer.failure, unrequested=False)
         if self._writer.alarm and not self._stopped and any(s.active for s in self._setpoints.values()):
             self._stop_thrust(self._writer.alarm)  # an unrecorded run has no use that justifies its risk
         if any(setpoints.active for setpoints in self._setpoints.values()):
             if now - self._parent_seen > SILENCE_S:
                 self._parent_hangs = True
-                self._end(f"no heartbeat of the parent for {SILENCE_S} s", unrequested=True)
+                self._request_end(
+                    f"the program that started the acquisition has not responded for {SILENCE_S} s",
+                    unrequested=True,
+                )
             elif now - self._runner_seen > SILENCE_S:
                 self._parent_hangs = True
-                self._end(f"no sign of life of the runner for {SILENCE_S} s", unrequested=True)
+                self._request_end(
+                    f"the program that runs the mission has not responded for {SILENCE_S} s",
+                    unrequested=True,
+                )
 
-    def _end(self, reason: str, unrequested: bool) -> None:
-        """Note the first reason to end. `unrequested`: the parent did not request the end."""
+    def _request_end(self, reason: str, unrequested: bool) -> None:
+        """Store the reason to end; only the first reason counts. `unrequested`: the parent did not request the end."""
         if not self._end_reason:
             self._end_reason, self._unrequested = reason, unrequested
 
-    def _handle(self, message: Message) -> None:
-        """Act on a message of the parent."""
+    def _handle_message(self, message: Message) -> None:
+        """Do what a message of the parent requests. Every message also counts as a heartbeat of the parent."""
         match message:
             case ParentAlive():
                 self._runner_seen = self._parent_seen if message.runner else self._runner_seen
             case ScheduleSetpoints():
-                self._schedule(message)
+                self._append_setpoints(message)
             case ZeroThrust():
-                self._zero()
-                self._event("zero", message.reason)
+                self._command_zero()
+                self._log_event("zero", message.reason)
             case LogEvent():
-                self._event(message.kind, message.text)
+                self._log_event(message.kind, message.text)
             case DriverRequest():
                 self._loops[message.device].request(message.action, message.value)
             case StreamSamples():
                 self._writer.stream = self._writer.stream or SampleStream()
             case Stop():
-                self._end("closed as asked", unrequested=False)
+                self._request_end("closed on request", unrequested=False)
 
-    def _schedule(self, message: ScheduleSetpoints) -> None:
-        """Append set-points to the schedules of their devices. They are ignored after this process stopped thrust."""
+    def _append_setpoints(self, message: ScheduleSetpoints) -> None:
+        """Append set-points, given by thruster, to the schedules of their devices, and wake the threads of the ports.
+
+        The set-points are ignored after this process has stopped thrust. The message also counts as a sign of life of
+        the runner.
+        """
         self._runner_seen = self._parent_seen
         nodes = {thruster.name: (thruster.device, thruster.node) for thruster in self._rig.thrusters}
         rows: dict[str, list[tuple[float, dict[int, float]]]] = {}
@@ -232,37 +278,47 @@ class Process:
                 self._setpoints[device].append(device_rows)
                 self._loops[device].wake()
 
-    def _health(self) -> dict[str, PortHealth]:
+    def _port_counters(self) -> dict[str, PortHealth]:
+        """Return the counters of each port by device."""
         return {name: loop.health() for name, loop in self._loops.items()}
 
-    def _zero(self) -> None:
+    def _command_zero(self) -> None:
+        """Clear the schedules, command zero to all thrusters at once, and wake the threads of the ports."""
         for name, setpoints in self._setpoints.items():
             setpoints.zero(time.monotonic())
             self._loops[name].wake()
 
     def _stop_thrust(self, reason: str) -> None:
-        """Stop thrust without a request of the parent, and keep recording. Called from any thread."""
+        """Stop thrust without a request of the parent, and keep recording. The reason is logged as an event.
+
+        Thrust cannot start again in this run. Any thread may call this method.
+        """
         with self._thrust:
             self._stopped = self._stopped or reason
-            self._zero()
-        self._event("stop", reason)
+            self._command_zero()
+        self._log_event("stop", reason)
 
-    def _event(self, kind: str, text: str) -> None:
+    def _log_event(self, kind: str, text: str) -> None:
+        """Put an event with the present run time into the queue of the log. `kind` is a word such as "stop"."""
         t = self._clock.now()
         self._sink.put(LogItem("", "", b"", t, [(Frame(Event(kind, text), t, NAN), t)]))
 
-    def _finish(self) -> None:
-        """Command zero, wait until it was repeated, end all threads, close the log and report the end."""
-        self._zero()
-        self._beat(at_once=True)
-        self._report()
-        self._event("stop" if self._unrequested else "end", self._end_reason)
+    def _shut_down(self) -> None:
+        """Command zero, wait until it was repeated, end all threads, close the log and report the end to the parent.
+
+        The heartbeats to the watchdog go on until the ports are closed. If the parent is gone or hangs, the last line
+        of the run is printed here.
+        """
+        self._command_zero()
+        self._send_heartbeat(at_once=True)
+        self._report_status()
+        self._log_event("stop" if self._unrequested else "end", self._end_reason)
         for loop in self._loops.values():
             loop.request("leave", 0.0)
         begun = time.monotonic()
         while not self._may_close(time.monotonic() - begun):
             time.sleep(WRITE_S)
-            self._beat()
+            self._send_heartbeat()
         for loop in self._loops.values():
             loop.end()
         for loop in self._loops.values():
@@ -272,7 +328,7 @@ class Process:
         self._reporter.note_skipped()
         self._writer.end()
         self._writer.join()
-        self._report()
+        self._report_status()
         with contextlib.suppress(OSError):  # the parent may be gone
             why = self._writer.failure
             self._link.send(Failed(why) if why else Closed(self._end_reason))
@@ -280,7 +336,10 @@ class Process:
             self._print_last_line()
 
     def _print_last_line(self) -> None:
-        """Print the last line of the run in place of the parent, which is gone or hangs."""
+        """Print the reason for the end and the path of the log to the terminal, because the parent cannot print it.
+
+        Nothing is printed if the terminal is closed or does not accept the text at once.
+        """
         thrust = "zero was sent, not confirmed; " if self._setpoints and self._role is LinkRole.DRIVE else ""
         text = f"seatrial: {self._end_reason}: {thrust}the log is {printable(str(self._path))}\n"
         # A terminal or pipe that nobody reads must not block this process. One line always fits into a writable pipe.
@@ -300,7 +359,7 @@ class Process:
         return since > RETURN_S or all(loop.is_at_zero(now) for loop in self._loops.values())
 
     def _send_samples(self) -> None:
-        """Send logged samples to the parent if it has requested them.
+        """Send the logged samples to the parent, in messages of BATCH samples, if it has requested them.
 
         The method never waits for a parent that does not read, because this thread also checks the time-outs.
         """
@@ -312,16 +371,20 @@ class Process:
             with contextlib.suppress(OSError):  # if the parent is gone, the next status report fails and ends the run
                 self._link.send(SampleBatch(stream.take(BATCH), stream.dropped))
 
-    def _report(self) -> None:
-        """Send the status to the parent. End if the parent is gone."""
+    def _report_status(self) -> None:
+        """Send the status to the parent, and new warnings to the log. Request the end if the parent is gone."""
         try:
             self._reporter.report(self._stopped, self._end_reason if self._unrequested else "")
         except OSError:
-            self._end("the parent process is gone", unrequested=True)
+            self._request_end("the program that started the acquisition has ended", unrequested=True)
 
 
 def _connect_watchdog(rig: Rig, path: Path) -> Heartbeat:
-    """Return the connection to the watchdog. Raises SeatrialError if the watchdog does not start."""
+    """Wait until the watchdog is ready, and return the connection to it.
+
+    The socket is the second argument of this process. SeatrialError is raised if the watchdog does not start or cannot
+    work. `path` is that of the log.
+    """
     try:
         return Heartbeat(socket.socket(fileno=int(sys.argv[2])), rig, path)
     except (OSError, EOFError) as error:
@@ -330,7 +393,10 @@ def _connect_watchdog(rig: Rig, path: Path) -> Heartbeat:
 
 
 def main() -> None:
-    """Receive the configuration from the parent, then run the process."""
+    """Receive the configuration from the parent, open the log, and run the acquisition until its end.
+
+    An error at the start is reported to the parent as a `Failed` message.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     link = AcquisitionChannel(socket.socket(fileno=int(sys.argv[1])))
     begin = link.receive_first()

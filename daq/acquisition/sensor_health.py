@@ -25,36 +25,51 @@ JUMP_S = 10.0  # run s for which a jump of the clock is reported
 ERA = 1024 * 604_800.0  # s; the GPS week number repeats after this time
 
 
-class _Same(NamedTuple):
-    """A repeated sample."""
+class _RepeatedSample(NamedTuple):
+    """Values that successive samples of one form repeat.
 
-    key: tuple[float, ...]  # compared values, 0 for NaN
-    since: float  # run time of the first sample with these values
-    until: float  # run time of the last one
+    Attributes
+    ----------
+    key
+        Compared values; 0 stands for NaN.
+    since
+        Run time [s] of the first sample with these values.
+    until
+        Run time [s] of the last sample with these values.
+    repeats
+        Number of samples with these values, at least 1.
+    """
+
+    key: tuple[float, ...]
+    since: float
+    until: float
     repeats: int
 
 
 # A kind of sample, and which of its compared fields are not NaN. An autopilot sends attitudes and accelerations in
 # different samples of one kind. Each is compared only with samples that have the same fields.
-_Form = tuple[type, tuple[bool, ...]]
+_SampleForm = tuple[type, tuple[bool, ...]]
 
 
-def _getter(fields: tuple[str, ...]) -> Callable[[Any], tuple[float, ...]]:
-    """Return a function that returns these fields of a sample."""
+def _make_getter(fields: tuple[str, ...]) -> Callable[[Any], tuple[float, ...]]:
+    """Return a function that returns the values of the named fields of a sample as a tuple, also for a single field."""
     get: Callable[[Any], Any] = attrgetter(*fields)
     return get if len(fields) > 1 else lambda sample: (get(sample),)
 
 
 # These tables are built once, because every sample is compared.
-_VALUES = {kind: _getter(limit.fields) for kind, limit in STUCK_LIVE.items()}
-_WHOLE: dict[type, _Form] = {kind: (kind, (True,) * len(limit.fields)) for kind, limit in STUCK_LIVE.items()}
+_VALUES = {kind: _make_getter(limit.fields) for kind, limit in STUCK_LIVE.items()}
+_WHOLE: dict[type, _SampleForm] = {kind: (kind, (True,) * len(limit.fields)) for kind, limit in STUCK_LIVE.items()}
 
 
 class SensorHealth:
-    """Plausibility checks of the samples and counters of one device."""
+    """Plausibility checks of the samples and counters of one device.
+
+    `take` receives each sample and `count` the counters after each read. `message` then returns the present fault.
+    """
 
     def __init__(self) -> None:
-        self._same: dict[_Form, _Same] = {}
+        self._same: dict[_SampleForm, _RepeatedSample] = {}
         self._last = self._now = 0.0
         self._jumps, self._jumped = 0, -math.inf
         self._cell: deque[tuple[float, int]] = deque()  # flags of the last SPIKES_S
@@ -63,19 +78,19 @@ class SensorHealth:
         self._counters: deque[tuple[float, int, int]] = deque()
 
     def take(self, frame: Frame) -> None:
-        """Take the sample of a decoded frame."""
+        """Add the sample of a decoded frame to the checks for repeated values, spikes and the date of a receiver."""
         sample, t = frame.sample, frame.t_rx
         kind = type(sample)
         if kind in _VALUES and can_be_stuck(kind, sample):
-            self._repeat(kind, _VALUES[kind](sample), t)
+            self._count_repeats(kind, _VALUES[kind](sample), t)
         if isinstance(sample, Gnss):
             if math.isfinite(sample.utc):
                 self._era = sample.utc - t
         elif isinstance(sample, LoadCell):
-            self._flags(t, sample.flags)
+            self._count_spikes(t, sample.flags)
 
     def count(self, t: float, frames: int, errors: int, jumps: int = 0) -> None:
-        """Take the counters of the decoder and of the clock map. Must be called after every read.
+        """Store the counters of the decoder and of the clock map. This method must be called after every read.
 
         Parameters
         ----------
@@ -101,14 +116,20 @@ class SensorHealth:
         """Kinds of samples that repeat the same values, as a dead sensor does."""
         return tuple(dict.fromkeys(form[0] for form in self._same if self._is_stuck(form)))
 
-    def _is_stuck(self, form: _Form) -> bool:
-        """Return whether samples of this form repeat the same values for too long."""
+    def _is_stuck(self, form: _SampleForm) -> bool:
+        """Return whether the samples of a form (kind and fields with a value) repeat the same values for too long.
+
+        The limits of number and duration are those of STUCK_LIVE. A form that is not sent any more is not stuck.
+        """
         same, limit = self._same[form], STUCK_LIVE[form[0]]
         still_sent = self._last - same.until < limit.seconds
         return still_sent and same.repeats >= limit.samples and same.until - same.since >= limit.seconds
 
     def message(self) -> str:
-        """Return the fault in one line; empty without a fault."""
+        """Return the most severe present fault in one line; empty without a fault.
+
+        The order is: wrong checksums, saturation, spikes, repeated values, a jump of the clock, a wrong GPS era.
+        """
         if self._counters:
             (_, frames_0, errors_0), (_, frames, errors) = self._counters[0], self._counters[-1]
             if errors - errors_0 >= max(FLOOD_ERRORS, FLOOD_SHARE * (frames - frames_0)):
@@ -125,8 +146,11 @@ class SensorHealth:
             return "its date is 20 years off: a receiver whose GPS week has rolled over, or this computer's clock"
         return ""
 
-    def _repeat(self, kind: type, values: tuple[float, ...], t: float) -> None:
-        """Count how often the values of a sample repeat those of the previous sample of its form."""
+    def _count_repeats(self, kind: type, values: tuple[float, ...], t: float) -> None:
+        """Compare the values of a sample with those of the previous sample of its form, and count repetitions.
+
+        `kind` is the type of the sample, `values` are its compared fields, and `t` is its run time [s]. NaN equals NaN.
+        """
         total = sum(values)
         if total == total:  # the usual case: no value is NaN
             key, form = values, _WHOLE[kind]
@@ -136,12 +160,12 @@ class SensorHealth:
         self._last = t
         before = self._same.get(form)
         if before is None or before.key != key:
-            self._same[form] = _Same(key, t, t, 1)
+            self._same[form] = _RepeatedSample(key, t, t, 1)
         else:
-            self._same[form] = _Same(key, before.since, t, before.repeats + 1)
+            self._same[form] = _RepeatedSample(key, before.since, t, before.repeats + 1)
 
-    def _flags(self, t: float, flags: int) -> None:
-        """Count the spikes of a load cell over the last `SPIKES_S`."""
+    def _count_spikes(self, t: float, flags: int) -> None:
+        """Add the flags of a load cell sample at run time `t` [s], and count the spikes of the last `SPIKES_S`."""
         self._cell.append((t, flags))
         self._spikes += bool(flags & SPIKE)
         while t - self._cell[0][0] > SPIKES_S:

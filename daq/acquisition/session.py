@@ -126,30 +126,42 @@ class Acquisition:
             ends: list[int] = [theirs.fileno()]
             if self._drive:
                 watched, watching = (stack.enter_context(sock) for sock in socket.socketpair())
-                self._watchdog = self._start("seatrial.daq.acquisition.watchdog", [watching.fileno()])
+                self._watchdog = self._start_process("seatrial.daq.acquisition.watchdog", [watching.fileno()])
                 ends.append(watched.fileno())
             terminal = _copy_of_stderr()
             if terminal is not None:
                 stack.callback(os.close, terminal)
             inherited = [] if terminal is None else [terminal]
-            self._process = self._start("seatrial.daq.acquisition.process", ends, inherited)
+            self._process = self._start_process("seatrial.daq.acquisition.process", ends, inherited)
         self._link = AcquisitionChannel(ours)
         self._threads = [
-            threading.Thread(target=self._listen, name="acquisition status", daemon=True),
-            threading.Thread(target=self._beat, name="acquisition heartbeat", daemon=True),
+            threading.Thread(target=self._receive_messages, name="acquisition status", daemon=True),
+            threading.Thread(target=self._send_heartbeats, name="acquisition heartbeat", daemon=True),
         ]
         try:
-            self._send(self._configuration(-1 if terminal is None else terminal))
+            self._send_message(self._configuration(-1 if terminal is None else terminal))
             for thread in self._threads:
                 thread.start()
-            self._await(lambda: self._status is not None, START_S, "did not start")
+            self._wait_until(lambda: self._status is not None, START_S, "did not start")
         except BaseException:
-            self._abandon()
+            self._release_processes()
             raise
         return self
 
-    def _start(self, module: str, ends: Sequence[int], inherited: Sequence[int] = ()) -> subprocess.Popen[bytes]:
-        """Start a module as a process that gets the sockets `ends` as arguments and inherits them and `inherited`."""
+    def _start_process(
+        self, module: str, ends: Sequence[int], inherited: Sequence[int] = ()
+    ) -> subprocess.Popen[bytes]:
+        """Start a module of this program as a process.
+
+        Parameters
+        ----------
+        module : str
+            Full name of the module.
+        ends : sequence of int
+            File descriptors of sockets, which the process inherits and gets as arguments.
+        inherited : sequence of int
+            Further file descriptors, which the process inherits.
+        """
         return subprocess.Popen(
             module_command(module, *map(str, ends)),
             pass_fds=[*ends, *inherited],
@@ -191,15 +203,15 @@ class Acquisition:
                 self.rig.thruster(name)
                 if not (math.isfinite(t) and abs(n) <= limit):
                     raise SeatrialError(f"set-point {n} for {name} at {t}: only -{limit:g} to {limit:g} is allowed")
-        self._send(ScheduleSetpoints([(t, dict(row)) for t, row in rows]))
+        self._send_message(ScheduleSetpoints([(t, dict(row)) for t, row in rows]))
 
     def zero(self, reason: str) -> None:
         """Clear the schedule and command zero to all thrusters at once; `reason` is logged as an event."""
-        self._send(ZeroThrust(reason))
+        self._send_message(ZeroThrust(reason))
 
     def mark(self, kind: str, text: str) -> None:
-        """Write an event to the log."""
-        self._send(LogEvent(kind, text))
+        """Write an event to the log: its kind, a word such as "segment", and a description in one line."""
+        self._send_message(LogEvent(kind, text))
 
     def stream(self, take: Callable[[Sequence[StreamedSample], int], None]) -> None:
         """Pass all further logged samples to a function, twenty times a second.
@@ -211,7 +223,7 @@ class Acquisition:
             it, so that it must neither wait nor raise.
         """
         self._take_samples = take
-        self._send(StreamSamples())
+        self._send_message(StreamSamples())
 
     def request(self, device: str, action: str, value: float = 0.0) -> None:
         """Send a request to an autopilot. Its answer is in `Status.links`.
@@ -226,7 +238,7 @@ class Acquisition:
             Number of the mode, or seconds to be mute.
         """
         self.rig.device(device)
-        self._send(DriverRequest(device, action, value))
+        self._send_message(DriverRequest(device, action, value))
 
     def alive(self) -> None:
         """Report that the runner works. Must be called every 0.1 s (wall) while thrust is commanded."""
@@ -262,9 +274,9 @@ class Acquisition:
             with contextlib.suppress(OSError):  # the process is ending by itself; its errors are raised below
                 if not self._gone:
                     self._link.send(Stop())
-            self._await(lambda: self._gone, STOP_S, "did not close the log")
+            self._wait_until(lambda: self._gone, STOP_S, "did not close the log")
         finally:
-            self._abandon()
+            self._release_processes()
         self._raise_failure()
 
     def _configuration(self, terminal: int) -> Configuration:
@@ -281,8 +293,8 @@ class Acquisition:
             metadata={"command_line": " ".join(sys.argv), **self._metadata},
         )
 
-    def _send(self, message: Message) -> None:
-        """Send a message. Raises SeatrialError if the process has ended."""
+    def _send_message(self, message: Message) -> None:
+        """Send a message to the acquisition process. Raise SeatrialError with the reason if the process has ended."""
         try:
             self._link.send(message)
         except OSError:
@@ -292,8 +304,8 @@ class Acquisition:
                 why = f": {self._ended}" if self._ended else ""
             raise SeatrialError(f"the acquisition process ended{why}; the log is {self.path}") from None
 
-    def _beat(self) -> None:
-        """Send heartbeats until the end. This method is a thread."""
+    def _send_heartbeats(self) -> None:
+        """Send heartbeats until the end. Each contains whether `alive` was called since the last. Runs as a thread."""
         set_realtime_priority()  # a busy machine must not delay the heartbeats, without which thrust ends
         while not self._stopping.wait(HEARTBEAT_S):
             alive = self._alive.is_set()
@@ -303,8 +315,12 @@ class Acquisition:
             except OSError:
                 return
 
-    def _listen(self) -> None:
-        """Receive messages of the process until it closes the socket. This method is a thread."""
+    def _receive_messages(self) -> None:
+        """Receive messages of the acquisition process until it closes the socket. Runs as a thread.
+
+        The newest status and the reason for the end are stored, and waiting threads are notified. Streamed samples are
+        passed to the function of `stream`. If the process ends without a last message, its crash is stored as an error.
+        """
         closed = False
         for message in self._link.messages():
             if isinstance(message, SampleBatch) and self._take_samples is not None:
@@ -320,12 +336,16 @@ class Acquisition:
                 self._changed.notify_all()
         with self._changed:
             if not (closed or self._failure):
-                self._failure = self._died()
+                self._failure = self._describe_crash()
             self._gone = True
             self._changed.notify_all()
 
-    def _died(self) -> str:
-        """Return the error, in one line, of a process that has ended without a last message."""
+    def _describe_crash(self) -> str:
+        """Return the error message, in one line, for a process that has ended without a last message.
+
+        The message contains its exit status, the last line of its standard error, and the note of the watchdog if
+        there is one.
+        """
         code = "none yet"
         with contextlib.suppress(subprocess.TimeoutExpired):
             code = str(self._process.wait(timeout=2.0))
@@ -339,11 +359,16 @@ class Acquisition:
         return f"the acquisition process ended by itself (status {code}{details}); the log so far is {self.path}"
 
     def _raise_failure(self) -> None:
+        """Raise SeatrialError if the acquisition process has reported an error or has crashed."""
         if self._failure:
             raise SeatrialError(self._failure)
 
-    def _await(self, condition: Callable[[], bool], seconds: float, failure: str) -> None:
-        """Wait for a condition. Raises SeatrialError after `seconds` (wall) or if the process fails."""
+    def _wait_until(self, condition: Callable[[], bool], seconds: float, failure: str) -> None:
+        """Wait until `condition()` is true.
+
+        SeatrialError is raised after `seconds` (wall), with `failure` in its message ("did not start"), or as soon as
+        the process fails.
+        """
         with self._changed:
             if not self._changed.wait_for(lambda: condition() or self._failure, timeout=seconds):
                 raise SeatrialError(
@@ -351,7 +376,7 @@ class Acquisition:
                 )
             self._raise_failure()
 
-    def _abandon(self) -> None:
+    def _release_processes(self) -> None:
         """Wait for the end of the processes, kill one that does not end, and release all resources."""
         self._stopped = True
         self._stopping.set()

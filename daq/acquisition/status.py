@@ -16,14 +16,32 @@ Source = tuple[str, int | None]
 
 
 class Latest(NamedTuple):
-    """The newest sample of a source and its estimated run time."""
+    """The newest sample of a source.
+
+    Attributes
+    ----------
+    sample
+        The sample.
+    t
+        Estimated run time of the sample [s].
+    """
 
     sample: Sample
     t: float
 
 
 class StreamedSample(NamedTuple):
-    """A sample of a device as it goes into the log, with its estimated run time."""
+    """A sample of a device as it is written to the log.
+
+    Attributes
+    ----------
+    device
+        Name of the device.
+    sample
+        The sample.
+    t
+        Estimated run time of the sample [s].
+    """
 
     device: str
     sample: Sample
@@ -32,53 +50,131 @@ class StreamedSample(NamedTuple):
 
 @dataclass(frozen=True)
 class PortStatus:
-    """State of one port. Counters start at the start of the log. Rates and ages refer to run time."""
+    """State of one port. Counters start at the start of the log. Rates and ages refer to run time.
 
-    name: str  # of the device
+    Attributes
+    ----------
+    name
+        Name of the device.
+    protocol
+        Name of its protocol, such as "vectornav".
+    port
+        Device file or address.
+    expected
+        Samples per run second that the rig expects.
+    rate
+        Samples per run second over the last few seconds, NaN before the second sample.
+    age
+        Run seconds since the last sample, infinite before the first.
+    samples
+        Decoded samples.
+    frames
+        Valid frames.
+    checksum_errors
+        Frames with a wrong checksum.
+    unparsed_bytes
+        Received bytes that belong to no valid frame.
+    dropped
+        Samples and reads for which the log queue had no room.
+    reconnects
+        How often the port was opened again after a loss.
+    bytes_in
+        Received bytes.
+    latency
+        Mean of receive time minus estimated sample time [s]; NaN for a device without a clock.
+    latency_spread
+        Standard deviation of the same difference [s]; NaN for a device without a clock.
+    message
+        Fault of the port in one line, else `remark`; empty without both.
+    remark
+        Note for the user on a stream without a fault.
+    stuck
+        Kinds of samples that repeat the same values, as a dead sensor does.
+    open
+        Whether the port is open: False before it was opened and after it was lost.
+    """
+
+    name: str
     protocol: str
-    port: str  # device file or address
-    expected: float  # samples per run second, from the rig
-    rate: float  # samples per run second over the last few seconds, NaN before the second sample
-    age: float  # run seconds since the last sample, infinite before the first
+    port: str
+    expected: float
+    rate: float
+    age: float
     samples: int
     frames: int
     checksum_errors: int
     unparsed_bytes: int
-    dropped: int  # samples and reads for which the log queue had no room
+    dropped: int
     reconnects: int
     bytes_in: int
-    latency: float  # s, mean of receive time minus estimated sample time; NaN for a device without a clock
-    latency_spread: float  # s
-    message: str  # fault of the port in one line, else `remark`; empty without both
-    remark: str = ""  # note for the user on a stream without a fault
-    stuck: tuple[str, ...] = ()  # kinds of samples that repeat the same values, as a dead sensor does
-    open: bool = True  # False before the port was opened and after it was lost
+    latency: float
+    latency_spread: float
+    message: str
+    remark: str = ""
+    stuck: tuple[str, ...] = ()
+    open: bool = True
 
 
 @dataclass(frozen=True)
 class Status:
-    """State of the whole acquisition at run time `t`."""
+    """State of the whole acquisition at run time `t`.
 
-    t: float  # run time [s]
-    ports: dict[str, PortStatus]  # by device
-    latest: dict[Source, Latest]  # by device and node; the node is None except for speed controllers
-    commanded: dict[str, float]  # n_cmd by thruster, as last sent; 0 before the first command
-    pending: int  # set-points that wait for their time
-    path: str  # of the log
-    bytes: int  # size of the log
-    messages: int  # samples written
-    duration: float  # run seconds since the start of the log
-    stopped: str  # why the acquisition process stopped thrust by itself; empty if it has not
+    Attributes
+    ----------
+    t
+        Run time [s].
+    ports
+        State of each port, by name of the device.
+    latest
+        Newest samples, by name and node; the node is None except for speed controllers and servo outputs.
+    commanded
+        Command n_cmd, -1..1, of each thruster, as last sent; 0 before the first command.
+    pending
+        Number of set-points that wait for their time.
+    path
+        Path of the log.
+    bytes
+        Size of the log [bytes].
+    messages
+        Number of samples written.
+    duration
+        Run seconds since the start of the log.
+    stopped
+        Why the acquisition process stopped thrust by itself; empty if it has not.
+    warnings
+        Faults of ports, of the log and of the run, one line each.
+    skipped
+        Number of set-points that a later one replaced before they could be sent.
+    links
+        State of each autopilot, by name of the device.
+    zeroed
+        Run time [s] at which zero was written to the port of a device, by name of the device. A device is missing if a
+        command has followed.
+    alarm
+        Why no data are written to the log at present; it is also the first of the warnings.
+    hints
+        Possible improvements that are no faults, one line each.
+    """
+
+    t: float
+    ports: dict[str, PortStatus]
+    latest: dict[Source, Latest]
+    commanded: dict[str, float]
+    pending: int
+    path: str
+    bytes: int
+    messages: int
+    duration: float
+    stopped: str
     warnings: tuple[str, ...]
-    skipped: int = 0  # set-points that a later one replaced before they could be sent
-    links: dict[str, LinkStatus] = dataclasses.field(default_factory=dict)  # by device
-    # By device: run time at which zero was written to its port. A device is missing if a command has followed.
+    skipped: int = 0
+    links: dict[str, LinkStatus] = dataclasses.field(default_factory=dict)
     zeroed: dict[str, float] = dataclasses.field(default_factory=dict)
-    alarm: str = ""  # why no data are written to the log at present; it is also the first of the warnings
-    hints: tuple[str, ...] = ()  # possible improvements that are no faults, one line each
+    alarm: str = ""
+    hints: tuple[str, ...] = ()
 
 
-def senders(status: Status, device: str) -> tuple[int, int]:
+def count_senders(status: Status, device: str) -> tuple[int, int]:
     """Count the senders of one device.
 
     Parameters
@@ -99,12 +195,12 @@ def senders(status: Status, device: str) -> tuple[int, int]:
 
 
 def fields_of(sample: Sample) -> list[Any]:
-    """Return the values of a sample in the order of its fields, ten times as fast as `dataclasses.astuple`."""
+    """Return the values of a sample in the order of its fields. It is ten times as fast as `dataclasses.astuple`."""
     return [getattr(sample, name) for name in type(sample).__slots__]
 
 
 def to_json(status: Status) -> dict[str, Any]:
-    """Return a status as values for JSON. NaN and Infinity are written as Python's json does."""
+    """Return a status as a dictionary that `json.dumps` can write. NaN and infinity stay floats."""
     out = {field.name: getattr(status, field.name) for field in dataclasses.fields(status)}
     out["ports"] = [dataclasses.asdict(port) for port in status.ports.values()]
     out["links"] = {name: dataclasses.asdict(link) for name, link in status.links.items()}
@@ -116,7 +212,7 @@ def to_json(status: Status) -> dict[str, Any]:
 
 
 def from_json(data: dict[str, Any]) -> Status:
-    """Return the status in values of `to_json`."""
+    """Return the status from a dictionary that `to_json` has made and JSON has transported."""
     ports = {port["name"]: PortStatus(**port | {"stuck": tuple(port["stuck"])}) for port in data["ports"]}
     latest: dict[Source, Latest] = {}
     for device, node, kind, values, t in data["latest"]:

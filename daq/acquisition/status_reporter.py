@@ -16,10 +16,26 @@ from seatrial.daq.rig import Rig
 
 
 class StatusReporter:
-    """Reporter of the status, which it assembles from the threads of the ports and the set-points by device.
+    """Reporter of the status to the parent. It also writes each warning, hint and loss of set-points once to the log.
 
-    The function `event(kind, text)` writes an event to the log. Each warning, hint and loss of set-points is written
-    once, when it is new.
+    Parameters
+    ----------
+    link : AcquisitionChannel
+        Socket to the parent.
+    rig : Rig
+        The rig.
+    path : str
+        Path of the log.
+    clock : RunClock
+        The run clock.
+    loops : Mapping
+        Threads of the ports by device.
+    setpoints : Mapping
+        Schedules of set-points by device; only devices that drive thrusters have one.
+    writer : LogThread
+        Thread that writes the log.
+    event : Callable
+        Function `event(kind, text)` that writes an event to the log.
     """
 
     def __init__(
@@ -64,7 +80,10 @@ class StatusReporter:
         self._link.send(StatusReport(status))
 
     def note_skipped(self) -> None:
-        """Write an event to the log for set-points that were skipped since the last call."""
+        """Write an event to the log with the number of set-points that were skipped since the last call, if any.
+
+        A set-point is skipped if a later one is due before the earlier one could be sent.
+        """
         total = self._count_skipped()
         if total > self._skipped:
             lost = counted(total - self._skipped, "set-point")
@@ -72,10 +91,11 @@ class StatusReporter:
             self._skipped = total
 
     def _count_skipped(self) -> int:
+        """Return the number of skipped set-points of all devices since the start."""
         return sum(setpoints.skipped for setpoints in self._setpoints.values())
 
     def _status(self, stopped: str, ended: str) -> Status:
-        """Return the present status."""
+        """Return the present status of all ports, set-points and the log. The parameters are those of `report`."""
         now = self._clock.now()
         ports = {name: loop.status(now) for name, loop in self._loops.items()}
         warnings = [f"{port.name} ({port.port}): {port.message}" for port in ports.values() if port.message]

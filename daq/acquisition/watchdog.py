@@ -54,14 +54,19 @@ READ_BYTES = 4096
 
 
 class Heartbeat:
-    """Heartbeat of the acquisition process to the watchdog.
+    """Sender of the heartbeats of the acquisition process to the watchdog, with a check of the watchdog's answers.
 
-    Only the constructor raises errors. Later failures are stored in `trouble`: why the watchdog would not step in;
-    empty while it works. The watchdog answers heartbeats. It counts as hanging if it does not answer for `ANSWER_S`.
+    Only the constructor raises errors. Later failures are stored in `trouble`. The watchdog counts as hanging if it
+    does not answer for `ANSWER_S`.
+
+    Attributes
+    ----------
+    trouble : str
+        Why the watchdog would not step in; empty while it works.
     """
 
     def __init__(self, sock: socket.socket, rig: Rig, log: Path) -> None:
-        """Wait until the watchdog is ready.
+        """Send the rig to the watchdog, and wait for up to `READY_S` until it is ready.
 
         Parameters
         ----------
@@ -70,7 +75,7 @@ class Heartbeat:
         rig : Rig
             The rig whose thrusters the watchdog brings to zero.
         log : Path
-            The log.
+            The log. The watchdog writes its note beside it.
 
         Raises
         ------
@@ -92,7 +97,7 @@ class Heartbeat:
         sock.setblocking(False)
 
     def beat(self, active: bool, now: float, at_once: bool = False) -> None:
-        """Send a heartbeat, and read the answers to earlier heartbeats.
+        """Send a heartbeat, and read the answers to earlier heartbeats. At most one is sent in `HEARTBEAT_S`.
 
         Parameters
         ----------
@@ -109,7 +114,11 @@ class Heartbeat:
             self._hear(now)
 
     def _hear(self, now: float) -> None:
-        """Read answers of the watchdog. Set `trouble` if there was no answer for `ANSWER_S`."""
+        """Read the answers of the watchdog. Set `trouble` if there was no answer for `ANSWER_S`.
+
+        `now` is a monotonic time [s]. If this process itself was stopped since the last call, the time without an
+        answer starts anew.
+        """
         with contextlib.suppress(OSError):
             if self._socket.recv(READ_BYTES):
                 self._unanswered_since = math.inf
@@ -124,7 +133,10 @@ class Heartbeat:
         self._send(FINISHED)
 
     def _send(self, word: bytes) -> None:
-        """Send one byte without waiting. Set `trouble` if the watchdog is gone."""
+        """Send one byte, `ACTIVE`, `IDLE` or `FINISHED`, without waiting. Set `trouble` if the watchdog is gone.
+
+        A full buffer is ignored.
+        """
         try:
             self._socket.send(word)
         except BlockingIOError:
@@ -134,7 +146,13 @@ class Heartbeat:
 
 
 class HeartbeatMonitor:
-    """Monitor of the heartbeats, which decides when the watchdog steps in. It reads no clock."""
+    """Monitor of the heartbeats, which decides when the watchdog steps in. It reads no clock.
+
+    Parameters
+    ----------
+    now : float
+        Monotonic time [s], from which the time without a heartbeat counts at first.
+    """
 
     def __init__(self, now: float) -> None:
         self._last_heartbeat = self._looked = now
@@ -142,6 +160,9 @@ class HeartbeatMonitor:
 
     def look(self, now: float, words: bytes | None) -> str | None:
         """Process the heartbeats that were received, and decide whether to step in.
+
+        The watchdog steps in only while thrust is commanded: if the socket is closed, or after `HANG_S` without a
+        heartbeat. A pause of the watchdog itself does not count.
 
         Parameters
         ----------
@@ -153,7 +174,8 @@ class HeartbeatMonitor:
         Returns
         -------
         str or None
-            A reason to step in, an empty string if the monitoring is over, or None to go on.
+            The reason to step in; an empty string if the monitoring is over (the acquisition process has finished, or
+            its socket is closed without thrust); None to go on.
         """
         if (pause := now - self._looked) > 3 * POLL_S:
             # A pause of the watchdog itself counts only as one poll, since heartbeats may wait unread.
@@ -173,10 +195,17 @@ class HeartbeatMonitor:
 class FailsafeSender(threading.Thread):
     """Thread that sends zero to the thrusters of one port, as soon as the port can be opened.
 
+    Parameters
+    ----------
+    device : Device
+        The device with the port.
+    rig : Rig
+        The rig with its thrusters.
+
     Attributes
     ----------
     outcome : str
-        Result in words.
+        Result in words: "not tried", "zero was sent", or the error of the port.
     """
 
     def __init__(self, device: Device, rig: Rig) -> None:
@@ -202,13 +231,16 @@ class FailsafeSender(threading.Thread):
         self._driver = make_driver(self._device, self._rig, self._decoder, LinkRole.RESCUE)
 
     def _zero(self) -> bytes:
-        """Return the bytes that command zero on all thrusters of the port."""
+        """Return the bytes that command zero to all thrusters of the port."""
         if self._driver is None:
             return self._frames
         return b"".join(data for data, _ in self._driver.zero(time.monotonic()))
 
     def run(self) -> None:
-        """Open the port, send zero for `ZERO_S`, and close the port. Retry for up to `OPEN_S`."""
+        """Open the port, send zero for `ZERO_S`, and close the port. After an error, retry for up to `OPEN_S`.
+
+        The result is stored in `outcome`.
+        """
         deadline = time.monotonic() + OPEN_S
         if self._driver is not None:
             with contextlib.suppress(SeatrialError):  # if the key file is gone, the first driver still has the key
@@ -239,7 +271,10 @@ class FailsafeSender(threading.Thread):
 
 
 def main() -> None:
-    """Receive the rig from the acquisition process, then monitor it."""
+    """Receive the rig from the acquisition process, prepare the ports, and monitor the process until it ends.
+
+    If the hardware watchdog of the rig cannot be opened, the watchdog reports this and ends.
+    """
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)  # the watchdog ends only when the acquisition process has ended
     sock = socket.socket(fileno=int(sys.argv[1]))
@@ -266,7 +301,20 @@ def main() -> None:
 
 
 def _watch(sock: socket.socket, timer: HardwareWatchdog | None = None) -> str:
-    """Monitor the acquisition process. Return the reason to step in; empty if the process has finished."""
+    """Monitor the acquisition process until it ends or hangs, and answer its heartbeats.
+
+    Parameters
+    ----------
+    sock : socket.socket
+        Connection to the acquisition process.
+    timer : HardwareWatchdog, optional
+        Watchdog timer of the computer, which is restarted meanwhile; None if the rig has none.
+
+    Returns
+    -------
+    str
+        The reason to step in; empty if the process has finished.
+    """
     sock.setblocking(False)
     watch = HeartbeatMonitor(time.monotonic())
     while True:
@@ -290,7 +338,19 @@ def _watch(sock: socket.socket, timer: HardwareWatchdog | None = None) -> str:
 
 
 def _step_in(pid: int, log: Path, reason: str, senders: list[FailsafeSender]) -> None:
-    """Kill the process that hangs, send zero, and write the reason and the outcome beside the log."""
+    """Kill the acquisition process if it hangs, send zero, and write the reason and the outcome beside the log.
+
+    Parameters
+    ----------
+    pid : int
+        Process id of the acquisition process.
+    log : Path
+        The log; the note is `LOG.stop`.
+    reason : str
+        Reason from `HeartbeatMonitor.look`. If it contains "died", nothing is killed.
+    senders : list of FailsafeSender
+        One sender for each port with thrusters; their threads are started here.
+    """
     if "died" not in reason:
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.kill(pid, signal.SIGKILL)  # its end of the socket is open, so that the process id is still its own

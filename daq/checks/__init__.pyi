@@ -10,8 +10,8 @@ from .findings import findings_lines as findings_lines
 from .findings import findings_paragraphs as findings_paragraphs
 from .findings import findings_summary as findings_summary
 from .findings import worst_first as worst_first
+from .held_values import group_held_signals as group_held_signals
 from .held_values import held_signals as held_signals
-from .held_values import held_together as held_together
 from .held_values import is_measured as is_measured
 from .import_checks import too_many_rows_missing as too_many_rows_missing
 from .import_checks import unknown_times as unknown_times

@@ -22,7 +22,7 @@ class PredictedTrack:
     x, y : Array (n_points,)
         Position north and east of the start [m].
     source : str
-        Source of the prediction, in words.
+        Source of the prediction in words, for example the name of the model.
     radius : Array (n_points,), optional
         Radius [m] of the circle around each point that contains the boat with a probability of 95 %. None if it is not
         predicted.
@@ -67,12 +67,12 @@ class DryRun:
 
 @dataclass(frozen=True)
 class CheckReport:
-    """Result of a check.
+    """Result of a check: findings, and for a mission its dry run. It is the data of the page.
 
     Attributes
     ----------
     subject : str
-        Name of the checked file, or of several files.
+        Name of the checked file; names of several files are separated by commas.
     findings : tuple of Finding
         The findings.
     logs : tuple of Path
@@ -80,7 +80,7 @@ class CheckReport:
     rig : str, optional
         Name of the rig; None if logs were checked.
     mission : DryRun, optional
-        Dry run of the mission, if one was checked.
+        Dry run of the mission; None if no mission was checked.
     """
 
     subject: str

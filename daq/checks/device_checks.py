@@ -26,7 +26,7 @@ from seatrial.daq.sensor_limits import FLAGGED_SHARE, STUCK_IN_LOG, can_be_stuck
 Tables = list[tuple[type, str, Any]]  # kind of sample, name in findings, table
 FloatArray = npt.NDArray[np.float64]
 RATE_TOLERANCE = 0.2  # part of the expected rate by which the measured rate may differ
-WRONG_RATE = "the device's output rate, its baud rate, or rate_hz of the rig"
+WRONG_RATE = "check the device's output rate, its baud rate, and rate_hz of the rig"
 # An autopilot sends at its own rates until it receives our request after its first heartbeat. This part of a log, at
 # most this many seconds, is left out of its rate.
 UNASKED, UNASKED_S = 1.0 / 3.0, 10.0
@@ -53,7 +53,7 @@ LEAST = 200  # smallest number of time stamps whose digits are checked
 
 
 def check_devices(log: Log) -> Iterator[Finding]:
-    """Yield all findings on the devices of an open log."""
+    """Yield all findings on the devices of an open log, and on the log itself: damage and clocks that ran back."""
     rig = log.rig
     for text in log.warnings:
         yield Finding(
@@ -61,30 +61,42 @@ def check_devices(log: Log) -> Iterator[Finding]:
         )
     for text in (text for _, kind, text in log.events() if kind == "clock"):
         source, _, text = text.partition(": ")
-        yield Finding(FAULT, "clock-ran-back", "clock", source, text, "import the parts before and after it separately")
+        yield Finding(
+            FAULT, "clock-ran-back", "clock", source, text, "import the parts before and after the step separately"
+        )
     for topic, (n, longest) in log.clock_steps.items():
         text = f"its times ran back {counted(n, 'time')}, by up to {longest:.1f} s"
-        yield Finding(FAULT, "clock-ran-back", "clock", topic, text, "two clocks, or one that was set?")
-    for source, tables in _tables(log).items():
+        yield Finding(
+            FAULT,
+            "clock-ran-back",
+            "clock",
+            topic,
+            text,
+            "the times come from two clocks, or from one that was set: import each part by itself",
+        )
+    for source, tables in _tables_by_device(log).items():
         tables = [row for row in tables if len(row[2])]  # a part of a log may contain no sample of a kind
         device = next((d for d in rig.devices if d.name == source), None) if rig else None
         timing: list[Finding] = []
         for _, name, table in tables:
             timing += check_timestamps(name, table, log.end if rig else None, rig.speed if rig else 1.0)
-        yield from _rate(source, device, log, tables, any(f.code == "sections-missing" for f in timing))
+        yield from _check_rate(source, device, log, tables, any(f.code == "sections-missing" for f in timing))
         yield from timing
         for kind, name, table in tables:
-            yield from _stuck(kind, name, table)
-            yield from _VALUES.get(kind, _no_findings)(name, table, rig)
-        yield from _port(source, log)
-    yield from _absent(log, rig)
+            yield from _check_stuck(kind, name, table)
+            yield from _VALUE_CHECKS.get(kind, _no_findings)(name, table, rig)
+        yield from _check_port_counters(source, log)
+    yield from _check_devices_present(log, rig)
     yield from check_thruster_coverage(log)
-    yield from _controllers(log)
-    yield from _imported(log)
+    yield from _check_shaft_speeds(log)
+    yield from _check_imported_signals(log)
 
 
-def _tables(log: Log) -> dict[str, Tables]:
-    """Return the tables of samples by device. An autopilot that sends only its state has no table."""
+def _tables_by_device(log: Log) -> dict[str, Tables]:
+    """Return the tables of samples of each device by name of the device.
+
+    Speed controllers have a table for each node. An autopilot that sends only its state has an empty list.
+    """
     found: dict[str, Tables] = {}
     for kind in (Ahrs, Gnss, LoadCell, Battery):
         for source in log.sources(kind):
@@ -98,8 +110,11 @@ def _tables(log: Log) -> dict[str, Tables]:
     return found
 
 
-def _absent(log: Log, rig: Rig | None) -> Iterator[Finding]:
-    """Yield a finding for each device of the rig without a sample. Commands to a device do not count as samples."""
+def _check_devices_present(log: Log, rig: Rig | None) -> Iterator[Finding]:
+    """Yield a finding for each device of the rig without a sample in the log; none if the log has no rig.
+
+    Commands to a device do not count as samples.
+    """
     topics = [name.split("/")[1:] for name in log.counts]
     present = {parts[0] for parts in topics if len(parts) > 1 and parts[-1] != "command"}
     for device in rig.devices if rig else ():
@@ -110,14 +125,25 @@ def _absent(log: Log, rig: Rig | None) -> Iterator[Finding]:
                 "alive",
                 device.name,
                 "the log contains no sample of it",
-                "power, cable, port, baud rate",
+                "check power, cable, port and baud rate",
             )
 
 
-def _rate(source: str, device: Device | None, log: Log, tables: Tables, gaps_known: bool) -> Iterator[Finding]:
-    """Compare the rate of the samples with `rate_hz` of the rig.
+def _check_rate(source: str, device: Device | None, log: Log, tables: Tables, gaps_known: bool) -> Iterator[Finding]:
+    """Yield the finding on the rate of the samples of one device, compared with `rate_hz` of the rig.
 
-    `gaps_known`: a finding reports missing sections already. They are then left out of the rate.
+    Parameters
+    ----------
+    source : str
+        Name of the device.
+    device : Device or None
+        Device of the rig; None if the rig lacks it. The rate is then reported and not compared.
+    log : Log
+        The log.
+    tables : Tables
+        Tables of its samples.
+    gaps_known : bool
+        Whether another finding reports missing sections. The sections are then left out of the rate.
     """
     # In an imported tlog the ground station has set the rates, so that `rate_hz` does not apply.
     ours = device is not None and (device.protocol != "mavlink" or log.metadata.get("import") != "mavlink")
@@ -129,7 +155,7 @@ def _rate(source: str, device: Device | None, log: Log, tables: Tables, gaps_kno
     if t.size < 3 or t[-1] == t[0]:
         if tables:
             yield Finding(
-                FAULT, "too-few-samples", "rate", source, f"{t.size} samples in all", "power, cable, protocol"
+                FAULT, "too-few-samples", "rate", source, f"{t.size} samples in all", "check power, cable and protocol"
             )
         return
     if device is not None and device.protocol == "mavlink" and ours:
@@ -152,9 +178,9 @@ def _rate(source: str, device: Device | None, log: Log, tables: Tables, gaps_kno
 
 
 def _rated_times(device: Device | None, tables: Tables) -> FloatArray:
-    """Return the sorted times of the samples that count for the rate, as in the live table.
+    """Return the sorted times (n,) [s] of the samples that count for the rate of a device, as in the live table.
 
-    Without a device, which has `rate_hz`, all samples count.
+    If `device` is None, all samples count.
     """
     with_attitudes = any(kind is Ahrs and np.isfinite(table["yaw"]).any() for kind, _, table in tables)
     found = [np.empty(0)]
@@ -164,12 +190,15 @@ def _rated_times(device: Device | None, tables: Tables) -> FloatArray:
     return np.sort(np.concatenate(found))
 
 
-def _stuck(kind: type, name: str, table: Any) -> Iterator[Finding]:
-    """Yield a finding if all values of a sensor stay exactly the same for too long."""
+def _check_stuck(kind: type, name: str, table: Any) -> Iterator[Finding]:
+    """Yield a finding on the longest interval in which all values of a sensor stay exactly the same for too long.
+
+    `kind` is the kind of the samples. Kinds without limits in STUCK_IN_LOG are not checked.
+    """
     if kind not in STUCK_IN_LOG:
         return
     start = float(table["t"][0])
-    alive = _can_be_stuck(kind, table)
+    alive = _rows_that_can_be_stuck(kind, table)
     table = table if alive.all() else table[alive]
     # An autopilot sends attitudes and accelerations in different rows. Each row is compared only with rows that lack
     # the same columns. A bit mask stands for the missing columns, since np.unique of rows takes sixty times as long.
@@ -177,7 +206,7 @@ def _stuck(kind: type, name: str, table: Any) -> Iterator[Finding]:
     for k, column in enumerate(STUCK_IN_LOG[kind].fields):
         form |= np.isnan(table[column]).view(np.uint8) << k
     forms = np.flatnonzero(np.bincount(form))
-    found = [run for f in forms for run in _holds(kind, table if forms.size == 1 else table[form == f])]
+    found = [run for f in forms for run in _constant_intervals(kind, table if forms.size == 1 else table[form == f])]
     if found:
         since, until = max(found, key=lambda run: run[1] - run[0])
         text = f"the same reading for {until - since:.1f} s, from {since - start:.1f} s on"
@@ -187,12 +216,12 @@ def _stuck(kind: type, name: str, table: Any) -> Iterator[Finding]:
             "stuck",
             name,
             text,
-            "the sensor hangs: power cycle, firmware, or its filter's settings",
+            "the sensor hangs: switch it off and on, and check its firmware and the settings of its filter",
         )
 
 
-def _can_be_stuck(kind: type, table: Any) -> Any:
-    """Return for each row of a table whether its values would change if the sensor worked.
+def _rows_that_can_be_stuck(kind: type, table: Any) -> Any:
+    """Return a mask (n,): for each row of a table, whether its values would change if the sensor worked.
 
     For a load cell these are the rows that are not at rest, because under load even coarse counts flicker.
     """
@@ -203,7 +232,10 @@ def _can_be_stuck(kind: type, table: Any) -> Any:
 
 
 def _smallest_step(counts: Any) -> float:
-    """Return the smallest step between two counts. If all counts are equal, return the unit of their last digit."""
+    """Return the smallest step between two successive counts of a load cell, in counts.
+
+    If all counts are equal, return the unit of their last digit, such as 0.01 for 12.34.
+    """
     steps = np.abs(np.diff(counts))
     if (steps := steps[steps > 0.0]).size:
         return float(steps.min())
@@ -211,8 +243,11 @@ def _smallest_step(counts: Any) -> float:
     return 10.0 ** -next(digits, MOST_DIGITS)
 
 
-def _holds(kind: type, table: Any) -> Iterator[tuple[float, float]]:
-    """Yield begin and end [s] of each interval in which the same reading is repeated for too long."""
+def _constant_intervals(kind: type, table: Any) -> Iterator[tuple[float, float]]:
+    """Yield begin and end [s] of each interval in which all compared columns of a table repeat their values too long.
+
+    The smallest number of samples and the shortest duration come from STUCK_IN_LOG. NaN equals NaN.
+    """
     columns, samples, seconds = STUCK_IN_LOG[kind]
     same = np.ones(max(len(table) - 1, 0), dtype=bool)
     for column in columns:
@@ -227,11 +262,11 @@ def _holds(kind: type, table: Any) -> Iterator[tuple[float, float]]:
             yield since, until
 
 
-def _ahrs(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
-    """Yield the findings on noise, specific force and mounting of an AHRS."""
+def _check_ahrs(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
+    """Yield the findings on noise, specific force and mounting of an AHRS. `rig` is not used."""
     is_quiet, noises = True, dict[str, float]()
     for column, (limit, unit) in NOISE.items():
-        noise = noises[column] = white(_finite(table, column))
+        noise = noises[column] = white_noise_sd(_finite_values(table, column))
         if noise > limit:
             is_quiet = False
             text = f"{column} has white noise of {noise:.2g} {unit}, expected below {limit:.2g}"
@@ -241,7 +276,7 @@ def _ahrs(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
                 "noise",
                 name,
                 text,
-                "vibration, mounting, interference; or the unit of that value",
+                "check vibration, mounting and interference, and the unit of the value",
             )
     yaw, rate = noises["yaw"], noises["r"]
     if is_quiet and math.isfinite(rate):
@@ -261,7 +296,7 @@ def _ahrs(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
             "units",
             name,
             f"specific force is {g:.3g} m/s2 and not 9.81{cause}",
-            "its output settings",
+            "check the output settings of the sensor",
         )
     tilt = max(abs(float(np.nanmedian(table[c]))) if np.isfinite(table[c]).any() else 0.0 for c in ("roll", "pitch"))
     if tilt > 0.35:
@@ -272,46 +307,59 @@ def _ahrs(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
             "mounting",
             name,
             text,
-            "axes forward, starboard, down? check its reference frame",
+            "its axes must be forward, starboard, down: check its mounting and its reference frame",
         )
 
 
-def _finite(table: Any, column: str) -> FloatArray:
-    """Return the finite values of a column. Headings are unwrapped."""
+def _finite_values(table: Any, column: str) -> FloatArray:
+    """Return the finite values of a column, in order. Values of the column `yaw` are unwrapped [rad]."""
     values: FloatArray = table[column][np.isfinite(table[column])]
     return np.unwrap(values) if column == "yaw" else values
 
 
-def white(values: FloatArray) -> float:
+def white_noise_sd(values: FloatArray) -> float:
     """Estimate the standard deviation of the white noise of a signal that changes slowly.
 
     Parameters
     ----------
     values : Array (n_samples,)
-        The signal.
+        The signal, in any unit.
 
     Returns
     -------
     float
-        Robust estimate from the median of the second differences; NaN for fewer than 23 samples.
+        Robust estimate, in the unit of the signal, from the median of the second differences; NaN if fewer than 21 of
+        these are finite.
     """
     second = np.diff(values, 2)
     second = second[np.isfinite(second)]
     return float(np.median(np.abs(second)) / 0.6745 / math.sqrt(6.0)) if second.size > 20 else math.nan
 
 
-def _gnss(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
-    """Yield the findings on the fixes and satellites of a GNSS receiver."""
+def _check_gnss(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
+    """Yield the findings on the fixes and satellites of a GNSS receiver. `rig` is not used."""
     at_zero = (table["fix"] >= 2) & (table["lat"] == 0.0) & (table["lon"] == 0.0)
     if at_zero.any():
         first = float(table["t"][int(np.argmax(at_zero))] - table["t"][0])
         text = f"{counted(int(at_zero.sum()), 'position')} at 0 N 0 E left out, the first at {first:.1f} s"
-        yield Finding(WARNING, "fixes-at-zero", "fix", name, text, "its receiver reports a fix that it does not have")
+        yield Finding(
+            WARNING,
+            "fixes-at-zero",
+            "fix",
+            name,
+            text,
+            "the receiver reports a fix that it does not have; its positions at 0 N 0 E are not used",
+        )
     fixes = (table["fix"] >= 2) & ~at_zero
     if np.mean(~fixes) > NO_FIX:
         text = f"no position in {100 * np.mean(~fixes):.0f} % of the epochs"
         yield Finding(
-            WARNING if fixes.any() else FAULT, "position-missing", "fix", name, text, "open sky, antenna and its cable"
+            WARNING if fixes.any() else FAULT,
+            "position-missing",
+            "fix",
+            name,
+            text,
+            "check the antenna, its cable, and its view of the sky",
         )
     used = table["n_sat"][(table["n_sat"] >= 0) & fixes]
     if used.size and np.median(used) < FEW_SATELLITES:
@@ -321,74 +369,112 @@ def _gnss(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
             "fix",
             name,
             f"{np.median(used):.0f} satellites",
-            "open sky, antenna and its cable",
+            "check the antenna, its cable, and its view of the sky",
         )
 
 
-def _esc(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
-    """Yield the finding on the voltage that a speed controller reports."""
+def _check_esc_voltage(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
+    """Yield the finding on the voltage of a speed controller: the median of its last 20 values against the rig's limit.
+
+    There is no finding if the rig has no limit or the controller reports no voltage.
+    """
     lowest = None if rig is None else rig.limits.voltage_min_v
     volts = table["voltage"][np.isfinite(table["voltage"])]
     if lowest is not None and volts.size:
-        yield _voltage(name, float(np.median(volts[-20:])), lowest)
+        yield _voltage_finding(name, float(np.median(volts[-20:])), lowest)
 
 
-def _voltage(name: str, volts: float, lowest: float) -> Finding:
-    """Return the finding on a voltage and its lower limit [V]."""
+def _voltage_finding(name: str, volts: float, lowest: float) -> Finding:
+    """Return the finding on a voltage and its lower limit [V]: fault below the limit, warning within 5 % above it."""
     if volts < lowest:
-        return Finding(FAULT, "voltage-low", "battery", name, f"{volts:.1f} V, limit {lowest:g}", "charge it")
+        return Finding(FAULT, "voltage-low", "battery", name, f"{volts:.1f} V, limit {lowest:g}", "charge the battery")
     near = volts < 1.05 * lowest
-    level, code, advice = (WARNING, "voltage-near-limit", "charge it soon") if near else (OK, "voltage-as-expected", "")
+    level, code, advice = (
+        (WARNING, "voltage-near-limit", "charge the battery soon") if near else (OK, "voltage-as-expected", "")
+    )
     return Finding(level, code, "battery", name, f"{volts:.1f} V, limit {lowest:g}", advice)
 
 
-def _cell(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
-    """Yield the finding on flagged readings of a load cell."""
+def _check_load_cell(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
+    """Yield a finding if too many readings of a load cell are flagged as saturated or as spikes. `rig` is not used."""
     bad = float(np.mean(table["flags"] != 0))
     if bad > FLAGGED_SHARE:
         text = f"{100 * bad:.0f} % of the readings are saturated or spikes"
         yield Finding(
-            WARNING, "load-cell-saturated", "load cell", name, text, "its supply and wires; beyond its range?"
+            WARNING,
+            "load-cell-saturated",
+            "load cell",
+            name,
+            text,
+            "check its supply and wires, and whether the load is beyond its range",
         )
 
 
-def _battery(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
-    """Yield the finding on the remaining charge of a battery."""
+def _check_battery(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
+    """Yield the finding on the last reported charge of a battery against the rig's limit; none if either is missing."""
     left, least = table["remaining"][-1], None if rig is None else rig.limits.battery_min
     if least is not None and np.isfinite(left):
         low = left < least
-        level, code, advice = (FAULT, "battery-low", "charge it") if low else (OK, "battery-as-expected", "")
+        level, code, advice = (FAULT, "battery-low", "charge the battery") if low else (OK, "battery-as-expected", "")
         yield Finding(level, code, "battery", name, f"{100 * left:.0f} % left, limit {100 * least:.0f}", advice)
 
 
-_VALUES = {Ahrs: _ahrs, Gnss: _gnss, Esc: _esc, LoadCell: _cell, Battery: _battery}
+_VALUE_CHECKS = {
+    Ahrs: _check_ahrs,
+    Gnss: _check_gnss,
+    Esc: _check_esc_voltage,
+    LoadCell: _check_load_cell,
+    Battery: _check_battery,
+}
 
 
 def _no_findings(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
+    """Return no finding, for kinds of samples whose values are not checked."""
     return iter(())
 
 
-def _port(source: str, log: Log) -> Iterator[Finding]:
-    """Yield the findings on the counters of a port: checksum errors, unparsed bytes, dropped samples, lost ports."""
+def _check_port_counters(source: str, log: Log) -> Iterator[Finding]:
+    """Yield the findings on the last counters of a device's port in the log.
+
+    The counters are those of checksum errors, unparsed bytes, dropped samples and lost ports. A log without counters of
+    the port has no finding.
+    """
     if source not in log.sources(PortHealth) or not (rows := log.health(source)):
         return
     last = rows[-1][1]
     if last.checksum_errors > max(1, 0.001 * last.frames):
         text = f"{last.checksum_errors} checksum errors in {last.frames} frames"
-        yield Finding(WARNING, "checksum-errors", "link", source, text, "ground, cable, two programs on one port")
+        yield Finding(
+            WARNING,
+            "checksum-errors",
+            "link",
+            source,
+            text,
+            "check ground and cable, and that only one program uses the port",
+        )
     if last.unparsed_bytes > 0.01 * last.bytes_in + 200:
         text = f"{last.unparsed_bytes} of {last.bytes_in} bytes not understood"
-        yield Finding(WARNING, "bytes-not-understood", "link", source, text, "baud rate; unexpected output")
+        yield Finding(
+            WARNING,
+            "bytes-not-understood",
+            "link",
+            source,
+            text,
+            "check the baud rate, and which messages the device sends",
+        )
     if last.dropped:
         text = f"{counted(last.dropped, 'sample')} dropped"
         yield Finding(WARNING, "samples-dropped", "link", source, text, "use a faster disk")
     if last.reconnects:
         text = f"its port was lost {counted(last.reconnects, 'time')}"
-        yield Finding(WARNING, "port-lost", "link", source, text, "plug and cable")
+        yield Finding(WARNING, "port-lost", "link", source, text, "check plug and cable")
 
 
-def _controllers(log: Log) -> Iterator[Finding]:
-    """Yield a finding for each shaft speed that does not change while the command changes."""
+def _check_shaft_speeds(log: Log) -> Iterator[Finding]:
+    """Yield a finding for each controller whose shaft speed stays equal for more than 2 s while its command changes.
+
+    Controllers without commands in the log, and a speed of zero, are not checked.
+    """
     for source in log.sources(Esc):
         for node in log.nodes(Esc, source):
             if node not in log.nodes(Command, source):
@@ -408,13 +494,21 @@ def _controllers(log: Log) -> Iterator[Finding]:
                 if during.size > 1 and np.ptp(during) > STEP:
                     text = f"{rpm[a]:.0f} rev/min for {t[b] - t[a]:.1f} s while its command changed"
                     yield Finding(
-                        FAULT, "shaft-speed-stuck", "stuck", f"{source} node {node}", text, "its sensor, or the bus"
+                        FAULT,
+                        "shaft-speed-stuck",
+                        "stuck",
+                        f"{source} node {node}",
+                        text,
+                        "check its speed sensor and the bus",
                     )
                     break
 
 
-def _imported(log: Log) -> Iterator[Finding]:
-    """Yield the findings on imported signals: rows left out, missing inputs, damaged time stamps, constant values."""
+def _check_imported_signals(log: Log) -> Iterator[Finding]:
+    """Yield the findings on imported signals.
+
+    They are about rows left out, missing inputs, damaged time stamps and outputs with constant values.
+    """
     by_map = log.attachments.get("import.toml", b"").replace(b"'", b'"')
     yield from check_rows_left_out(log.metadata)
     yield from check_missing_inputs(log)
@@ -426,10 +520,17 @@ def _imported(log: Log) -> Iterator[Finding]:
         # An imported command holds until the next one, so that a pause between commands is not a missing section.
         here = check_timestamps(source, table, None)
         yield from (f for f in here if f.check != "gap" or log.role(source) == "output")
-        yield from lost_zeros(source, table["t"])
+        yield from check_lost_zeros(source, table["t"])
         if len(table) > 20 and log.role(source) == "output" and np.nanstd(table["value"]) == 0.0:
             text = f"{table['value'][0]:g} all the time"
-            yield Finding(WARNING, "signal-constant", "stuck", source, text, "not connected, or another column")
+            yield Finding(
+                WARNING,
+                "signal-constant",
+                "stuck",
+                source,
+                text,
+                "check whether the sensor is connected, and the column in the import's map",
+            )
 
 
 def check_timestamps(name: str, table: Any, end: float | None, speed: float = 1.0) -> Iterator[Finding]:
@@ -460,24 +561,43 @@ def check_timestamps(name: str, table: Any, end: float | None, speed: float = 1.
             "time",
             name,
             text,
-            "its clock runs back or stands; import with its own rate instead",
+            "its clock runs back or stands still: import with rate_hz instead of the times",
         )
     elif repeated > BUNCHED and np.count_nonzero(pauses <= 0.0) >= BUNCHES:
         text = f"{100 * repeated:.0f} % of the samples came in bunches, their times are those of receipt"
         yield Finding(
-            WARNING, "samples-bunched", "time", name, text, "a busy computer, a bunching adapter (latency_timer)"
+            WARNING,
+            "samples-bunched",
+            "time",
+            name,
+            text,
+            "check the load of the computer, and latency_timer of the adapter",
         )
-        yield from _gaps(name, t[:-1][pauses > 0.0], pauses[pauses > 0.0], speed, imported)  # from bunch to bunch
+        yield from _check_gaps(name, t[:-1][pauses > 0.0], pauses[pauses > 0.0], speed, imported)  # from bunch to bunch
     else:
-        yield from _gaps(name, t, pauses, speed, imported)
+        yield from _check_gaps(name, t, pauses, speed, imported)
     if end is not None and end - t[-1] > SILENT_S * max(1.0, 0.2 * speed):
         text = f"nothing for the last {end - t[-1]:.0f} s of the log"
-        yield Finding(FAULT, "device-fell-silent", "silent", name, text, "power, cable, bus")
-    yield from _clock(name, table, speed)
+        yield Finding(FAULT, "device-fell-silent", "silent", name, text, "check power, cable and bus")
+    yield from _check_clock(name, table, speed)
 
 
-def _gaps(name: str, t: FloatArray, pauses: FloatArray, speed: float, imported: bool) -> Iterator[Finding]:
-    """Yield a finding if sections of the samples are missing."""
+def _check_gaps(name: str, t: FloatArray, pauses: FloatArray, speed: float, imported: bool) -> Iterator[Finding]:
+    """Yield a finding if there are pauses between samples that are too long, so that sections of the data are missing.
+
+    Parameters
+    ----------
+    name : str
+        Name of the device or signal.
+    t : Array (n,)
+        Times of the samples [s].
+    pauses : Array (n - 1,)
+        Times between successive samples [s].
+    speed : float
+        Run seconds per wall second.
+    imported : bool
+        Whether the signal is imported. Many long pauses of an imported signal are no missing sections.
+    """
     least = max(GAP_S, GAP_PERIODS * float(np.median(pauses)), 4.0 * WALL_JITTER_S * speed)
     long = np.flatnonzero(pauses > least)
     # An imported signal that is written only when it changes has many long pauses without a missing section.
@@ -485,11 +605,22 @@ def _gaps(name: str, t: FloatArray, pauses: FloatArray, speed: float, imported: 
         k = int(long[np.argmax(pauses[long])])
         missing = f"missing: {counted(long.size, 'section')}, {pauses[long].sum():.1f} s in all"
         text = f"{missing}, the longest at {t[k] - t[0]:.1f} s"
-        yield Finding(WARNING, "sections-missing", "gap", name, text, "cable, range of the link, a busy computer")
+        yield Finding(
+            WARNING,
+            "sections-missing",
+            "gap",
+            name,
+            text,
+            "check the cable, the range of the link, and the load of the computer",
+        )
 
 
-def _clock(name: str, table: Any, speed: float) -> Iterator[Finding]:
-    """Yield the findings on the clock of a device: jumps, delays and drift against the clock of the computer."""
+def _check_clock(name: str, table: Any, speed: float) -> Iterator[Finding]:
+    """Yield the findings on the clock of a device: jumps, delays and drift against the clock of the computer.
+
+    `table` has the columns t_rx and t_device [s]. With fewer than 50 times of the device nothing is checked. `speed` is
+    the number of run seconds per wall second.
+    """
     has_clock = np.isfinite(table["t_device"])
     if np.count_nonzero(has_clock) < 50:
         return
@@ -502,11 +633,11 @@ def _clock(name: str, table: Any, speed: float) -> Iterator[Finding]:
             "clock",
             name,
             text,
-            "the device restarted (power), or its clock was set by GNSS during the run",
+            "the device restarted (check its power), or its clock was set by GNSS during the run",
         )
         return
     offset = received - device
-    earliest = _earliest(received, offset)
+    earliest = _earliest_arrivals(received, offset)
     if earliest[0].size < 2:
         return
     jitter = 2.0 * WALL_JITTER_S * max(speed, 1.0)
@@ -520,7 +651,7 @@ def _clock(name: str, table: Any, speed: float) -> Iterator[Finding]:
             "clock",
             name,
             text,
-            "its clock was set during the run: leave that part out, or start later",
+            "its clock was set during the run: leave that part of the log out, or begin the log later",
         )
         return
     if late > max(SPREAD_S, jitter):
@@ -531,13 +662,13 @@ def _clock(name: str, table: Any, speed: float) -> Iterator[Finding]:
             "clock",
             name,
             text,
-            "a bunching adapter (latency_timer), a busy computer; its own clock is used",
+            "check latency_timer of the adapter and the load of the computer; the samples have the times of the device",
         )
     span = float(received[-1] - received[0])
     drift = float(np.polyfit(earliest[0] - received[0], earliest[1], 1)[0]) if earliest[0].size > 3 else 0.0
     if span > 60.0 and abs(drift) > max(DRIFT, jitter / span):
         text = f"its clock drifts by {1e6 * drift:.0f} ppm"
-        advice = f"its crystal, or a simulator; beyond {1e6 * ClockMap.SKEW_MAX:.0f} ppm its stamps jump"
+        advice = f"its crystal is bad, or it is a simulator; beyond {1e6 * ClockMap.SKEW_MAX:.0f} ppm its times jump"
         yield Finding(WARNING, "clock-drifts", "clock", name, text, advice)
     elif late <= max(SPREAD_S, jitter):
         yield Finding(
@@ -549,10 +680,11 @@ def _clock(name: str, table: Any, speed: float) -> Iterator[Finding]:
         )
 
 
-def _earliest(received: FloatArray, offset: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return receive time and clock offset [s] of the earliest arrival in each block of samples.
+def _earliest_arrivals(received: FloatArray, offset: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return receive time and clock offset [s] of the sample with the smallest offset in each block of samples.
 
-    The blocks of a slow device are longer.
+    A block lasts BLOCK_S, or BLOCK_SAMPLES median sample periods if that is longer. Blocks with fewer than three
+    samples are left out. `received` (n,) are receive times, and `offset` (n,) is receive time minus device time [s].
     """
     long = max(BLOCK_S, BLOCK_SAMPLES * float(np.median(np.diff(received))))
     block = ((received - received[0]) / long).astype(int)
@@ -562,10 +694,10 @@ def _earliest(received: FloatArray, offset: FloatArray) -> tuple[FloatArray, Flo
     return received[best], offset[best]
 
 
-def lost_zeros(name: str, t: FloatArray) -> Iterator[Finding]:
-    """Check whether the fractions of time stamps were written without leading zeros.
+def check_lost_zeros(name: str, t: FloatArray) -> Iterator[Finding]:
+    """Yield a finding if the fractions of time stamps were written without leading zeros.
 
-    No such time stamp lies in the first tenth of its second.
+    No such time stamp lies in the first tenth of its second. Fewer than LEAST time stamps are not checked.
 
     Parameters
     ----------
@@ -578,4 +710,6 @@ def lost_zeros(name: str, t: FloatArray) -> Iterator[Finding]:
     share = np.bincount(tenth, minlength=10)[:10] / max(t.size, 1)
     if t.size >= LEAST and share[0] < 0.002 and share[1:].min() > 0.03:
         text = f"none of {t.size} time stamps is in the first tenth of its second: leading zeros were lost"
-        yield Finding(FAULT, "lost-zeros", "time", name, text, '`fraction = "unpadded-ns"` in the import\'s map')
+        yield Finding(
+            FAULT, "lost-zeros", "time", name, text, 'write `fraction = "unpadded-ns"` into the import\'s map'
+        )

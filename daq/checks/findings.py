@@ -46,8 +46,8 @@ def worst_first(findings: Iterable[Finding]) -> list[Finding]:
 
 
 def findings_lines(findings: Sequence[Finding]) -> list[str]:
-    """Return a table with one line for each finding."""
-    rows = zip(_heads(findings), findings, strict=True)
+    """Return one line for each finding: level, place, check, text and advice, in columns."""
+    rows = zip(_line_beginnings(findings), findings, strict=True)
     return [f"{head}{f.text}{f': {f.advice}' if f.advice else ''}" for head, f in rows]
 
 
@@ -66,7 +66,7 @@ def findings_paragraphs(findings: Sequence[Finding], width: int) -> list[str]:
     list of str
         The lines. The advice of each finding starts on a new line.
     """
-    heads = _heads(findings)
+    heads = _line_beginnings(findings)
     beside = len(heads[0]) <= width // 2 if heads else True
     indent = len(heads[0]) if heads and beside else LEVEL + 1
     lines = []
@@ -78,14 +78,14 @@ def findings_paragraphs(findings: Sequence[Finding], width: int) -> list[str]:
     return lines
 
 
-def _heads(findings: Sequence[Finding]) -> list[str]:
-    """Return level, place and check of each finding, padded to one length."""
+def _line_beginnings(findings: Sequence[Finding]) -> list[str]:
+    """Return the beginning of the line of each finding: level, place and check, padded to one length."""
     where_width = max((len(f.where) for f in findings), default=0)
     check_width = max((len(f.check) for f in findings), default=0)
     return [f"{f.level:<{LEVEL}} {f.where:<{where_width}}  {f.check:<{check_width}}  " for f in findings]
 
 
 def findings_summary(findings: Sequence[Finding]) -> str:
-    """Return the number of faults, warnings and other findings in words."""
+    """Return the numbers of findings in words, such as "1 fault, 2 warnings, 5 in order"."""
     count = {level: sum(f.level == level for f in findings) for level in (FAULT, WARNING, OK)}
     return f"{counted(count[FAULT], 'fault')}, {counted(count[WARNING], 'warning')}, {count[OK]} in order"

@@ -41,7 +41,7 @@ TOGETHER = (("x", "y"), ("vx", "vy"), ("u", "v"), ("ax", "ay"), ("speed_x", "spe
 
 
 class HeldValues(NamedTuple):
-    """Held values of a table.
+    """Rows of a table that have a measurement of a slow sensor; all other rows repeat its last value.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class HeldValues(NamedTuple):
 
 
 def held_values(columns: Sequence[FloatArray]) -> HeldValues | None:
-    """Find whether the values of a sensor are held.
+    """Decide from the values of one sensor whether they are held, and find the rows that have a measurement.
 
     Parameters
     ----------
@@ -68,22 +68,22 @@ def held_values(columns: Sequence[FloatArray]) -> HeldValues | None:
     HeldValues or None
         None if the rows are measurements, or if the data do not show whether values are held.
     """
-    changed = _changes(columns)
+    changed = _rows_of_change(columns)
     first = np.flatnonzero(changed)
     lengths = np.diff(first)  # without the last run, whose end is not known
     if lengths.size < FEWEST_RUNS:
         return None
-    mean = _pace(changed)
+    mean = _mean_rows_between_changes(changed)
     regular = (lengths >= 0.4 * mean) & (lengths <= 1.6 * mean + 1.0)
     own = lengths[lengths <= 3.0 * mean + 1.0]  # longer runs may come from a boat at rest or a sensor that pauses
     repeated, longer = 1.0 - own.size / float(own.sum()), float(np.mean(lengths > 1))
     if min(repeated, longer) < LEAST_REPEATED or float(np.mean(regular)) < LEAST_REGULAR:
         return None
-    single = _single_steps(columns, first[1:])
+    single = _share_of_single_steps(columns, first[1:])
     by_resolution = 0.5 * single * own.size  # repeats that are expected of measurements
     if single > MOST_SINGLE_STEPS or repeated * float(own.sum()) < TIMES_CHANCE * by_resolution:
         return None
-    return HeldValues(mean, _measurements(changed, mean))
+    return HeldValues(mean, _rows_of_measurement(changed, mean))
 
 
 def held_signals(t: FloatArray, signals: Mapping[str, FloatArray]) -> dict[str, HeldValues]:
@@ -107,12 +107,14 @@ def held_signals(t: FloatArray, signals: Mapping[str, FloatArray]) -> dict[str, 
     slowest = SLOWEST_S * (t.size - 1) / float(np.ptp(t))  # rows
     groups = [tuple(n for n in names if n in signals) for names in TOGETHER]
     groups = [g for g in groups if g] + [(n,) for n in signals if not any(n in names for names in TOGETHER)]
-    changed = {g: _changes([signals[n] for n in g]) for g in groups}
+    changed = {g: _rows_of_change([signals[n] for n in g]) for g in groups}
     held = []
     for g in groups:
         if (values := held_values([signals[n] for n in g])) is not None and values.rows <= slowest:
             held.append(g)
-    sensors = {g: np.logical_or.reduce([changed[o] for o in held if _alike(changed[g], changed[o])]) for g in held}
+    sensors = {
+        g: np.logical_or.reduce([changed[o] for o in held if _change_together(changed[g], changed[o])]) for g in held
+    }
     found: dict[str, HeldValues] = {}
     for g in groups:
         sensor = sensors.get(g)
@@ -120,8 +122,8 @@ def held_signals(t: FloatArray, signals: Mapping[str, FloatArray]) -> dict[str, 
             within = [mask for mask in sensors.values() if np.mean(mask[changed[g]]) >= WITHIN]
             sensor = min(within, key=np.sum, default=None)
         if sensor is not None:
-            mean = _pace(sensor)
-            found.update(dict.fromkeys(g, HeldValues(mean, _measurements(sensor, mean))))
+            mean = _mean_rows_between_changes(sensor)
+            found.update(dict.fromkeys(g, HeldValues(mean, _rows_of_measurement(sensor, mean))))
     return found
 
 
@@ -140,7 +142,7 @@ def is_measured(levels: FloatArray, interval: float) -> bool:
     return len(levels) >= FEWEST_LEVELS and different > LEAST_DIFFERENT and interval <= SLOWEST_INPUT_S
 
 
-def held_together(found: Mapping[str, HeldValues]) -> list[tuple[str, HeldValues]]:
+def group_held_signals(found: Mapping[str, HeldValues]) -> list[tuple[str, HeldValues]]:
     """Join the names of held signals with equal numbers of measurements, which mostly come from one sensor.
 
     Parameters
@@ -159,13 +161,16 @@ def held_together(found: Mapping[str, HeldValues]) -> list[tuple[str, HeldValues
     return [(", ".join(names), found[names[0]]) for names in groups.values()]
 
 
-def _pace(changed: Mask) -> float:
-    """Return the mean number of rows from one change to the next. Long pauses are left out."""
+def _mean_rows_between_changes(changed: Mask) -> float:
+    """Return the mean number of rows from one change to the next.
+
+    `changed` (n,) is true in rows of change. Distances of more than three times the median are left out.
+    """
     lengths = np.diff(np.flatnonzero(changed))
     return float(np.mean(lengths[lengths <= 3.0 * np.median(lengths)]))
 
 
-def _changes(columns: Sequence[FloatArray]) -> Mask:
+def _rows_of_change(columns: Sequence[FloatArray]) -> Mask:
     """Return a mask (n,) of rows in which a column differs from the previous row. The first row is included."""
     new = np.zeros(len(columns[0]), bool)
     new[:1] = True
@@ -174,8 +179,12 @@ def _changes(columns: Sequence[FloatArray]) -> Mask:
     return new
 
 
-def _single_steps(columns: Sequence[FloatArray], rows: npt.NDArray[np.intp]) -> float:
-    """Return the share of the changes, at `rows`, that are at most one step of the resolution in every column."""
+def _share_of_single_steps(columns: Sequence[FloatArray], rows: npt.NDArray[np.intp]) -> float:
+    """Return the share, 0 to 1, of the changes that are at most one step of the resolution in every column.
+
+    `columns` are the values (n,) of each signal, and `rows` are the rows of change. The resolution of a column is its
+    smallest change.
+    """
     small = np.ones(rows.size, bool)
     for column in columns:
         steps = np.abs(column[rows] - column[rows - 1])
@@ -185,7 +194,7 @@ def _single_steps(columns: Sequence[FloatArray], rows: npt.NDArray[np.intp]) -> 
     return float(np.mean(small))
 
 
-def _measurements(changed: Mask, period: float) -> Mask:
+def _rows_of_measurement(changed: Mask, period: float) -> Mask:
     """Return a mask (n,) of rows with a measurement.
 
     These are the rows of changes. In a run that is much longer than a period [rows], a row in each period is added,
@@ -198,6 +207,9 @@ def _measurements(changed: Mask, period: float) -> Mask:
     return new
 
 
-def _alike(a: Mask, b: Mask) -> bool:
-    """Return whether two signals change in mostly the same rows, so that they come from one sensor."""
+def _change_together(a: Mask, b: Mask) -> bool:
+    """Return whether two signals change in mostly the same rows, so that they come from one sensor.
+
+    `a` and `b` are masks (n,) of the rows of change. At least SAME_ROWS of all rows of change must be common.
+    """
     return float(np.sum(a & b)) >= SAME_ROWS * float(np.sum(a | b))

@@ -43,7 +43,7 @@ def check_rows_left_out(metadata: Mapping[str, str]) -> Iterator[Finding]:
 
 
 def check_missing_inputs(log: Log) -> Iterator[Finding]:
-    """Yield a finding for each input that is unknown for some time, as an import marks it."""
+    """Yield a finding for each imported input of a log that is NaN for longer than `SHORTEST_GAP_S`."""
     for source in log.sources(Scalar):
         if log.role(source) != "input":
             continue
@@ -54,7 +54,7 @@ def check_missing_inputs(log: Log) -> Iterator[Finding]:
         first, longest = gaps[0][0] - log.start, max(end - begin for begin, end in gaps)
         text = f"unknown for {sum(end - begin for begin, end in gaps):.1f} s, in {counted(len(gaps), 'gap')}, from "
         text += f"{first:.1f} s on, the longest of {longest:.1f} s: a fit leaves these times out"
-        advice = 'nan = "zero" of the signal in the import\'s map, if the thruster stands then'
+        advice = 'give the signal nan = "zero" in the import\'s map, if the thruster stands still then'
         yield Finding(WARNING, "input-missing", "input", source, text, advice)
 
 
@@ -71,7 +71,7 @@ def unknown_times(t: npt.NDArray[np.float64], values: npt.NDArray[np.float64]) -
     Returns
     -------
     list
-        Begin and end [s] of each gap longer than `SHORTEST_GAP_S`: up to the next value, or to the end of the samples.
+        Begin and end [s] of each gap longer than `SHORTEST_GAP_S`. A gap ends at the next value, or at the last sample.
     """
     unknown = np.isnan(values).astype(np.int8)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], unknown, [0]])))
@@ -80,7 +80,7 @@ def unknown_times(t: npt.NDArray[np.float64], values: npt.NDArray[np.float64]) -
 
 
 def too_many_rows_missing(n: int, n_rows: int) -> bool:
-    """Return whether a log lacks too many rows to represent the recording.
+    """Return whether a log lacks too many rows to represent the recording: 5 rows or more, and more than 5 %.
 
     Parameters
     ----------
@@ -93,8 +93,9 @@ def too_many_rows_missing(n: int, n_rows: int) -> bool:
 
 
 _ADVICE = {
-    "repeats": "stamps that are coarser than the rows, as whole seconds are: time = {{ rate_hz = {rate} }} of the map",
-    "back": "sort the rows by their time; where a clock was set, or two clocks are mixed, import each part by itself; "
+    "repeats": "the stamps are coarser than the rows, as whole seconds are: "
+    "write time = {{ rate_hz = {rate} }} into the map",
+    "back": "sort the rows by their time; if a clock was set, or two clocks are mixed, import each part by itself; "
     "`fraction` of the map mends lost zeros",
-    "stamps": "the driver's clock, or a simulation that was set back: the log lacks these measurements",
+    "stamps": "check the clock of the driver; a simulation may have been set back. The log lacks these measurements",
 }

@@ -16,36 +16,54 @@ LONGEST_PAUSE_S = 60.0  # s; a longer time between two speeds is a gap of the lo
 FEWEST = 10  # smallest number of samples of the fastest controller from which rates are compared
 
 
-def _without_rpm_max(log: Log, rig: Rig) -> Iterator[Finding]:
-    """Yield a finding for each thruster whose speed cannot be normalised, because the rig lacks its rpm_max."""
+def _check_rpm_max(log: Log, rig: Rig) -> Iterator[Finding]:
+    """Yield a finding for each thruster whose speed cannot be normalised, because the rig lacks its rpm_max.
+
+    Only thrusters with a shaft speed above zero in the log count.
+    """
     for thruster in rig.thrusters:
         if np.isfinite(thruster.rpm_max) or thruster.node not in log.nodes(Esc, thruster.device):
             continue
         rpm = np.abs(log.table(Esc, thruster.device, thruster.node)["rpm"])
         if np.nanmax(rpm, initial=0.0) > 0.0:
             text = "the log contains its speed, but a fit uses its commands: the rig lacks its rpm_max"
-            advice = f"rpm_max of the rig's [[thruster]]; the log goes up to {np.nanmax(rpm):.0f} rev/min"
+            advice = f"give rpm_max in the rig's [[thruster]]; the log goes up to {np.nanmax(rpm):.0f} rev/min"
             yield Finding(WARNING, "rpm-max-missing", "thrusters", thruster.name, text, advice)
 
 
-def _numbering(rig: Rig, device: str, nodes: set[int], heard: set[int]) -> str:
-    """Return the advice on wrong numbers of the controllers of a bus."""
+def _numbering_advice(rig: Rig, device: str, nodes: set[int], heard: set[int]) -> str:
+    """Return the advice on wrong numbers (nodes) of the speed controllers of a bus.
+
+    Parameters
+    ----------
+    rig : Rig
+        The rig.
+    device : str
+        Name of the bus.
+    nodes : set of int
+        Numbers of the controllers in the rig.
+    heard : set of int
+        Numbers of the controllers that are in the log. If they differ by one constant on a DroneCAN bus, the advice is
+        that constant.
+    """
     offset = min(heard) - min(nodes)
     of_dronecan = any(d.name == device and d.protocol == "dronecan" for d in rig.devices)
     if of_dronecan and offset and {node + offset for node in nodes} == heard:
-        return f"index_offset = {offset} of the device, if telemetry and commands count from different numbers"
-    return "another number of a thruster in the rig?"
+        return f"give the device index_offset = {offset}, if telemetry and commands count from different numbers"
+    return "check `node` of the thrusters in the rig"
 
 
 def check_thruster_coverage(log: Log) -> Iterator[Finding]:
-    """Compare the nodes of each bus of speed controllers with the thrusters of the rig.
+    """Compare the speed controllers of each bus with the thrusters of the rig, and yield the findings.
 
-    Thrusters behind an autopilot are left out, and so are buses without any telemetry.
+    The findings are about unknown controllers, silent controllers, rates of controllers, and missing `rpm_max`.
+    Thrusters behind an autopilot are left out, and so are buses without any telemetry. A log without a rig has no
+    finding.
     """
     rig = log.rig
     if rig is None:
         return
-    yield from _without_rpm_max(log, rig)
+    yield from _check_rpm_max(log, rig)
     for device in log.sources(Esc):
         names = {t.node: t.name for t in rig.thrusters if t.device == device and t.output is None}
         heard = log.nodes(Esc, device)
@@ -55,15 +73,15 @@ def check_thruster_coverage(log: Log) -> Iterator[Finding]:
         listed = ", ".join(str(node) for node in unknown)
         for node in unknown:
             text = f"node {node} reports a speed, and no thruster of the rig has it"
-            advice = "`node` of the rig's thrusters, or another controller on the bus"
+            advice = "check `node` of the rig's thrusters; it may be another controller on the bus"
             yield Finding(WARNING, "node-unknown", "thrusters", device, text, advice)
         for node, name in names.items():
             # A silent node that was commanded is reported by another check (seatrial.ident.checks.log_checks).
             if node not in heard and node not in log.nodes(Command, device):
                 text = f"its controller, node {node} of {device}, is not in the log"
-                advice = "its power and cable"
+                advice = "check its power and cable"
                 if unknown:
-                    advice += f"; node {listed} is unknown: {_numbering(rig, device, set(names), set(heard))}"
+                    advice += f"; node {listed} is unknown: {_numbering_advice(rig, device, set(names), set(heard))}"
                 yield Finding(FAULT, "thruster-not-heard", "thrusters", name, text, advice)
         counts = {node: len(log.table(Esc, device, node)) for node in names if node in heard}
         most_samples = max(counts.values(), default=0)
@@ -76,7 +94,7 @@ def check_thruster_coverage(log: Log) -> Iterator[Finding]:
             rate = steps.size / float(steps.sum()) if steps.sum() > 0.0 else 0.0
             if n < SLOW * most_samples:
                 text = f"{n} speeds ({rate:.3g} Hz); another controller on {device} has {most_samples}"
-                advice = "bus load, its cable, its power"
+                advice = "check the load of the bus, and cable and power of the controller"
                 yield Finding(WARNING, "thruster-rate-low", "thrusters", names[node], text, advice)
             else:
                 yield Finding(OK, "thruster-rate-measured", "thrusters", names[node], f"{rate:.3g} Hz, node {node}")

@@ -25,15 +25,18 @@ FloatArray = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Segment:
-    """Named part of a mission. Each row of commands holds from its time to the time of the next row.
+    """Named segment of a mission, such as "static" or "steps up": rows of thruster commands over time.
+
+    The commands of a row hold from the time of the row to the time of the next row.
 
     Attributes
     ----------
     name : str
+        Name of the segment. Several segments of a mission may have the same name.
     t : Array (K,)
         Times of the rows since the start of the mission [s].
     n : Array (K, n_thrusters)
-        Commands, -1..1.
+        Commands, -1..1: 1 is full ahead. The columns are in the order of `Mission.thrusters`.
     """
 
     name: str
@@ -61,15 +64,16 @@ class Prediction:
     Attributes
     ----------
     model : str
-        Name of the model.
+        Name or path of the boat model that was simulated, such as "vehicle/model.toml".
     t : Array (K,)
-        Times [s].
+        Times since the start of the mission [s].
     x, y : Array (K,)
         Position north and east of the start [m]. The boat starts with heading north.
     radius : Array (K,)
         Distance from the track [m] within which 95 % of the simulated boats were.
     errors_before : Mapping
-        Standard errors of parameters before the mission by name. Parameters with an unknown error are missing.
+        Standard error of each model parameter before the mission, by name and in the unit of the parameter. Parameters
+        with an unknown error are missing.
     """
 
     model: str
@@ -80,42 +84,71 @@ class Prediction:
     errors_before: Mapping[str, float] = field(default_factory=dict)
 
     def __eq__(self, other: object) -> bool:
-        """Return whether names and numbers are equal."""
+        """Return whether the other object is a prediction with the same model, numbers and standard errors."""
         return isinstance(other, Prediction) and self._content() == other._content()
 
     def __hash__(self) -> int:
-        """Return a hash of the model's name and of the track."""
+        """Return a hash of the model's name and of the positions `x` and `y`."""
         return hash((self.model, self.x.tobytes(), self.y.tobytes()))
 
     def _content(self) -> tuple[object, ...]:
+        """Return all fields as lists and dictionaries, which `==` can compare."""
         arrays = (self.t.tolist(), self.x.tolist(), self.y.tolist(), self.radius.tolist())
         return (self.model, *arrays, dict(self.errors_before))
 
 
 @dataclass(frozen=True)
 class Mission:
-    """Content of one mission.toml. Times are in s from the start of the mission, commands are normalised to -1..1."""
+    """Content of one mission.toml. Times are in s from the start of the mission, commands are normalised to -1..1.
+
+    Attributes
+    ----------
+    name
+        Name of the mission.
+    kind
+        One of KINDS: "mission", "static", "steps" or "chirp".
+    thrusters
+        Names of the thrusters, in the order of the columns of the commands.
+    segments
+        Segments in the order of time.
+    end
+        Time [s] from which thrust is zero.
+    n_max
+        Largest magnitude of a command, 0..1.
+    slew_per_s
+        Largest rate of change of a command [1/s]; inf: no limit.
+    made_by
+        Command line that generated the mission.
+    seed
+        Seed of the random numbers; None if no random numbers were used.
+    predicted_errors
+        Predicted standard error of each model parameter after the mission, by name and in the unit of the parameter.
+    prediction
+        Predicted track; None if the mission was not designed by a model.
+    """
 
     name: str
-    kind: str  # one of KINDS
-    thrusters: tuple[str, ...]  # names, in the order of the columns of the commands
+    kind: str
+    thrusters: tuple[str, ...]
     segments: tuple[Segment, ...]
-    end: float  # s; thrust is zero from this time on
-    n_max: float = 1.0  # largest command
-    slew_per_s: float = math.inf  # 1/s, largest rate of change of a command; inf: no limit
-    made_by: str = ""  # command line that generated the mission
-    seed: int | None = None  # of the random numbers
-    predicted_errors: Mapping[str, float] = field(default_factory=dict)  # standard errors after the mission, by name
-    prediction: Prediction | None = None  # only of a designed mission
+    end: float
+    n_max: float = 1.0
+    slew_per_s: float = math.inf
+    made_by: str = ""
+    seed: int | None = None
+    predicted_errors: Mapping[str, float] = field(default_factory=dict)
+    prediction: Prediction | None = None
 
-    def starts(self) -> list[tuple[float, float, str]]:
-        """Return start [s], end [s] and name of each segment in order."""
+    def segment_times(self) -> list[tuple[float, float, str]]:
+        """Return start [s], end [s] and name of each segment in order. A segment ends at the start of the next one."""
         begins = [float(segment.t[0]) for segment in self.segments]
         ends = [*begins[1:], self.end]
         return [(t0, t1, s.name) for t0, t1, s in zip(begins, ends, self.segments, strict=True)]
 
     def setpoints(self) -> tuple[FloatArray, FloatArray]:
-        """Return all rows with the slew limit applied, and the final row of zeros.
+        """Return the commands of all segments with the slew limit applied, and a final row of zeros at `end`.
+
+        Rows at or after `end` are left out.
 
         Returns
         -------
@@ -138,9 +171,26 @@ class Mission:
 
 
 def _limit_slew(t: FloatArray, n: FloatArray, end: float, slew: float) -> tuple[FloatArray, FloatArray]:
-    """Replace steps by ramps with a rate of at most `slew` [1/s] and rows RAMP_DT apart. The next row ends a ramp.
+    """Return times and commands in which each step is replaced by a ramp of at most `slew` [1/s].
 
-    `t` has shape (K,) [s], `n` has shape (K, n_thrusters). The returned arrays may have more rows.
+    The first ramp starts from zero. The rows of a ramp are RAMP_DT apart. A ramp ends when it reaches its command, or
+    unfinished at the time of the next row.
+
+    Parameters
+    ----------
+    t : Array (K,)
+        Times of the rows [s].
+    n : Array (K, n_thrusters)
+        Commands, -1..1.
+    end : float
+        End of the mission [s], at which the last ramp ends at the latest.
+    slew : float
+        Largest rate of change of a command [1/s].
+
+    Returns
+    -------
+    tuple of Array
+        Times (M,) [s] and commands (M, n_thrusters), with M >= K.
     """
     now, last_t = np.zeros(n.shape[1]), -math.inf
     out_t: list[float] = []
@@ -160,7 +210,7 @@ def _limit_slew(t: FloatArray, n: FloatArray, end: float, slew: float) -> tuple[
 
 
 def load_mission(path: Path) -> Mission:
-    """Read and check a mission.toml.
+    """Read a mission.toml, check it and return its mission.
 
     Raises
     ------
@@ -178,7 +228,7 @@ def parse_mission(text: str, source: Path | str) -> Mission:
     text
         Text of the file.
     source
-        Path with which error messages begin.
+        Path of the file, with which error messages begin. The file itself is not read.
 
     Raises
     ------
@@ -188,23 +238,23 @@ def parse_mission(text: str, source: Path | str) -> Mission:
     root = parse_toml(text, source)
     root.text("format", choices=(FORMAT,))
     root.text("hold", "zero", choices=("zero",))
-    thrusters = _names(root, "thrusters")
+    thrusters = _read_thruster_names(root, "thrusters")
     provenance = root.table("provenance") or TomlTable({}, root.source)
     limits = root.table("limits") or TomlTable({}, root.source)
     end = root.table("end")
     if end is None:
-        raise root.error("end", "missing; from t of [end] on, thrust is zero")
+        raise root.error("end", "missing; add a table [end] with t, the time [s] from which thrust is zero")
     mission = Mission(
         name=root.line("name"),
         kind=root.text("kind", choices=KINDS),
         thrusters=thrusters,
-        segments=tuple(_segment(table, len(thrusters)) for table in root.tables("segment")),
+        segments=tuple(_read_segment(table, len(thrusters)) for table in root.tables("segment")),
         end=end.number("t"),
         n_max=limits.number("n_max", 1.0, high=1.0, positive=True),
         slew_per_s=limits.number("slew_per_s", positive=True) if limits.has("slew_per_s") else math.inf,
         made_by=provenance.line("made_by", ""),
         seed=provenance.integer("seed") if provenance.has("seed") else None,
-        predicted_errors=_predicted(provenance.table("predicted_errors")),
+        predicted_errors=_read_predicted_errors(provenance.table("predicted_errors")),
         prediction=parse_prediction(root.table("prediction")),
     )
     for table in (root, provenance, limits, end):
@@ -213,30 +263,39 @@ def parse_mission(text: str, source: Path | str) -> Mission:
     return mission
 
 
-def _items(table: TomlTable, key: str) -> TomlTable:
-    """Convert the items of a list to a table with the keys `key[1]`, `key[2]`, ..., so that errors name the item."""
+def _pop_list_items(table: TomlTable, key: str) -> TomlTable:
+    """Remove the list `key` from a table, and return its items as a table with the keys `key[1]`, `key[2]`, ...
+
+    With these keys an error message names the item of the list. A missing or empty list, or a value that is no list,
+    raises SeatrialError.
+    """
     value = table.values.pop(key, None)
     if not isinstance(value, list) or not value:
         raise table.error(key, "must be a list with at least one item")
     return TomlTable({f"{key}[{i}]": item for i, item in enumerate(value, start=1)}, table.source, table.where)
 
 
-def _names(root: TomlTable, key: str) -> tuple[str, ...]:
-    items = _items(root, key)
+def _read_thruster_names(root: TomlTable, key: str) -> tuple[str, ...]:
+    """Return the names in the list `key` of a mission. A name that appears twice raises SeatrialError."""
+    items = _pop_list_items(root, key)
     names = tuple(items.line(item) for item in items.values)
     if len(set(names)) < len(names):
-        raise root.error(key, "names a thruster twice")
+        raise root.error(key, "names a thruster twice; give each thruster once")
     return names
 
 
-def _predicted(table: TomlTable | None) -> dict[str, float]:
+def _read_predicted_errors(table: TomlTable | None) -> dict[str, float]:
+    """Return the standard errors in the table `predicted_errors` by name of parameter; empty if there is no table."""
     return {} if table is None else table.named_numbers()
 
 
-def _segment(table: TomlTable, n_thrusters: int) -> Segment:
-    """Read one [[segment]]. It must have one row per time, ascending times, and finite numbers."""
+def _read_segment(table: TomlTable, n_thrusters: int) -> Segment:
+    """Read one [[segment]] with `n_thrusters` commands in each row.
+
+    The segment must have one row per time, ascending times, and finite numbers; otherwise SeatrialError is raised.
+    """
     name, t = table.line("name"), np.array(table.numbers("t"), dtype=np.float64)
-    items = _items(table, "n")
+    items = _pop_list_items(table, "n")
     n = np.array([items.numbers(item, length=n_thrusters) for item in items.values], dtype=np.float64)
     table.done()
     if len(t) != len(n):
@@ -269,9 +328,11 @@ def parse_prediction(table: TomlTable | None) -> Prediction | None:
 
 
 def _check_order_and_size(mission: Mission, root: TomlTable) -> None:
-    """Check that segments are in order from t = 0 to the end, that no command exceeds n_max, and the slew limit.
+    """Raise SeatrialError if the segments of a mission do not follow each other, or if a value is beyond its limit.
 
-    `root` is the root table, for error messages.
+    The checks are: there is at least one segment, the times ascend from 0 s to the end of the mission, no command
+    exceeds `n_max`, and ramps by the slew limit have at most MAX_RAMP_ROWS rows. `root` is the root table of the file;
+    error messages name the file and the key by it.
     """
     if not mission.segments:
         raise root.error("segment", "missing; a mission needs at least one [[segment]]")
@@ -330,7 +391,7 @@ def save_new_mission(mission: Mission, path: Path) -> None:
 
 def dump_mission(mission: Mission) -> str:
     """Return the text of a mission.toml, from which `parse_mission` returns an equal mission."""
-    quoted = _quote
+    quoted = _toml_string
     lines = [
         f"format = {quoted(FORMAT)}",
         f"name = {quoted(mission.name)}",
@@ -350,15 +411,15 @@ def dump_mission(mission: Mission) -> str:
     lines += dump_prediction(mission.prediction) if mission.prediction is not None else []
     for segment in mission.segments:
         lines += ["", "[[segment]]", f"name = {quoted(segment.name)}"]
-        lines += [f"t = {_row(segment.t)}", "n = ["]
-        lines += [f"    {_row(row)}," for row in segment.n]
+        lines += [f"t = {_toml_array(segment.t)}", "n = ["]
+        lines += [f"    {_toml_array(row)}," for row in segment.n]
         lines.append("]")
     lines += ["", "[end]", f"t = {float(mission.end)!r}  # zero thrust from here on", ""]
     return "\n".join(lines)
 
 
 def dump_prediction(prediction: Prediction) -> list[str]:
-    """Return the lines of the table [prediction] of a mission.toml."""
+    """Return the lines of the table [prediction] of a mission.toml. The first line is empty."""
     rows = {"t": prediction.t, "x": prediction.x, "y": prediction.y, "radius": prediction.radius}
     errors = ", ".join(f"{tomlkit.item(k).as_string()} = {float(v)!r}" for k, v in prediction.errors_before.items())
     lines = ["", "[prediction]", f"model = {tomlkit.item(prediction.model).as_string()}"]
@@ -366,9 +427,11 @@ def dump_prediction(prediction: Prediction) -> list[str]:
     return [*lines, f"errors_before = {{{errors}}}"]
 
 
-def _quote(text: str) -> str:
+def _toml_string(text: str) -> str:
+    """Return a text as a TOML string in quotes, with special characters escaped."""
     return tomlkit.item(text).as_string()
 
 
-def _row(values: FloatArray) -> str:
+def _toml_array(values: FloatArray) -> str:
+    """Return numbers (K,) as a TOML array in one line, such as "[0.0, 0.5]", without rounding."""
     return "[" + ", ".join(repr(value) for value in values.tolist()) + "]"

@@ -42,7 +42,7 @@ HIGHEST_NODE = {"dronecan": 19}  # protocol -> largest node; a DroneCAN command 
 
 
 def load_rig(path: Path | str) -> Rig:
-    """Read and check a rig file.
+    """Read a rig file, check it and return its rig. Relative paths in the file count from the folder of the file.
 
     Raises
     ------
@@ -55,15 +55,18 @@ def load_rig(path: Path | str) -> Rig:
 
 
 def parse_rig(text: str, source: Path | str, *, recorded: bool = False) -> Rig:
-    """Check a rig file given as text.
+    """Check the text of a rig file and return its rig.
 
     Parameters
     ----------
+    text
+        Text of the file, in TOML.
     source
-        Path that error messages name. Relative paths in the text count from its folder.
+        Path of the file, which error messages name. The file itself is not read. Relative paths in the text count from
+        its folder.
     recorded
-        The rig is that of a log. A protocol that is not installed here is accepted, because the log contains its
-        samples.
+        True if the text comes from a log. A protocol that is not installed here is then accepted, because the log
+        contains its decoded samples, and the options of that device are not checked.
 
     Raises
     ------
@@ -75,22 +78,22 @@ def parse_rig(text: str, source: Path | str, *, recorded: bool = False) -> Rig:
     root = parse_toml(text, path)
     root.text("format", choices=(FORMAT,))
     name = root.line("name")
-    speed = _speed(root)
-    directory, segments = _log(root)
-    live = _live(root.table("live"))
-    ros2 = _ros2(root.table("ros2"))
-    devices = tuple(_device(table, folder, recorded) for table in root.tables("device"))
+    speed = _read_clock_speed(root)
+    directory, segments = _read_log(root)
+    live = _read_live(root.table("live"))
+    ros2 = _read_ros2(root.table("ros2"))
+    devices = tuple(_read_device(table, folder, recorded) for table in root.tables("device"))
     if not devices:
         raise root.error("device", "missing; a rig needs at least one [[device]]")
-    _unique(root, "device", [device.name for device in devices])
-    _own_ports(root, devices)
-    thrusters = tuple(_thruster(table, devices) for table in root.tables("thruster"))
-    _unique(root, "thruster", [thruster.name for thruster in thrusters])
-    _unique(root, "thruster", [f"{t.device} node {t.node}" for t in thrusters])
+    _check_unique(root, "device", [device.name for device in devices])
+    _check_ports_differ(root, devices)
+    thrusters = tuple(_read_thruster(table, devices) for table in root.tables("thruster"))
+    _check_unique(root, "thruster", [thruster.name for thruster in thrusters])
+    _check_unique(root, "thruster", [f"{t.device} node {t.node}" for t in thrusters])
     # An RC override has one value per channel, so two thrusters on one channel would get the command of the last one.
-    _unique(root, "thruster", [f"{t.device} rc_channel {t.output.rc_channel}" for t in thrusters if t.output])
-    limits = _limits(root.table("limits"))
-    vehicle = _vehicle(root.table("vehicle"))
+    _check_unique(root, "thruster", [f"{t.device} rc_channel {t.output.rc_channel}" for t in thrusters if t.output])
+    limits = _read_limits(root.table("limits"))
+    vehicle = _read_vehicle(root.table("vehicle"))
     timer = root.text("hardware_watchdog", "")
     root.done()
     return Rig(
@@ -100,14 +103,21 @@ def parse_rig(text: str, source: Path | str, *, recorded: bool = False) -> Rig:
 
 
 def default_decoder(protocol: str) -> Decoder:
-    """Return the decoder of a serial protocol with default values for all keys of its device."""
+    """Return a new decoder of a serial protocol, as for a device in whose table only the required keys are given.
+
+    Raises
+    ------
+    SeatrialError
+        If the protocol is unknown, needs a CAN bus, or needs a package that is not installed.
+    """
     device = f'[[device]]\nname = "a"\nprotocol = "{protocol}"\nport = "-"\nrate_hz = 1.0'
     text = f'format = "{FORMAT}"\nname = "-"\n{device}'
     rig = parse_rig(text, "-")
     return make_decoder(rig.devices[0], rig)
 
 
-def _speed(root: TomlTable) -> float:
+def _read_clock_speed(root: TomlTable) -> float:
+    """Return `speed` of the table [clock], in run seconds per wall second; 1 if the rig has no such table."""
     clock = root.table("clock")
     if clock is None:
         return 1.0
@@ -116,8 +126,12 @@ def _speed(root: TomlTable) -> float:
     return speed
 
 
-def _log(root: TomlTable) -> tuple[str, Segments]:
-    """Read the table [log]: the folder of the logs and their segments."""
+def _read_log(root: TomlTable) -> tuple[str, Segments]:
+    """Read the table [log]. Return the folder of the logs as written, and the rules by which a log is split into files.
+
+    Without the table they are "logs" and the default rules. `keep_gb` must fit LEAST_SEGMENTS files; otherwise
+    SeatrialError is raised.
+    """
     log = root.table("log")
     if log is None:
         return "logs", Segments()
@@ -130,14 +144,17 @@ def _log(root: TomlTable) -> tuple[str, Segments]:
     )
     if segments.keep_gigabytes is not None:
         if segments.megabytes is None and segments.seconds is None:
-            raise log.error("keep_gb", "needs a log in segments, the oldest is deleted: give segment_mb or segment_s")
+            raise log.error(
+                "keep_gb", "needs a log in segments, of which the oldest are deleted: give segment_mb or segment_s"
+            )
         if 1e3 * segments.keep_gigabytes < LEAST_SEGMENTS * (segments.megabytes or 0.0):
             raise log.error("keep_gb", f"must be at least {LEAST_SEGMENTS} segments of segment_mb")
     log.done()
     return directory, segments
 
 
-def _live(table: TomlTable | None) -> Live:
+def _read_live(table: TomlTable | None) -> Live:
+    """Read the table [live], the address of the server for Foxglove. Return the defaults if there is no table."""
     if table is None:
         return Live()
     port = table.integer("port", Live.port, low=0, high=65535)
@@ -146,15 +163,17 @@ def _live(table: TomlTable | None) -> Live:
     return live
 
 
-def _ros2(table: TomlTable | None) -> Ros2:
-    """Read the table [ros2]."""
+def _read_ros2(table: TomlTable | None) -> Ros2:
+    """Read the table [ros2], the connection to ROS 2. Return the defaults if there is no table."""
     if table is None:
         return Ros2()
     router, namespace = table.text("router", Ros2.router), table.text("namespace", Ros2.namespace)
     if not re.fullmatch(r"tcp/([\w.-]+|\[[0-9a-fA-F:]+\]):\d{1,5}", router, re.ASCII):
         raise table.error("router", f"must be tcp/HOST:PORT, not '{router}'")
     if namespace and not NAME.fullmatch(namespace):
-        raise table.error("namespace", f"'{namespace}' becomes a part of topics: a letter, then letters, digits or _")
+        raise table.error(
+            "namespace", f"'{namespace}' becomes a part of topics: use a letter, then letters, digits or _"
+        )
     settings = Ros2(
         router,
         table.integer("domain", Ros2.domain, low=0, high=232),
@@ -166,8 +185,8 @@ def _ros2(table: TomlTable | None) -> Ros2:
     return settings
 
 
-def _own_ports(root: TomlTable, devices: Sequence[Device]) -> None:
-    """Check that no two devices have the same port.
+def _check_ports_differ(root: TomlTable, devices: Sequence[Device]) -> None:
+    """Raise SeatrialError if two devices have the same port.
 
     Several devices may share a CAN interface of the kernel, and a connection to a remote address.
     """
@@ -177,26 +196,34 @@ def _own_ports(root: TomlTable, devices: Sequence[Device]) -> None:
             continue
         port = device.port.removeprefix("udpin:").removeprefix("udp:")
         if port in owner:
-            raise root.error("device", f"{owner[port]} and {device.name} have the same port, {device.port}")
+            raise root.error(
+                "device", f"{owner[port]} and {device.name} have the same port, {device.port}; give each its own"
+            )
         owner[port] = device.name
 
 
-def _unique(root: TomlTable, key: str, names: Sequence[str]) -> None:
+def _check_unique(root: TomlTable, key: str, names: Sequence[str]) -> None:
+    """Raise SeatrialError for the first name that appears twice. The message names `key`, such as "thruster"."""
     for name in names:
         if names.count(name) > 1:
-            raise root.error(key, f"'{name}' appears twice; give each its own")
+            raise root.error(key, f"'{name}' appears twice; give each {key} its own")
 
 
-def _name(table: TomlTable) -> str:
+def _read_topic_name(table: TomlTable) -> str:
+    """Return `name` of a device or thruster. It must consist of a letter, and then letters, digits or underscores."""
     name = table.text("name")
     if not NAME.fullmatch(name):
-        raise table.error("name", f"'{name}' becomes a topic of the log: a letter, then letters, digits or _")
+        raise table.error("name", f"'{name}' becomes a topic of the log: use a letter, then letters, digits or _")
     return name
 
 
-def _device(table: TomlTable, folder: Path, recorded: bool) -> Device:
-    """Read one [[device]]. If `recorded` is true, its protocol need not be installed (`parse_rig`)."""
-    name = _name(table)
+def _read_device(table: TomlTable, folder: Path, recorded: bool) -> Device:
+    """Read one [[device]]. Relative paths count from `folder`.
+
+    If `recorded` is true, the device is that of a log: its protocol need not be installed, and the options of an
+    unknown protocol are neither read nor checked.
+    """
+    name = _read_topic_name(table)
     protocol = table.text("protocol")
     if protocol not in BUILT_IN and not recorded:
         # Packages are searched for protocols only if one is needed: the search would delay the start of every run.
@@ -212,20 +239,24 @@ def _device(table: TomlTable, folder: Path, recorded: bool) -> Device:
             "protocol", f"{protocol} needs the Python module {row.module}: pip install 'seatrial[{protocol}]'"
         )
     # Without its protocol, port and options of a device of a log cannot be checked, and nothing opens them.
-    port = table.text("port") if row is None else _port(table, protocol, row.bus, folder)
+    port = table.text("port") if row is None else _read_port(table, protocol, row.bus, folder)
     baud = table.integer("baud", 115200, low=1)
     rate = table.number("rate_hz", positive=True)
     forward, starboard, down = table.numbers("lever_arm_m", (0.0, 0.0, 0.0), length=3)
     lever_arm = (forward, starboard, down)
     options: dict[str, Any] = {"bitrate": 0}
     if row is not None:
-        options |= read_options(table, row.options, folder)
+        options |= read_protocol_options(table, row.options, folder)
         table.done()
     return Device(name, protocol, port, baud, rate_hz=rate, lever_arm_m=lever_arm, **options)
 
 
-def _port(table: TomlTable, protocol: str, bus: str, folder: Path) -> str:
-    """Read the port of a device. Relative paths of serial devices count from `folder`."""
+def _read_port(table: TomlTable, protocol: str, bus: str, folder: Path) -> str:
+    """Return `port` of a device, checked for its protocol and its `bus` (`CAN` or serial).
+
+    Relative paths of serial devices, also behind "slcan:", are joined with `folder`. Names of CAN interfaces and
+    network addresses are returned as written.
+    """
     port = table.text("port")
     kind, colon, rest = port.partition(":")
     if bus == CAN:
@@ -233,13 +264,14 @@ def _port(table: TomlTable, protocol: str, bus: str, folder: Path) -> str:
             raise table.error("port", f"must be slcan:SERIAL or socketcan:NAME, not '{port}'")
         return port if kind == "socketcan" else f"slcan:{folder / rest}"
     if protocol == "mavlink" and kind in NET_KINDS:
-        return _address(table, port)
+        return _read_network_address(table, port)
     if not port or (colon and kind in ("slcan", "socketcan")):
         raise table.error("port", f"must be a serial device for protocol {protocol}, not '{port}'")
     return str(folder / port)
 
 
-def _address(table: TomlTable, port: str) -> str:
+def _read_network_address(table: TomlTable, port: str) -> str:
+    """Return the network address `port`, such as "udp:HOST:PORT", unchanged. A wrong one raises SeatrialError."""
     try:
         parse_address(port)
     except ValueError as error:
@@ -247,7 +279,7 @@ def _address(table: TomlTable, port: str) -> str:
     return port
 
 
-def read_options(table: TomlTable, names: Sequence[str], folder: Path) -> dict[str, Any]:
+def read_protocol_options(table: TomlTable, names: Sequence[str], folder: Path) -> dict[str, Any]:
     """Read the keys of a device that belong to its protocol.
 
     Parameters
@@ -262,7 +294,8 @@ def read_options(table: TomlTable, names: Sequence[str], folder: Path) -> dict[s
     Returns
     -------
     dict
-        Fields of `seatrial.daq.rig.Device` by name.
+        Fields of `seatrial.daq.rig.Device` by name. Keys that only a protocol of another package has are together in
+        the field `settings`, unchecked. The field is missing if the table has no such key.
 
     Raises
     ------
@@ -272,27 +305,35 @@ def read_options(table: TomlTable, names: Sequence[str], folder: Path) -> dict[s
     fields: dict[str, Any] = {}
     settings: dict[str, str | float | bool] = {}  # keys of a protocol of another package, which checks them itself
     for name in names:
-        if name in _READ:
-            fields |= _READ[name](table, folder)
+        if name in _OPTION_READERS:
+            fields |= _OPTION_READERS[name](table, folder)
         elif name in table.values:
             settings[name] = table.scalar(name)
     return {**fields, "settings": settings} if settings else fields
 
 
-def _bitrate(table: TomlTable, folder: Path) -> dict[str, Any]:
+# Each of the following functions reads one option of a protocol, and returns fields of `Device` by name. `folder` is
+# the folder from which relative paths count; most options do not need it.
+
+
+def _read_bitrate(table: TomlTable, folder: Path) -> dict[str, Any]:
+    """Read `bitrate` [bit/s] of a CAN bus; the default is 250 000 for NMEA 2000 and 500 000 otherwise."""
     usual = 250_000 if table.values.get("protocol") == "nmea2000" else 500_000
     return {"bitrate": table.integer("bitrate", usual, low=10_000)}
 
 
-def _own_node(table: TomlTable, folder: Path) -> dict[str, Any]:
+def _read_own_node(table: TomlTable, folder: Path) -> dict[str, Any]:
+    """Read `own_node`, the number of this computer on a DroneCAN bus, 1 to 127."""
     return {"own_node": table.integer("own_node", OWN_NODE, low=1, high=127)}
 
 
-def _index_offset(table: TomlTable, folder: Path) -> dict[str, Any]:
+def _read_index_offset(table: TomlTable, folder: Path) -> dict[str, Any]:
+    """Read `index_offset`, the number of a controller in its telemetry minus its number in commands, -19 to 19."""
     return {"index_offset": table.integer("index_offset", 0, low=-19, high=19)}
 
 
-def _pattern(table: TomlTable, folder: Path) -> dict[str, Any]:
+def _read_pattern(table: TomlTable, folder: Path) -> dict[str, Any]:
+    """Read `pattern`, the regular expression of the lines of a load cell, and check that it can be compiled."""
     pattern = table.text("pattern", DEFAULT_PATTERN)
     try:
         loadcell.compile_pattern(pattern)
@@ -301,12 +342,13 @@ def _pattern(table: TomlTable, folder: Path) -> dict[str, Any]:
     return {"pattern": pattern}
 
 
-def _saturation(table: TomlTable, folder: Path) -> dict[str, Any]:
+def _read_saturation(table: TomlTable, folder: Path) -> dict[str, Any]:
+    """Read `saturation`, the counts at which the converter of a load cell is at its limit; None if it is not given."""
     return {"saturation": table.maybe_number("saturation", low=1.0)}
 
 
-def _calibration(table: TomlTable, folder: Path) -> dict[str, Any]:
-    """Read the table [device.calibration] of a load cell."""
+def _read_calibration(table: TomlTable, folder: Path) -> dict[str, Any]:
+    """Read the table [device.calibration] of a load cell. Return no field if there is no table."""
     inner = table.table("calibration")
     if inner is None:
         return {}
@@ -320,33 +362,39 @@ def _calibration(table: TomlTable, folder: Path) -> dict[str, Any]:
     return {"calibration": calibration}
 
 
-def _declination(table: TomlTable, folder: Path) -> dict[str, Any]:
+def _read_declination(table: TomlTable, folder: Path) -> dict[str, Any]:
+    """Read `declination_deg`, the magnetic declination, and convert it to rad; None if it is not given."""
     degrees = table.maybe_number("declination_deg", low=-180.0, high=180.0)
     return {"declination": None if degrees is None else math.radians(degrees)}
 
 
-def _query(table: TomlTable, folder: Path) -> dict[str, Any]:
+def _read_query(table: TomlTable, folder: Path) -> dict[str, Any]:
+    """Read `query`, the printable ASCII text that requests a reading from a device."""
     query = table.text("query", DEFAULT_QUERY)
     if not (query.isascii() and query.isprintable() and query):
         raise table.error("query", "must be plain text, such as '!001:SYS?'")
     return {"query": query}
 
 
-def _dbc(table: TomlTable, folder: Path) -> dict[str, Any]:
-    """Read the DBC file of a device and the signals to read from the bus."""
+def _read_dbc(table: TomlTable, folder: Path) -> dict[str, Any]:
+    """Read `dbc`, the path of the DBC file of a device, and its [[device.signal]] tables.
+
+    A name without folder and suffix stands for a DBC file of this package. The file must exist, and there must be at
+    least one signal.
+    """
     name = table.text("dbc")
     rows = table.tables("signal")
     if not rows:
-        raise table.error("signal", "missing; a [[device.signal]] maps a signal of the DBC to a field")
+        raise table.error("signal", "missing; add a [[device.signal]], which maps a signal of the DBC file to a field")
     # A name without folder and suffix is a DBC file of seatrial itself.
     path = Path(__file__).parents[1] / "protocol" / f"{name}.dbc" if re.fullmatch(r"\w+", name) else folder / name
     if not path.is_file():
         raise table.error("dbc", f"there is no file {path}")
-    return {"dbc": str(path), "signals": tuple(_signal(row) for row in rows)}
+    return {"dbc": str(path), "signals": tuple(_read_dbc_signal(row) for row in rows)}
 
 
-def _signal(table: TomlTable) -> DbcSignal:
-    """Read one [[device.signal]]. Its node is a number or the name of a signal."""
+def _read_dbc_signal(table: TomlTable) -> DbcSignal:
+    """Read one [[device.signal]]. Its `node` is a number, 0 to 255, or the name of a signal with the number."""
     by_name = isinstance(table.values.get("node"), str)
     node: int | str = table.text("node") if by_name else table.integer("node", low=0, high=255)
     signal = DbcSignal(
@@ -361,8 +409,14 @@ def _signal(table: TomlTable) -> DbcSignal:
     return signal
 
 
-def read_settings(table: TomlTable, folder: Path) -> MavlinkSettings:
-    """Read the MAVLink keys of a [[device]]. Relative paths count from `folder`."""
+def read_mavlink_settings(table: TomlTable, folder: Path) -> MavlinkSettings:
+    """Read the MAVLink keys of a [[device]]. Relative paths count from `folder`.
+
+    Raises
+    ------
+    SeatrialError
+        If a key has a wrong value, or if this computer has the system id of the autopilot.
+    """
     key = table.text("key_file", "")
     system = table.integer("system_id", 1, low=1, high=HIGHEST_ID)
     own_system = table.integer("own_system_id", 255, low=1, high=HIGHEST_ID)
@@ -375,16 +429,17 @@ def read_settings(table: TomlTable, folder: Path) -> MavlinkSettings:
         table.integer("own_component_id", 190, low=1, high=HIGHEST_ID),
         folder / key if key else None,
         table.text("gnss", "raw", choices=("raw", "fused")),
-        _rates(table),
+        _read_message_rates(table),
     )
 
 
-def _mavlink(table: TomlTable, folder: Path) -> dict[str, Any]:
-    return {"mavlink": read_settings(table, folder)}
+def _read_mavlink(table: TomlTable, folder: Path) -> dict[str, Any]:
+    """Read the MAVLink keys of a [[device]] as the field `mavlink`."""
+    return {"mavlink": read_mavlink_settings(table, folder)}
 
 
-def _rates(table: TomlTable) -> dict[str, float]:
-    """Read the table [device.rates]: rates [Hz] by name of the message."""
+def _read_message_rates(table: TomlTable) -> dict[str, float]:
+    """Read the table [device.rates]: rates [Hz], 0 to 1000, by name of the MAVLink message; empty without a table."""
     rates: dict[str, float] = {}
     inner = table.table("rates")
     if inner is not None:
@@ -396,16 +451,20 @@ def _rates(table: TomlTable) -> dict[str, float]:
     return rates
 
 
-_READ: dict[str, Callable[[TomlTable, Path], dict[str, Any]]] = {
-    "mavlink": _mavlink, "own_node": _own_node, "index_offset": _index_offset,
-    "bitrate": _bitrate, "pattern": _pattern, "saturation": _saturation, "calibration": _calibration,
-    "declination_deg": _declination, "query": _query, "dbc": _dbc,
+_OPTION_READERS: dict[str, Callable[[TomlTable, Path], dict[str, Any]]] = {
+    "mavlink": _read_mavlink, "own_node": _read_own_node, "index_offset": _read_index_offset,
+    "bitrate": _read_bitrate, "pattern": _read_pattern, "saturation": _read_saturation,
+    "calibration": _read_calibration, "declination_deg": _read_declination, "query": _read_query, "dbc": _read_dbc,
 }  # fmt: skip
 
 
-def _thruster(table: TomlTable, devices: Sequence[Device]) -> Thruster:
-    """Read one [[thruster]]."""
-    name = _name(table)
+def _read_thruster(table: TomlTable, devices: Sequence[Device]) -> Thruster:
+    """Read one [[thruster]], whose device must be one of `devices` and must have a protocol that drives thrusters.
+
+    Behind an autopilot `pole_pairs` is not read, and `rpm_max` may be missing; it is then NaN. On a DroneCAN bus
+    `pole_pairs` may be missing.
+    """
+    name = _read_topic_name(table)
     device = table.text("device")
     buses = {row.name: row.protocol for row in devices if row.protocol in DRIVES}
     if device not in buses:
@@ -425,33 +484,43 @@ def _thruster(table: TomlTable, devices: Sequence[Device]) -> Thruster:
         math.nan if autopilot and not table.has("rpm_max") else table.number("rpm_max", positive=True),
         table.flag("reversed", False),
         table.number("timeout_s", 1.0, positive=True),
-        read_output(table, node) if autopilot else None,
+        read_autopilot_output(table, node) if autopilot else None,
     )
     table.done()
     return thruster
 
 
-def read_output(table: TomlTable, node: int) -> AutopilotOutput:
-    """Read the MAVLink keys of a [[thruster]] at servo output `node`."""
+def read_autopilot_output(table: TomlTable, node: int) -> AutopilotOutput:
+    """Read the keys of a [[thruster]] behind an autopilot. `node` is the number of its servo output.
+
+    Raises
+    ------
+    SeatrialError
+        If `node` is not 1 to 16, or if a key is missing or has a wrong value.
+    """
     if not 1 <= node <= 16:
         raise table.error("node", f"must be the number of a servo output, 1 .. 16, not {node}")
     return AutopilotOutput(
         table.integer("rc_channel", low=1, high=18),
-        _pulses(table, "rc_us", (1000.0, 1500.0, 2000.0)),
-        _pulses(table, "pwm_us", (1100.0, 1500.0, 1900.0)),
+        _read_pulse_widths(table, "rc_us", (1000.0, 1500.0, 2000.0)),
+        _read_pulse_widths(table, "pwm_us", (1100.0, 1500.0, 1900.0)),
     )
 
 
-def _pulses(table: TomlTable, key: str, default: tuple[float, float, float]) -> tuple[float, float, float]:
-    """Read the pulses [us] of full reverse, neutral and full forward."""
+def _read_pulse_widths(table: TomlTable, key: str, default: tuple[float, float, float]) -> tuple[float, float, float]:
+    """Return the pulse widths [us] of full reverse, neutral and full forward. They must ascend within 500 to 2500."""
     low, neutral, high = table.numbers(key, default, length=3)
     if not 500.0 <= low < neutral < high <= 2500.0:
         raise table.error(key, "must be [full reverse, neutral, full forward] in us, ascending, within 500 .. 2500")
     return low, neutral, high
 
 
-def _limits(table: TomlTable | None) -> Limits:
-    """Read the table [limits]."""
+def _read_limits(table: TomlTable | None) -> Limits:
+    """Read the table [limits], the values at which a run ends. Return the defaults if there is no table.
+
+    The list `unwatched` may contain "telemetry", and limits that are in the table. `n_max` and `link_test_n` are not
+    monitored and must not be in it.
+    """
     if table is None:
         return Limits()
     unwatched = table.texts("unwatched", ())
@@ -476,6 +545,9 @@ def _limits(table: TomlTable | None) -> Limits:
     return limits
 
 
-def _vehicle(table: TomlTable | None) -> dict[str, float]:
-    """Read the table [vehicle]. Any name of a parameter is allowed, because the model may be user-defined."""
+def _read_vehicle(table: TomlTable | None) -> dict[str, float]:
+    """Read the table [vehicle]: known values of model parameters by name; empty without a table.
+
+    Any name of a parameter is allowed, because the model may be user-defined.
+    """
     return {} if table is None else table.named_numbers()

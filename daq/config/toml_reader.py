@@ -24,14 +24,14 @@ def parse_toml(text: str, source: Path | str) -> TomlTable:
     Parameters
     ----------
     text
-        The text.
+        Text of a TOML file.
     source
-        Path that error messages name.
+        Path of the file, which error messages name. The file itself is not read.
 
     Raises
     ------
     SeatrialError
-        If the text is not valid TOML.
+        If the text is not valid TOML, is nested too deeply, or contains a number with thousands of digits.
     """
     try:
         return TomlTable(tomllib.loads(text), str(source))
@@ -71,11 +71,11 @@ class TomlTable:
     Attributes
     ----------
     values
-        Values by key.
+        Values by key, as the TOML parser returns them.
     source
-        Path of the file.
+        Path of the file, which error messages name.
     where
-        Full name of the table in the file; empty for the root table.
+        Full name of the table in the file, such as `device[2].calibration`; empty for the root table.
     """
 
     def __init__(self, values: Mapping[str, object], source: str, where: str = "") -> None:
@@ -86,34 +86,46 @@ class TomlTable:
 
     def error(self, key: str, problem: str) -> SeatrialError:
         """Return the error of a key, with file, full key and problem. The caller raises it."""
-        return SeatrialError(f"{self.source}: {self._name(key)}: {problem}")
+        return SeatrialError(f"{self.source}: {self._full_key(key)}: {problem}")
 
-    def _name(self, key: str) -> str:
+    def _full_key(self, key: str) -> str:
+        """Return a key with the name of its table, such as `limits.n_max`."""
         return f"{self.where}.{key}" if self.where else key
 
-    def _take(self, key: str, default: object) -> object:
+    def _read_value(self, key: str, default: object) -> object:
+        """Note that a key was read, and return its value, or `default` if the table lacks the key.
+
+        If the key is missing and `default` is _MISSING, SeatrialError is raised. The message suggests an unread key
+        with a similar name.
+        """
         self._taken.append(key)
         if key in self.values:
             return self.values[key]
         if default is _MISSING:
-            raise self.error(key, f"missing; this key is required{self.misspelt(key)}")
+            raise self.error(key, f"missing; this key is required{self.misspelling_hint(key)}")
         return default
 
-    def misspelt(self, key: str) -> str:
-        """Return the end of an error line that names an unread key similar to a missing one, "" if there is none."""
+    def misspelling_hint(self, key: str) -> str:
+        """Return the end of an error message on the missing key `key`: an unread key that is spelt similarly.
+
+        The text is empty if no unread key is similar.
+        """
         unread = [name for name in self.values if name not in self._taken]
         near = difflib.get_close_matches(key, unread, 1, NEAR)
         return f"; is {near[0]!r} a typing error?" if near else ""
 
     def has(self, key: str) -> bool:
-        """Return whether the table contains the key."""
+        """Return whether the table contains the key. The key does not count as read."""
         return key in self.values
 
     def text(self, key: str, default: object = _MISSING, choices: Collection[str] = ()) -> str:
-        """Return a string. It must be one of `choices` if choices are given."""
-        value = self._take(key, default)
+        """Return a string, or `default` if the key is missing.
+
+        The string must be one of `choices`, unless this is empty.
+        """
+        value = self._read_value(key, default)
         if not isinstance(value, str):
-            raise self.error(key, f"must be text in quotes, not {_kind(value)}")
+            raise self.error(key, f"must be text in quotes, not {_describe_value(value)}")
         if choices and value not in choices:
             rule = f"must be '{next(iter(choices))}'" if len(choices) == 1 else f"must be one of {', '.join(choices)}"
             raise self.error(key, f"{rule}, not '{value}'")
@@ -130,17 +142,17 @@ class TomlTable:
         return value
 
     def flag(self, key: str, default: object = _MISSING) -> bool:
-        """Return true or false."""
-        value = self._take(key, default)
+        """Return the boolean value of a key, or `default` if the key is missing. The numbers 0 and 1 are errors."""
+        value = self._read_value(key, default)
         if not isinstance(value, bool):
-            raise self.error(key, f"must be true or false, not {_kind(value)}")
+            raise self.error(key, f"must be true or false, not {_describe_value(value)}")
         return value
 
     def integer(self, key: str, default: object = _MISSING, low: int | None = None, high: int | None = None) -> int:
-        """Return a whole number within [low, high]."""
-        value = self._take(key, default)
+        """Return a whole number within [low, high]. A bound that is None does not apply; 1.0 is no whole number."""
+        value = self._read_value(key, default)
         if isinstance(value, bool) or not isinstance(value, int):
-            raise self.error(key, f"must be a whole number, not {_kind(value)}")
+            raise self.error(key, f"must be a whole number, not {_describe_value(value)}")
         self._check_range(key, value, low, high)
         return value
 
@@ -152,20 +164,26 @@ class TomlTable:
         high: float | None = None,
         positive: bool = False,
     ) -> float:
-        """Return a finite number within [low, high], and above zero if `positive` is true."""
-        value = self._take(key, default)
-        number = self._finite(key, value)
+        """Return a finite number within [low, high], and above zero if `positive` is true.
+
+        A bound that is None does not apply. True and false are no numbers.
+        """
+        value = self._read_value(key, default)
+        number = self._to_finite(key, value)
         if positive and number <= 0.0:
             raise self.error(key, f"must be above zero, not {number:g}")
         self._check_range(key, number, low, high)
         return number
 
     def scalar(self, key: str, default: object = _MISSING) -> str | float | bool:
-        """Return a text, a finite number, true or false."""
-        value = self._take(key, default)
+        """Return a text, a finite number or a boolean, or `default` if the key is missing.
+
+        Lists, tables and dates are errors.
+        """
+        value = self._read_value(key, default)
         if isinstance(value, (str, bool)):
             return value
-        return self._finite(key, value)
+        return self._to_finite(key, value)
 
     def maybe_number(self, key: str, low: float | None = None, high: float | None = None) -> float | None:
         """Return a finite number within [low, high], or None if the key is absent."""
@@ -173,42 +191,48 @@ class TomlTable:
 
     def numbers(self, key: str, default: object = _MISSING, length: int | None = None) -> tuple[float, ...]:
         """Return a list of finite numbers. It must have `length` items if a length is given."""
-        value = self._take(key, default)
+        value = self._read_value(key, default)
         if not isinstance(value, (list, tuple)):
-            raise self.error(key, f"must be a list of numbers, not {_kind(value)}")
+            raise self.error(key, f"must be a list of numbers, not {_describe_value(value)}")
         if length is not None and len(value) != length:
             raise self.error(key, f"must have {counted(length, 'number')}, not {len(value)}")
-        return tuple(self._finite(key, item) for item in value)
+        return tuple(self._to_finite(key, item) for item in value)
 
     def named_numbers(self) -> dict[str, float]:
-        """Return all numbers of the table by name. The names must be printable."""
+        """Return all values of the table by name, for tables whose keys are names that the user chooses.
+
+        Raises
+        ------
+        SeatrialError
+            If a value is not a finite number, or if a name has characters that are not printable.
+        """
         for key in self.values:
             if not key.isprintable():
                 raise self.error(repr(key), "a name with characters that are not printable")
         return {key: self.number(key) for key in self.values}
 
     def texts(self, key: str, default: object = _MISSING) -> tuple[str, ...]:
-        """Return a list of strings."""
-        value = self._take(key, default)
+        """Return a list of strings, which may be empty."""
+        value = self._read_value(key, default)
         if not isinstance(value, (list, tuple)) or not all(isinstance(item, str) for item in value):
             raise self.error(key, "must be a list of texts in quotes")
         return tuple(value)
 
     def table(self, key: str) -> TomlTable | None:
         """Return a sub-table, or None if it is absent."""
-        value = self._take(key, None)
+        value = self._read_value(key, None)
         if value is None:
             return None
         if not isinstance(value, dict):
-            raise self.error(key, f"must be a table, [{self._name(key)}], not {_kind(value)}")
-        return TomlTable(value, self.source, self._name(key))
+            raise self.error(key, f"must be a table, [{self._full_key(key)}], not {_describe_value(value)}")
+        return TomlTable(value, self.source, self._full_key(key))
 
     def tables(self, key: str) -> list[TomlTable]:
         """Return the tables of a `[[key]]` list in order, or an empty list if it is absent."""
-        value = self._take(key, [])
+        value = self._read_value(key, [])
         if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
-            raise self.error(key, f"must be a list of tables, [[{self._name(key)}]]")
-        return [TomlTable(item, self.source, f"{self._name(key)}[{i}]") for i, item in enumerate(value, start=1)]
+            raise self.error(key, f"must be a list of tables, [[{self._full_key(key)}]]")
+        return [TomlTable(item, self.source, f"{self._full_key(key)}[{i}]") for i, item in enumerate(value, start=1)]
 
     def done(self) -> None:
         """Raise SeatrialError for the first key that was not read. The message lists the known keys."""
@@ -217,10 +241,10 @@ class TomlTable:
                 known = ", ".join(dict.fromkeys(self._taken))
                 raise self.error(key, f"unknown key; known here: {known}")
 
-    def _finite(self, key: str, value: object) -> float:
-        """Return a value as a finite number. Raise SeatrialError if it is not one."""
+    def _to_finite(self, key: str, value: object) -> float:
+        """Return a value as a finite number. For any other value raise SeatrialError with the name of `key`."""
         if isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise self.error(key, f"must be a number, not {_kind(value)}")
+            raise self.error(key, f"must be a number, not {_describe_value(value)}")
         try:
             number = float(value)
         except OverflowError:
@@ -230,13 +254,17 @@ class TomlTable:
         return number
 
     def _check_range(self, key: str, value: float, low: float | None, high: float | None) -> None:
+        """Raise SeatrialError if a value is outside [low, high]. A bound that is None does not apply."""
         if (low is not None and value < low) or (high is not None and value > high):
             bounds = f"{'' if low is None else low} .. {'' if high is None else high}".strip()
-            raise self.error(key, f"must be within {bounds}, not {_kind(value)}")
+            raise self.error(key, f"must be within {bounds}, not {_describe_value(value)}")
 
 
-def _kind(value: object) -> str:
-    """Return a description of a wrong value for an error message."""
+def _describe_value(value: object) -> str:
+    """Return a description of a wrong value for an error message: a number itself, else the kind, such as "a list".
+
+    Numbers beyond HUGE are not printed, because they may have thousands of digits.
+    """
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, (int, float)):

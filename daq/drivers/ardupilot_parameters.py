@@ -36,15 +36,30 @@ STOPPING_ACTIONS = (0.0, 2.0, 5.0)  # allowed actions of these failsafes: none, 
 
 
 class ParameterMismatch(NamedTuple):
-    """Parameter of the autopilot that has a wrong value or was not answered."""
+    """Parameter of the autopilot that has a wrong value or was not answered.
+
+    Attributes
+    ----------
+    name
+        Name of the parameter.
+    value
+        Value in the autopilot; None if it was not answered.
+    wanted
+        The required value, in words.
+    why
+        The consequence of the wrong value.
+    fatal
+        Whether thrust must not be commanded with this value.
+    """
 
     name: str
-    value: float | None  # None: not answered
-    wanted: str  # the required value, in words
-    why: str  # the consequence of the wrong value
-    fatal: bool  # whether thrust must not be commanded with this value
+    value: float | None
+    wanted: str
+    why: str
+    fatal: bool
 
     def __str__(self) -> str:
+        """Return the mismatch in one line, for the user."""
         if self.value is None:
             return (
                 f"{self.name} was not answered; the link may lose messages: repeat it closer to the boat, "
@@ -54,7 +69,10 @@ class ParameterMismatch(NamedTuple):
 
 
 def parameter_names(thrusters: Sequence[Thruster]) -> tuple[str, ...]:
-    """Return the names of the parameters to request for the thrusters behind one autopilot."""
+    """Return the names of the parameters to request for the thrusters behind one autopilot, each once.
+
+    Thrusters that are not behind an autopilot add no names.
+    """
     names = [*LINK_LOSS_PARAMETERS, "MOT_SLEWRATE", "MOT_THR_MIN", "MOT_THST_EXPO", "MOT_THST_ASYM", "MOT_THR_MAX"]
     names += ["MANUAL_STR_EXPO", "SCHED_LOOP_RATE", *FAILSAFE_PARAMETERS, *(name for name, _ in PADDLES.values())]
     for thruster in thrusters:
@@ -67,9 +85,10 @@ def parameter_names(thrusters: Sequence[Thruster]) -> tuple[str, ...]:
 
 
 def link_loss_hash(parameters: Mapping[str, float]) -> str:
-    """Return the SHA-256 of the parameters that determine the reaction to a lost link.
+    """Return the SHA-256, in hexadecimal, of the parameters that determine the reaction to a lost link.
 
-    The hash shows whether these parameters have changed between a link test and a run.
+    Other parameters, and parameters that are missing, do not count. The hash shows whether these parameters have
+    changed between a link test and a run.
     """
     text = "\n".join(f"{name}={parameters[name]:g}" for name in LINK_LOSS_PARAMETERS if name in parameters)
     return hashlib.sha256(text.encode()).hexdigest()
@@ -78,7 +97,7 @@ def link_loss_hash(parameters: Mapping[str, float]) -> str:
 def check_parameters(
     parameters: Mapping[str, float], thrusters: Sequence[Thruster], own_system: int
 ) -> tuple[ParameterMismatch, ...]:
-    """Return the wrong and the unanswered parameters.
+    """Compare the parameters of an autopilot with those that a run needs. Return the wrong and the unanswered ones.
 
     Parameters
     ----------
@@ -94,31 +113,37 @@ def check_parameters(
     tuple of ParameterMismatch
         The parameters that forbid thrust are first.
     """
-    mismatches = [*_safety(parameters, own_system), *_mixing(parameters)]
+    mismatches = [*_check_failsafes(parameters, own_system), *_check_mixing(parameters)]
     for thruster in thrusters:
-        mismatches += _thruster(parameters, thruster)
+        mismatches += _check_thruster(parameters, thruster)
     reported = {mismatch.name for mismatch in mismatches}
     why = "a parameter without an answer may have a wrong value"
     mismatches += [
         ParameterMismatch(name, None, "an answer", why, name not in FAILSAFE_PARAMETERS)
-        for name in _required(parameters, thrusters)
+        for name in _required_names(parameters, thrusters)
         if name not in parameters and name not in reported
     ]
     return tuple(sorted(mismatches, key=lambda mismatch: not mismatch.fatal))
 
 
-def _required(p: Mapping[str, float], thrusters: Sequence[Thruster]) -> list[str]:
-    """Return the parameters that this version of Rover certainly has. If one is not answered, the message was lost."""
+def _required_names(p: Mapping[str, float], thrusters: Sequence[Thruster]) -> list[str]:
+    """Return the names of the parameters that this version of Rover certainly has.
+
+    If one of them is not answered, the message was lost. `p` are the values of the answered parameters by name.
+    """
     newer, _ = GROUND_STATION_NAMES
-    # `_safety` checks one of the GROUND_STATION_NAMES, and `_thruster` the RCMAP parameter of its side. SCHED_LOOP_RATE
-    # has no influence on thrust.
+    # `_check_failsafes` checks one of the GROUND_STATION_NAMES, and `_check_thruster` the RCMAP parameter of its side.
+    # SCHED_LOOP_RATE has no influence on thrust.
     may_lack = {*GROUND_STATION_NAMES, *(name for name, _ in PADDLES.values()), "SCHED_LOOP_RATE"}
     may_lack |= frozenset() if newer in p else NEWER_PARAMETERS
     return [name for name in parameter_names(thrusters) if name not in may_lack]
 
 
-def _safety(p: Mapping[str, float], own_system: int) -> list[ParameterMismatch]:
-    """Return the wrong parameters of failsafes, overrides and ground station."""
+def _check_failsafes(p: Mapping[str, float], own_system: int) -> list[ParameterMismatch]:
+    """Return the wrong parameters of failsafes, overrides and ground station.
+
+    `p` are the values of the answered parameters by name, and `own_system` is the system id of our ground station.
+    """
     mismatches = []
     override = p.get("RC_OVERRIDE_TIME")
     if override is None or not 0.0 < override <= OVERRIDE_MAX_S:
@@ -169,8 +194,11 @@ def _safety(p: Mapping[str, float], own_system: int) -> list[ParameterMismatch]:
     return mismatches
 
 
-def _mixing(p: Mapping[str, float]) -> list[ParameterMismatch]:
-    """Return the wrong parameters between the channels and the outputs: mixing, ramps and curves."""
+def _check_mixing(p: Mapping[str, float]) -> list[ParameterMismatch]:
+    """Return the wrong parameters between the channels and the outputs: mixing, ramps and curves.
+
+    `p` are the values of the answered parameters by name. Except for PILOT_STEER_TYPE, a missing one counts as right.
+    """
     mismatches = []
     steer = p.get("PILOT_STEER_TYPE")
     if steer != TWO_PADDLES:
@@ -194,8 +222,11 @@ def _mixing(p: Mapping[str, float]) -> list[ParameterMismatch]:
     return mismatches
 
 
-def _thruster(p: Mapping[str, float], thruster: Thruster) -> list[ParameterMismatch]:
-    """Return the wrong parameters of the channel and the servo output of one thruster."""
+def _check_thruster(p: Mapping[str, float], thruster: Thruster) -> list[ParameterMismatch]:
+    """Return the wrong parameters of the channel and the servo output of one thruster; none without an output.
+
+    `p` are the values of the answered parameters by name.
+    """
     output = thruster.output
     if output is None:
         return []

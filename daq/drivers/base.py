@@ -32,26 +32,61 @@ class LinkRole(enum.StrEnum):
 
 @dataclass(frozen=True)
 class LinkStatus:
-    """State of the autopilot at the other end of a link, as last reported."""
+    """State of the autopilot at the other end of a link, as last reported.
 
-    received: bool = False  # whether a heartbeat has been received
-    vehicle: str = ""  # software of the autopilot, for example "ArduPilot Rover"
-    age: float = math.inf  # wall s since its last heartbeat
+    Attributes
+    ----------
+    received
+        Whether a heartbeat has been received.
+    vehicle
+        Software of the autopilot, for example "ArduPilot Rover".
+    age
+        Time since its last heartbeat [wall s]; infinite before the first.
+    armed
+        Whether the motors are armed.
+    mode
+        Name of the flight or driving mode, for example "MANUAL".
+    ekf
+        Flags of EKF_STATUS_REPORT; -1 before the first.
+    parameters
+        Values of the requested parameters that were answered, by name.
+    parameters_pending
+        Whether answers to parameter requests are still awaited.
+    changed
+        Changes of the parameters since they were first read, one line each.
+    refused
+        Message rates that the autopilot refused, one line each.
+    answer
+        Answer to the last request, for example "arm: accepted" or "arm: failed (PreArm: ...)"; empty while it is
+        awaited.
+    alarm
+        Last text of severity critical or above.
+    receiver
+        Whether the autopilot has received a transmitter since its start; None: it has not reported this.
+    other_station_frames
+        Number of frames of another ground station with our own system id.
+    lost
+        Number of frames that are missing by the sequence numbers.
+    round_trip
+        Shortest round trip of a TIMESYNC [wall s]; NaN before the first.
+    """
+
+    received: bool = False
+    vehicle: str = ""
+    age: float = math.inf
     armed: bool = False
     mode: str = ""
-    ekf: int = -1  # flags of EKF_STATUS_REPORT; -1 before the first
-    parameters: dict[str, float] = dataclasses.field(default_factory=dict)  # requested parameters that were answered
-    parameters_pending: bool = True  # whether answers to parameter requests are still awaited
-    changed: tuple[str, ...] = ()  # changes of the parameters since they were first read, one line each
-    refused: tuple[str, ...] = ()  # message rates that the autopilot refused, one line each
-    # Answer to the last request, for example "arm: accepted" or "arm: failed (PreArm: ...)"; empty while it is awaited.
+    ekf: int = -1
+    parameters: dict[str, float] = dataclasses.field(default_factory=dict)
+    parameters_pending: bool = True
+    changed: tuple[str, ...] = ()
+    refused: tuple[str, ...] = ()
     answer: str = ""
-    alarm: str = ""  # last text of severity critical or above
-    # Whether the autopilot has received a transmitter since its start; None: it has not reported this.
+    alarm: str = ""
     receiver: bool | None = None
-    rivals: int = 0  # frames of another ground station with our own system id
-    lost: int = 0  # frames that are missing by the sequence numbers
-    round_trip: float = math.nan  # wall s, shortest round trip of a TIMESYNC
+    other_station_frames: int = 0
+    lost: int = 0
+    round_trip: float = math.nan
 
 
 class DeviceDriver(ABC):
@@ -80,15 +115,18 @@ class DeviceDriver(ABC):
         """
 
     def opened(self, now: float) -> None:
-        """Start again, because the port was opened for the first time or again."""
+        """Reset the state of the link, because the port was opened for the first time or again.
+
+        The default does nothing.
+        """
         return
 
     def poll(self, now: float) -> bytes:
-        """Return the bytes to send now, except set-points."""
+        """Return the bytes to send now, except set-points. The default returns none."""
         return b""
 
     def wait(self, now: float) -> float:
-        """Return the wall time [s] until `poll` may return bytes."""
+        """Return the wall time [s] until `poll` may return bytes. The default is infinite."""
         return math.inf
 
     def request(self, action: str, value: float) -> None:
@@ -104,15 +142,21 @@ class DeviceDriver(ABC):
         return
 
     def shutdown_bytes(self, now: float) -> bytes:
-        """Return the last bytes, which are sent after the last zero and before the port is closed."""
+        """Return the last bytes, which are sent after the last zero and before the port is closed.
+
+        The default returns none.
+        """
         return b""
 
     def zero(self, now: float) -> list[tuple[bytes, list[Due]]]:
-        """Encode zero for all thrusters of the link, independent of the commands before, for an emergency stop."""
+        """Encode zero for all thrusters of the link, independent of the commands before, for an emergency stop.
+
+        The result is that of `command`; the lists of set-points are empty. The default returns no message.
+        """
         return []
 
     def events(self) -> list[Event]:
-        """Return the events since the last call, for the log."""
+        """Return the events since the last call, for the log, and forget them. The default returns none."""
         return []
 
     def link_at(self, now: float) -> LinkStatus | None:
@@ -121,7 +165,7 @@ class DeviceDriver(ABC):
 
     @property
     def hint(self) -> str:
-        """A possible improvement of the link, in one line; empty if there is none."""
+        """Advice to the user on the link, in one line; empty if there is none."""
         return ""
 
     @property
@@ -136,8 +180,17 @@ class DeviceDriver(ABC):
 
 @final
 class PollingDriver(DeviceDriver):
-    """Driver of a device that sends only on request: it sends `request` every `period` wall seconds.
+    """Driver of a device that sends only on request.
 
+    Parameters
+    ----------
+    request
+        Bytes of one request.
+    period
+        Time between two requests [wall s].
+
+    Notes
+    -----
     A delayed request does not delay the next ones. Requests that are late by a whole period are left out.
     """
 
@@ -154,7 +207,10 @@ class PollingDriver(DeviceDriver):
         self._due = now
 
     def poll(self, now: float) -> bytes:
-        """Return the request if it is due."""
+        """Return the request if it is due at wall time `now` [s], else no bytes.
+
+        The next one is due a period after this one.
+        """
         if now < self._due:
             return b""
         self._due += self._period

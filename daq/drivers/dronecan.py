@@ -18,6 +18,15 @@ class DronecanDriver(DeviceDriver):
 
     Each command contains the newest set-point of every controller in `nodes`, and zero for controllers without a
     set-point. Nothing is sent before the first command, so that a program that only logs sends nothing.
+
+    Parameters
+    ----------
+    nodes
+        Nodes (indices, 0..19) of the controllers.
+    reversed_nodes
+        Nodes whose commands change their sign.
+    own_node
+        Node of this program on the bus, 1..127.
     """
 
     def __init__(self, nodes: frozenset[int], reversed_nodes: frozenset[int], own_node: int) -> None:
@@ -28,20 +37,20 @@ class DronecanDriver(DeviceDriver):
     def command(self, dues: Sequence[Due], held: Mapping[int, float], now: float) -> list[tuple[bytes, list[Due]]]:
         """Encode one message with the set-points of all controllers, after a NodeStatus if it is due."""
         setpoints = {**dict.fromkeys(self._nodes, 0.0), **held, **{due.node: due.n for due in dues}}
-        return [(self._status(now) + self._command(setpoints), list(dues))]
+        return [(self._node_status_if_due(now) + self._encode_command(setpoints), list(dues))]
 
     def zero(self, now: float) -> list[tuple[bytes, list[Due]]]:
-        """Encode zero for all controllers."""
-        return [(self._command(dict.fromkeys(self._nodes, 0.0)), [])]
+        """Encode zero for all controllers of the bus, as one message without set-points."""
+        return [(self._encode_command(dict.fromkeys(self._nodes, 0.0)), [])]
 
-    def _command(self, setpoints: Mapping[int, float]) -> bytes:
-        """Encode an esc.RawCommand. The sign of reversed nodes is changed."""
+    def _encode_command(self, setpoints: Mapping[int, float]) -> bytes:
+        """Encode an esc.RawCommand from commands, -1..1, by node. The sign of reversed nodes is changed."""
         signed = {node: -n if node in self._reversed else n for node, n in setpoints.items()}
         number, self._commands = self._commands % NUMBERS, self._commands + 1
         return b"".join(pack_can(*frame) for frame in dronecan.encode_command(signed, self._own, number))
 
-    def _status(self, now: float) -> bytes:
-        """Return a NodeStatus if it is due."""
+    def _node_status_if_due(self, now: float) -> bytes:
+        """Return the bytes of a NodeStatus if it is due at wall time `now` [s], else no bytes."""
         if self._statuses and now < self._status_at + STATUS_S:
             return b""
         self._started = now if not self._statuses else self._started

@@ -16,7 +16,16 @@ SPARE_IDS = (254, 253, 252)
 def make_driver(device: Device, rig: Rig, decoder: Decoder, role: LinkRole) -> DeviceDriver | None:
     """Return the driver of a device, or None if nothing is ever sent to the device.
 
-    For an autopilot, the driver is also set as the `listener` of `decoder`.
+    Parameters
+    ----------
+    device
+        The device.
+    rig
+        The rig with its thrusters.
+    decoder
+        Decoder of the device. For an autopilot, the driver is also set as its `listener`.
+    role
+        Role towards an autopilot: listen, request rates and parameters, drive, or send zero in an emergency.
 
     Raises
     ------

@@ -70,19 +70,49 @@ VERSION = 3  # HEARTBEAT.mavlink_version
 
 @dataclass
 class _Command:
-    """COMMAND_LONG that waits for being sent or for its answer."""
+    """COMMAND_LONG that waits for being sent or for its answer.
 
-    number: int  # MAV_CMD
+    Attributes
+    ----------
+    number
+        Number of the command (MAV_CMD).
+    parameters
+        Parameters 1 to 7 of the command.
+    label
+        "arm", "disarm", "mode", or the name of the message whose rate is requested.
+    rate
+        Requested rate of a message [Hz].
+    tries
+        How often the command was sent.
+    sent
+        Wall time [s] at which it was sent last.
+    """
+
+    number: int
     parameters: tuple[float, ...]
-    label: str  # "arm", "disarm", "mode", or the name of the message whose rate is requested
-    rate: float = 0.0  # Hz
+    label: str
+    rate: float = 0.0
     tries: int = 0
-    sent: float = -math.inf  # wall s
+    sent: float = -math.inf
 
 
 @final
 class MavlinkDriver(DeviceDriver):
-    """Driver of one autopilot. The decoder calls `receive` with each message that it accepts."""
+    """Driver of one autopilot. The decoder calls `receive` with each message that it accepts.
+
+    Parameters
+    ----------
+    device
+        The device in the rig, with its MAVLink settings.
+    thrusters
+        Thrusters behind the autopilot.
+    codec
+        Encoder of the frames, with system id and signing key. It is also given to the decoder.
+    role
+        Role of this program on the link. In the role LISTEN nothing is sent.
+    decoder
+        Decoder of the link, with its counters.
+    """
 
     def __init__(
         self,
@@ -128,7 +158,7 @@ class MavlinkDriver(DeviceDriver):
         self._status = replace(self._status, receiver=None)
 
     def receive(self, message: Any, now: float) -> None:
-        """Process a message of the autopilot, received at wall time `now` [s]."""
+        """Process a message of the autopilot, received at wall time `now` [s]. Messages of other types are ignored."""
         name = message.get_type()
         if name == "ATTITUDE":
             if message.time_boot_ms < self._boot_ms - REBOOT_MS:
@@ -153,7 +183,11 @@ class MavlinkDriver(DeviceDriver):
             self._receive_timesync(message, now)
 
     def _receive_heartbeat(self, m: Any, now: float) -> None:
-        """Update the state of the autopilot. Request its rates, and at first its parameters."""
+        """Update the state of the autopilot from its heartbeat `m`.
+
+        After the first heartbeat the message rates and the parameters are requested. The rates are requested again if
+        they have fallen for RATE_BEATS heartbeats.
+        """
         since, self._last_heartbeat = now - self._last_heartbeat, now
         mode, armed = mode_name(m.custom_mode, m.type, m.autopilot), bool(m.base_mode & ARMED)
         self._armed_by_us = self._armed_by_us and armed
@@ -174,8 +208,9 @@ class MavlinkDriver(DeviceDriver):
         self._attitudes = 0
 
     def _ask_rates(self, now: float) -> None:
+        """Put requests of all message rates of the rig into the queue. They are checked again after LATER_S."""
         self._slow_beats, self._rates_at = 0, now + LATER_S
-        self._commands += [_interval(name, rate) for name, rate in self._settings.requested(self._rate_hz).items()]
+        self._commands += [_rate_request(name, rate) for name, rate in self._settings.requested(self._rate_hz).items()]
 
     def _receive_timesync(self, m: Any, now: float) -> None:
         """Measure the shortest round trip from the answer to our TIMESYNC.
@@ -193,7 +228,13 @@ class MavlinkDriver(DeviceDriver):
             self._events.append(Event("autopilot", text))
 
     def _receive_answer(self, m: Any) -> None:
-        """Process the answer to the first command of the queue."""
+        """Process COMMAND_ACK, the answer of the autopilot to a command.
+
+        Answers to other ground stations, and to other commands than the first of the queue, are ignored. A command that
+        was temporarily rejected is sent again, up to TRIES times. Otherwise the command is removed from the queue: the
+        answer to a request of the operator is stored and logged, and a refused message rate is requested at half the
+        rate.
+        """
         if m.target_system not in (0, self._codec.system):
             return  # this is the answer to another ground station
         self._disarmed = self._disarmed or (self._role is LinkRole.RESCUE and m.command == ARM and m.result == ACCEPTED)
@@ -206,7 +247,7 @@ class MavlinkDriver(DeviceDriver):
         if command.number == SET_INTERVAL:
             self._commands.popleft()
             if m.result != ACCEPTED:
-                self._refused(command, word)
+                self._handle_refused_rate(command, word)
         elif m.result == TEMPORARILY_REJECTED and command.tries < TRIES:
             return  # the command is sent again after ANSWER_S
         else:
@@ -216,10 +257,13 @@ class MavlinkDriver(DeviceDriver):
                 self._status = replace(self._status, alarm="")  # earlier alarms ended: the autopilot's checks passed
             self._refusal = "" if m.result == ACCEPTED else f"{command.label}: {word}"
             reasons = f" ({'; '.join(self._reasons)})" if self._refusal and self._reasons else ""
-            self._answer(command.label, word + reasons)
+            self._store_answer(command.label, word + reasons)
 
-    def _refused(self, command: _Command, word: str) -> None:
-        """Log a refused message rate. Request half of it if it was denied. The old rate stays until one is accepted."""
+    def _handle_refused_rate(self, command: _Command, word: str) -> None:
+        """Log a refused message rate, and put a request of half the rate into the queue if the rate was denied.
+
+        `word` is the answer, such as "denied". The autopilot keeps its old rate until it accepts one.
+        """
         line = f"{command.label} at {command.rate:g} Hz: {word}"
         if line not in self._status.refused:
             self._status = replace(self._status, refused=(*self._status.refused, line))
@@ -227,15 +271,15 @@ class MavlinkDriver(DeviceDriver):
             self._attitude_hz = command.rate / 2.0
         self._events.append(Event("autopilot", f"refuses {line}"))
         if word == "denied" and command.rate > 1.0:
-            self._commands.appendleft(_interval(command.label, command.rate / 2.0))
+            self._commands.appendleft(_rate_request(command.label, command.rate / 2.0))
 
-    def _answer(self, label: str, word: str) -> None:
-        """Store the answer to a request of the operator, and log it."""
+    def _store_answer(self, label: str, word: str) -> None:
+        """Store the answer to a request of the operator, such as "arm: accepted", and log it as an event."""
         self._status = replace(self._status, answer=f"{label}: {word}")
         self._events.append(Event("autopilot", self._status.answer))
 
     def _receive_parameter(self, m: Any) -> None:
-        """Store the value of a requested parameter. Log it if it is new or has changed."""
+        """Store the value of a requested parameter, and log it if it is new or has changed. Others are ignored."""
         if self._awaited.pop(m.param_id, None) is not None or m.param_id in self._names:
             if m.param_id in GROUND_STATION_NAMES:  # each version has only one of both names
                 self._awaited = {name: n for name, n in self._awaited.items() if name not in GROUND_STATION_NAMES}
@@ -276,7 +320,7 @@ class MavlinkDriver(DeviceDriver):
         self._requests.append((action, value))
 
     def _take_requests(self, now: float) -> None:
-        """Convert the requests of the operator to commands."""
+        """Convert the waiting requests of the operator to commands in the queue, or mute from `now` [wall s] on."""
         while self._requests:
             action, value = self._requests.popleft()
             if action == "leave":
@@ -324,15 +368,18 @@ class MavlinkDriver(DeviceDriver):
         if self._started:
             out += self._poll_command(now) + self._poll_parameters(now)
         if self._is_neutral_due(now):
-            out += self._override(now)
+            out += self._encode_override(now)
         return out
 
     def _is_muted(self, now: float) -> bool:
-        """Return whether sending is muted. Zero commands are sent in any case."""
+        """Return whether sending is muted at wall time `now` [s]. With zero thrust nothing is muted."""
         return now < self._muted_until and any(self._held.values())
 
     def _is_neutral_due(self, now: float) -> bool:
-        """Return whether a neutral override is due. Without it a vehicle does not arm, or detects a lost link."""
+        """Return whether a neutral override is due: after a first command, at zero thrust, every NEUTRAL_S.
+
+        Without it a vehicle does not arm, or detects a lost link.
+        """
         neutral = math.isfinite(self._overridden) and not any(self._held.values())
         return neutral and now - self._overridden >= NEUTRAL_S
 
@@ -345,16 +392,16 @@ class MavlinkDriver(DeviceDriver):
             if command.tries >= TRIES:
                 self._commands.popleft()
                 if command.number == SET_INTERVAL:
-                    self._refused(command, "no answer")
+                    self._handle_refused_rate(command, "no answer")
                 else:
-                    self._answer(command.label, "no answer")
+                    self._store_answer(command.label, "no answer")
                 continue
             command.sent, command.tries = now, command.tries + 1
-            return self._long(command)
+            return self._encode_command(command)
         return b""
 
-    def _long(self, command: _Command) -> bytes:
-        """Encode a command as COMMAND_LONG."""
+    def _encode_command(self, command: _Command) -> bytes:
+        """Encode a command as COMMAND_LONG. Its confirmation field is the number of earlier tries."""
         address = (self._settings.system_id, self._settings.component_id)
         return self._codec.encode("COMMAND_LONG", *address, command.number, command.tries - 1, *command.parameters)
 
@@ -363,7 +410,7 @@ class MavlinkDriver(DeviceDriver):
         if not self._awaited:
             if self._status.parameters_pending:
                 self._status = replace(self._status, parameters_pending=False)
-            return self._reread(now)
+            return self._poll_one_parameter(now)
         if now - self._asked < PARAMETER_S:
             return b""
         self._asked = now
@@ -374,10 +421,11 @@ class MavlinkDriver(DeviceDriver):
         address = (self._settings.system_id, self._settings.component_id)
         return b"".join(self._codec.encode("PARAM_REQUEST_READ", *address, name.encode(), -1) for name in self._awaited)
 
-    def _reread(self, now: float) -> bytes:
-        """Return the request of one known parameter.
+    def _poll_one_parameter(self, now: float) -> bytes:
+        """Return the request of one known parameter if it is due and the program drives; else no bytes.
 
-        Another ground station may change a parameter, and the message about the change may be lost.
+        The parameters are requested one after the other. Another ground station may change a parameter, and the message
+        about the change may be lost. `now` is a wall time [s].
         """
         if self._role is not LinkRole.DRIVE or now - self._reread_at < REREAD_S:
             return b""
@@ -414,16 +462,16 @@ class MavlinkDriver(DeviceDriver):
     def command(self, dues: Sequence[Due], held: Mapping[int, float], now: float) -> list[tuple[bytes, list[Due]]]:
         """Encode one RC_CHANNELS_OVERRIDE with all thrusters of the link. Thrusters without a command get neutral."""
         self._held = dict(held)
-        return [(self._override(now), list(dues))] if dues and not self._is_muted(now) else []
+        return [(self._encode_override(now), list(dues))] if dues and not self._is_muted(now) else []
 
     def zero(self, now: float) -> list[tuple[bytes, list[Due]]]:
         """Encode neutral for all thrusters and a disarming. No further command follows."""
         self._held = {}
-        data = self._override(now) + self._long(_Command(ARM, (0.0,) * 7, "disarm", tries=1))
+        data = self._encode_override(now) + self._encode_command(_Command(ARM, (0.0,) * 7, "disarm", tries=1))
         return [(data, [])]
 
-    def _override(self, now: float) -> bytes:
-        """Encode the present commands as RC_CHANNELS_OVERRIDE. Other channels are not changed."""
+    def _encode_override(self, now: float) -> bytes:
+        """Encode the present commands of all thrusters as RC_CHANNELS_OVERRIDE. Other channels are not changed."""
         self._overridden = now
         channels = [IGNORED_LOW] * 8 + [IGNORED_HIGH] * 10
         for node, (output, is_reversed) in self._outputs.items():
@@ -434,7 +482,7 @@ class MavlinkDriver(DeviceDriver):
 
     @property
     def hint(self) -> str:
-        """Advice about message rates if nothing is sent to the autopilot."""
+        """Advice about message rates if nothing is sent to the autopilot (role LISTEN); else empty."""
         if self._role is not LinkRole.LISTEN:
             return ""
         return "nothing is sent to it, so it chooses the message rates; --request-rates requests the rates of the rig"
@@ -444,7 +492,7 @@ class MavlinkDriver(DeviceDriver):
         if not self._armed_by_us:
             return b""
         command = _Command(ARM, (0.0,) * 7, "disarm", tries=1)
-        return self._long(command) * 2
+        return self._encode_command(command) * 2
 
     @property
     def confirmation(self) -> str:
@@ -462,7 +510,7 @@ class MavlinkDriver(DeviceDriver):
         return ""
 
     def events(self) -> list[Event]:
-        """Return the events since the last call."""
+        """Return the events since the last call and forget them. Lost frames are reported at most once in LOST_S."""
         lost = self._decoder.lost
         if lost > self._reported_lost and self._last_heartbeat - self._lost_at >= LOST_S:
             self._reported_lost, self._lost_at = lost, self._last_heartbeat
@@ -473,12 +521,12 @@ class MavlinkDriver(DeviceDriver):
 
     def link_at(self, now: float) -> LinkStatus:
         """Return the state of the autopilot at wall time `now` [s]."""
-        rivals = self._decoder.foreign.get(self._settings.own_system_id, 0)
+        other_station_frames = self._decoder.foreign.get(self._settings.own_system_id, 0)
         age = now - self._last_heartbeat
-        return replace(self._status, age=age, rivals=rivals, lost=self._decoder.lost)
+        return replace(self._status, age=age, other_station_frames=other_station_frames, lost=self._decoder.lost)
 
 
-def _interval(message: str, rate: float) -> _Command:
-    """Return the request of a message at a rate [Hz]."""
+def _rate_request(message: str, rate: float) -> _Command:
+    """Return the command that requests a MAVLink message at a rate [Hz] (MAV_CMD_SET_MESSAGE_INTERVAL)."""
     number = ESC_STATUS if message == "ESC_STATUS" else int(getattr(dialect(), f"MAVLINK_MSG_ID_{message}"))
     return _Command(SET_INTERVAL, (float(number), 1e6 / rate, 0, 0, 0, 0, 0), message, rate)

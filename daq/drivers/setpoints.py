@@ -17,17 +17,32 @@ ZERO_FOR_S = 0.5  # wall s in which zero is repeated, because a single frame may
 
 
 class Due(NamedTuple):
-    """Set-point to send."""
+    """Set-point to send.
+
+    Attributes
+    ----------
+    node
+        Controller, or output of an autopilot.
+    n
+        Command, -1..1.
+    fresh
+        Whether the set-point is new; False for a repetition.
+    """
 
     node: int
-    n: float  # command, -1..1
-    fresh: bool  # False for a repetition
+    n: float
+    fresh: bool
 
 
 class Setpoints:
     """Schedule of set-points, and the present command of each node.
 
     A row of the schedule is a run time [s] and the commands, -1..1, by node.
+
+    Attributes
+    ----------
+    skipped
+        Number of set-points that a later one replaced before they were sent.
     """
 
     def __init__(self) -> None:
@@ -59,15 +74,15 @@ class Setpoints:
 
     @property
     def active(self) -> bool:
-        """Return whether thrust is commanded now or scheduled."""
+        """Whether thrust is commanded now or scheduled."""
         with self._lock:
-            return self._active()
+            return self._is_active()
 
     def is_settled(self, now_wall: float) -> bool:
         """Return whether no thrust is commanded and the last zero has been written and repeated for ZERO_FOR_S."""
         with self._lock:
             waiting = bool(self._zeroed) or self._unwritten or now_wall < self._repeat_until
-            return not self._active() and not (self._held and waiting)
+            return not self._is_active() and not (self._held and waiting)
 
     @property
     def pending(self) -> int:
@@ -82,6 +97,9 @@ class Setpoints:
 
     def due(self, now_run: float, now_wall: float) -> list[Due]:
         """Return the set-points to send now, and remove them from the schedule.
+
+        All commands are repeated every REPEAT_S while thrust is commanded, and for ZERO_FOR_S afterwards. Of several
+        rows that are due, only the newest command of a node is returned; the others count as skipped.
 
         Parameters
         ----------
@@ -101,7 +119,7 @@ class Setpoints:
                 due_at |= dict.fromkeys(row, t)
                 fresh |= row
             self._held |= fresh
-            if fresh or self._active():
+            if fresh or self._is_active():
                 self._repeat_until = now_wall + ZERO_FOR_S
             out = [Due(node, n, True) for node, n in fresh.items()]
             if now_wall >= self._next_repeat and now_wall < self._repeat_until:
@@ -127,5 +145,6 @@ class Setpoints:
             repeat = self._next_repeat - now_wall if self._held and now_wall < self._repeat_until else math.inf
             return max(min(row, repeat), 0.0)
 
-    def _active(self) -> bool:
+    def _is_active(self) -> bool:
+        """Return whether thrust is commanded now or scheduled. The caller holds the lock."""
         return bool(self._rows) or any(n != 0.0 for n in self._held.values())

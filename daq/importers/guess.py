@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from seatrial.daq.checks import held_signals, held_together
+from seatrial.daq.checks import group_held_signals, held_signals
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.importers.bench_table import COMMAND, bench_candidates
 from seatrial.daq.importers.clocks import DATES, Clock, clock_of, row_seconds
@@ -216,7 +216,7 @@ def _held_lines(candidates: Sequence[Candidate], taken: Sequence[MapSignal], clo
             table = tables.setdefault((id(candidate.table), known.tobytes()), (t[known], {}))
             table[1][signal.name] = values[known]
     for t, signals in tables.values():
-        for names, held in held_together(held_signals(t, signals)):
+        for names, held in group_held_signals(held_signals(t, signals)):
             yield (
                 f"{names}: held between measurements {held.rows * float(np.ptp(t)) / (len(t) - 1):.3g} s apart; "
                 'the import leaves the repeats out (if each row is a measurement, give the signal repeats = "keep")'

@@ -264,7 +264,7 @@ def _style(table: TomlTable | None) -> TextStyle:
 def _time(table: TomlTable) -> TimeColumn:
     """Return the source of the times from the table [time]."""
     if table.has("column") == table.has("rate_hz"):
-        raise table.error("column", f"give either column or rate_hz{table.misspelt('column')}")
+        raise table.error("column", f"give either column or rate_hz{table.misspelling_hint('column')}")
     origin = _origin(table)
     if table.has("rate_hz"):
         found = TimeColumn(rate_hz=table.number("rate_hz", positive=True), origin=origin)

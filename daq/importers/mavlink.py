@@ -16,8 +16,15 @@ from seatrial.daq.drivers import ParameterMismatch, check_parameters
 from seatrial.daq.errors import SeatrialError, SeatrialWarning, counted
 from seatrial.daq.importers.dataflash import firmware_type, read_dataflash
 from seatrial.daq.importers.write_log import Timed, clock_steps, replacing, sha256_of
-from seatrial.daq.log import LOG_FORMAT, NANO, LogWriter, cdr_layout, collect, schema
-from seatrial.daq.protocol import Head, MavlinkDecoder, Samples, head, is_whole, make_samples
+from seatrial.daq.log import LOG_FORMAT, NANO, LogWriter, cdr_layout, collect_provenance, schema
+from seatrial.daq.protocol import (
+    FrameHeader,
+    MavlinkDecoder,
+    SampleConverter,
+    has_correct_checksum,
+    make_sample_converter,
+    parse_header,
+)
 from seatrial.daq.rig import Device, Rig
 from seatrial.daq.samples import Ahrs, Event, Gnss
 
@@ -158,7 +165,7 @@ def read_tlog(
                 "or `system` of the map"
             )
             warnings.warn(text, SeatrialWarning, stacklevel=2)
-    samples = make_samples(device, rig) if device is not None and rig is not None else Samples()
+    samples = make_sample_converter(device, rig) if device is not None and rig is not None else SampleConverter()
     decoder = MavlinkDecoder(samples, system, component)
     parameters: dict[str, float] = {}
 
@@ -231,17 +238,17 @@ def _others(decoder: MavlinkDecoder) -> str:
     return f"it contains systems {others}: choose one by --system" if others else "it contains no other MAVLink system"
 
 
-def _frames(data: bytes) -> Iterator[tuple[float, int, Head]]:
+def _frames(data: bytes) -> Iterator[tuple[float, int, FrameHeader]]:
     """Yield time [s since 1970], offset and header of each complete frame. Skip bytes between the frames."""
     at = 0
     while at + STAMP < len(data):
-        found = head(data, at + STAMP) if data[at + STAMP] in (0xFD, 0xFE) else -1
+        found = parse_header(data, at + STAMP) if data[at + STAMP] in (0xFD, 0xFE) else -1
         if found == 0:
             return
         if (
             isinstance(found, int)
             or at + STAMP + found.total > len(data)
-            or not is_whole(data[at + STAMP : at + STAMP + found.total], found)
+            or not has_correct_checksum(data[at + STAMP : at + STAMP + found.total], found)
         ):
             at += 1
             continue
@@ -256,7 +263,7 @@ def _who(path: Path, data: bytes) -> tuple[int, int]:
     raise SeatrialError(f"{path}: contains no heartbeat of an autopilot; give a tlog or a DataFlash BIN")
 
 
-def _heartbeats(data: bytes) -> Iterator[tuple[Head, int]]:
+def _heartbeats(data: bytes) -> Iterator[tuple[FrameHeader, int]]:
     """Yield header and MAV_TYPE of each heartbeat of an autopilot."""
     for _, at, found in _frames(data):
         payload = at + (10 if data[at] == 0xFD else 6)
@@ -301,7 +308,7 @@ def _write(
     samples = ((device, row.frame, row.frame.t_rx) for row in in_file_order if not isinstance(row.frame.sample, Event))
     steps = clock_steps(samples)
     first = round(rows[0].frame.t_rx * NANO)
-    metadata = {**collect(), "format": LOG_FORMAT, "speed": "1.0", **about}
+    metadata = {**collect_provenance(), "format": LOG_FORMAT, "speed": "1.0", **about}
     attachments = {} if rig is None else {"rig.toml": rig.text.encode()}
     writer = LogWriter(part, metadata=metadata, attachments=attachments, time_ns=first)
     try:

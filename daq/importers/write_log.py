@@ -15,7 +15,7 @@ from seatrial.daq.clock import CLOCK_STEP_S
 from seatrial.daq.errors import SeatrialError, SeatrialWarning, counted
 from seatrial.daq.files import new_file
 from seatrial.daq.importers.signals import SignalData
-from seatrial.daq.log import LOG_FORMAT, NANO, LogWriter, cdr_layout, collect, discard_note, schema
+from seatrial.daq.log import LOG_FORMAT, NANO, LogWriter, cdr_layout, collect_provenance, discard_note, schema
 from seatrial.daq.samples import Event, Frame, Scalar
 
 
@@ -76,7 +76,7 @@ def write_signals(
         raise SeatrialError(f"{out}: times must be between 1970 and 2038; check time format and origin in the map")
     t_ns = [np.rint(data.t * NANO).astype(np.int64) for data in signals]
     first = min(int(t[0]) for t in t_ns if len(t))
-    about = {**collect(), "format": LOG_FORMAT, "speed": "1.0", **metadata}
+    about = {**collect_provenance(), "format": LOG_FORMAT, "speed": "1.0", **metadata}
     with replacing(out, force, reads) as part:
         writer = LogWriter(part, metadata=about, attachments=attachments, time_ns=first)
         try:
@@ -159,7 +159,7 @@ def write_frames(
         raise SeatrialError(f"{out}: the times of the source are not between 1970 and 2038")
     steps = clock_steps((row.device, row.frame, row.t) for row in rows)
     first = round(ordered[0].t * NANO)
-    about = {**collect(), "format": LOG_FORMAT, "speed": "1.0", **metadata}
+    about = {**collect_provenance(), "format": LOG_FORMAT, "speed": "1.0", **metadata}
     with replacing(out, force, reads) as part:
         writer = LogWriter(part, metadata=about, attachments={}, time_ns=first)
         try:

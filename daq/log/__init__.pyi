@@ -3,7 +3,7 @@ from .cdr import NANO as NANO
 from .cdr import cdr_layout as cdr_layout
 from .cdr import full_definition as full_definition
 from .mcap_writer import LogWriter as LogWriter
-from .provenance import collect as collect
+from .provenance import collect_provenance as collect_provenance
 from .reader import Log as Log
 from .reader import open_log as open_log
 from .recorder import LOG_FORMAT as LOG_FORMAT
@@ -11,7 +11,7 @@ from .recorder import Recorder as Recorder
 from .recorder import check_room as check_room
 from .recovery import recover_log as recover_log
 from .schema import NODE_TOPICS as NODE_TOPICS
-from .segments import first_of as first_of
+from .segments import first_segment_of as first_segment_of
 from .segments import first_segments as first_segments
 from .tables import LogTable as LogTable
 from .tables import Resampled as Resampled

@@ -34,32 +34,44 @@ HEAD = np.dtype(
 
 
 class Field(NamedTuple):
-    """Field of a message type after nested types have been expanded."""
+    """Field of a message type after nested types have been expanded.
 
-    name: str  # dotted, such as "header.stamp.sec"
-    primitive: str  # type of one element
-    length: int = 1  # elements of an array; 0 for a sequence of variable length
+    Attributes
+    ----------
+    name
+        Name with dots for nested types, such as "header.stamp.sec".
+    primitive
+        Type of one element, such as "float64" or "string".
+    length
+        Number of elements of an array; 0 for a sequence of variable length.
+    """
+
+    name: str
+    primitive: str
+    length: int = 1
 
     @property
     def variable(self) -> bool:
-        """Return whether the size of the field differs from message to message."""
+        """Whether the size of the field differs from message to message."""
         return self.primitive == "string" or self.length == 0
 
 
 @cache
 def definition(type_name: str) -> str:
-    """Return the text of the definition of a type `package/msg/Name` from daq/msg."""
+    """Return the text of the definition of a message type `package/msg/Name`, read from the files in daq/msg."""
     package, _, name = type_name.split("/")
     return resources.files("seatrial.daq").joinpath("msg", package, f"{name}.msg").read_text(encoding="utf-8")
 
 
-def _fields(type_name: str) -> list[tuple[str, str]]:
+def _parse_fields(type_name: str) -> list[tuple[str, str]]:
+    """Return type and name of each field in the definition of a message type. Constants are left out."""
     lines = (line.partition("#")[0] for line in definition(type_name).splitlines())
     pairs = [line.split(maxsplit=1) for line in lines if line.strip() and "=" not in line]
     return [(kind, name.strip()) for kind, name in pairs]
 
 
-def _nested(kind: str) -> str | None:
+def _full_type_name(kind: str) -> str | None:
+    """Return the full name `package/msg/Name` of a message type `package/Name`; None for a primitive type."""
     return "/msg/".join(kind.split("/")) if "/" in kind else None
 
 
@@ -79,8 +91,8 @@ def full_definition(type_name: str) -> str:
     """
     parts, pending, seen = [definition(type_name)], [type_name], {type_name}
     while pending:
-        for kind, _ in _fields(pending.pop(0)):
-            nested = _nested(kind)
+        for kind, _ in _parse_fields(pending.pop(0)):
+            nested = _full_type_name(kind)
             if nested is not None and nested not in seen:
                 seen.add(nested)
                 pending.append(nested)
@@ -91,8 +103,8 @@ def full_definition(type_name: str) -> str:
 def flatten(type_name: str, prefix: str = "") -> list[Field]:
     """Return all fields of a type in the order of the encoding; fields of nested types have dotted names."""
     found: list[Field] = []
-    for kind, name in _fields(type_name):
-        nested = _nested(kind)
+    for kind, name in _parse_fields(type_name):
+        nested = _full_type_name(kind)
         base, bracket, size = kind.partition("[")
         if nested is not None:
             found += flatten(nested, f"{prefix}{name}.")
@@ -103,6 +115,15 @@ def flatten(type_name: str, prefix: str = "") -> list[Field]:
 
 class CdrLayout:
     """Byte layout of one message type for one `frame_id`.
+
+    Parameters
+    ----------
+    type_name
+        Name of the type, `package/msg/Name`.
+    frame_id
+        The `frame_id` of the header, without the final NUL.
+    lacking
+        Names of fields that the older version of the type, which wrote the messages, did not have yet.
 
     Attributes
     ----------
@@ -192,7 +213,7 @@ class CdrLayout:
 
 
 def doubles(*values: float) -> bytes:
-    """Return an array of float64 as bytes, in the form that `CdrLayout.pack` needs."""
+    """Return numbers as the bytes of an array of float64 (little endian), in the form that `CdrLayout.pack` needs."""
     return struct.pack(f"<{len(values)}d", *values)
 
 

@@ -54,13 +54,27 @@ Offsets = NDArray[np.int64]
 
 
 class ChunkAt(NamedTuple):
-    """Position of the data of a chunk in the file, and their compression."""
+    """Position of the data of a chunk in the file, and their compression.
 
-    start: int  # byte of the file
-    stop: int  # first byte after the data
-    compression: str  # "", "zstd" or "lz4"
-    size: int  # uncompressed bytes
-    checksum: int  # CRC-32 of the uncompressed bytes; 0 if there is none
+    Attributes
+    ----------
+    start
+        First byte of the data in the file.
+    stop
+        First byte after the data.
+    compression
+        Compression of the data: "" (none), "zstd" or "lz4".
+    size
+        Number of uncompressed bytes.
+    checksum
+        CRC-32 of the uncompressed bytes; 0 if there is none.
+    """
+
+    start: int
+    stop: int
+    compression: str
+    size: int
+    checksum: int
 
 
 def chunk_at(head: bytes, start: int, stop: int, cut: bool = False) -> ChunkAt:
@@ -134,11 +148,21 @@ def unpack_cut(packed: bytes, chunk: ChunkAt) -> Buffer:
 
 
 class Messages(NamedTuple):
-    """Messages of some chunks."""
+    """Messages of some chunks.
 
-    buffer: Buffer  # uncompressed bytes of the chunks, one chunk after the other
-    offsets: Offsets  # offset of each message record in the buffer, shape (n,)
-    heads: NDArray[np.void]  # dtype MESSAGE_HEAD, shape (n,)
+    Attributes
+    ----------
+    buffer
+        Uncompressed bytes of the chunks, one chunk after the other.
+    offsets
+        Offset of each message record in the buffer, shape (n,).
+    heads
+        Head of each message record, dtype MESSAGE_HEAD, shape (n,).
+    """
+
+    buffer: Buffer
+    offsets: Offsets
+    heads: NDArray[np.void]
 
     @property
     def lengths(self) -> NDArray[np.int64]:
@@ -157,7 +181,7 @@ class Messages(NamedTuple):
         return rows_at(self.buffer, self.offsets + MESSAGE_HEAD.itemsize, dtype)
 
     def payloads(self) -> Iterator[memoryview]:
-        """Yield the data of each message."""
+        """Yield the data of each message, without its head, in order."""
         view, starts = memoryview(self.buffer.data), self.offsets + MESSAGE_HEAD.itemsize
         for start, length in zip(starts.tolist(), self.lengths.tolist(), strict=True):
             yield view[start : start + length]

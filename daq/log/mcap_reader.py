@@ -86,7 +86,24 @@ Chunks = NDArray[np.void]
 class RawLog:
     """One MCAP file with its channels, schemas, metadata, attachments and warnings. `read` yields its messages.
 
-    `warnings` contains the faults of the parts that were read so far; `verify` reads the other parts.
+    Attributes
+    ----------
+    path
+        The file.
+    warnings
+        Faults of the parts that were read so far, one line each. `verify` reads the other parts.
+    complete
+        Whether the file has its footer.
+    profile
+        Profile in the header of the file, such as "ros2".
+    channels, schemas
+        Channel and schema records by number.
+    metadata, attachments
+        All metadata and attachment records.
+    counts
+        Number of messages of each channel, by number of the channel.
+    span_ns
+        Log times of the first and the last message [ns since 1970]; None if there is no message.
 
     Raises
     ------
@@ -124,7 +141,13 @@ class RawLog:
             self._seen[n:] = -1
 
     def _open(self) -> tuple[int, int, tuple[int, int]]:
-        """Open the file. Return its descriptor, its size [bytes], and device and inode."""
+        """Open the file and check that it is a regular file and an MCAP file. Otherwise SeatrialError is raised.
+
+        Returns
+        -------
+        tuple
+            File descriptor, size of the file [bytes], and the pair of device and inode, which identifies the file.
+        """
         # Plain reads, no mmap: the file may still grow, and a failing disk must cause an error message, not a signal.
         try:
             fd = os.open(self.path, os.O_RDONLY | os.O_NONBLOCK)  # without O_NONBLOCK a named pipe waits for a writer
@@ -173,6 +196,7 @@ class RawLog:
             self._fd = -1
 
     def __del__(self) -> None:
+        """Close the file if it is still open."""
         if getattr(self, "_fd", -1) >= 0:
             self.close()
 
@@ -190,13 +214,13 @@ class RawLog:
         """
         ids = np.fromiter(self.channels if channels is None else channels, np.uint16)
         n_found = 0
-        for part in self._batches(self._choose(ids, begin_ns, end_ns)):
-            batch = self._messages(part, _ignore)
+        for part in self._batches(self._chunks_to_read(ids, begin_ns, end_ns)):
+            batch = self._read_messages(part, _ignore)
             n_found += len(batch.offsets)
             number, t = batch.heads["channel"], batch.heads["log_ns"]
             selected = number == ids[0] if len(ids) == 1 else np.isin(number, ids)
             yield batch.where(selected & (t >= begin_ns) & ((t < end_ns) | (end_ns == LAST_NS)))
-            if self._too_many(n_found):
+            if self._has_too_many_messages(n_found):
                 return
 
     def _bound_chunks(self) -> int:
@@ -212,8 +236,11 @@ class RawLog:
             self._warn(f"the uncompressed chunks have {size}, far more than a real log: the last chunks are left out")
         return n
 
-    def _too_many(self, n_messages: int) -> bool:
-        """Return whether a file of this size has too many messages, and warn if so."""
+    def _has_too_many_messages(self, n_messages: int) -> bool:
+        """Return whether a file of this size has too many messages: more than FEW_MESSAGES and than it has bytes.
+
+        Warn if so.
+        """
         if n_messages <= max(FEW_MESSAGES, self._size):  # a real message takes at least one compressed byte
             return False
         self._warn(f"more messages than a real log of its size has ({self._size} bytes): the rest is left out")
@@ -224,9 +251,9 @@ class RawLog:
         inside = (self._chunks["end_ns"] >= begin_ns) & (self._chunks["begin_ns"] <= end_ns)
         for number in np.flatnonzero(inside & (self._seen == 0)).tolist():
             with contextlib.suppress(*DAMAGE):
-                self._chunk(number)
+                self._read_chunk(number)
 
-    def _choose(self, ids: NDArray[np.uint16], begin_ns: int, end_ns: int) -> Offsets:
+    def _chunks_to_read(self, ids: NDArray[np.uint16], begin_ns: int, end_ns: int) -> Offsets:
         """Return the numbers of the undamaged chunks that may have messages of these channels and log times."""
         chunk, channel = self._chunk_channels
         wanted = self._unindexed.copy()
@@ -241,15 +268,15 @@ class RawLog:
             if len(part):
                 yield part.tolist()
 
-    def _messages(self, numbers: list[int], register: Callable[[int, bytes], None]) -> Messages:
+    def _read_messages(self, numbers: list[int], register: Callable[[int, bytes], None]) -> Messages:
         """Return all messages of these chunks. Damaged chunks are left out."""
         chunks = []
         for number in numbers:
             with contextlib.suppress(*DAMAGE):
-                chunks.append(self._chunk(number))
+                chunks.append(self._read_chunk(number))
         return scan(chunks or [(np.zeros(0, np.uint8), b"")], register)
 
-    def _chunk(self, number: int) -> tuple[Buffer, bytes]:
+    def _read_chunk(self, number: int) -> tuple[Buffer, bytes]:
         """Return the uncompressed bytes of a chunk and the entries of its message indexes.
 
         Raises
@@ -280,7 +307,7 @@ class RawLog:
                 found = unpack_chunk(packed, chunk), index_entries(data, stop - at)
         except DAMAGE as error:
             if self._seen[number] >= 0:
-                self._warn(f"the chunk at byte {at} is damaged and left out ({_one_line(error)})")
+                self._warn(f"the chunk at byte {at} is damaged and left out ({_error_line(error)})")
             self._seen[number] = -1
             raise
         self._seen[number] = 1
@@ -304,7 +331,7 @@ class RawLog:
             return False
 
     def _checksum(self, start: int, stop: int) -> int:
-        """Return the CRC-32 of bytes of the file."""
+        """Return the CRC-32 of the bytes `start` to `stop` of the file."""
         checksum = 0
         for at in range(start, stop, _BLOCK):
             checksum = zlib.crc32(self._read(at, min(at + _BLOCK, stop)), checksum)
@@ -329,7 +356,7 @@ class RawLog:
         self._chunks, self._chunk_channels, self._unindexed = chunks, summary.chunk_channels, summary.unindexed
         self._seen = np.zeros(len(chunks), np.int8)
         for kind, data in [*summary.schemas, *summary.channels]:
-            self._register(kind, data)
+            self._keep_definition(kind, data)
         self.counts.update({k: n for k, n in statistics.channel_message_counts.items() if k in self.channels and n})
         self.span_ns = (statistics.message_start_time, statistics.message_end_time) if self.counts else None
         for at, length in [(len(MCAP0_MAGIC), first - len(MCAP0_MAGIC)), *summary.records]:
@@ -337,9 +364,9 @@ class RawLog:
                 opcode, content = RECORD.unpack(self._read(at, at + HEADER))
                 if content != length - HEADER:
                     raise ValueError("wrong length of a record")
-                self._visit(opcode, at, at + length)
+                self._keep_record(opcode, at, at + length)
             except DAMAGE as error:
-                self._warn(f"the record at byte {at} is damaged and left out ({_one_line(error)})")
+                self._warn(f"the record at byte {at} is damaged and left out ({_error_line(error)})")
         self.complete = True
         return True
 
@@ -357,16 +384,16 @@ class RawLog:
             if unknown or stop > size:
                 again = self._next_chunk(at + 1)
                 if again is None:
-                    whole &= self._end(opcode, at, unknown, found)
+                    whole &= self._read_cut_end(opcode, at, unknown, found)
                     break
                 self._warn(f"damaged at byte {at}: {again - at} bytes are left out")
                 at, whole = again, False
                 continue
             try:
                 if not found.add(opcode, at, stop, self._read(at, min(stop, at + HEADER + CHUNK_HEAD))):
-                    self._visit(opcode, at, stop)
+                    self._keep_record(opcode, at, stop)
             except DAMAGE as error:
-                self._warn(f"the record at byte {at} is damaged and left out ({_one_line(error)})")
+                self._warn(f"the record at byte {at} is damaged and left out ({_error_line(error)})")
                 whole = False
             at = stop
             if opcode == Opcode.FOOTER:
@@ -378,13 +405,13 @@ class RawLog:
         self._seen[self._bound_chunks() :] = -1
         # Only chunks have a checksum: channel records in chunks replace channel records outside of chunks.
         channels, schemas, self.channels, self.schemas = self.channels, self.schemas, {}, {}
-        self._scan(found, only_new=whole and not self.complete)
+        self._count_messages(found, only_new=whole and not self.complete)
         self.channels, self.schemas = {**channels, **self.channels}, {**schemas, **self.schemas}
         if lost := sum(n for channel, n in self.counts.items() if channel not in self.channels):
             self._warn(f"left out: {counted(lost, 'message')} whose channel record is damaged or missing")
         self.counts = Counter({channel: n for channel, n in self.counts.items() if channel in self.channels})
 
-    def _scan(self, found: _FoundChunks, only_new: bool) -> None:
+    def _count_messages(self, found: _FoundChunks, only_new: bool) -> None:
         """Read the chunks to count their messages and to find the channels.
 
         With `only_new`, a chunk is not read if its message indexes contain known channels only. The last chunk is
@@ -402,24 +429,24 @@ class RawLog:
                 pairs[0].extend([number] * len(indexed))
                 pairs[1].extend(indexed)
                 self.counts.update(indexed)
-                self._span(*(int(self._chunks[name][number]) for name in ("begin_ns", "end_ns")))
+                self._extend_span(*(int(self._chunks[name][number]) for name in ("begin_ns", "end_ns")))
                 continue
             waiting.append(number)
             n_bytes += int(self._chunks["size"][number])
             if only_new or number + 1 == len(self._chunks) or n_bytes > BATCH_BYTES:
-                heads = self._messages(waiting, self._register).heads
+                heads = self._read_messages(waiting, self._keep_definition).heads
                 waiting, n_bytes = [], 0
                 for channel, n in zip(*np.unique(heads["channel"], return_counts=True), strict=True):
                     self.counts[int(channel)] += int(n)
                 if len(heads):
-                    self._span(int(heads["log_ns"].min()), int(heads["log_ns"].max()))
-                if self._too_many(self.counts.total()):
+                    self._extend_span(int(heads["log_ns"].min()), int(heads["log_ns"].max()))
+                if self._has_too_many_messages(self.counts.total()):
                     self._seen[number + 1 :] = -1
                     break
         self._chunk_channels = (np.asarray(pairs[0], np.int32), np.asarray(pairs[1], np.uint16))
 
-    def _span(self, begin_ns: int, end_ns: int) -> None:
-        """Extend the span of the file by an interval of log times."""
+    def _extend_span(self, begin_ns: int, end_ns: int) -> None:
+        """Extend `span_ns`, the span of the file, so that it includes an interval of log times [ns since 1970]."""
         before = self.span_ns or (begin_ns, end_ns)
         self.span_ns = min(before[0], begin_ns), max(before[1], end_ns)
 
@@ -442,10 +469,25 @@ class RawLog:
             at += _BLOCK - len(_ZSTD)
         return None
 
-    def _end(self, opcode: int, at: int, unknown: bool, found: _FoundChunks) -> bool:
-        """End the walk at a byte after which no whole record follows. Return whether the file is only cut off there.
+    def _read_cut_end(self, opcode: int, at: int, unknown: bool, found: _FoundChunks) -> bool:
+        """Read what can be read of a record after which no whole record follows, and warn.
 
-        The existing blocks of a cut chunk are decompressed, because they may contain messages.
+        The existing zstd blocks of a cut chunk are decompressed and added to `found`, because they may contain
+        messages.
+
+        Parameters
+        ----------
+        opcode, at
+            Opcode of the record, and its byte in the file.
+        unknown
+            Whether the opcode is invalid. The rest of the file is then damaged and left out.
+        found
+            List of the chunks so far.
+
+        Returns
+        -------
+        bool
+            Whether the file is only cut off there, and not damaged.
         """
         if unknown:
             self._warn(f"damaged at byte {at}: the rest of the file is left out")
@@ -461,8 +503,10 @@ class RawLog:
                 found.append(at, self._size, len(self._partial), 0, LAST_NS)
         return True
 
-    def _visit(self, opcode: int, at: int, stop: int) -> None:
-        """Decode and keep the record at these bytes if it belongs to the kinds in `_KEPT`.
+    def _keep_record(self, opcode: int, at: int, stop: int) -> None:
+        """Decode and keep the record at the bytes `at` to `stop` if it belongs to the kinds in `_KEPT`.
+
+        If the kept records together would be larger than MAX_HELD_BYTES, the record is left out with a warning.
 
         Raises
         ------
@@ -479,7 +523,7 @@ class RawLog:
         self._held_bytes += stop - at
         data = self._read(at + HEADER, stop)
         if opcode in (Opcode.CHANNEL, Opcode.SCHEMA):
-            self._register(opcode, data)
+            self._keep_definition(opcode, data)
         elif opcode == Opcode.ATTACHMENT:
             (checksum,) = struct.unpack_from("<I", data, len(data) - 4)
             if checksum not in (0, zlib.crc32(memoryview(data)[:-4])):
@@ -494,8 +538,11 @@ class RawLog:
         elif opcode == Opcode.HEADER:
             self.profile = _parse(Header.read, data).profile
 
-    def _register(self, opcode: int, data: bytes) -> None:
-        """Keep a schema or channel, and warn if its record is damaged."""
+    def _keep_definition(self, opcode: int, data: bytes) -> None:
+        """Decode and keep a schema or channel record by its opcode and content, and warn if it is damaged.
+
+        A record is left out without a warning if the kept records would be larger than MAX_HELD_BYTES.
+        """
         try:
             if opcode == Opcode.SCHEMA:
                 schema = _parse(Schema.read, data)
@@ -513,10 +560,10 @@ class RawLog:
                     about = {printable(key): printable(value) for key, value in channel.metadata.items()}
                     self.channels[channel.id] = replace(channel, topic=printable(channel.topic), metadata=about)
         except DAMAGE as error:
-            self._warn(f"a schema or channel is damaged and left out ({_one_line(error)})")
+            self._warn(f"a schema or channel is damaged and left out ({_error_line(error)})")
 
     def _warn(self, text: str) -> None:
-        """Add a warning, up to `MAX_WARNINGS`."""
+        """Add a warning. After `MAX_WARNINGS` one line reports that there are more, and further ones are left out."""
         if len(self.warnings) < MAX_WARNINGS:
             self.warnings.append(text)
         elif len(self.warnings) == MAX_WARNINGS:
@@ -582,6 +629,28 @@ class _FoundChunks:
 class _Summary:
     """Decoded summary of a file, which lies at bytes `start` .. `stop`.
 
+    Parameters
+    ----------
+    read
+        Function that returns the bytes of the file between two positions.
+    start, stop
+        Position of the summary in the file [bytes].
+
+    Attributes
+    ----------
+    schemas, channels
+        Opcode and content of each schema and channel record.
+    records
+        Position and length [bytes] of each attachment and metadata record in the file.
+    statistics
+        Statistics record; None if there is none.
+    chunks
+        Positions of the chunks, dtype _CHUNK, shape (n,).
+    chunk_channels
+        Pairs of chunk and channel with messages, as two arrays of shape (n_pairs,).
+    unindexed
+        Mask (n,) of the chunks without message indexes.
+
     Raises
     ------
     One of DAMAGE
@@ -608,7 +677,7 @@ class _Summary:
                     begins.append(place)
                     ends.append(end)
                 else:
-                    self._add(opcode, block[place + HEADER : end])
+                    self._add_record(opcode, block[place + HEADER : end])
                 place = end
             if not place:
                 raise ValueError("a record of the summary is too long")
@@ -624,7 +693,7 @@ class _Summary:
         self.unindexed = np.ones(len(self.chunks), bool)  # chunks without an index
         self.unindexed[self.chunk_channels[0]] = False
 
-    def _add(self, opcode: int, data: bytes) -> None:
+    def _add_record(self, opcode: int, data: bytes) -> None:
         """Add a record of the summary by its opcode and content. Records of other kinds are ignored."""
         if opcode == Opcode.SCHEMA:
             self.schemas.append((opcode, data))
@@ -685,7 +754,7 @@ def _chunk_indexes(
 
 
 def _check_name(name: str) -> None:
-    """Raise ValueError if a text is too long for a name."""
+    """Raise ValueError if a text has more than MAX_NAME_CHARACTERS characters."""
     if len(name) > MAX_NAME_CHARACTERS:
         raise ValueError(f"a name of {len(name)} characters is too long")
 
@@ -699,6 +768,6 @@ def _parse(read: Callable[[ReadDataStream], Record], data: bytes) -> Record:
     return read(ReadDataStream(BytesIO(data)))
 
 
-def _one_line(error: BaseException) -> str:
+def _error_line(error: BaseException) -> str:
     """Return the text of an error as one line; the name of its class if it has no text."""
     return " ".join(str(error).split()) or type(error).__name__

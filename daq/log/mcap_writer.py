@@ -132,10 +132,11 @@ class LogWriter:
         self._closed = False
         self._schemas: dict[str, int] = {}
         self._waits = self._synced = time.monotonic()
-        with self._guard():
-            self._begin(metadata, attachments, time_ns)
+        with self._close_on_error():
+            self._write_head(metadata, attachments, time_ns)
 
-    def _begin(self, metadata: Mapping[str, str], attachments: Mapping[str, bytes], time_ns: int) -> None:
+    def _write_head(self, metadata: Mapping[str, str], attachments: Mapping[str, bytes], time_ns: int) -> None:
+        """Write the header, the metadata record and the attachments. The parameters are those of the class."""
         self._writer = RecordWriter(self._stream, chunk_bytes=CHUNK_BYTES, profile="ros2", library="seatrial")
         self._writer.add_metadata("seatrial", metadata)
         for name, data in attachments.items():
@@ -149,7 +150,7 @@ class LogWriter:
 
     @property
     def is_deleted(self) -> bool:
-        """Return whether the file has been deleted while it is open."""
+        """Whether the file has been deleted while it is open; False after `close`."""
         return not self._closed and self._stream.is_deleted
 
     def channel(self, topic: str, type_name: str, metadata: Mapping[str, str] | None = None) -> int:
@@ -164,7 +165,7 @@ class LogWriter:
         metadata
             Further texts of the channel, such as unit and hold of an imported signal.
         """
-        self._check()
+        self._require_open()
         if type_name not in self._schemas:
             data = full_definition(type_name).encode()
             self._schemas[type_name] = self._writer.register_schema(type_name, "ros2msg", data)
@@ -188,13 +189,13 @@ class LogWriter:
             Message in CDR.
         """
         if self._closed:
-            self._check()
-        try:  # the code of `_guard` is repeated here, because a context manager for every message is too slow
+            self._require_open()
+        try:  # the code of `_close_on_error` is repeated here, because a context manager for every message is too slow
             self._writer.add_message(channel, log_ns, data, stamp_ns, sequence)
         except OSError as error:
-            self._fail(error, complete=False)
+            self._close_and_raise(error, complete=False)
         if self._stream.failure is not None:
-            self._end_saved()
+            self._finish_with_ballast()
 
     def tick(self) -> None:
         """Flush waiting messages and sync the file when it is time. The caller calls this often.
@@ -202,7 +203,7 @@ class LogWriter:
         Messages are flushed after 0.25 s. At most 16 waiting messages are flushed after 0.1 s. The file is synced
         every second of wall time.
         """
-        self._check()
+        self._require_open()
         now = time.monotonic()
         n_waiting = self._writer.n_waiting
         if not n_waiting:
@@ -214,12 +215,12 @@ class LogWriter:
             self._synced = now
             self._syncer.request()
         if self._syncer.error is not None:
-            self._fail(self._syncer.error, complete=False)
+            self._close_and_raise(self._syncer.error, complete=False)
 
     def flush(self) -> None:
         """End the chunk and pass it to the operating system."""
-        self._check()
-        with self._guard():
+        self._require_open()
+        with self._close_on_error():
             self._writer.flush()
         # The end of the file needs about 80 bytes for every chunk and 10 more for each of its channels. The ballast
         # must have room for it.
@@ -241,22 +242,22 @@ class LogWriter:
             self._writer.finish()
             self._stream.sync()
         except OSError as error:
-            self._fail(error, complete=False)
-        self._end()
+            self._close_and_raise(error, complete=False)
+        self._close_file()
         if self._stream.failure is not None:
-            raise self._explain(self._stream.failure, complete=True)
+            raise self._write_error(self._stream.failure, complete=True)
 
     @contextlib.contextmanager
-    def _guard(self) -> Iterator[None]:
+    def _close_on_error(self) -> Iterator[None]:
         """Close the file and raise SeatrialError if a write within the block fails."""
         try:
             yield
         except OSError as error:  # records are lost: the indexes of the writer no longer agree with the file
-            self._fail(error, complete=False)
+            self._close_and_raise(error, complete=False)
         if self._stream.failure is not None:
-            self._end_saved()
+            self._finish_with_ballast()
 
-    def _end_saved(self) -> NoReturn:
+    def _finish_with_ballast(self) -> NoReturn:
         """End the file after the ballast has made room for the records of a failed write. No record is lost."""
         assert self._stream.failure is not None
         complete = True
@@ -264,27 +265,32 @@ class LogWriter:
             self._writer.finish()
         except OSError:
             complete = False
-        self._fail(self._stream.failure, complete)
+        self._close_and_raise(self._stream.failure, complete)
 
-    def _fail(self, error: OSError, complete: bool) -> NoReturn:
+    def _close_and_raise(self, error: OSError, complete: bool) -> NoReturn:
         """Close the file and raise the error. `complete`: whether the footer is written."""
-        self._end()
-        self._failed = self._explain(error, complete)
+        self._close_file()
+        self._failed = self._write_error(error, complete)
         raise self._failed from error
 
-    def _end(self) -> None:
+    def _close_file(self) -> None:
+        """Stop the sync thread and close the file. No record is written."""
         self._closed = True
         self._syncer.end()
         self._stream.close()
 
-    def _check(self) -> None:
+    def _require_open(self) -> None:
+        """Raise the error of an earlier failed write, or SeatrialError if the log is closed."""
         if self._failed is not None:
             raise self._failed
         if self._closed:
             raise SeatrialError(f"{self.path}: the log is closed already")
 
-    def _explain(self, error: OSError, complete: bool) -> SeatrialError:
-        """Return the error for the user about a failed write."""
+    def _write_error(self, error: OSError, complete: bool) -> SeatrialError:
+        """Return the error for the user about a failed write; `DiskFull` if the disk is full.
+
+        `complete`: whether the file contains every message and its footer.
+        """
         state = "closed and complete up to there" if complete else "whole up to its last record, but has no footer"
         text = (
             f"{self.path}: writing failed ({error.strerror}) after {self.size} bytes; the log is {state}; "
@@ -331,7 +337,7 @@ class RecordWriter:
         self._parts: list[bytes] = []  # records of the current chunk
         self._held = 0  # bytes of these records
         self._offsets: list[int] = []  # offset of each message in the chunk
-        stream.write(MCAP0_MAGIC + _bytes(Header(profile, library)))
+        stream.write(MCAP0_MAGIC + _encode_record(Header(profile, library)))
 
     @property
     def n_waiting(self) -> int:
@@ -346,26 +352,26 @@ class RecordWriter:
 
     def add_metadata(self, name: str, data: Mapping[str, str]) -> None:
         """Write a metadata record immediately."""
-        at, record = self._stream.tell(), _bytes(Metadata(name=name, metadata=dict(data)))
+        at, record = self._stream.tell(), _encode_record(Metadata(name=name, metadata=dict(data)))
         self._stream.write(record)
         self._n_metadata += 1
-        self._metadata_index += _bytes(MetadataIndex(offset=at, length=len(record), name=name))
+        self._metadata_index += _encode_record(MetadataIndex(offset=at, length=len(record), name=name))
 
     def add_attachment(self, create_ns: int, log_ns: int, name: str, media_type: str, data: bytes) -> None:
         """Write an attachment immediately."""
         at = self._stream.tell()
-        record = _bytes(Attachment(create_ns, log_ns, name, media_type, data))
+        record = _encode_record(Attachment(create_ns, log_ns, name, media_type, data))
         self._stream.write(record)
         index = AttachmentIndex(at, len(record), log_ns, create_ns, len(data), name, media_type)
         self._n_attachments += 1
-        self._attachment_index += _bytes(index)
+        self._attachment_index += _encode_record(index)
 
     def register_schema(self, name: str, encoding: str, data: bytes) -> int:
         """Register a schema and return its number."""
         self._n_schemas += 1
-        record = _bytes(Schema(id=self._n_schemas, name=name, encoding=encoding, data=data))
+        record = _encode_record(Schema(id=self._n_schemas, name=name, encoding=encoding, data=data))
         self._schemas += record
-        self._hold(record)
+        self._append_record(record)
         return self._n_schemas
 
     def register_channel(self, topic: str, encoding: str, schema: int, metadata: Mapping[str, str]) -> int:
@@ -379,9 +385,9 @@ class RecordWriter:
         if self._n_channels == MAX_CHANNELS:
             raise SeatrialError(f"a log holds at most {MAX_CHANNELS} topics; leave some of them out")
         self._n_channels += 1
-        record = _bytes(Channel(self._n_channels, topic, encoding, dict(metadata), schema))
+        record = _encode_record(Channel(self._n_channels, topic, encoding, dict(metadata), schema))
         self._channels += record
-        self._hold(record)
+        self._append_record(record)
         return self._n_channels
 
     def add_message(self, channel: int, log_ns: int, data: bytes, stamp_ns: int, sequence: int) -> None:
@@ -394,7 +400,7 @@ class RecordWriter:
         if self._held > self._chunk_bytes:
             self.flush()
 
-    def _hold(self, record: bytes) -> None:
+    def _append_record(self, record: bytes) -> None:
         """Append a schema or channel record to the current chunk."""
         self._parts.append(record)
         self._held += len(record)
@@ -414,7 +420,7 @@ class RecordWriter:
             uncompressed_crc=zlib.crc32(data),
             uncompressed_size=len(data),
         )
-        written = _bytes(chunk)
+        written = _encode_record(chunk)
         indexes, places = _message_indexes(heads["channel"], times, offsets, begin + len(written))
         self._stream.write(written + indexes)
         index = ChunkIndex(
@@ -429,7 +435,7 @@ class RecordWriter:
             uncompressed_size=len(data),
         )
         self.n_chunks += 1
-        self._chunk_index += _bytes(index)
+        self._chunk_index += _encode_record(index)
         self._begin_ns = min(self._begin_ns, chunk.message_start_time)
         self._end_ns = max(self._end_ns, chunk.message_end_time)
         for number, n in zip(*np.unique(heads["channel"], return_counts=True), strict=True):
@@ -439,16 +445,16 @@ class RecordWriter:
     def finish(self) -> None:
         """Write the last chunk and the end of the file, which consists of summary and footer."""
         self.flush()
-        end = _bytes(DataEnd(0))
+        end = _encode_record(DataEnd(0))
         start = self._stream.tell() + len(end)
         summary, offsets = b"", b""
         for group in (
-            self._schemas, self._channels, _bytes(self._statistics()),
+            self._schemas, self._channels, _encode_record(self._statistics()),
             self._chunk_index, self._attachment_index, self._metadata_index,
         ):  # fmt: skip
             if group:
                 at = start + len(summary)
-                offsets += _bytes(SummaryOffset(group_opcode=group[0], group_start=at, group_length=len(group)))
+                offsets += _encode_record(SummaryOffset(group_opcode=group[0], group_start=at, group_length=len(group)))
             summary += group
         offset_start = start + len(summary)
         footed = _FOOTER.pack(Opcode.FOOTER, 20, start, offset_start)
@@ -457,7 +463,7 @@ class RecordWriter:
             summary_offset_start=offset_start,
             summary_crc=zlib.crc32(summary + offsets + footed),
         )
-        self._stream.write(end + summary + offsets + _bytes(footer) + MCAP0_MAGIC)
+        self._stream.write(end + summary + offsets + _encode_record(footer) + MCAP0_MAGIC)
 
     def _statistics(self) -> Statistics:
         """Return the statistics record of the file."""
@@ -492,7 +498,7 @@ def _message_indexes(
     return bytes(out), places
 
 
-def _bytes(record: McapRecord) -> bytes:
+def _encode_record(record: McapRecord) -> bytes:
     """Encode a record by the mcap package."""
     builder = RecordBuilder()
     record.write(builder)

@@ -35,6 +35,7 @@ def git_hash() -> str:
 
 
 def _version(package: str) -> str:
+    """Return the version of an installed package; "none" if it is not installed."""
     try:
         return version(package)
     except PackageNotFoundError:
@@ -42,14 +43,15 @@ def _version(package: str) -> str:
 
 
 def _operator() -> str:
+    """Return the name of the user who runs this program; "unknown" if the system has none."""
     try:
         return getpass.getuser()
     except (OSError, KeyError):
         return "unknown"
 
 
-def collect() -> dict[str, str]:
-    """Return software versions, git hash, host, operator, wall time and command line, as text by name."""
+def collect_provenance() -> dict[str, str]:
+    """Return software versions, git hash, host, operator, time (UTC) and command line of this process, by name."""
     return {
         "git": git_hash(),
         "host": platform.node(),

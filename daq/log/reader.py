@@ -64,8 +64,11 @@ def open_log(path: Path | str) -> Log:
     return Log(Path(path))
 
 
-def _library(name: str) -> Any:
-    """Import an optional library. Raise SeatrialError with the command that installs it if it is missing."""
+def _import_library(name: str) -> Any:
+    """Import an optional library and return its module.
+
+    If the library is missing, SeatrialError is raised; its message contains the command that installs it.
+    """
     try:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:
@@ -138,9 +141,11 @@ class Log:
         return view
 
     def __enter__(self) -> Log:
+        """Return the log itself."""
         return self
 
     def __exit__(self, *_: object) -> None:
+        """Close the file."""
         self.close()
 
     def close(self) -> None:
@@ -160,7 +165,7 @@ class Log:
 
     @cached_property
     def sha256(self) -> str:
-        """Return the SHA-256 of the file. For a log of several segments, hash their bytes in order."""
+        """SHA-256 of the file in hexadecimal. For a log of several segments the bytes of all, in order, are hashed."""
         digest = hashlib.sha256()
         for path in self.paths:
             with path.open("rb") as file:
@@ -235,9 +240,9 @@ class Log:
         return found
 
     @cached_property
-    def _spacing(self) -> dict[str, _Spacing]:
-        """Rate, gaps and backward steps of all topics, from one pass through the file."""
-        found = {topic: _Spacing() for topic in self.counts}
+    def _spacing(self) -> dict[str, _StampStatistics]:
+        """Rate, gaps and backward steps of the time stamps, by topic, from one pass through the file."""
+        found = {topic: _StampStatistics() for topic in self.counts}
         topics = {number: channel.topic for number, channel in self._file.channels.items()}
         for messages in self._file.read(None, *self._span_ns):
             channel, stamp = messages.heads["channel"], messages.heads["stamp_ns"] / NANO
@@ -263,7 +268,7 @@ class Log:
         SeatrialError
             If pandas is not installed, or if the log has no samples.
         """
-        pandas = _library("pandas")
+        pandas = _import_library("pandas")
         table = resample(self, rate)
         index = pandas.to_datetime(np.rint(table.t * NANO).astype(np.int64), unit="ns", utc=True).rename("time")
         frame = pandas.DataFrame(table.columns, index=index)
@@ -288,7 +293,7 @@ class Log:
         SeatrialError
             If xarray is not installed, or if the log has no samples.
         """
-        xarray = _library("xarray")
+        xarray = _import_library("xarray")
         table = resample(self, rate)
         time = np.rint(table.t * NANO).astype(np.int64).astype("datetime64[ns]")
         variables = {name: ("time", values, {"units": table.units[name]}) for name, values in table.columns.items()}
@@ -301,16 +306,16 @@ class Log:
         if kind is Scalar:
             return [name.removeprefix("/signal/") for name in self.counts if name.startswith("/signal/")]
         if kind in schema.NODE_TOPICS:
-            return list(dict.fromkeys(source for source, _ in self._nodes(kind)))
+            return list(dict.fromkeys(source for source, _ in self._devices_and_nodes(kind)))
         last = schema.topic(kind, "*").rsplit("/", 1)[1]  # type: ignore[arg-type]
         pairs = [name.split("/")[1:] for name in self.counts]
         return [pair[0] for pair in pairs if len(pair) == 2 and pair[1] == last and pair[0] not in ("raw", "health")]
 
     def nodes(self, kind: type[Esc] | type[Command] | type[Servo], source: str) -> list[int]:
         """Return the sorted controller ids on the bus of a device that have samples of a kind."""
-        return sorted(node for name, node in self._nodes(kind) if name == source)
+        return sorted(node for name, node in self._devices_and_nodes(kind) if name == source)
 
-    def _nodes(self, kind: type[Measured] | type[PortHealth]) -> list[tuple[str, int]]:
+    def _devices_and_nodes(self, kind: type[Measured] | type[PortHealth]) -> list[tuple[str, int]]:
         """Return pairs of device and controller id that have samples of a kind, from the names of the topics."""
         last = schema.NODE_TOPICS[kind]
         parts = [name.split("/")[1:] for name in self.counts]
@@ -368,16 +373,29 @@ class Log:
     def _read_table(
         self, kind: type[Measured], topic: str, source: str, span: tuple[int, int], join: bool = True
     ) -> NDArray[np.void]:
-        """Read the table of one topic from the file. `join`: add the companions of an AHRS."""
-        rows = self._rows_of(kind, topic, source, join)
+        """Read the table of one topic from the file.
+
+        Parameters
+        ----------
+        kind
+            Class of the samples.
+        topic, source
+            Topic, and name of its device.
+        span
+            Interval of log times [ns since 1970].
+        join
+            Whether to add the columns of the companion topics of an AHRS. If the messages have no ascending sequence
+            numbers, the columns are not added and stay NaN.
+        """
+        rows = self._new_table(kind, topic, source, join)
         try:
             for messages in self._file.read(rows.channels, *span):
                 rows.take(messages)
         except _NotNumberedError:
             return self._read_table(kind, topic, source, span, join=False)
-        return self._in_order(rows.done(), topic, span)
+        return self._with_ascending_times(rows.done(), topic, span)
 
-    def _rows_of(self, kind: type[Measured], topic: str, source: str, join: bool = True) -> _Rows:
+    def _new_table(self, kind: type[Measured], topic: str, source: str, join: bool = True) -> _TopicTable:
         """Return an empty table that collects the messages of a topic, and of the companion topics of an AHRS.
 
         Raises
@@ -385,21 +403,21 @@ class Log:
         SeatrialError
             If the topic has no messages, or messages of another type.
         """
-        return _AhrsRows(self, topic, source, join) if kind is Ahrs else _SampleRows(self, kind, topic)
+        return _AhrsTable(self, topic, source, join) if kind is Ahrs else _SampleTable(self, kind, topic)
 
     def _read_tables(self, span: tuple[int, int]) -> dict[tuple[str, tuple[int, int]], NDArray[np.void]]:
         """Read every table of the log in one pass through the file, because each chunk contains all topics.
 
         Tables with errors are left out. `table` then reads the topic alone and raises the error.
         """
-        rows: dict[str, _Rows] = {}
+        rows: dict[str, _TopicTable] = {}
         for kind in (*MEASURED, Command):
             for source in self.sources(kind):
-                nodes = self._nodes(kind) if kind in schema.NODE_TOPICS else [(source, None)]
+                nodes = self._devices_and_nodes(kind) if kind in schema.NODE_TOPICS else [(source, None)]
                 for node in (node for name, node in nodes if name == source):
                     topic = schema.topic(kind, source, node)
                     with contextlib.suppress(SeatrialError):
-                        rows[topic] = self._rows_of(kind, topic, source)
+                        rows[topic] = self._new_table(kind, topic, source)
         channels = [number for collector in rows.values() for number in collector.channels]
         for messages in self._file.read(channels, *span):
             channel = messages.heads["channel"]
@@ -413,11 +431,14 @@ class Log:
         tables = {}
         for topic, collector in rows.items():
             with contextlib.suppress(SeatrialError):
-                tables[topic, span] = self._in_order(collector.done(), topic, span)
+                tables[topic, span] = self._with_ascending_times(collector.done(), topic, span)
         return tables
 
     def _only_node(self, kind: type[Esc] | type[Command] | type[Servo], source: str, node: int | None) -> int:
-        """Return the controller id, by default the id of the only controller of a device."""
+        """Return `node`, or the id of the only controller of a device if `node` is None.
+
+        The result is 0 if the device has no controller. SeatrialError is raised if it has several.
+        """
         nodes = self.nodes(kind, source)
         if node is None and len(nodes) == 1:
             return nodes[0]
@@ -425,8 +446,11 @@ class Log:
             raise self._error(f"{source} has several nodes, {nodes}: choose a node")
         return 0 if node is None else node
 
-    def _in_order(self, table: NDArray[np.void], topic: str, span: tuple[int, int]) -> NDArray[np.void]:
-        """Make the times of a table non-decreasing. Raise SeatrialError if no message of the whole log is readable."""
+    def _with_ascending_times(self, table: NDArray[np.void], topic: str, span: tuple[int, int]) -> NDArray[np.void]:
+        """Change the column `t` of a table so that it never decreases, and return the table.
+
+        If the table of the whole log is empty, SeatrialError is raised, because no message of the topic is readable.
+        """
         if not len(table) and span == _WHOLE:
             raise self._error(f"no message on {topic} is readable")
         # Time estimates of the clock may jitter. The order of the samples is the order of the device and stays.
@@ -483,14 +507,17 @@ class Log:
         return self._channel_metadata(signal).get("role", "output")
 
     def _channel_metadata(self, signal: str) -> dict[str, str]:
-        """Return the metadata of the channel of a signal."""
-        return self._file.channels[self._channels(schema.topic(Scalar, signal))[0]].metadata
+        """Return the metadata of the channel of an imported signal, by name.
+
+        Raise SeatrialError if the log lacks the signal.
+        """
+        return self._file.channels[self._channel_numbers(schema.topic(Scalar, signal))[0]].metadata
 
     def _error(self, text: str) -> SeatrialError:
         """Return an error about this log as one line; names in a damaged file may contain line ends."""
         return SeatrialError(f"{self.path}: {' '.join(text.split())}")
 
-    def _channels(self, topic: str, type_name: str = "") -> list[int]:
+    def _channel_numbers(self, topic: str, type_name: str = "") -> list[int]:
         """Return the numbers of the channels of a topic.
 
         Raises
@@ -512,12 +539,12 @@ class Log:
 
     def _missing_fields(self, topic: str, type_name: str) -> tuple[str, ...]:
         """Return the fields that the messages of a topic lack, because an older version wrote the log."""
-        channels = [self._file.channels[number] for number in self._channels(topic)]
+        channels = [self._file.channels[number] for number in self._channel_numbers(topic)]
         written = [self._file.schemas[c.schema_id].data for c in channels if c.schema_id in self._file.schemas]
         added = schema.ADDED.get(type_name, ())
         return tuple(name for name in added if not all(f" {name} ".encode() in data for data in written))
 
-    def _rows(self, messages: Messages, topic: str, type_name: str) -> NDArray[np.void]:
+    def _decode_rows(self, messages: Messages, topic: str, type_name: str) -> NDArray[np.void]:
         """Decode the fixed parts of messages, shape (n,).
 
         Raises
@@ -532,7 +559,7 @@ class Log:
             raise wrong
         # In logs of seatrial a topic has one frame_id: try the layout of the first message for all messages.
         heads = messages.rows(HEAD)
-        layout = _layout(type_name, heads["n_frame"][0] if len(heads) else 1, lacking)
+        layout = _layout_for_length(type_name, heads["n_frame"][0] if len(heads) else 1, lacking)
         if layout is not None and np.all(lengths >= layout.dtype.itemsize):
             rows = messages.rows(layout.dtype)
             if not len(rows) or (np.all(rows["n_frame"] == rows["n_frame"][0]) and np.all(rows["endian"] == _LITTLE)):
@@ -542,7 +569,7 @@ class Log:
         rows = np.zeros(len(heads), cdr_layout(type_name, b"", lacking).dtype)
         for n_frame in np.unique(heads["n_frame"]):
             mask = heads["n_frame"] == n_frame
-            layout = _layout(type_name, n_frame, lacking)
+            layout = _layout_for_length(type_name, n_frame, lacking)
             if layout is None or np.any(lengths[mask] < layout.dtype.itemsize):
                 raise wrong
             decoded = messages.where(mask).rows(layout.dtype)
@@ -552,8 +579,8 @@ class Log:
 
     def _decoded_messages(self, topic: str, type_name: str) -> Iterator[tuple[float, np.void, tuple[bytes, ...]]]:
         """Yield time stamp [s since 1970], fixed part and variable fields of each message of a topic, in file order."""
-        for messages in self._file.read(self._channels(topic, type_name), *self._span_ns):
-            rows = self._rows(messages, topic, type_name)
+        for messages in self._file.read(self._channel_numbers(topic, type_name), *self._span_ns):
+            rows = self._decode_rows(messages, topic, type_name)
             for t, row, data in zip(stamps(rows), rows, messages.payloads(), strict=True):
                 layout = cdr_layout(type_name, b"\0" * (int(row["n_frame"]) - 1))
                 try:
@@ -569,30 +596,39 @@ def _span_ns(begin: float, end: float, within: tuple[int, int]) -> tuple[int, in
     return max(first, within[0]), min(last, within[1])
 
 
-def _layout(type_name: str, n_frame: int, lacking: tuple[str, ...]) -> CdrLayout | None:
+def _layout_for_length(type_name: str, n_frame: int, lacking: tuple[str, ...]) -> CdrLayout | None:
     """Return the layout for a `frame_id` of `n_frame` bytes with its final NUL; None if this length is invalid."""
     return cdr_layout(type_name, b"\0" * (int(n_frame) - 1), lacking) if 1 <= n_frame <= MAX_FRAME_ID else None
 
 
 def _table_type(kind: type[Measured], integers: Collection[str] = ()) -> np.dtype[np.void]:
-    """Return the numpy type of a table of samples. `integers`: columns of whole numbers."""
+    """Return the numpy type of a table of samples of a kind: t, t_rx, t_device and the fields of the class.
+
+    All columns are floats, except for those in `integers`, which are 64-bit integers.
+    """
     names = ["t", "t_rx", "t_device", *schema.field_names(kind)]
     return np.dtype([(name, "i8" if name in integers else "f8") for name in names])
 
 
 class _GrowingArray:
-    """Array to which rows are added. It has at most an eighth more memory than its rows need."""
+    """Array to which rows are added. It has at most an eighth more memory than its rows need.
+
+    Parameters
+    ----------
+    dtype
+        Type of the rows.
+    """
 
     def __init__(self, dtype: np.dtype[Any]) -> None:
         self._all, self._n = np.zeros(0, dtype), 0
 
     @property
     def rows(self) -> NDArray[Any]:
-        """Rows so far. This array is invalid after the next call of `more`."""
+        """Rows so far. This array is invalid after the next call of `append_rows`."""
         return self._all[: self._n]
 
-    def more(self, n: int) -> NDArray[Any]:
-        """Add `n` rows and return them, for the caller to fill. Raises MemoryError."""
+    def append_rows(self, n: int) -> NDArray[Any]:
+        """Append `n` rows and return them, for the caller to fill. Raise MemoryError if the memory is too small."""
         self._n += n
         if self._n > len(self._all):
             self._all.resize(self._n + self._n // 8, refcheck=False)
@@ -604,8 +640,16 @@ class _GrowingArray:
         return self._all
 
 
-class _Rows:
-    """Table of a topic that grows with the messages of its ``channels``."""
+class _TopicTable:
+    """Table of a topic that grows with the messages of its ``channels``.
+
+    Attributes
+    ----------
+    topic
+        Name of the topic.
+    channels
+        Numbers of the channels whose messages belong to the table, those of companion topics included.
+    """
 
     def __init__(self, log: Log, topic: str, channels: list[int], dtype: np.dtype[np.void]) -> None:
         self.topic, self.channels = topic, channels
@@ -616,23 +660,23 @@ class _Rows:
         raise NotImplementedError
 
     def done(self) -> NDArray[np.void]:
-        """Return the whole table."""
+        """Return the whole table, shape (n,), and free its unused memory. No further messages may be added."""
         return self._table.done()
 
 
-class _SampleRows(_Rows):
+class _SampleTable(_TopicTable):
     """Table of a topic in which each message is a sample."""
 
     def __init__(self, log: Log, kind: type[Measured], topic: str) -> None:
         self._kind, self._type_name = kind, schema.TYPES[kind]
         fixed = cdr_layout(self._type_name, b"").dtype
         whole = [name for name in schema.field_names(kind) if fixed[name].kind in "iu"]
-        super().__init__(log, topic, log._channels(topic, self._type_name), _table_type(kind, whole))
+        super().__init__(log, topic, log._channel_numbers(topic, self._type_name), _table_type(kind, whole))
 
     def take(self, messages: Messages) -> None:
         """Add the next messages, each of which is a sample."""
-        rows = self._log._rows(messages, self.topic, self._type_name)
-        part = self._table.more(len(rows))
+        rows = self._log._decode_rows(messages, self.topic, self._type_name)
+        part = self._table.append_rows(len(rows))
         part["t"] = stamps(rows)
         columns = schema.own_columns(self._kind, rows)
         for name in (part.dtype.names or ())[1:]:
@@ -646,25 +690,39 @@ class _NotNumberedError(SeatrialError):
     """
 
 
-class _AhrsRows(_Rows):
-    """Table of an AHRS, from its Imu messages and the companion topics that have the other columns."""
+class _AhrsTable(_TopicTable):
+    """Table of an AHRS, from its Imu messages and the companion topics that have the other columns.
+
+    Parameters
+    ----------
+    log
+        The log.
+    topic, source
+        Topic of the Imu messages, and name of the device.
+    join
+        Whether to add the columns of the companion topics (device times and magnetic field); else they stay NaN.
+    """
 
     def __init__(self, log: Log, topic: str, source: str, join: bool) -> None:
-        self._source, self._numbers = source, {"imu": log._channels(topic, schema.IMU)}
+        self._source, self._numbers = source, {"imu": log._channel_numbers(topic, schema.IMU)}
         for name, (type_name, _) in _COMPANIONS.items() if join else ():
             with contextlib.suppress(SeatrialError):
-                self._numbers[name] = log._channels(f"/{source}/{name}", type_name)
+                self._numbers[name] = log._channel_numbers(f"/{source}/{name}", type_name)
         channels = [number for group in self._numbers.values() for number in group]
         super().__init__(log, topic, channels, _table_type(Ahrs))
         self._order = _GrowingArray(np.dtype(np.uint32))
-        self._waiting = {name: _Waiting(np.zeros(0, np.uint32), {}) for name in self._numbers}
+        self._waiting = {name: _UnmatchedCompanions(np.zeros(0, np.uint32), {}) for name in self._numbers}
         self._last = -1
 
     def take(self, messages: Messages) -> None:
-        """Add the next Imu messages, and join the companions to them by their sequence numbers."""
+        """Add the next Imu messages, and join the companion messages to them by their sequence numbers.
+
+        Companions that arrive before their Imu message wait for the next call. `_NotNumberedError` is raised if the
+        sequence numbers do not ascend.
+        """
         parts = {n: messages.where(np.isin(messages.heads["channel"], g)) for n, g in self._numbers.items()}
         imu = parts.pop("imu")
-        rows, part = self._log._rows(imu, self.topic, schema.IMU), self._table.more(len(imu.heads))
+        rows, part = self._log._decode_rows(imu, self.topic, schema.IMU), self._table.append_rows(len(imu.heads))
         part["t"], part["t_rx"], part["t_device"] = stamps(rows), imu.heads["log_ns"] / NANO, np.nan
         for name in ("mx", "my", "mz"):
             part[name] = np.nan
@@ -673,22 +731,30 @@ class _AhrsRows(_Rows):
         sequence = np.append(self._last, imu.heads["sequence"])
         if parts and np.any(np.diff(sequence) <= 0):
             raise _NotNumberedError(self.topic)
-        self._order.more(len(rows))[:] = sequence[1:]
+        self._order.append_rows(len(rows))[:] = sequence[1:]
         self._last = sequence[-1]
         for name, companions in parts.items():
             type_name, fields = _COMPANIONS[name]
-            decoded = self._log._rows(companions, f"/{self._source}/{name}", type_name)
+            decoded = self._log._decode_rows(companions, f"/{self._source}/{name}", type_name)
             columns = {column: decoded[field] for column, field in fields.items()}
             waiting = self._waiting[name]
             table, order = self._table.rows, self._order.rows
             self._waiting[name] = waiting.join(companions.heads["sequence"], columns, table, order)
 
 
-class _Waiting(NamedTuple):
-    """Companion messages whose Imu message may be in the next chunks."""
+class _UnmatchedCompanions(NamedTuple):
+    """Companion messages of an AHRS whose Imu message may be in the next chunks.
 
-    sequence: NDArray[np.uint32]  # shape (n,)
-    columns: dict[str, NDArray[np.float64]]  # shape (n,), by name
+    Attributes
+    ----------
+    sequence
+        Sequence numbers, shape (n,).
+    columns
+        Values (n,) by name of the column of the AHRS table.
+    """
+
+    sequence: NDArray[np.uint32]
+    columns: dict[str, NDArray[np.float64]]
 
     def join(
         self,
@@ -696,7 +762,7 @@ class _Waiting(NamedTuple):
         columns: dict[str, NDArray[np.float64]],
         table: NDArray[np.void],
         order: NDArray[np.uint32],
-    ) -> _Waiting:
+    ) -> _UnmatchedCompanions:
         """Write the waiting and the new companions into the rows with the same sequence number.
 
         Parameters
@@ -710,7 +776,7 @@ class _Waiting(NamedTuple):
 
         Returns
         -------
-        _Waiting
+        _UnmatchedCompanions
             New companions with numbers after the last row of the table.
         """
         sequence = np.append(self.sequence, sequence)
@@ -722,10 +788,10 @@ class _Waiting(NamedTuple):
         for name, column in columns.items():
             table[name][rows] = column[here[first]]
         later = (place == len(order)) & (np.arange(len(place)) >= len(self.sequence))
-        return _Waiting(sequence[later], {name: column[later] for name, column in columns.items()})
+        return _UnmatchedCompanions(sequence[later], {name: column[later] for name, column in columns.items()})
 
 
-class _Spacing:
+class _StampStatistics:
     """Rate, longest gap and backward steps of the time stamps of a topic, computed from batches of stamps."""
 
     def __init__(self) -> None:

@@ -17,6 +17,18 @@ BALLAST_BYTES = 512 * 1024
 class ReservedSpace:
     """Disk space that a file without a name occupies.
 
+    Parameters
+    ----------
+    folder
+        Folder on the disk in which the space is reserved.
+
+    Attributes
+    ----------
+    size
+        Reserved bytes; 0 at first.
+
+    Notes
+    -----
     The space is free again after `release`, or when the process ends for any reason.
     """
 
@@ -43,7 +55,7 @@ class ReservedSpace:
         self.size = size
 
     def release(self) -> None:
-        """Free the space. A second call has no effect."""
+        """Free the space, so that other files can use it. A second call has no effect."""
         if self._fd >= 0:
             os.close(self._fd)
             self._fd = -1
@@ -51,6 +63,18 @@ class ReservedSpace:
 
 class WholeRecordStream:
     """Output file of a `RecordWriter`. The writer passes whole records only, so the file always ends with one.
+
+    Parameters
+    ----------
+    path
+        The new file, which must not exist.
+
+    Attributes
+    ----------
+    failure
+        Error of the first failed write, even if the ballast has made room for its records; None before.
+    ballast
+        Reserved space of the disk for the last records.
 
     Raises
     ------
@@ -115,7 +139,7 @@ class WholeRecordStream:
 
     @property
     def is_deleted(self) -> bool:
-        """Return whether the file has been deleted. The data of a deleted file are lost when it is closed."""
+        """Whether the file has been deleted. The data of a deleted file are lost when it is closed."""
         return os.fstat(self._fd).st_nlink == 0
 
     def flush(self) -> None:

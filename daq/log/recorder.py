@@ -18,7 +18,7 @@ from seatrial.daq.errors import SeatrialError, counted
 from seatrial.daq.log import schema
 from seatrial.daq.log.cdr import NANO, cdr_layout
 from seatrial.daq.log.mcap_writer import DiskFull, LogWriter
-from seatrial.daq.log.provenance import collect
+from seatrial.daq.log.provenance import collect_provenance
 from seatrial.daq.log.segments import segment_path
 from seatrial.daq.log.watchdog_note import discard_note
 from seatrial.daq.rig import Rig
@@ -89,24 +89,24 @@ class Recorder:
     ) -> None:
         origin = json.dumps(clock.origin)
         about = {"format": LOG_FORMAT, "rig": rig.name, "speed": repr(clock.speed), "origin": origin}
-        self._metadata = {**collect(), **about, **(metadata or {})}
+        self._metadata = {**collect_provenance(), **about, **(metadata or {})}
         self._attachments = {"rig.toml": rig.text.encode(), **(attachments or {})}
-        self._log_ns = self._ns(clock.now(), 0)
+        self._log_ns = self._to_ns(clock.now(), 0)
         self._segments, self._patient = rig.segments, patient
         self.first_path = Path(path)
         self.paused = ""  # the reason if recording is paused
-        self._kept: list[_Message] = []  # messages since the beginning of the pause
+        self._kept: list[_KeptMessage] = []  # messages since the beginning of the pause
         self._retry_at = self._paused_at = 0.0
         self._lost_some = False
         self._sequences: dict[str, int] = {}
         self._packers: dict[str, Callable[..., bytes]] = {}
         self._size_before = 0
-        self._past: deque[_Segment] = deque()  # finished segments that may be deleted
-        self._open(self.first_path, 0)
+        self._past: deque[_FinishedSegment] = deque()  # finished segments that may be deleted
+        self._begin_segment(self.first_path, 0)
         discard_note(self.first_path)
 
-    def _open(self, path: Path, number: int) -> None:
-        """Begin a segment with all metadata and attachments."""
+    def _begin_segment(self, path: Path, number: int) -> None:
+        """Create the segment `path` with all metadata and attachments. `number` is 0 for the first segment."""
         about = {**self._metadata, "segment": str(number)}
         self._writer = LogWriter(path, metadata=about, attachments=self._attachments, time_ns=self._log_ns)
         self._number, self._started_ns = number, self._log_ns
@@ -119,7 +119,7 @@ class Recorder:
 
     @property
     def is_deleted(self) -> bool:
-        """Return whether the segment that is being written has been deleted."""
+        """Whether the segment that is being written has been deleted."""
         return self._writer.is_deleted
 
     @property
@@ -146,7 +146,7 @@ class Recorder:
         if isinstance(sample, PortHealth):
             self.health(device, sample, t)
             return
-        log_ns, stamp_ns = self._times(frame.t_rx, t)
+        log_ns, stamp_ns = self._log_and_stamp_ns(frame.t_rx, t)
         messages = schema.messages(device, frame)
         # All messages of one sample have the same sequence number: the reader joins them by this number.
         key = messages[0].topic
@@ -155,23 +155,23 @@ class Recorder:
             pack = self._packers.get(topic)  # a topic has one type and one frame_id
             if pack is None:
                 pack = self._packers[topic] = cdr_layout(type_name, frame_id.encode()).pack
-            self._add(topic, type_name, log_ns, stamp_ns, sequence, pack(stamp_ns, *values))
+            self._add_message(topic, type_name, log_ns, stamp_ns, sequence, pack(stamp_ns, *values))
 
     def write_raw(self, device: str, direction: str, data: bytes, t: float) -> None:
         """Write bytes that were read from ("rx") or written to ("tx") the port of a device at time t [s since 1970]."""
-        log_ns, stamp_ns = self._times(t, t)
+        log_ns, stamp_ns = self._log_and_stamp_ns(t, t)
         message = cdr_layout(schema.RAW, device.encode()).pack(stamp_ns, _DIRECTIONS[direction], tail=(data,))
-        self._add(f"/raw/{device}", schema.RAW, log_ns, stamp_ns, 0, message)
+        self._add_message(f"/raw/{device}", schema.RAW, log_ns, stamp_ns, 0, message)
 
     def event(self, t: float, kind: str, text: str) -> None:
-        """Write an event at time t [s since 1970]."""
-        log_ns, stamp_ns = self._times(t, t)
-        message = cdr_layout(schema.EVENT, b"").pack(stamp_ns, tail=(_line(kind), _line(text)))
-        self._add("/event", schema.EVENT, log_ns, stamp_ns, 0, message)
+        """Write an event at time t [s since 1970]: its kind, such as "warning", and its description."""
+        log_ns, stamp_ns = self._log_and_stamp_ns(t, t)
+        message = cdr_layout(schema.EVENT, b"").pack(stamp_ns, tail=(_encode_text(kind), _encode_text(text)))
+        self._add_message("/event", schema.EVENT, log_ns, stamp_ns, 0, message)
 
     def health(self, device: str, health: PortHealth, t: float) -> None:
-        """Write the counters of the port of a device at time t [s since 1970]."""
-        log_ns, stamp_ns = self._times(t, t)
+        """Write the counters of the port of a device to the log at time t [s since 1970]."""
+        log_ns, stamp_ns = self._log_and_stamp_ns(t, t)
         message = cdr_layout(schema.HEALTH, device.encode()).pack(
             stamp_ns,
             health.bytes_in,
@@ -182,9 +182,9 @@ class Recorder:
             health.reconnects,
             health.clock_bias,
             health.clock_spread,
-            tail=(_line(health.port),),
+            tail=(_encode_text(health.port),),
         )
-        self._add(f"/health/{device}", schema.HEALTH, log_ns, stamp_ns, 0, message)
+        self._add_message(f"/health/{device}", schema.HEALTH, log_ns, stamp_ns, 0, message)
 
     def tick(self) -> None:
         """Do the periodic work when it is due. The caller calls this at least every 50 ms.
@@ -196,23 +196,27 @@ class Recorder:
             if time.monotonic() >= self._retry_at:
                 self._resume()
             return
-        with self._waiting():
+        with self._pause_if_full():
             self._writer.tick()
         limits, age = self._segments, (self._log_ns - self._started_ns) / NANO
         by_size = limits.megabytes is not None and self._writer.size >= limits.megabytes * 1e6
         if not self.paused and (by_size or (limits.seconds is not None and age >= limits.seconds)):
-            with self._waiting():
+            with self._pause_if_full():
                 self._writer.close()
-                self._next()
+                self._begin_next_segment()
         keep = limits.keep_gigabytes
         while keep is not None and self._past and self.size > 1e9 * keep and not self.paused:
-            self._delete(self._past.popleft(), keep)
+            self._delete_segment(self._past.popleft(), keep)
 
-    def _delete(self, segment: _Segment, keep: float) -> None:
-        """Delete a finished segment and record the deletion as an event. `keep`: limit of the log [GB]."""
+    def _delete_segment(self, segment: _FinishedSegment, keep: float) -> None:
+        """Delete a finished segment and record the deletion, or its failure, as an event.
+
+        `keep` is the limit of the log [GB], for the text of the event. A file that has replaced the segment in the
+        meantime is not deleted.
+        """
         self._size_before -= segment.size
         try:
-            if _identity(segment.path) != segment.identity:
+            if _file_identity(segment.path) != segment.identity:
                 return  # another file has this name now
             segment.path.unlink()
             text = f"deleted {segment.path.name}, because the log is larger than keep_gb = {keep:g}"
@@ -236,8 +240,8 @@ class Recorder:
         self._writer.close()
 
     @contextlib.contextmanager
-    def _waiting(self) -> Iterator[None]:
-        """Pause a patient recorder if the disk is full within the block."""
+    def _pause_if_full(self) -> Iterator[None]:
+        """Pause a patient recorder if the disk is full within the block. Otherwise the error is passed on."""
         try:
             yield
         except DiskFull as error:
@@ -246,53 +250,61 @@ class Recorder:
             self._pause(error)
 
     def _pause(self, error: DiskFull) -> None:
+        """Pause because of a full disk: set `paused`, and the time of the first check whether the disk has room."""
         self.paused = self.paused or f"{self._writer.path.parent}: the disk is full, nothing is written now"
         self._lost_some = not error.complete
         self._paused_at = time.monotonic()
         self._retry_at = self._paused_at + RETRY_S
 
     def _resume(self) -> None:
-        """Continue in a new segment, and write the kept messages to it, if the disk has room."""
+        """Continue in a new segment, and write the kept messages to it, if the disk has room; else stay paused.
+
+        The duration of the pause is recorded as an event.
+        """
         self._retry_at = time.monotonic() + RETRY_S
         if free_bytes(self.first_path) < ROOM_BYTES:
             return
         try:
-            self._next()
+            self._begin_next_segment()
         except SeatrialError:
             return  # another program has taken the space
         kept, self._kept, self.paused = self._kept, [], ""
         for message in kept:
-            self._add(*message)
+            self._add_message(*message)
         seconds = time.monotonic() - self._paused_at
         loss = "; the last messages before are lost" if self._lost_some else ""
         self.event(self._log_ns / NANO, "disk", f"full for {seconds:.1f} s; kept {counted(len(kept), 'message')}{loss}")
 
-    def _next(self) -> None:
-        """Begin the next segment. Numbers whose file exists already are skipped."""
+    def _begin_next_segment(self) -> None:
+        """Begin the next segment, and note the finished one for a later deletion.
+
+        Numbers whose file exists are skipped.
+        """
         before, number = self._size_before + self._writer.size, self._number + 1
         past = self._writer.path
         while (path := segment_path(self.first_path, number)).exists():
             number += 1
-        self._open(path, number)
+        self._begin_segment(path, number)
         self._size_before = before
         with contextlib.suppress(OSError):  # another program has deleted the segment
             if past != self.first_path:
-                self._past.append(_Segment(past, past.stat().st_size, _identity(past)))
+                self._past.append(_FinishedSegment(past, past.stat().st_size, _file_identity(past)))
 
-    def _times(self, t_log: float, t_stamp: float) -> tuple[int, int]:
+    def _log_and_stamp_ns(self, t_log: float, t_stamp: float) -> tuple[int, int]:
         """Return log time, which never decreases, and time stamp [ns since 1970] from times [s since 1970]."""
-        self._log_ns = max(self._log_ns, self._ns(t_log, self._log_ns))
-        return self._log_ns, self._ns(t_stamp, self._log_ns)
+        self._log_ns = max(self._log_ns, self._to_ns(t_log, self._log_ns))
+        return self._log_ns, self._to_ns(t_stamp, self._log_ns)
 
     @staticmethod
-    def _ns(t: float, otherwise: int) -> int:
+    def _to_ns(t: float, otherwise: int) -> int:
+        """Convert a time from s to ns since 1970. A NaN or a time outside 1970 to 2038 gives `otherwise` [ns]."""
         # A clock estimate may be NaN before its first sample; the header's seconds end in 2038 (int32).
         return round(t * NANO) if 0.0 <= t < 2**31 else otherwise
 
-    def _add(self, topic: str, type_name: str, log_ns: int, stamp_ns: int, sequence: int, data: bytes) -> None:
+    def _add_message(self, topic: str, type_name: str, log_ns: int, stamp_ns: int, sequence: int, data: bytes) -> None:
         """Write a message to the current segment, or keep it in memory during a pause."""
         if self.paused:
-            self._kept.append(_Message(topic, type_name, log_ns, stamp_ns, sequence, data))
+            self._kept.append(_KeptMessage(topic, type_name, log_ns, stamp_ns, sequence, data))
             return
         try:
             channel = self._channels.get(topic)
@@ -304,26 +316,52 @@ class Recorder:
                 raise
             self._pause(error)
             if not error.complete:  # a complete file contains this message already
-                self._kept.append(_Message(topic, type_name, log_ns, stamp_ns, sequence, data))
+                self._kept.append(_KeptMessage(topic, type_name, log_ns, stamp_ns, sequence, data))
 
 
-class _Segment(NamedTuple):
-    """Finished segment."""
+class _FinishedSegment(NamedTuple):
+    """Segment of the log that is complete and may be deleted.
+
+    Attributes
+    ----------
+    path
+        Path of the segment.
+    size
+        Size of the file [bytes].
+    identity
+        Device, inode, time of change [ns] and size, which distinguish the file from other files.
+    """
 
     path: Path
-    size: int  # bytes
-    identity: tuple[int, ...]  # see `_identity`
+    size: int
+    identity: tuple[int, ...]
 
 
-def _identity(path: Path) -> tuple[int, ...]:
+def _file_identity(path: Path) -> tuple[int, ...]:
     """Return numbers that distinguish a finished file from other files: device, inode, time of change [ns], size."""
     # The inode alone is not sufficient: the file system reuses the inode of a deleted file.
     about = path.stat(follow_symlinks=False)
     return about.st_dev, about.st_ino, about.st_mtime_ns, about.st_size
 
 
-class _Message(NamedTuple):
-    """Arguments of `Recorder._add` for one message."""
+class _KeptMessage(NamedTuple):
+    """Arguments of `Recorder._add_message` for one message.
+
+    Attributes
+    ----------
+    topic
+        Topic of the message.
+    type_name
+        Message type, package/msg/Name.
+    log_ns
+        Log time [ns since 1970].
+    stamp_ns
+        Time of the sample [ns since 1970].
+    sequence
+        Sequence number.
+    data
+        Message in CDR.
+    """
 
     topic: str
     type_name: str
@@ -340,7 +378,7 @@ def free_bytes(path: Path) -> int:
 
 
 def check_room(path: Path, megabytes: float) -> None:
-    """Check that the disk of a new log has enough free space.
+    """Raise SeatrialError if the disk of a new log has too little free space.
 
     Parameters
     ----------
@@ -362,7 +400,7 @@ def check_room(path: Path, megabytes: float) -> None:
         )
 
 
-def _line(text: str) -> bytes:
+def _encode_text(text: str) -> bytes:
     """Encode a text for CDR, as UTF-8 without NUL characters."""
     # A NUL would end the string; a lone surrogate cannot be encoded in UTF-8.
     return text.replace("\0", "").encode("utf-8", errors="replace")

@@ -17,11 +17,21 @@ CHUNK_BYTES = 1024 * 1024
 
 
 class RecoveredLog(NamedTuple):
-    """Result of a recovery."""
+    """Result of a recovery.
 
-    messages: int  # number of copied messages
-    files: int  # number of segments that were read
-    warnings: list[str]  # faults of these segments; empty if the log was whole
+    Attributes
+    ----------
+    messages
+        Number of copied messages.
+    files
+        Number of segments that were read.
+    warnings
+        Faults of these segments; empty if the log was whole.
+    """
+
+    messages: int
+    files: int
+    warnings: list[str]
 
 
 def recover_log(path: Path, out: Path, force: bool = False) -> RecoveredLog:
@@ -51,7 +61,7 @@ def recover_log(path: Path, out: Path, force: bool = False) -> RecoveredLog:
         try:
             out.parent.mkdir(parents=True, exist_ok=True)
             with new_file(out, force) as part:
-                n_messages = _copy(log, part)
+                n_messages = _copy_records(log, part)
                 if not n_messages:
                     raise SeatrialError(f"{path}: no message is readable; there is nothing to recover")
             discard_note(out)
@@ -62,7 +72,7 @@ def recover_log(path: Path, out: Path, force: bool = False) -> RecoveredLog:
         log.close()
 
 
-def _copy(log: RawLog | SegmentedLog, part: Path) -> int:
+def _copy_records(log: RawLog | SegmentedLog, part: Path) -> int:
     """Copy metadata, attachments, schemas, channels and messages to a new file. Return the number of messages."""
     n_messages = 0
     with part.open("xb") as file:

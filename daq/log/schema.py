@@ -71,12 +71,24 @@ _YAW9 = doubles(_UNKNOWN_VARIANCE, 0.0, 0.0, 0.0, _UNKNOWN_VARIANCE, 0.0, 0.0, 0
 
 
 class Message(NamedTuple):
-    """One message to write."""
+    """One message to write.
+
+    Attributes
+    ----------
+    topic
+        Topic of the message.
+    type_name
+        Message type, package/msg/Name.
+    frame_id
+        Frame of the header, such as "ahrs_frd_ned".
+    values
+        Values of the fixed fields, in the form that `cdr.CdrLayout.pack` needs: numbers, and arrays as bytes.
+    """
 
     topic: str
-    type_name: str  # package/msg/Name
+    type_name: str
     frame_id: str
-    values: tuple[float | bytes, ...]  # the fixed fields in the form that `cdr.CdrLayout.pack` needs
+    values: tuple[float | bytes, ...]
 
     def pack(self, stamp_ns: int) -> bytes:
         """Return the message in CDR with a time stamp [ns since 1970]."""
@@ -84,7 +96,7 @@ class Message(NamedTuple):
 
 
 def field_names(kind: type[Measured]) -> list[str]:
-    """Return the names of the fields of a sample, in order."""
+    """Return the names of the fields of the class of a sample, in order."""
     return [field.name for field in fields(kind)]
 
 
@@ -104,7 +116,7 @@ def topic(kind: type[Measured], source: str, node: int | None = None) -> str:
     source
         Name of the device, or of the signal for `Scalar`.
     node
-        Controller id, for the kinds in `NODE_TOPICS`.
+        Controller id, for the kinds in `NODE_TOPICS`; unused for other kinds.
     """
     if kind is Scalar:
         return f"/signal/{source}"
@@ -123,7 +135,7 @@ def messages(device: str, frame: Frame) -> list[Message]:
     """
     sample = frame.sample
     if isinstance(sample, Ahrs):
-        return _ahrs(device, sample, (frame.t_rx, frame.t_device))
+        return _ahrs_messages(device, sample, (frame.t_rx, frame.t_device))
     type_name = TYPES.get(type(sample))
     if type_name is None:
         raise TypeError(f"{type(sample).__name__} is not a measurement")
@@ -131,21 +143,25 @@ def messages(device: str, frame: Frame) -> list[Message]:
     values = (frame.t_rx, frame.t_device, *_GETTERS[type(sample)](sample))
     first = Message(topic(type(sample), device, node), type_name, device, values)  # type: ignore[arg-type]
     if isinstance(sample, Gnss):
-        return [first, *_gnss(device, sample)]
+        return [first, *_gnss_messages(device, sample)]
     if isinstance(sample, LoadCell) and not math.isnan(sample.force):
         return [first, Message(f"/{device}/wrench", WRENCH, device, (sample.force, 0.0, 0.0, 0.0, 0.0, 0.0))]
     return [first]
 
 
 @cache
-def _names(device: str) -> tuple[str, str, str, str]:
+def _ahrs_topics(device: str) -> tuple[str, str, str, str]:
     """Return the frame_id and the topics of an AHRS: device times, Imu and magnetic field."""
     return f"{device}_frd_ned", f"/{device}/device_time", f"/{device}/imu", f"/{device}/mag"
 
 
-def _ahrs(device: str, s: Ahrs, times: tuple[float, float]) -> list[Message]:
-    """Return the messages of a sample of an AHRS. The covariances mark unknown quantities (see `_NONE9`)."""
-    frame_id, time, imu, mag = _names(device)
+def _ahrs_messages(device: str, s: Ahrs, times: tuple[float, float]) -> list[Message]:
+    """Return the messages of a sample of an AHRS: device times, Imu and, if it is known, the magnetic field.
+
+    `times` are t_rx and t_device [s]. The covariances of the Imu message mark unknown quantities: -1 in the first
+    element if neither of the three is known, and a variance of 1e6 rad2 for roll and pitch of a compass.
+    """
+    frame_id, time, imu, mag = _ahrs_topics(device)
     has_yaw = s.yaw == s.yaw  # False for NaN; faster than math.isnan, for every sample
     only_yaw = has_yaw and math.isnan(s.pitch + s.roll)
     values = (
@@ -162,7 +178,7 @@ def _ahrs(device: str, s: Ahrs, times: tuple[float, float]) -> list[Message]:
     return found
 
 
-def _gnss(device: str, s: Gnss) -> list[Message]:
+def _gnss_messages(device: str, s: Gnss) -> list[Message]:
     """Return the standard ROS messages of a GNSS sample: NavSatFix, and TwistStamped if the velocity is known."""
     # NavSatStatus: -1 no fix, 0 fix, 2 ground-based augmentation (differential and RTK); service 1 is GPS.
     status = -1 if s.fix < 2 else 2 if s.fix >= 4 else 0

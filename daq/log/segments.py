@@ -40,7 +40,7 @@ def open_raw(path: Path) -> RawLog | SegmentedLog:
             raise
         names = ", ".join(segment.name for segment in later.values())
         raise SeatrialError(f"{error}; open its possible later segments one by one: {names}") from error
-    if not later or not _about(first).get("origin"):
+    if not later or not _recorder_metadata(first).get("origin"):
         return first
     files, warnings, last = [first], [], 0
     first.close()  # a log of a week has more files than a process may have open
@@ -51,7 +51,7 @@ def open_raw(path: Path) -> RawLog | SegmentedLog:
             warnings.append(f"a segment is left out: {error}")
             continue
         raw.close()
-        if all(_about(raw).get(key) == _about(first).get(key) for key in SHARED_METADATA):
+        if all(_recorder_metadata(raw).get(key) == _recorder_metadata(first).get(key) for key in SHARED_METADATA):
             files.append(raw)
             last = number
         else:
@@ -64,8 +64,8 @@ def open_raw(path: Path) -> RawLog | SegmentedLog:
     return SegmentedLog(files, warnings) if len(files) > 1 or warnings else first
 
 
-def _about(raw: RawLog) -> dict[str, str]:
-    """Return the metadata that the recorder wrote; empty if a file has none."""
+def _recorder_metadata(raw: RawLog) -> dict[str, str]:
+    """Return the metadata record "seatrial" of a file, which the recorder wrote; empty if the file has none."""
     return next((dict(record.metadata) for record in raw.metadata if record.name == "seatrial"), {})
 
 
@@ -73,6 +73,13 @@ class SegmentedLog:
     """Log of several segments, with the interface of `RawLog`.
 
     Equal channels of different files become one channel. Only one file is open at a time.
+
+    Parameters
+    ----------
+    files
+        The segments in order. Metadata and attachments come from the first one.
+    warnings
+        Further warnings, for example about missing segments.
     """
 
     def __init__(self, files: list[RawLog], warnings: list[str]) -> None:
@@ -89,7 +96,7 @@ class SegmentedLog:
         self._number_by_content: dict[tuple[object, ...], int] = {}
         self._numbers = [  # for each file: number of a channel in the log, by its number in the file
             {
-                local: self._number(channel, raw.schemas.get(channel.schema_id))
+                local: self._log_channel_number(channel, raw.schemas.get(channel.schema_id))
                 for local, channel in raw.channels.items()
             }
             for raw in files
@@ -125,7 +132,7 @@ class SegmentedLog:
                 yield batch
             raw.close()
 
-    def _number(self, channel: Channel, schema: Schema | None) -> int:
+    def _log_channel_number(self, channel: Channel, schema: Schema | None) -> int:
         """Return the number of a channel in the whole log. A channel that is new gets the next number."""
         content = ("", b"") if schema is None else (schema.name, schema.data)
         key = (channel.topic, channel.message_encoding, tuple(sorted(channel.metadata.items())), content)
@@ -170,7 +177,7 @@ def first_segments(folder: Path) -> list[Path]:
     return [path for path in paths if path not in later]
 
 
-def first_of(path: Path) -> Path | None:
+def first_segment_of(path: Path) -> Path | None:
     """Return the first segment of a log if `path` has the name of a later segment.
 
     None if `path` has no such name, or if the first segment does not exist.

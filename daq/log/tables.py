@@ -51,21 +51,45 @@ class Log(Protocol):
 
 
 class LogTable(NamedTuple):
-    """One table of samples of a log."""
+    """One table of samples of a log.
 
-    name: str  # device, node and kind, such as "esc_1_command"; a signal has its own name
-    kind: type[Any]  # class of the samples
-    rows: NDArray[np.void]  # shape (n,)
-    units: dict[str, str]  # by column
-    held: bool  # whether a value stays constant until the next sample
+    Attributes
+    ----------
+    name
+        Device, node and kind, such as "esc_1_command"; a signal has its own name.
+    kind
+        Class of the samples.
+    rows
+        Samples, shape (n,), with the columns t, t_rx, t_device and the fields of the class.
+    units
+        Unit of each column that has one, by name of the column.
+    held
+        Whether a value stays constant until the next sample.
+    """
+
+    name: str
+    kind: type[Any]
+    rows: NDArray[np.void]
+    units: dict[str, str]
+    held: bool
 
 
 class Resampled(NamedTuple):
-    """A log on one time grid."""
+    """A log on one time grid.
 
-    t: Array  # s since 1970, shape (n,)
-    columns: dict[str, Array]  # shape (n,), by name; NaN for unknown values
-    units: dict[str, str]  # by name of the column
+    Attributes
+    ----------
+    t
+        Times of the grid [s since 1970], shape (n,).
+    columns
+        Values (n,) of each column by its name; NaN for unknown values.
+    units
+        Unit of each column, by name; empty if the column has none.
+    """
+
+    t: Array
+    columns: dict[str, Array]
+    units: dict[str, str]
 
 
 def log_tables(log: Log) -> Iterator[LogTable]:
@@ -131,22 +155,28 @@ def resample(log: Log, rate: float) -> Resampled:
             t, values = table.rows["t"][good], values[good]
             unit = table.units.get(column, "")
             if table.held or table.rows.dtype[column].kind in "iu":
-                columns[name] = _held(grid, t, values)
+                columns[name] = _hold_last_value(grid, t, values)
             else:
                 period = 2.0 * np.pi if unit == "rad" else 360.0 if column == "lon" else 0.0
-                columns[name] = _smooth(grid, t, values, 1.0 / rate, period)
+                columns[name] = _average_and_interpolate(grid, t, values, 1.0 / rate, period)
             units[name] = unit
     return Resampled(grid, columns, units)
 
 
-def _held(grid: Array, t: Array, values: Array) -> Array:
-    """Return the value of the last sample at each time of the grid, NaN before the first sample."""
+def _hold_last_value(grid: Array, t: Array, values: Array) -> Array:
+    """Return the value of the last sample at each time of the grid (n,) [s], NaN before the first sample.
+
+    `t` and `values` are the times [s] and values (m,) of the samples.
+    """
     newest = np.searchsorted(t, grid + 1e-9, side="right") - 1
     return np.where(newest >= 0, values[np.maximum(newest, 0)], np.nan)
 
 
-def _smooth(grid: Array, t: Array, values: Array, step: float, period: float) -> Array:
-    """Interpolate linearly between the means of the samples around each time of the grid.
+def _average_and_interpolate(grid: Array, t: Array, values: Array, step: float, period: float) -> Array:
+    """Average the samples around each time of the grid, and interpolate linearly where there is no sample.
+
+    The result (n,) is NaN before the first sample, after the last one, and in gaps longer than `GAP_S` and than five
+    usual intervals.
 
     Parameters
     ----------

@@ -31,7 +31,19 @@ def unpack_can(frame: bytes) -> tuple[int, bytes] | None:
 
 
 class FrameDecoder(ABC):
-    """Base class of the decoders of a CAN bus: it splits bytes into frames and has the counters."""
+    """Base class of the decoders of a CAN bus: it splits bytes into frames and has the counters.
+
+    Attributes
+    ----------
+    frames : int
+        Decoded messages.
+    checksum_errors : int
+        Messages of several frames with a wrong checksum.
+    unparsed_bytes : int
+        Bytes of frames that belong to no valid message.
+    remark : str
+        Advice about the stream for the user, in one line; empty if there is none.
+    """
 
     def __init__(self) -> None:
         self.frames = 0
@@ -50,7 +62,7 @@ class FrameDecoder(ABC):
             if length > 8:  # a classic CAN frame has at most 8 bytes of data
                 self.unparsed_bytes += FRAME_BYTES
             elif not word & (REMOTE | ERROR):
-                out += self._take(word & ~EXTENDED, bool(word & EXTENDED), body[:length], t_rx)
+                out += self._decode_can_frame(word & ~EXTENDED, bool(word & EXTENDED), body[:length], t_rx)
         del self._buffer[:whole]
         return out
 
@@ -58,12 +70,12 @@ class FrameDecoder(ABC):
         """Discard an incomplete frame and all received state, because the port was reopened. The counters are kept."""
         self.unparsed_bytes += len(self._buffer)
         self._buffer.clear()
-        self._forget()
+        self._forget_state()
 
     @abstractmethod
-    def _take(self, identifier: int, extended: bool, data: bytes, t_rx: float) -> list[Frame]:
+    def _decode_can_frame(self, identifier: int, extended: bool, data: bytes, t_rx: float) -> list[Frame]:
         """Decode one data frame. Return the samples that it completes."""
 
     @abstractmethod
-    def _forget(self) -> None:
-        """Discard all received state."""
+    def _forget_state(self) -> None:
+        """Discard all received state of the protocol, because the port was reopened."""

@@ -22,72 +22,96 @@ GNSS_BAUDS = (9600, 38400, 115200, 4800, 57600, 460800, 230400, 921600)  # bit/s
 
 
 class DeviceType(NamedTuple):
-    """Description of one protocol: its bus, its keys in the rig file, and its decoder."""
+    """Description of one protocol: its bus, its keys in the rig file, and its decoder.
 
-    says: str  # description of the device, for lists of devices
-    bus: str  # kind of the port: SERIAL, CAN or NET
-    make: Callable[[Device, Rig], Decoder]  # maker of the decoder
-    # Keys of [[device]] that the protocol has beside the common ones. seatrial.daq.config.rig_file checks the keys of
-    # built-in protocols. The keys of other protocols are passed on in `Device.settings`.
+    Attributes
+    ----------
+    description
+        Description of the device, for lists of devices.
+    bus
+        Kind of the port: SERIAL, CAN or NET.
+    make
+        Function that returns a new decoder for a device of a rig.
+    options
+        Keys of [[device]] that the protocol has beside the common ones. seatrial.daq.config.rig_file checks the keys of
+        built-in protocols. The keys of other protocols are passed on in `Device.settings`.
+    bauds
+        Baud rates that `seatrial devices` tries, the commonest first. Empty if the protocol cannot be recognised.
+    module
+        Python module that the protocol needs. The extra with the protocol's name installs it. Empty if it needs none.
+    """
+
+    description: str
+    bus: str
+    make: Callable[[Device, Rig], Decoder]
     options: tuple[str, ...] = ()
-    # Baud rates that `seatrial devices` tries, the commonest first. Empty if the protocol cannot be recognised.
     bauds: tuple[int, ...] = ()
-    # Python module that the protocol needs. The extra with the protocol's name installs it. Empty if it needs none.
     module: str = ""
 
     @property
     def installed(self) -> bool:
-        """Return whether the Python module that the protocol needs is installed."""
+        """Whether the Python module that the protocol needs is installed; True if it needs none."""
         return not self.module or importlib.util.find_spec(self.module) is not None
 
 
-def _vectornav(device: Device, rig: Rig) -> Decoder:
+# Each of the following functions makes a new decoder of one protocol for a device of a rig. The module of the decoder
+# is imported in the function.
+
+
+def _make_vectornav(device: Device, rig: Rig) -> Decoder:
+    """Return a new decoder of a VectorNav AHRS."""
     from seatrial.daq.protocol import vectornav
 
     return vectornav.Decoder()
 
 
-def _mip(device: Device, rig: Rig) -> Decoder:
+def _make_mip(device: Device, rig: Rig) -> Decoder:
+    """Return a new decoder of a MicroStrain inertial sensor."""
     from seatrial.daq.protocol import mip
 
     return mip.Decoder()
 
 
-def _nmea(device: Device, rig: Rig) -> Decoder:
+def _make_nmea(device: Device, rig: Rig) -> Decoder:
+    """Return a new decoder of NMEA 0183, with the declination of the device."""
     from seatrial.daq.protocol import nmea
 
     return nmea.Decoder(device.declination)
 
 
-def _ubx(device: Device, rig: Rig) -> Decoder:
+def _make_ubx(device: Device, rig: Rig) -> Decoder:
+    """Return a new decoder of a u-blox receiver, with the declination of the device."""
     from seatrial.daq.protocol import ubx
 
     return ubx.Decoder(device.declination)
 
 
-def _loadcell(device: Device, rig: Rig) -> Decoder:
+def _make_loadcell(device: Device, rig: Rig) -> Decoder:
+    """Return a new decoder of a load cell, with the pattern, saturation and calibration of the device."""
     from seatrial.daq.protocol import loadcell
 
     force = device.calibration.force if device.calibration else None
     return loadcell.Decoder(device.pattern, device.saturation, force, skip_first=True)
 
 
-def _openscale(device: Device, rig: Rig) -> Decoder:
+def _make_openscale(device: Device, rig: Rig) -> Decoder:
+    """Return a new decoder of an OpenScale board, with the saturation and calibration of the device."""
     from seatrial.daq.protocol import openscale
 
     force = device.calibration.force if device.calibration else None
     return openscale.Decoder(device.saturation, force, skip_first=True)
 
 
-def _mantracourt(device: Device, rig: Rig) -> Decoder:
+def _make_mantracourt(device: Device, rig: Rig) -> Decoder:
+    """Return a new decoder of a Mantracourt converter, with the query, saturation and calibration of the device."""
     from seatrial.daq.protocol import mantracourt
 
     force = device.calibration.force if device.calibration else None
     return mantracourt.Decoder(device.saturation, force, query=device.query)
 
 
-def _vesc(device: Device, rig: Rig) -> Decoder:
-    """Return the decoder for the VESC controllers of the thrusters behind a device."""
+def _make_vesc(device: Device, rig: Rig) -> Decoder:
+    """Return a new decoder of VESC controllers, with pole pairs and direction of the thrusters behind a device."""
     from seatrial.daq.protocol import vesc
 
     thrusters = [thruster for thruster in rig.thrusters if thruster.device == device.name]
@@ -97,19 +121,22 @@ def _vesc(device: Device, rig: Rig) -> Decoder:
     )
 
 
-def _mavlink(device: Device, rig: Rig) -> Decoder:
+def _make_mavlink(device: Device, rig: Rig) -> Decoder:
+    """Return a new decoder of an autopilot and of the thrusters behind it."""
     from seatrial.daq.protocol import mavlink
 
     return mavlink.make_decoder(device, rig)
 
 
-def _dbc(device: Device, rig: Rig) -> Decoder:
+def _make_dbc(device: Device, rig: Rig) -> Decoder:
+    """Return a new decoder of the signals of a DBC file. Raise SeatrialError if the file cannot be read."""
     from seatrial.daq.protocol import dbc
 
     return dbc.Decoder(dbc.load_dbc(device.dbc), device.signals)
 
 
-def _dronecan(device: Device, rig: Rig) -> Decoder:
+def _make_dronecan(device: Device, rig: Rig) -> Decoder:
+    """Return a new decoder of the DroneCAN controllers of the thrusters behind a device."""
     from seatrial.daq.protocol import dronecan
 
     thrusters = [thruster for thruster in rig.thrusters if thruster.device == device.name]
@@ -118,7 +145,8 @@ def _dronecan(device: Device, rig: Rig) -> Decoder:
     )
 
 
-def _nmea2000(device: Device, rig: Rig) -> Decoder:
+def _make_nmea2000(device: Device, rig: Rig) -> Decoder:
+    """Return a new decoder of an NMEA 2000 bus, with the declination of the device."""
     from seatrial.daq.protocol import nmea2000
 
     return nmea2000.Decoder(device.declination)
@@ -126,30 +154,31 @@ def _nmea2000(device: Device, rig: Rig) -> Decoder:
 
 BUILT_IN: dict[str, DeviceType] = {
     "vectornav": DeviceType(
-        "VectorNav AHRS, ASCII and binary", SERIAL, _vectornav, (), (115200, 921600, 460800, 230400)
+        "VectorNav AHRS, ASCII and binary", SERIAL, _make_vectornav, (), (115200, 921600, 460800, 230400)
     ),
-    "mip": DeviceType("MicroStrain inertial sensor, MIP", SERIAL, _mip, (), (115200, 921600, 460800, 230400)),
-    "nmea": DeviceType("GNSS receiver or compass, NMEA 0183", SERIAL, _nmea, ("declination_deg",), GNSS_BAUDS),
-    "ubx": DeviceType("u-blox GNSS receiver, UBX and NMEA mixed", SERIAL, _ubx, ("declination_deg",), GNSS_BAUDS),
+    "mip": DeviceType("MicroStrain inertial sensor, MIP", SERIAL, _make_mip, (), (115200, 921600, 460800, 230400)),
+    "nmea": DeviceType("GNSS receiver or compass, NMEA 0183", SERIAL, _make_nmea, ("declination_deg",), GNSS_BAUDS),
+    "ubx": DeviceType("u-blox GNSS receiver, UBX and NMEA mixed", SERIAL, _make_ubx, ("declination_deg",), GNSS_BAUDS),
     "loadcell": DeviceType(
-        "load cell, one line of text per reading", SERIAL, _loadcell, ("pattern", "saturation", "calibration"),
+        "load cell, one line of text per reading", SERIAL, _make_loadcell, ("pattern", "saturation", "calibration"),
         (115200, 9600, 57600, 38400),
     ),
     "openscale": DeviceType(
-        "SparkFun OpenScale", SERIAL, _openscale, ("saturation", "calibration"), (9600, 115200, 57600, 38400)
+        "SparkFun OpenScale", SERIAL, _make_openscale, ("saturation", "calibration"), (9600, 115200, 57600, 38400)
     ),
     "mantracourt": DeviceType(
-        "Mantracourt DSCUSB or DCell, one request per reading", SERIAL, _mantracourt,
+        "Mantracourt DSCUSB or DCell, one request per reading", SERIAL, _make_mantracourt,
         ("query", "saturation", "calibration"),
     ),
-    "vesc": DeviceType("VESC speed controllers", CAN, _vesc, ("bitrate",)),
-    "dbc": DeviceType("shaft speed from any CAN bus, by a DBC file", CAN, _dbc, ("bitrate", "dbc")),
-    "dronecan": DeviceType("DroneCAN speed controllers", CAN, _dronecan, ("bitrate", "own_node", "index_offset")),
+    "vesc": DeviceType("VESC speed controllers", CAN, _make_vesc, ("bitrate",)),
+    "dbc": DeviceType("shaft speed from any CAN bus, by a DBC file", CAN, _make_dbc, ("bitrate", "dbc")),
+    "dronecan": DeviceType("DroneCAN speed controllers", CAN, _make_dronecan, ("bitrate", "own_node", "index_offset")),
     "nmea2000": DeviceType(
-        "ship's bus (NMEA 2000): compass, attitude, GNSS", CAN, _nmea2000, ("bitrate", "declination_deg")
+        "ship's bus (NMEA 2000): compass, attitude, GNSS", CAN, _make_nmea2000, ("bitrate", "declination_deg")
     ),
     "mavlink": DeviceType(
-        "autopilot: AHRS, GNSS, outputs, battery", NET, _mavlink, ("mavlink",), (57600, 115200, 921600), "pymavlink",
+        "autopilot: AHRS, GNSS, outputs, battery", NET, _make_mavlink, ("mavlink",), (57600, 115200, 921600),
+        "pymavlink",
     ),
 }  # fmt: skip
 
@@ -161,11 +190,13 @@ class DeviceTypes(Mapping[str, DeviceType]):
     """
 
     def __getitem__(self, name: str) -> DeviceType:
+        """Return the row of a protocol. Raise KeyError if no package has the protocol."""
         if name in BUILT_IN:
             return BUILT_IN[name]
         return load_plugin(plugins(GROUP)[name], DeviceType)
 
     def __iter__(self) -> Iterator[str]:
+        """Yield the names of all protocols. Warn of an added protocol whose name is built in, and leave it out."""
         yield from BUILT_IN
         for name in plugins(GROUP):
             if name in BUILT_IN:
@@ -179,6 +210,7 @@ class DeviceTypes(Mapping[str, DeviceType]):
                 yield name
 
     def __len__(self) -> int:
+        """Return the number of protocols."""
         return len(set(BUILT_IN) | set(plugins(GROUP)))
 
     def usable(self) -> dict[str, DeviceType]:
@@ -194,10 +226,16 @@ DEVICES = DeviceTypes()
 
 
 def serial_protocols() -> tuple[str, ...]:
-    """Return the names of the protocols of serial devices."""
+    """Return the names of the protocols of serial devices whose libraries are installed."""
     return tuple(name for name, row in DEVICES.usable().items() if row.bus == SERIAL)
 
 
 def make_decoder(device: Device, rig: Rig) -> Decoder:
-    """Return a new decoder for a device of the rig."""
+    """Return a new decoder for a device of the rig, by the protocol of the device.
+
+    Raises
+    ------
+    SeatrialError
+        If the protocol of another package cannot be imported, or a file of the device cannot be read.
+    """
     return DEVICES[device.protocol].make(device, rig)

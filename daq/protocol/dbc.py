@@ -29,9 +29,17 @@ _RESERVED = 0xFB  # J1939: a highest byte from here on means that there is no va
 
 
 class _MessageSignals(NamedTuple):
-    """A message of the DBC file and the signals to read from it."""
+    """A message of the DBC file and the signals to read from it.
 
-    message: Any  # cantools.database.can.Message
+    Attributes
+    ----------
+    message
+        The message, of the class cantools.database.can.Message.
+    signals
+        Signals to read from the message.
+    """
+
+    message: Any
     signals: tuple[DbcSignal, ...]
 
 
@@ -63,7 +71,7 @@ def load_dbc(path: str) -> Any:
 
 
 def is_j1939(message: Any) -> bool:
-    """Return whether a message is identified by its PGN instead of its whole identifier."""
+    """Return whether a message of cantools is identified by its PGN alone (J1939, NMEA 2000)."""
     return bool(message.protocol == "j1939")
 
 
@@ -104,7 +112,10 @@ def number(message: Any, name: str, raw: float, field: str = "") -> float:
 
 
 def _first_code(message: Any, signal: Any, is_speed: bool) -> int:
-    """Return the lowest raw number of a signal that means "error" or "not available"."""
+    """Return the lowest raw number of a signal of cantools that means "error" or "not available".
+
+    A shaft speed (`is_speed`) and the signals of J1939 have more such numbers than those of NMEA 2000.
+    """
     # PGNs of page 1 belong to NMEA 2000. Other PGNs, and those of manufacturers, occur in both standards.
     is_nmea2000 = bool(message.frame_id & _PAGE_1)
     length, is_signed = int(signal.length), bool(signal.is_signed)
@@ -140,18 +151,18 @@ class Decoder(FrameDecoder):
         self._newest: dict[int, dict[str, tuple[float, float]]] = {}  # node -> field -> value, t_rx [s]
         self._has_rpm = any(signal.field == "rpm" for signal in signals)
         for name in dict.fromkeys(signal.message for signal in signals):
-            message = _find(name, database.messages, "message")
+            message = _find_by_name(name, database.messages, "message")
             selected = tuple(signal for signal in signals if signal.message == name)
             for signal in selected:
                 for required in [signal.signal, *([signal.node] if isinstance(signal.node, str) else [])]:
                     if required != SOURCE:
-                        _find(required, message.signals, f"signal of {name}")
+                        _find_by_name(required, message.signals, f"signal of {name}")
             if is_j1939(message):
                 self._by_pgn[pgn_bits(message.frame_id)] = _MessageSignals(message, selected)
             else:
                 self._exact[message.frame_id, message.is_extended_frame] = _MessageSignals(message, selected)
 
-    def _take(self, identifier: int, extended: bool, data: bytes, t_rx: float) -> list[Frame]:
+    def _decode_can_frame(self, identifier: int, extended: bool, data: bytes, t_rx: float) -> list[Frame]:
         """Decode one frame if its message is configured. Return one sample for each node that it completes."""
         configured = self._exact.get((identifier, extended))
         if configured is None and extended:
@@ -167,29 +178,31 @@ class Decoder(FrameDecoder):
         nodes: dict[int, None] = {}
         for signal in configured.signals:
             node = identifier & 0xFF if signal.node == SOURCE else raw.get(signal.node, signal.node)
-            value = self._value(configured.message, signal, raw)
+            value = self._scaled_value(configured.message, signal, raw)
             if isinstance(node, int) and value is not None:
                 self._newest.setdefault(node, {})[signal.field] = (value, t_rx)
                 if signal.field == "rpm" or not self._has_rpm:
                     nodes[node] = None
-        return [Frame(self._esc(node, t_rx), t_rx, NAN) for node in nodes]
+        return [Frame(self._newest_sample(node, t_rx), t_rx, NAN) for node in nodes]
 
-    def _value(self, message: Any, signal: DbcSignal, raw: dict[str, Any]) -> float | None:
+    def _scaled_value(self, message: Any, signal: DbcSignal, raw: dict[str, Any]) -> float | None:
         """Return the value of a signal with the scale and offset of the rig, or None if the frame lacks it."""
         if signal.signal not in raw:  # the signal belongs to another multiplexer value
             return None
         value = number(message, signal.signal, raw[signal.signal], signal.field)
         return signal.scale * value + signal.offset
 
-    def _esc(self, node: int, t_rx: float) -> Esc:
+    def _newest_sample(self, node: int, t_rx: float) -> Esc:
+        """Return a sample of the newest values of a node at time `t_rx` [s]. Values older than STALE are NaN."""
         newest = self._newest[node].items()
         return Esc(node, **{name: value for name, (value, t) in newest if t_rx - t <= STALE})
 
-    def _forget(self) -> None:
+    def _forget_state(self) -> None:
+        """Discard the newest values of all nodes."""
         self._newest.clear()
 
 
-def _find(name: str | int, rows: Sequence[Any], label: str) -> Any:
+def _find_by_name(name: str | int, rows: Sequence[Any], label: str) -> Any:
     """Return the message or signal of that name. Raise SeatrialError with the known names if there is none."""
     for row in rows:
         if row.name == name:

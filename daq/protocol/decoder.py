@@ -13,7 +13,19 @@ from seatrial.daq.samples import Frame
 
 
 class Decoder(Protocol):
-    """Interface of all decoders: counters of the stream, and the conversion of bytes to samples."""
+    """Interface of all decoders: counters of the stream, and the conversion of bytes to samples.
+
+    Attributes
+    ----------
+    frames
+        Complete frames with a correct checksum.
+    checksum_errors
+        Complete frames with a wrong checksum.
+    unparsed_bytes
+        Bytes outside valid frames, without the line ends between frames.
+    remark
+        Advice about the stream for the user, in one line; empty if there is none.
+    """
 
     frames: int  # complete frames with a correct checksum
     checksum_errors: int  # complete frames with a wrong checksum
@@ -38,13 +50,19 @@ class Decoder(Protocol):
         ...
 
     def reset(self) -> None:
-        """Discard an incomplete frame (the port was reopened). Counters stay."""
+        """Discard an incomplete frame, because the port was reopened. The counters stay."""
         ...
 
 
 @runtime_checkable
 class DatagramDecoder(Decoder, Protocol):
-    """Interface of decoders of datagrams from unknown senders: `accepted` counts the frames of the device itself."""
+    """Interface of decoders of datagrams, which may come from unknown senders.
+
+    Attributes
+    ----------
+    accepted
+        Frames of the device itself; if a key is given, only frames with a correct signature.
+    """
 
     accepted: int  # frames of the device itself; if a key is given, only frames with a correct signature
 

@@ -31,11 +31,21 @@ _BEGINS, _ENDS, _TOGGLE, _NUMBER = 0x80, 0x40, 0x20, 0x1F  # bits of the last by
 
 @dataclass(frozen=True)
 class MessageType:
-    """Data type of a broadcast message."""
+    """Data type of a broadcast message.
 
-    number: int  # data type id
-    signature: int  # data type signature
-    longest: int  # bytes of its longest message
+    Attributes
+    ----------
+    number
+        Data type id, which is a part of the CAN identifier.
+    signature
+        Data type signature, from which the checksum starts.
+    longest
+        Number of bytes of its longest message.
+    """
+
+    number: int
+    signature: int
+    longest: int
 
     @cached_property
     def seed(self) -> int:
@@ -69,8 +79,8 @@ class Decoder(FrameDecoder):
         self._reversed, self._offset = reversed_nodes, index_offset
         self._assembler = Assembler(STATUS)
 
-    def _take(self, identifier: int, extended: bool, data: bytes, t_rx: float) -> list[Frame]:
-        """Decode one frame. Return the sample of the esc.Status that it completes."""
+    def _decode_can_frame(self, identifier: int, extended: bool, data: bytes, t_rx: float) -> list[Frame]:
+        """Decode one frame with a 29-bit identifier. Return the sample of the esc.Status that it completes, if any."""
         if not extended:
             return []
         out = []
@@ -80,18 +90,19 @@ class Decoder(FrameDecoder):
                 continue
             self.frames += 1
             out.append(Frame(unpack(payload, self._reversed, self._offset), t_first, NAN))
-        self._count()
+        self._take_counts()
         return out
 
-    def _count(self) -> None:
+    def _take_counts(self) -> None:
         """Move the counts of the assembler to the counters of the decoder."""
         self.unparsed_bytes += self._assembler.unparsed_bytes
         self.checksum_errors += self._assembler.checksum_errors
         self._assembler.unparsed_bytes = self._assembler.checksum_errors = 0
 
-    def _forget(self) -> None:
+    def _forget_state(self) -> None:
+        """Discard all incomplete transfers. Their frames count as unparsed."""
         self._assembler.forget()
-        self._count()
+        self._take_counts()
 
 
 def unpack(payload: bytes, reversed_nodes: frozenset[int] = frozenset(), index_offset: int = 0) -> Esc:
@@ -137,14 +148,17 @@ def encode_command(commands: Mapping[int, float], source: int, number: int) -> l
             raise ValueError(
                 f"controller {index}: command {n} is invalid; commands are -1 to 1, controllers 0 to {MOST - 1}"
             )
-    bits = "".join(_scalar(round(FULL * commands.get(k, 0.0))) for k in range(max(commands, default=-1) + 1))
+    bits = "".join(_command_bits(round(FULL * commands.get(k, 0.0))) for k in range(max(commands, default=-1) + 1))
     padded = bits.ljust(-(-len(bits) // 8) * 8, "0")
     payload = bytes(int(padded[at : at + 8], 2) for at in range(0, len(padded), 8))
     return frames_of(RAW_COMMAND, payload, source, number, URGENT)
 
 
-def _scalar(value: int) -> str:
-    """Return the 14 bits of a number in the order of DroneCAN: the low byte first, each byte from its highest bit."""
+def _command_bits(value: int) -> str:
+    """Return the 14 bits of a command as text of "0" and "1", in the order of DroneCAN.
+
+    The low byte is first, and each byte begins with its highest bit. A negative value is in two's complement.
+    """
     word = value & (1 << _BITS) - 1
     return f"{word & 0xFF:08b}{word >> 8:06b}"
 
@@ -175,27 +189,54 @@ def frames_of(
     if len(payload) > PART:
         body = struct.pack("<H", crc16_ccitt(payload, kind.seed)) + payload
     parts = [body[at : at + PART] for at in range(0, max(len(body), 1), PART)]
-    return [(identifier, part + bytes((_tail(k, len(parts), number),))) for k, part in enumerate(parts)]
+    return [(identifier, part + bytes((_tail_byte(k, len(parts), number),))) for k, part in enumerate(parts)]
 
 
-def _tail(k: int, n_parts: int, number: int) -> int:
-    """Return the last byte of frame `k` of a transfer with `n_parts` frames."""
+def _tail_byte(k: int, n_parts: int, number: int) -> int:
+    """Return the last byte of frame `k`, from 0, of a transfer with `n_parts` frames: flags and transfer number."""
     return _BEGINS * (k == 0) | _ENDS * (k == n_parts - 1) | _TOGGLE * (k & 1) | number & _NUMBER
 
 
 @dataclass
 class _Transfer:
-    """Received part of a transfer."""
+    """Received part of a transfer.
+
+    Attributes
+    ----------
+    number
+        Number of the transfer, 0..31.
+    t_rx
+        Time of receipt of its first frame [s].
+    toggle
+        Expected toggle bit of the next frame, 0 or 1.
+    frames
+        Number of received frames.
+    data
+        Received bytes, the checksum included.
+    """
 
     number: int
-    t_rx: float  # s, of its first frame
-    toggle: int = 0  # expected toggle bit of the next frame
-    frames: int = 0  # number of received frames
+    t_rx: float
+    toggle: int = 0
+    frames: int = 0
     data: bytearray = field(default_factory=bytearray)
 
 
 class Assembler:
-    """Assembler of frames to messages of one type, for all nodes of a bus."""
+    """Assembler of frames to messages of one type, for all nodes of a bus.
+
+    Parameters
+    ----------
+    kind
+        Type of the messages. Frames of other types are ignored.
+
+    Attributes
+    ----------
+    checksum_errors
+        Transfers with a wrong checksum.
+    unparsed_bytes
+        Bytes of frames whose transfer was not completed.
+    """
 
     def __init__(self, kind: MessageType) -> None:
         self.checksum_errors = 0
@@ -215,7 +256,7 @@ class Assembler:
             return
         source, tail = identifier & 0x7F, data[-1]
         if tail & _BEGINS:
-            self._drop(source)
+            self._drop_transfer(source)
             self._transfers[source] = _Transfer(tail & _NUMBER, t_rx)
         transfer = self._transfers.get(source)
         if transfer is None:
@@ -223,16 +264,16 @@ class Assembler:
             return
         continues = (tail & _NUMBER, bool(tail & _TOGGLE)) == (transfer.number, bool(transfer.toggle))
         if not continues or len(transfer.data) > self._kind.longest + 2:
-            self._drop(source)
+            self._drop_transfer(source)
             self.unparsed_bytes += FRAME_BYTES
             return
         transfer.data += data[:-1]
         transfer.frames += 1
         transfer.toggle ^= 1
         if tail & _ENDS:
-            yield from self._complete(source, transfer)
+            yield from self._finish_transfer(source, transfer)
 
-    def _complete(self, source: int, transfer: _Transfer) -> Iterator[tuple[bytes, float]]:
+    def _finish_transfer(self, source: int, transfer: _Transfer) -> Iterator[tuple[bytes, float]]:
         """Yield the message of a complete transfer if its checksum is correct. A single frame has no checksum."""
         del self._transfers[source]
         payload = bytes(transfer.data)
@@ -243,12 +284,12 @@ class Assembler:
                 return
         yield payload, transfer.t_rx
 
-    def _drop(self, source: int) -> None:
+    def _drop_transfer(self, source: int) -> None:
         """Discard the incomplete transfer of a node. Its frames count as unparsed."""
         if (transfer := self._transfers.pop(source, None)) is not None:
             self.unparsed_bytes += FRAME_BYTES * transfer.frames
 
     def forget(self) -> None:
-        """Discard all incomplete transfers."""
+        """Discard all incomplete transfers. Their frames count as unparsed."""
         for source in list(self._transfers):
-            self._drop(source)
+            self._drop_transfer(source)

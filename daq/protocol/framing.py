@@ -20,7 +20,18 @@ T = TypeVar("T")
 class StreamDecoder(ABC, Generic[T]):
     """Decoder of a stream of frames: it buffers bytes and searches for the next frame.
 
-    A subclass defines the first byte of a frame in `sync` and decodes one frame in `_take`.
+    A subclass defines the first byte of a frame in `sync` and decodes one frame in `_decode_frame`.
+
+    Attributes
+    ----------
+    frames : int
+        Frames with a correct checksum.
+    checksum_errors : int
+        Complete frames with a wrong checksum.
+    unparsed_bytes : int
+        Bytes outside valid frames, without those that are allowed between frames.
+    remark : str
+        Advice about the stream for the user, in one line; empty if there is none.
     """
 
     sync: re.Pattern[bytes]  # the first byte of a frame
@@ -43,15 +54,15 @@ class StreamDecoder(ABC, Generic[T]):
         while position < len(buffer):
             match = self.sync.search(buffer, position)
             start = match.start() if match else len(buffer)
-            self._skip(buffer, position, start)
+            self._count_skipped(buffer, position, start)
             position = start
             if not match:
                 break
-            length = self._take(buffer, start, t_rx)
+            length = self._decode_frame(buffer, start, t_rx)
             if length == 0:
                 break
             if length < 0:  # no frame begins here; a frame may begin at the next byte
-                self._skip(buffer, start, start + 1)
+                self._count_skipped(buffer, start, start + 1)
                 length = 1
             position = start + length
         del buffer[:position]
@@ -61,17 +72,17 @@ class StreamDecoder(ABC, Generic[T]):
 
     def reset(self) -> None:
         """Discard an incomplete frame, because the port was reopened. The counters are kept."""
-        self._skip(self._buffer, 0, len(self._buffer))
+        self._count_skipped(self._buffer, 0, len(self._buffer))
         self._before += len(self._buffer)
         self._buffer.clear()
 
-    def _skip(self, buffer: bytearray, start: int, end: int) -> None:
+    def _count_skipped(self, buffer: bytearray, start: int, end: int) -> None:
         """Count the bytes from `start` to `end` as unparsed, except those that are allowed between frames."""
         if end > start:
             self.unparsed_bytes += len(buffer[start:end].translate(None, self.between))
 
     @abstractmethod
-    def _take(self, buffer: bytearray, start: int, t_rx: float) -> int:
+    def _decode_frame(self, buffer: bytearray, start: int, t_rx: float) -> int:
         """Decode the frame that begins at `start` and append its samples to `self._out`.
 
         Return the length of the frame in bytes, 0 if more bytes are needed, or -1 if no frame begins at `start`. The
@@ -80,11 +91,21 @@ class StreamDecoder(ABC, Generic[T]):
 
 
 class Sentence(NamedTuple):
-    """Result of reading one NMEA-style sentence."""
+    """Result of reading one NMEA-style sentence.
 
-    length: int  # bytes; 0 if more bytes are needed, -1 if no valid sentence begins here
-    body: bytes | None = None  # text between `$` and `*`; None without a valid sentence
-    bad_checksum: bool = False  # whether the sentence is complete and its checksum is wrong
+    Attributes
+    ----------
+    length
+        Length [bytes]; 0 if more bytes are needed, -1 if no valid sentence begins here.
+    body
+        Text between `$` and `*`; None without a valid sentence.
+    bad_checksum
+        Whether the sentence is complete and its checksum is wrong.
+    """
+
+    length: int
+    body: bytes | None = None
+    bad_checksum: bool = False
 
 
 def take_sentence(buffer: bytearray, start: int) -> Sentence:
@@ -125,6 +146,6 @@ def crc16_ccitt(data: bytes, seed: int = 0xFFFF) -> int:
 
 
 def sentence(body: str) -> bytes:
-    """Encode `body` as a sentence of NMEA 0183: `$body*hh` and CR LF."""
+    """Encode a text without `$` and checksum as a sentence of NMEA 0183: `$body*hh` and CR LF."""
     data = body.encode("ascii")
     return b"$%b*%02X\r\n" % (data, xor(data))

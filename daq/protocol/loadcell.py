@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from seatrial.daq.protocol.text_lines import LINE_MAX, SATURATED, SPIKE, Flags, LineDecoder, is_spike
+from seatrial.daq.protocol.text_lines import LINE_MAX, SATURATED, SPIKE, FlagDetector, LineDecoder, is_spike
 from seatrial.daq.samples import NAN, Frame, LoadCell
 
 __all__ = ["DEFAULT_PATTERN", "LINE_MAX", "SATURATED", "SPIKE", "Decoder", "encode", "is_spike"]
@@ -64,10 +64,10 @@ class Decoder(LineDecoder):
     ) -> None:
         super().__init__(skip_first)
         self._pattern = compile_pattern(pattern)
-        self._flags = Flags(saturation)
+        self._flags = FlagDetector(saturation)
         self._force = force
 
-    def _take(self, line: bytes, t_rx: float) -> Frame | None:
+    def _decode_line(self, line: bytes, t_rx: float) -> Frame | None:
         """Convert one line to a sample. Return None if it does not match the pattern."""
         match = self._pattern.search(line.rstrip(b"\r").decode("latin-1"))
         if match is None:
@@ -77,7 +77,7 @@ class Decoder(LineDecoder):
         except (TypeError, ValueError):  # the group is not part of the match, or its text is not a number
             return None
         force = NAN if self._force is None else self._force(counts)
-        return Frame(LoadCell(counts, force, self._flags.of(counts)), t_rx, NAN)
+        return Frame(LoadCell(counts, force, self._flags.flag(counts)), t_rx, NAN)
 
 
 def encode(counts: float) -> bytes:

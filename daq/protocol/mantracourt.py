@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 
-from seatrial.daq.protocol.text_lines import Flags, LineDecoder
+from seatrial.daq.protocol.text_lines import FlagDetector, LineDecoder
 from seatrial.daq.samples import NAN, Frame, LoadCell
 
 DEFAULT_QUERY = "!001:SYS?"
@@ -42,10 +42,10 @@ class Decoder(LineDecoder):
     ) -> None:
         super().__init__()
         self.request = query.encode("ascii") + b"\r"
-        self._flags = Flags(saturation)
+        self._flags = FlagDetector(saturation)
         self._force = force
 
-    def _take(self, line: bytes, t_rx: float) -> Frame | None:
+    def _decode_line(self, line: bytes, t_rx: float) -> Frame | None:
         """Convert one answer to a sample. Return None if it is not a number, for example a refusal or an echo."""
         line = line.lstrip(b"\n")
         if line == b"?":
@@ -55,7 +55,7 @@ class Decoder(LineDecoder):
         self.remark = ""
         counts = float(line)
         force = NAN if self._force is None else self._force(counts)
-        return Frame(LoadCell(counts, force, self._flags.of(counts)), t_rx, NAN)
+        return Frame(LoadCell(counts, force, self._flags.flag(counts)), t_rx, NAN)
 
 
 def encode(counts: float) -> bytes:

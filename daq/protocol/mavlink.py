@@ -13,7 +13,7 @@ from typing import Any
 
 from seatrial.daq.errors import printable
 from seatrial.daq.protocol.framing import StreamDecoder
-from seatrial.daq.protocol.mavlink_wire import ESC_STATUS, Codec, dialect, head, is_known, is_whole
+from seatrial.daq.protocol.mavlink_wire import ESC_STATUS, Codec, dialect, has_correct_checksum, is_known, parse_header
 from seatrial.daq.rig import AutopilotOutput, Device, Rig
 from seatrial.daq.samples import NAN, Ahrs, Autopilot, Battery, Esc, Event, Frame, Gnss, Sample, Servo
 
@@ -49,18 +49,18 @@ TimedSamples = list[
 
 
 def make_decoder(device: Device, rig: Rig) -> MavlinkDecoder:
-    """Return the decoder of an autopilot of the rig. The driver of the link sets its signing key with `secure`."""
+    """Return a new decoder of an autopilot of the rig. The driver of the link sets its signing key with `secure`."""
     assert device.mavlink is not None
-    return MavlinkDecoder(make_samples(device, rig), device.mavlink.system_id, device.mavlink.component_id)
+    return MavlinkDecoder(make_sample_converter(device, rig), device.mavlink.system_id, device.mavlink.component_id)
 
 
-def make_samples(device: Device, rig: Rig) -> Samples:
-    """Return the converter of messages to samples for an autopilot of the rig."""
+def make_sample_converter(device: Device, rig: Rig) -> SampleConverter:
+    """Return a new converter of messages to samples for an autopilot of the rig and the thrusters behind it."""
     thrusters = [thruster for thruster in rig.thrusters if thruster.device == device.name]
     outputs = {thruster.node: thruster.output for thruster in thrusters if thruster.output is not None}
     reversed_nodes = frozenset(thruster.node for thruster in thrusters if thruster.reversed)
     gnss = device.mavlink.gnss if device.mavlink is not None else "raw"
-    return Samples(outputs or None, reversed_nodes, gnss)
+    return SampleConverter(outputs or None, reversed_nodes, gnss)
 
 
 class MavlinkDecoder(StreamDecoder[Frame]):
@@ -81,14 +81,26 @@ class MavlinkDecoder(StreamDecoder[Frame]):
     Attributes
     ----------
     listener
-        Function that is called with each decoded message of the autopilot.
+        Function that is called with each decoded message of the autopilot; None at first.
+    foreign
+        Number of frames of each other system, by its id.
+    unsigned
+        Frames of the autopilot that were ignored because of their signature.
+    signed
+        Frames of the autopilot with a signature, checked or not.
+    lost
+        Frames of the autopilot that are missing by their sequence numbers.
+    accepted
+        Messages of the autopilot; if a key is given, only correctly signed ones.
     """
 
     sync = re.compile(rb"[\xfd\xfe]")
     between = b""
     unordered = True  # device times need not ascend: a fix is older than the attitude that was sent before it
 
-    def __init__(self, samples: Samples, system: int = 1, component: int = 1, codec: Codec | None = None) -> None:
+    def __init__(
+        self, samples: SampleConverter, system: int = 1, component: int = 1, codec: Codec | None = None
+    ) -> None:
         super().__init__()
         mode_name(0)  # imports modules for half a second; done here, because a later import would delay commands
         self.foreign: dict[int, int] = {}  # number of frames by id of another system
@@ -116,15 +128,19 @@ class MavlinkDecoder(StreamDecoder[Frame]):
         self._samples.forget()
         self._sequence = -1
 
-    def _take(self, buffer: bytearray, start: int, t_rx: float) -> int:
-        """Decode the frame at `start`. Count frames of other systems, and ignore frames of other components."""
-        header = head(buffer, start)
+    def _decode_frame(self, buffer: bytearray, start: int, t_rx: float) -> int:
+        """Decode the frame at `start` and append its samples to `self._out`.
+
+        Frames of other systems are counted, and frames of other components are ignored. Return the length of the frame
+        in bytes, 0 if more bytes are needed, or -1 if no valid frame begins there.
+        """
+        header = parse_header(buffer, start)
         if isinstance(header, int):
             return header
         if len(buffer) < start + header.total:
             return 0
         frame = bytes(buffer[start : start + header.total])
-        if not is_whole(frame, header):
+        if not has_correct_checksum(frame, header):
             self.checksum_errors += is_known(header.message_id)
             return -1
         self.frames += 1
@@ -138,7 +154,7 @@ class MavlinkDecoder(StreamDecoder[Frame]):
         return header.total
 
     def _count_lost(self, sequence: int) -> None:
-        """Count the frames that are missing between the last frame and this one."""
+        """Add the number of frames that are missing between the last frame and the one with this number to `lost`."""
         gap = (sequence - self._sequence - 1) % 256 if self._sequence >= 0 else 0
         self.lost += gap if gap < 128 else 0  # a larger gap means an older frame or a restart
         self._sequence = sequence
@@ -151,7 +167,10 @@ class MavlinkDecoder(StreamDecoder[Frame]):
         return used
 
     def _decode(self, frame: bytes, t_rx: float) -> None:
-        """Decode a frame of the autopilot and append its samples."""
+        """Decode a frame of the autopilot, append its samples, and pass its message to the listener.
+
+        A frame without the required signature is counted and ignored.
+        """
         message = self._codec.decode(frame)
         if message is None:
             self.unsigned += 1
@@ -171,7 +190,10 @@ def message_name(message_id: int) -> str:
 
 
 def mode_name(mode: int, vehicle: int = BOAT, autopilot: int = ARDUPILOT) -> str:
-    """Return the name of a mode (HEARTBEAT.custom_mode) for a vehicle (MAV_TYPE) and an autopilot (MAV_AUTOPILOT)."""
+    """Return the name of a mode (HEARTBEAT.custom_mode) for a vehicle (MAV_TYPE) and an autopilot (MAV_AUTOPILOT).
+
+    An unknown mode has the name "mode 7", with its number.
+    """
     from pymavlink import mavutil
 
     if autopilot == PX4:
@@ -180,13 +202,16 @@ def mode_name(mode: int, vehicle: int = BOAT, autopilot: int = ARDUPILOT) -> str
 
 
 def vehicle_name(autopilot: int, vehicle: int) -> str:
-    """Return the name of the software for MAV_AUTOPILOT and MAV_TYPE of a heartbeat: "ArduPilot Rover", "PX4"."""
+    """Return the name of the software for MAV_AUTOPILOT and MAV_TYPE of a heartbeat: "ArduPilot Rover", "PX4".
+
+    The name is empty for an unknown vehicle of ArduPilot.
+    """
     if autopilot == PX4:
         return "PX4"
     return VEHICLES.get(vehicle, "") if autopilot == ARDUPILOT else f"autopilot {autopilot} (MAV_AUTOPILOT)"
 
 
-class Samples:
+class SampleConverter:
     """Converter of the messages of one autopilot to samples. It reads no clock.
 
     An attitude waits for the IMU message of the same moment, and both become one `Ahrs`. If their times differ, each
@@ -215,11 +240,13 @@ class Samples:
         self.wanted: dict[str, Callable[[Any], TimedSamples]] = {
             "HEARTBEAT": self._heartbeat, "ATTITUDE": self._attitude, "SYSTEM_TIME": self._system_time,
             "RAW_IMU": self._raw_imu, "SCALED_IMU": self._scaled_imu, "HIGHRES_IMU": self._highres_imu,
-            "SERVO_OUTPUT_RAW": self._servos, "BATTERY_STATUS": self._battery, "SYS_STATUS": self._sys_status,
-            "EKF_STATUS_REPORT": self._ekf, "STATUSTEXT": self._text, "ESC_STATUS": self._esc_status,
+            "SERVO_OUTPUT_RAW": self._servo_outputs, "BATTERY_STATUS": self._battery, "SYS_STATUS": self._sys_status,
+            "EKF_STATUS_REPORT": self._ekf, "STATUSTEXT": self._status_text, "ESC_STATUS": self._esc_status,
             **{f"ESC_TELEMETRY_{k}_TO_{k + 3}": self._esc_telemetry for k in range(1, 33, 4)},
         }  # fmt: skip
-        self.wanted |= {"GPS_RAW_INT": self._gps} if gnss == "raw" else {"GLOBAL_POSITION_INT": self._position}
+        self.wanted |= (
+            {"GPS_RAW_INT": self._gps_raw_int} if gnss == "raw" else {"GLOBAL_POSITION_INT": self._global_position}
+        )
         self._outputs, self._reversed = outputs, reversed_nodes
         self.forget()
 
@@ -242,12 +269,18 @@ class Samples:
         self._chunks: tuple[int, str] = (0, "")  # id and received part of a long text
 
     def take(self, message: Any) -> TimedSamples:
-        """Return the samples that a message completes."""
+        """Return the samples that a message completes, each with its time [s since boot] or NaN.
+
+        Unused messages give none.
+        """
         handler = self.wanted.get(message.get_type())
         return [] if handler is None else handler(message)
 
-    def _at(self, usec: int, wraps: bool = False) -> float:
-        """Return s since boot of a time [us]. If the time wraps at 32 bits, take the time nearest to the newest one."""
+    def _to_boot_time(self, usec: int, wraps: bool = False) -> float:
+        """Convert a time [us since boot or since 1970] to s since boot; NaN if it is UTC and the offset is unknown.
+
+        If `wraps` is true, the time since boot has 32 bits. The result is then nearest to the newest attitude.
+        """
         if usec >= UNIX_US:
             return usec * 1e-6 - self._utc_of_boot
         t = usec * 1e-6
@@ -255,8 +288,8 @@ class Samples:
             t += round((self._boot - t) / 2**32 * 1e6) * 2**32 * 1e-6
         return t
 
-    def _boot_time(self, t: float) -> float:
-        """Return a time since boot [s]. If it has decreased, discard the state from before the restart."""
+    def _check_restart(self, t: float) -> float:
+        """Return a time since boot [s] unchanged. If it has decreased, discard the state from before the restart."""
         if self._boot - t > RESTART_S:
             ardupilot = self._ardupilot
             self.forget()
@@ -278,6 +311,7 @@ class Samples:
         return samples
 
     def _ekf(self, m: Any) -> TimedSamples:
+        """Return the state of the autopilot with the flags of EKF_STATUS_REPORT; nothing before the first heartbeat."""
         self._ekf_flags = m.flags
         if self._pilot is None:
             return []
@@ -285,23 +319,24 @@ class Samples:
         return [(self._pilot, NAN)]
 
     def _system_time(self, m: Any) -> TimedSamples:
-        t = self._boot_time(_since_boot(m.time_boot_ms))
+        """Store the UTC of the autopilot's start from SYSTEM_TIME, if it knows the time. Return no sample."""
+        t = self._check_restart(_since_boot(m.time_boot_ms))
         if m.time_unix_usec >= UNIX_US:
             self._utc_of_boot = m.time_unix_usec * 1e-6 - t
         return []
 
     def _attitude(self, m: Any) -> TimedSamples:
         """Return the attitude with its IMU message, or let it wait for the IMU message of the same moment."""
-        self._boot = t = self._boot_time(_since_boot(m.time_boot_ms))
+        self._boot = t = self._check_restart(_since_boot(m.time_boot_ms))
         samples: TimedSamples = [self._attitude_waits] if self._attitude_waits is not None else []
         self._attitude_waits = None
         ahrs = Ahrs(m.yaw, m.pitch, m.roll, m.rollspeed, m.pitchspeed, m.yawspeed)
         if self._imu is not None and abs(self._imu[0] - t) <= SAME_S:
-            samples.append((_joined(ahrs, self._imu), t))
+            samples.append((_with_imu(ahrs, self._imu), t))
             self._imu = None
             return samples
         if self._imu is not None and self._imu[0] < t:  # its attitude was lost; emit it first, in the order of time
-            samples.append((_joined(Ahrs(NAN, NAN, NAN), self._imu), self._imu[0]))
+            samples.append((_with_imu(Ahrs(NAN, NAN, NAN), self._imu), self._imu[0]))
             self._imu = None
         if 0.0 <= t - self._imu_at <= IMU_AWAITED_S:
             self._attitude_waits = (ahrs, t)
@@ -310,45 +345,60 @@ class Samples:
         return samples
 
     def _raw_imu(self, m: Any) -> TimedSamples:
-        return self._milli(m, self._at(m.time_usec)) if self._ardupilot else []
+        """Return the samples that a RAW_IMU message completes; none unless the autopilot is ArduPilot.
+
+        The units of other autopilots are not defined.
+        """
+        return self._take_milli_imu(m, self._to_boot_time(m.time_usec)) if self._ardupilot else []
 
     def _scaled_imu(self, m: Any) -> TimedSamples:
-        return self._milli(m, _since_boot(m.time_boot_ms))
+        """Return the samples that a SCALED_IMU message completes."""
+        return self._take_milli_imu(m, _since_boot(m.time_boot_ms))
 
-    def _milli(self, m: Any, t: float) -> TimedSamples:
-        """Convert an IMU message in thousandths of g and of a gauss."""
+    def _take_milli_imu(self, m: Any, t: float) -> TimedSamples:
+        """Return the samples that an IMU message in milli-g and milligauss completes.
+
+        `t` is the time of the message [s since boot].
+        """
         accel = tuple(1e-3 * GRAVITY * a for a in (m.xacc, m.yacc, m.zacc))
         return self._take_imu(t, accel, tuple(1e-7 * b for b in (m.xmag, m.ymag, m.zmag)))
 
     def _highres_imu(self, m: Any) -> TimedSamples:
+        """Return the samples that a HIGHRES_IMU message, in m/s2 and gauss, completes."""
         field = tuple(1e-4 * b for b in (m.xmag, m.ymag, m.zmag))
-        return self._take_imu(self._at(m.time_usec), (m.xacc, m.yacc, m.zacc), field)
+        return self._take_imu(self._to_boot_time(m.time_usec), (m.xacc, m.yacc, m.zacc), field)
 
     def _take_imu(self, t: float, accel: tuple[float, ...], field: tuple[float, ...]) -> TimedSamples:
-        """Return the IMU message with its attitude, or let it wait for the attitude of the same moment."""
-        self._imu_at = self._boot_time(t)
+        """Return the IMU message with its attitude as one sample, or let it wait for the attitude of the same moment.
+
+        `t` is the time [s since boot], `accel` the specific force [m/s2], and `field` the magnetic field [T]. A field
+        of zero means that it is unknown.
+        """
+        self._imu_at = self._check_restart(t)
         imu = (t, accel, field if any(field) else (NAN, NAN, NAN))
         samples: TimedSamples = []
         if self._imu is not None:  # the previous IMU message got no attitude, so it becomes a separate sample
-            samples.append((_joined(Ahrs(NAN, NAN, NAN), self._imu), self._imu[0]))
+            samples.append((_with_imu(Ahrs(NAN, NAN, NAN), self._imu), self._imu[0]))
             self._imu = None
         waiting, self._attitude_waits = self._attitude_waits, None
         if waiting is not None and abs(waiting[1] - t) <= SAME_S:
-            return [*samples, (_joined(waiting[0], imu), waiting[1])]
+            return [*samples, (_with_imu(waiting[0], imu), waiting[1])]
         self._imu = imu
         return samples if waiting is None else [*samples, waiting]
 
-    def _gps(self, m: Any) -> TimedSamples:
+    def _gps_raw_int(self, m: Any) -> TimedSamples:
         """Return the fix of the receiver (GPS_RAW_INT), or nothing if it is a repetition."""
         if (m.time_usec, m.fix_type) == self._fix:
             return []
         self._fix = m.time_usec, m.fix_type
         fix = FIXES.get(m.fix_type, 0)
-        t = self._at(m.time_usec) if fix else NAN  # without a fix ArduPilot repeats the last time, 0 before the first
+        t = (
+            self._to_boot_time(m.time_usec) if fix else NAN
+        )  # without a fix ArduPilot repeats the last time, 0 before the first
         if self._ardupilot and m.time_usec < UNIX_US:  # ArduPilot sends whole milliseconds, multiplied by 1000
             t += HALF_MS
         course = math.radians(m.cog * 0.01) if m.cog != 0xFFFF else NAN
-        speed = _cut(m.vel) if fix >= 2 and m.vel != 0xFFFF else NAN
+        speed = _untruncate_velocity(m.vel) if fix >= 2 and m.vel != 0xFFFF else NAN
         return [
             (
                 Gnss(
@@ -369,24 +419,24 @@ class Samples:
             )
         ]
 
-    def _position(self, m: Any) -> TimedSamples:
+    def _global_position(self, m: Any) -> TimedSamples:
         """Return the position estimate of the autopilot (GLOBAL_POSITION_INT), or nothing if it is a repetition."""
-        t = self._boot_time(_since_boot(m.time_boot_ms))
+        t = self._check_restart(_since_boot(m.time_boot_ms))
         if m.time_boot_ms == self._fix[0]:
             return []
         self._fix = m.time_boot_ms, 0
         if m.lat == 0 and m.lon == 0:
             return [(Gnss(t + self._utc_of_boot, NAN, NAN), t)]
-        north, east, down = (_cut(v) for v in (m.vx, m.vy, m.vz))
+        north, east, down = (_untruncate_velocity(v) for v in (m.vx, m.vy, m.vz))
         # An estimator that has lost its position continues to send the last or a dead-reckoned position.
         is_valid = self._ekf_flags < 0 or (self._ekf_flags & EKF_POSITION and not self._ekf_flags & EKF_STANDS)
         kind = 3 if is_valid else 0
         fix = Gnss(t + self._utc_of_boot, m.lat * 1e-7, m.lon * 1e-7, m.alt * 1e-3, north, east, down, fix=kind)
         return [(fix, t)]
 
-    def _servos(self, m: Any) -> TimedSamples:
-        """Return the outputs of the rig, or without a rig all outputs that had a pulse."""
-        t = self._at(m.time_usec, wraps=True)
+    def _servo_outputs(self, m: Any) -> TimedSamples:
+        """Return the servo outputs of the rig's thrusters, or without a rig all outputs that had a pulse."""
+        t = self._to_boot_time(m.time_usec, wraps=True)
         samples: TimedSamples = []
         for k in range(1, 17):
             node, pwm = 16 * m.port + k, float(getattr(m, f"servo{k}_raw"))
@@ -424,10 +474,11 @@ class Samples:
                 continue
             sign = -1.0 if node in self._reversed else 1.0
             esc = Esc(node, sign * m.rpm[k], m.current[k], self._n.get(node, NAN), m.voltage[k])
-            samples.append((esc, self._at(m.time_usec)))
+            samples.append((esc, self._to_boot_time(m.time_usec)))
         return samples
 
     def _battery(self, m: Any) -> TimedSamples:
+        """Return the state of the first battery from BATTERY_STATUS; nothing if it reports no cell voltage."""
         cells = [v for v in (*m.voltages, *m.voltages_ext) if v not in (0, 0xFFFF)]
         if m.id != 0 or not cells:
             return []
@@ -435,11 +486,12 @@ class Samples:
         return [(_battery(sum(cells) * 1e-3, m.current_battery, m.battery_remaining), NAN)]
 
     def _sys_status(self, m: Any) -> TimedSamples:
+        """Return the state of the battery from SYS_STATUS, unless BATTERY_STATUS has been received."""
         if self._has_battery or m.voltage_battery in (0, 0xFFFF):
             return []
         return [(_battery(m.voltage_battery * 1e-3, m.current_battery, m.battery_remaining), NAN)]
 
-    def _text(self, m: Any) -> TimedSamples:
+    def _status_text(self, m: Any) -> TimedSamples:
         """Return a status text as an event when its last chunk has been received."""
         number, received = self._chunks
         chunk = printable(m.text)
@@ -457,15 +509,20 @@ def _since_boot(ms: int) -> float:
     return ms * 1e-3 + HALF_MS
 
 
-def _cut(velocity: int) -> float:
+def _untruncate_velocity(velocity: int) -> float:
     """Convert a velocity [cm/s] to m/s without bias. ArduPilot and PX4 truncate it towards zero to whole cm/s."""
     return (velocity + math.copysign(0.5, velocity)) * 0.01 if velocity else 0.0
 
 
-def _joined(ahrs: Ahrs, imu: tuple[float, tuple[float, ...], tuple[float, ...]]) -> Ahrs:
+def _with_imu(ahrs: Ahrs, imu: tuple[float, tuple[float, ...], tuple[float, ...]]) -> Ahrs:
+    """Return an attitude with the specific force [m/s2] and magnetic field [T] of an IMU message.
+
+    `imu` is a tuple of time, specific force (3,) and magnetic field (3,).
+    """
     (ax, ay, az), (mx, my, mz) = imu[1], imu[2]
     return replace(ahrs, ax=ax, ay=ay, az=az, mx=mx, my=my, mz=mz)
 
 
 def _battery(voltage: float, centiampere: int, percent: int) -> Battery:
+    """Return the state of a battery from voltage [V], current [0.01 A] and charge [%]; negative values are unknown."""
     return Battery(voltage, NAN if centiampere < 0 else centiampere * 0.01, NAN if percent < 0 else percent * 0.01)

@@ -26,26 +26,40 @@ ESC_STATUS_SEED = 10  # CRC_EXTRA of the message
 
 
 def crc16(data: bytes, crc: int = 0xFFFF) -> int:
-    """Return CRC-16/MCRF4XX, the checksum of MAVLink. `crc` is the checksum of the preceding bytes."""
+    """Return CRC-16/MCRF4XX, the checksum of MAVLink. `crc` is the checksum of the preceding bytes, if any."""
     return int(fastcrc.crc16.mcrf4xx(data, crc))
 
 
 @functools.cache
 def dialect() -> Any:
-    """Return pymavlink's module of the messages."""
+    """Return pymavlink's module of the messages (dialect ardupilotmega). It is imported at the first call."""
     from pymavlink.dialects.v20 import ardupilotmega  # imported here: it takes 0.25 s, and only MAVLink needs it
 
     return ardupilotmega
 
 
 class EscStatus(NamedTuple):
-    """Message ESC_STATUS: the state of four consecutive speed controllers."""
+    """Message ESC_STATUS: the state of four consecutive speed controllers.
 
-    time_usec: int  # us since boot or since 1970
-    rpm: tuple[int, ...]  # rev/min, signed
-    voltage: tuple[float, ...]  # V
-    current: tuple[float, ...]  # A
-    first: int  # number of the first controller, from 0; the field `index` on the wire
+    Attributes
+    ----------
+    time_usec
+        Time since boot or since 1970 [us].
+    rpm
+        Speed of each shaft, with sign [rev/min].
+    voltage
+        Voltage of each controller [V].
+    current
+        Current of each controller [A].
+    first
+        Number of the first controller, from 0; the field `index` on the wire.
+    """
+
+    time_usec: int
+    rpm: tuple[int, ...]
+    voltage: tuple[float, ...]
+    current: tuple[float, ...]
+    first: int
 
     @staticmethod
     def get_type() -> str:
@@ -57,23 +71,42 @@ _ESC_STATUS = struct.Struct("<Q4i4f4fB")
 
 
 def _unpack_esc_status(payload: bytes) -> EscStatus:
+    """Decode the payload of ESC_STATUS. Missing bytes at its end are zero, because MAVLink 2 omits trailing zeros."""
     values = _ESC_STATUS.unpack(payload.ljust(_ESC_STATUS.size, b"\0")[: _ESC_STATUS.size])
     return EscStatus(values[0], values[1:5], values[5:9], values[9:13], values[13])
 
 
-class Head(NamedTuple):
-    """Header of a frame."""
+class FrameHeader(NamedTuple):
+    """Header of a frame.
 
-    total: int  # bytes of the whole frame
+    Attributes
+    ----------
+    total
+        Length of the whole frame [bytes].
+    message_id
+        Id of the message.
+    system
+        System id of the sender.
+    component
+        Component id of the sender.
+    payload
+        Length of the payload [bytes].
+    signed
+        Whether the frame has a signature.
+    sequence
+        Counter of the sender's frames on this link, 0 to 255.
+    """
+
+    total: int
     message_id: int
     system: int
     component: int
-    payload: int  # bytes of the payload
+    payload: int
     signed: bool
-    sequence: int  # counter of the sender's frames on this link, 0 to 255
+    sequence: int
 
 
-def head(buffer: bytes | bytearray, start: int) -> Head | int:
+def parse_header(buffer: bytes | bytearray, start: int) -> FrameHeader | int:
     """Return the header that begins at `start`. Return 0 if more bytes are needed, -1 if no frame can begin there."""
     is_version_2 = buffer[start] == MARKER_2
     size = HEADER_2 if is_version_2 else HEADER_1
@@ -86,16 +119,16 @@ def head(buffer: bytes | bytearray, start: int) -> Head | int:
         signed = bool(header[2] & SIGNED)
         message_id = header[7] | header[8] << 8 | header[9] << 16
         total = size + header[1] + CHECKSUM + SIGNATURE * signed
-        return Head(total, message_id, header[5], header[6], header[1], signed, header[4])
-    definition = _definition(header[5])
+        return FrameHeader(total, message_id, header[5], header[6], header[1], signed, header[4])
+    definition = _seed_and_length(header[5])
     # Version 1 is only used with messages of the dialect. Their payload is never longer than defined.
     if definition is None or header[1] > definition[1]:
         return -1
-    return Head(size + header[1] + CHECKSUM, header[5], header[3], header[4], header[1], False, header[2])
+    return FrameHeader(size + header[1] + CHECKSUM, header[5], header[3], header[4], header[1], False, header[2])
 
 
 @functools.cache
-def _definition(message_id: int) -> tuple[int, int] | None:
+def _seed_and_length(message_id: int) -> tuple[int, int] | None:
     """Return checksum seed (CRC_EXTRA) and longest payload [bytes] of a message, or None if the dialect lacks it."""
     if message_id == ESC_STATUS:
         return ESC_STATUS_SEED, _ESC_STATUS.size
@@ -105,10 +138,10 @@ def _definition(message_id: int) -> tuple[int, int] | None:
 
 def is_known(message_id: int) -> bool:
     """Return whether the dialect contains a message, so that its checksum can be verified."""
-    return _definition(message_id) is not None
+    return _seed_and_length(message_id) is not None
 
 
-def is_whole(frame: bytes, header: Head) -> bool:
+def has_correct_checksum(frame: bytes, header: FrameHeader) -> bool:
     """Return whether the checksum of a frame is correct.
 
     Notes
@@ -119,7 +152,7 @@ def is_whole(frame: bytes, header: Head) -> bool:
     end = len(frame) - SIGNATURE * header.signed - CHECKSUM
     (received,) = struct.unpack_from("<H", frame, end)
     crc = crc16(frame[1:end])
-    definition = _definition(header.message_id)
+    definition = _seed_and_length(header.message_id)
     if definition is not None:
         return crc16(bytes([definition[0]]), crc) == int(received)
     return any(crc16(bytes([seed]), crc) == received for seed in range(256))
@@ -155,7 +188,7 @@ class Codec:
 
     @property
     def signs(self) -> bool:
-        """Return whether frames are signed."""
+        """Whether frames are signed, and received frames need a correct signature."""
         return self._key is not None
 
     def decode(self, frame: bytes) -> Any | None:
@@ -177,7 +210,7 @@ class Codec:
 
 
 def encode_esc_status(system: int, component: int, sequence: int, status: EscStatus) -> bytes:
-    """Encode ESC_STATUS as an unsigned frame of version 2."""
+    """Encode ESC_STATUS as an unsigned frame of MAVLink 2. `sequence`, 0 to 255, is the counter of frames."""
     payload = _ESC_STATUS.pack(status.time_usec, *status.rpm, *status.voltage, *status.current, status.first)
     payload = payload.rstrip(b"\0") or b"\0"
     body = struct.pack("<BBBBBBHB", len(payload), 0, 0, sequence, system, component, ESC_STATUS, 0) + payload

@@ -36,7 +36,7 @@ def checksum(packet: bytes) -> bytes:
 
 
 def packet(data_set: int, fields: Fields) -> bytes:
-    """Encode a packet with sync bytes and checksum. `fields` maps descriptors to the data of the fields."""
+    """Encode a packet of a data set with sync bytes and checksum. `fields` are the data of each field by descriptor."""
     payload = b"".join(bytes((len(data) + 2, kind)) + data for kind, data in fields.items())
     body = SYNC + bytes((data_set, len(payload))) + payload
     return body + checksum(body)
@@ -63,8 +63,11 @@ class Decoder(StreamDecoder[Frame]):
         self._filtered = -math.inf
         self._vectors.clear()
 
-    def _take(self, buffer: bytearray, start: int, t_rx: float) -> int:
-        """Decode the packet at `start`. Return its length, 0 if more bytes are needed, -1 if no packet begins there."""
+    def _decode_frame(self, buffer: bytearray, start: int, t_rx: float) -> int:
+        """Decode the packet at `start` and append its samples.
+
+        Return its length in bytes, 0 if more bytes are needed, or -1 if no valid packet begins there.
+        """
         if len(buffer) < start + 4:
             return 0 if SYNC.startswith(buffer[start : start + 2]) else -1
         if buffer[start + 1] != SYNC[1]:
@@ -76,50 +79,54 @@ class Decoder(StreamDecoder[Frame]):
         if buffer[start + length - 2 : start + length] != checksum(body):
             self.checksum_errors += 1
             return -1
-        fields = _fields(body[4:])
+        fields = _split_fields(body[4:])
         if fields is None:
             return -1
         self.frames += 1
         if body[2] == SENSOR:
-            self._sensor(fields, t_rx)
+            self._take_sensor_packet(fields, t_rx)
         elif body[2] == FILTER:
-            self._estimate(fields, t_rx)
+            self._take_filter_packet(fields, t_rx)
         elif body[2] in (GNSS, GNSS_1) and len(fields.get(0x03, b"")) == _LLH.size:
-            sample = _gnss(fields)
+            sample = _gnss_sample(fields)
             self._out.append(Frame(sample, t_rx, sample.utc))
         return length
 
-    def _sensor(self, fields: Fields, t_rx: float) -> None:
-        """Store the vectors of a sensor packet. Emit a sample if the filter sends no attitude."""
+    def _take_sensor_packet(self, fields: Fields, t_rx: float) -> None:
+        """Store the vectors of a sensor packet. Append a sample if the filter has sent no attitude for FILTER_S."""
         for name, kind in (("accel", 0x04), ("rate", 0x05), ("mag", 0x06)):
             if kind in fields:  # the vectors may arrive in separate packets with different rates
-                self._vectors[name] = _unpack(_V3, fields[kind]) or _NAN3, t_rx
+                self._vectors[name] = _unpack_valid(_V3, fields[kind]) or _NAN3, t_rx
         if t_rx - self._filtered > FILTER_S:
-            self._emit(_attitude(fields, quaternion=0x0A, euler=0x0C), t_rx)
+            self._append_sample(_attitude_angles(fields, quaternion=0x0A, euler=0x0C), t_rx)
 
-    def _estimate(self, fields: Fields, t_rx: float) -> None:
-        """Emit a sample for a filter packet with an attitude."""
-        angles = _attitude(fields, quaternion=0x03, euler=0x05)
+    def _take_filter_packet(self, fields: Fields, t_rx: float) -> None:
+        """Append a sample for a filter packet with a valid attitude, received at `t_rx` [s].
+
+        If the filter reports that it has lost the attitude, the sensor packets give samples from now on.
+        """
+        angles = _attitude_angles(fields, quaternion=0x03, euler=0x05)
         if angles != _NAN3:
             self._filtered = t_rx
-            self._emit(angles, t_rx)
+            self._append_sample(angles, t_rx)
         elif 0x03 in fields or 0x05 in fields:  # the filter reports that it has lost the attitude
             self._filtered = -math.inf
 
-    def _emit(self, angles: tuple[float, ...], t_rx: float) -> None:
+    def _append_sample(self, angles: tuple[float, ...], t_rx: float) -> None:
         """Append one `Ahrs` with these angles (roll, pitch, yaw) [rad] and the newest vectors in SI units."""
         roll, pitch, yaw = angles
-        ax, ay, az = (G * a for a in self._newest("accel", t_rx))
-        mx, my, mz = (GAUSS * b for b in self._newest("mag", t_rx))
-        p, q, r = self._newest("rate", t_rx)
+        ax, ay, az = (G * a for a in self._newest_vector("accel", t_rx))
+        mx, my, mz = (GAUSS * b for b in self._newest_vector("mag", t_rx))
+        p, q, r = self._newest_vector("rate", t_rx)
         self._out.append(Frame(Ahrs(yaw, pitch, roll, p, q, r, ax, ay, az, mx, my, mz), t_rx, NAN))
 
-    def _newest(self, name: str, t_rx: float) -> tuple[float, ...]:
+    def _newest_vector(self, name: str, t_rx: float) -> tuple[float, ...]:
+        """Return the newest "accel", "rate" or "mag" (3,); NaN if it is older than STALE_S at time `t_rx` [s]."""
         values, when = self._vectors.get(name, (_NAN3, -math.inf))
         return values if t_rx - when <= STALE_S else _NAN3
 
 
-def _fields(payload: bytes) -> Fields | None:
+def _split_fields(payload: bytes) -> Fields | None:
     """Return the data of the fields of a payload by descriptor. Return None if a length is invalid."""
     fields: Fields = {}
     at = 0
@@ -132,7 +139,7 @@ def _fields(payload: bytes) -> Fields | None:
     return fields
 
 
-def _unpack(form: struct.Struct, data: bytes | None) -> tuple[float, ...] | None:
+def _unpack_valid(form: struct.Struct, data: bytes | None) -> tuple[float, ...] | None:
     """Return the numbers at the beginning of a field, or None if it is missing, too short or flagged as invalid."""
     if data is None or len(data) < form.size:
         return None
@@ -141,11 +148,11 @@ def _unpack(form: struct.Struct, data: bytes | None) -> tuple[float, ...] | None
     return form.unpack_from(data)
 
 
-def _attitude(fields: Fields, quaternion: int, euler: int) -> tuple[float, ...]:
+def _attitude_angles(fields: Fields, quaternion: int, euler: int) -> tuple[float, ...]:
     """Return roll, pitch and yaw [rad] from the fields with these descriptors, NaN if the packet lacks both fields."""
-    if (angles := _unpack(_V3, fields.get(euler))) is not None:
+    if (angles := _unpack_valid(_V3, fields.get(euler))) is not None:
         return _NAN3 if math.isnan(sum(angles)) else angles  # a filter without a heading flags NaN as valid
-    if (turn := _unpack(_Q4, fields.get(quaternion))) is None:
+    if (turn := _unpack_valid(_Q4, fields.get(quaternion))) is None:
         return _NAN3
     w, x, y, z = turn
     pitch = math.asin(min(max(2.0 * (w * y - z * x), -1.0), 1.0)) if y == y else NAN
@@ -153,17 +160,17 @@ def _attitude(fields: Fields, quaternion: int, euler: int) -> tuple[float, ...]:
     return roll, pitch, math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 
 
-def _gnss(fields: Fields) -> Gnss:
-    """Return the fix of a GNSS packet. Each field has a word of flags that mark its valid values."""
+def _gnss_sample(fields: Fields) -> Gnss:
+    """Return the fix of a GNSS packet, which must have the field 0x03 (position). Values flagged as invalid are NaN."""
     lat, lon, _, height, h_acc, _, valid = _LLH.unpack(fields[0x03])
     kind, n_sat, _, info_valid = (
         _INFO.unpack(fields[0x0B]) if len(fields.get(0x0B, b"")) == _INFO.size else (0, 0, 0, 1)
     )
     has_place = bool(valid & 1) and abs(lat) <= 90.0 and abs(lon) <= 180.0
-    velocity = _unpack(_VELOCITY, fields.get(0x05)) or ()
+    velocity = _unpack_valid(_VELOCITY, fields.get(0x05)) or ()
     velocity_valid = int(velocity[8]) if len(velocity) == 9 else 0
     north, east, down = velocity[:3] if velocity_valid & 1 else _NAN3
-    dilution = _unpack(_DOP, fields.get(0x07)) or ()
+    dilution = _unpack_valid(_DOP, fields.get(0x07)) or ()
     tow, week, time_valid = _TIME.unpack(fields[0xD3]) if len(fields.get(0xD3, b"")) == _TIME.size else (0.0, 0, 0)
     utc = gps_to_utc(GPS_EPOCH + WEEK * week + tow) if time_valid & 3 == 3 and 0.0 <= tow < WEEK else NAN
     n_sat = n_sat if info_valid & 2 else -1

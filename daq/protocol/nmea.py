@@ -61,6 +61,11 @@ class Decoder(StreamDecoder[Frame]):
     ----------
     declination
         True heading minus magnetic heading [rad], positive to the east. None if it is unknown.
+
+    Attributes
+    ----------
+    transducers
+        Other measurements in XDR sentences so far, if it has been set to a list; None by default.
     """
 
     sync = re.compile(rb"\$")
@@ -80,7 +85,7 @@ class Decoder(StreamDecoder[Frame]):
         super().reset()
         self._sentences.forget()
 
-    def _take(self, buffer: bytearray, start: int, t_rx: float) -> int:
+    def _decode_frame(self, buffer: bytearray, start: int, t_rx: float) -> int:
         """Decode the sentence at `start`. Return its length, 0 if more bytes are needed, -1 if it is invalid."""
         length, body, bad = take_sentence(buffer, start)
         self.checksum_errors += bad
@@ -91,20 +96,33 @@ class Decoder(StreamDecoder[Frame]):
             return -1
         self.frames += 1
         self.remark = self._sentences.headings.remark
-        self._out += self._kept(frames)
+        self._out += self._filter_frames(frames)
         if self.transducers is not None:
             transducers, self._sentences.headings.transducers = self._sentences.headings.transducers, []
             self.transducers += transducers
             self._out += [Frame(Scalar(transducer.value), t_rx, NAN) for transducer in transducers]
         return length
 
-    def _kept(self, frames: list[Frame]) -> list[Frame]:
-        """Return the samples to keep; a subclass may drop some."""
+    def _filter_frames(self, frames: list[Frame]) -> list[Frame]:
+        """Return the samples to keep, here all of them. A subclass may drop some."""
         return frames
 
 
 class Sentences:
-    """Converter of complete sentences to samples, for all decoders of streams that contain NMEA."""
+    """Converter of complete NMEA sentences to samples, for all decoders of streams that contain NMEA.
+
+    Parameters
+    ----------
+    declination
+        True heading minus magnetic heading [rad], positive to the east. None if it is unknown.
+
+    Attributes
+    ----------
+    epochs
+        Collector of the position sentences.
+    headings
+        Converter of the heading sentences.
+    """
 
     def __init__(self, declination: float | None = None) -> None:
         self.epochs = Epochs()
@@ -125,7 +143,7 @@ class Sentences:
             return self.epochs.take(kind, body, t_rx)
         frames = self.headings.take(kind, body, t_rx)
         if frames and body[:5] in _HEADING_TIME:
-            seconds = _seconds(body.split(b","), _HEADING_TIME[body[:5]])
+            seconds = _time_of_day(body.split(b","), _HEADING_TIME[body[:5]])
             utc = self.epochs.utc_of(seconds, t_rx) if self.epochs.has_time else NAN
             frames = [frame._replace(t_device=utc) for frame in frames]
         return frames
@@ -145,17 +163,21 @@ def encode(gnss: Gnss) -> bytes:
     when = datetime.datetime.fromtimestamp(milliseconds // 1000, datetime.UTC)
     time = f"{when:%H%M%S}.{milliseconds % 1000:03d}"
     void = gnss.fix == 0 or math.isnan(gnss.lat) or math.isnan(gnss.lon)
-    place = ",,," if void else f"{_degrees(gnss.lat, 2, 'NS')},{_degrees(gnss.lon, 3, 'EW')}"
+    place = ",,," if void else f"{_format_degrees(gnss.lat, 2, 'NS')},{_format_degrees(gnss.lon, 3, 'EW')}"
     course = math.degrees(math.atan2(gnss.vel_e, gnss.vel_n)) % 360.0
-    knots, kmh, cog = _text(gnss.speed / KNOT, 4), _text(gnss.speed * 3.6, 4), _text(course, 4)
-    sigma = _text(gnss.sigma_h, 4)
+    knots, kmh, cog = (
+        _to_text(gnss.speed / KNOT, 4),
+        _to_text(gnss.speed * 3.6, 4),
+        _to_text(course, 4),
+    )
+    sigma = _to_text(gnss.sigma_h, 4)
     quality = 0 if void else _FIX_TO_QUALITY[gnss.fix]
     mode = "N" if void else {1: "A", 2: "D", 4: "R", 5: "F", 6: "E"}[quality]
     n_sat = "" if gnss.n_sat < 0 else f"{gnss.n_sat:02d}"
     return b"".join(
         sentence(body)
         for body in (
-            f"GNGGA,{time},{place},{quality},{n_sat},{_text(gnss.hdop, 2)},{_text(gnss.alt, 3)},M,,M,,",
+            f"GNGGA,{time},{place},{quality},{n_sat},{_to_text(gnss.hdop, 2)},{_to_text(gnss.alt, 3)},M,,M,,",
             f"GNRMC,{time},{'V' if void else 'A'},{place},{knots},{cog},{when:%d%m%y},,,{mode}",
             f"GNVTG,{cog},T,,M,{knots},N,{kmh},K,{mode}",
             f"GNGST,{time},,,,,{sigma},{sigma},",
@@ -163,29 +185,51 @@ def encode(gnss: Gnss) -> bytes:
     )
 
 
-def _degrees(angle: float, digits: int, signs: str) -> str:
-    """Format an angle [deg] as `ddmm.mmmmmmm,N`: whole degrees, minutes, hemisphere."""
+def _format_degrees(angle: float, digits: int, signs: str) -> str:
+    """Format an angle [deg] as `ddmm.mmmmmmm,N`: whole degrees, minutes, hemisphere.
+
+    `digits` is the number of digits of the whole degrees. `signs` has the letters of positive and negative angles, "NS"
+    or "EW".
+    """
     degrees, units = divmod(round(abs(angle) * 60e7), 600_000_000)
     return f"{degrees:0{digits}d}{units // 10_000_000:02d}.{units % 10_000_000:07d},{signs[angle < 0.0]}"
 
 
-def _text(value: float, digits: int) -> str:
+def _to_text(value: float, digits: int) -> str:
+    """Format a number with `digits` decimals; an empty text for NaN."""
     return "" if math.isnan(value) else f"{value:.{digits}f}"
 
 
 @dataclass
 class _Epoch:
-    """Values of the received sentences with one time."""
+    """Values of the received NMEA sentences of one epoch, which have the same time.
 
-    seconds: float  # s of the day; NaN if the receiver has no time
-    t_rx: float  # s, of the first sentence
-    kinds: set[str] = field(default_factory=set)  # of the received sentences
+    Attributes
+    ----------
+    seconds
+        Time of the day [s]; NaN if the receiver has no time.
+    t_rx
+        Run time of receipt of the first sentence [s].
+    kinds
+        Kinds of the received sentences, such as "GGA".
+    date
+        Date by RMC or ZDA; None before.
+    position
+        Latitude and longitude [deg], by kind of sentence.
+    values
+        Other values by name, in SI units; latitude and longitude are in degrees.
+    """
+
+    seconds: float
+    t_rx: float
+    kinds: set[str] = field(default_factory=set)
     date: datetime.date | None = None
-    position: dict[str, tuple[float, float]] = field(default_factory=dict)  # kind -> latitude, longitude [deg]
-    values: dict[str, float] = field(default_factory=dict)  # in SI units, by name
+    position: dict[str, tuple[float, float]] = field(default_factory=dict)
+    values: dict[str, float] = field(default_factory=dict)
 
     @property
     def timeless(self) -> bool:
+        """Whether the epoch has no time of the day."""
         return math.isnan(self.seconds)
 
 
@@ -222,60 +266,75 @@ class Epochs:
 
     def take(self, kind: str, body: bytes, t_rx: float) -> list[Frame] | None:
         """Decode one sentence whose kind is in KINDS. Return the samples that it completes, None if it is invalid."""
-        message = _parse(body)
+        message = _parse_sentence(body)
         if message is None:
             return None
-        self._sentence(kind, message, body.split(b","), t_rx)
-        return self._take_out()
+        self._add_sentence(kind, message, body.split(b","), t_rx)
+        return self._pop_completed()
 
     def flush(self) -> list[Frame]:
         """Return the sample of the last epoch at the end of the stream, if it has not been emitted."""
-        self._emit()
-        return self._take_out()
+        self._emit_epoch()
+        return self._pop_completed()
 
     def forget(self) -> None:
-        """Discard the incomplete epoch, because the port was reopened."""
+        """Discard the incomplete epoch and the order of the sentences, because the port was reopened.
+
+        The date is kept.
+        """
         self._epoch = self._vtg = self._timed = None
         self._t_last, self._vtg_leads, self._epochs_against_order = -math.inf, False, ORDER_BY - 1
 
     @property
     def has_time(self) -> bool:
-        """Return whether the receiver's time is from a fix. True if no position has been received yet."""
+        """Whether the receiver's time is from a fix. True if no position has been received yet."""
         return self._timed is not False
 
-    def _take_out(self) -> list[Frame]:
+    def _pop_completed(self) -> list[Frame]:
         """Return the completed samples and remove them from the list."""
         out, self._out = self._out, []
         return out
 
-    def _sentence(self, kind: str, message: Message, words: list[bytes], t_rx: float) -> None:
-        """Add one sentence to its epoch, which begins with the first sentence that has another time."""
+    def _add_sentence(self, kind: str, message: Message, words: list[bytes], t_rx: float) -> None:
+        """Add one NMEA sentence to its epoch, which begins with the first sentence that has another time.
+
+        Parameters
+        ----------
+        kind
+            Kind of the sentence, one of KINDS.
+        message
+            Fields by name, as pynmeagps returns them.
+        words
+            Fields as text.
+        t_rx
+            Run time of receipt [s].
+        """
         if kind == "GSA":
-            self._mode_gsa = _integer(message.get("navMode"), 0)
+            self._mode_gsa = _to_integer(message.get("navMode"), 0)
             return
         if kind == "VTG":
             self._vtg = t_rx, message, t_rx - self._t_last
             self._t_last = t_rx
             if not self._vtg_leads:
-                self._add(kind, message)
+                self._add_values(kind, message)
             return
-        seconds = _seconds(words, _TIME_FIELD[kind])
+        seconds = _time_of_day(words, _TIME_FIELD[kind])
         if math.isnan(seconds):
-            self._timeless(kind, message, t_rx)
+            self._add_timeless_sentence(kind, message, t_rx)
             return
         vtg, self._vtg = self._vtg, None
         begins = self._epoch is None or self._epoch.seconds != seconds
         leading_vtg = vtg if self._vtg_leads else None
         if begins:
-            self._begin(seconds, t_rx if leading_vtg is None else leading_vtg[0])
+            self._begin_epoch(seconds, t_rx if leading_vtg is None else leading_vtg[0])
         if vtg is not None and begins:
-            self._learn(before=vtg[2], after=t_rx - vtg[0])
+            self._learn_order_of_vtg(before=vtg[2], after=t_rx - vtg[0])
         self._t_last = t_rx
         if leading_vtg is not None:
-            self._add("VTG", leading_vtg[1])
-        self._add(kind, message)
+            self._add_values("VTG", leading_vtg[1])
+        self._add_values(kind, message)
 
-    def _timeless(self, kind: str, message: Message, t_rx: float) -> None:
+    def _add_timeless_sentence(self, kind: str, message: Message, t_rx: float) -> None:
         """Add a sentence without a time. A receiver that has never had a fix sends these sentences.
 
         A new epoch begins when a kind of sentence arrives that the present epoch already has. If the receiver also
@@ -285,10 +344,10 @@ class Epochs:
         if kind not in _POSITION or not (epoch is None or epoch.timeless or t_rx - epoch.t_rx > TIMELESS_S):
             return
         if epoch is None or not epoch.timeless or kind in epoch.kinds:
-            self._begin(NAN, t_rx)
-        self._add(kind, message)
+            self._begin_epoch(NAN, t_rx)
+        self._add_values(kind, message)
 
-    def _learn(self, before: float, after: float) -> None:
+    def _learn_order_of_vtg(self, before: float, after: float) -> None:
         """Decide from a VTG between two epochs whether VTG is the first or the last sentence of an epoch.
 
         `before` is the time [s] from the previous sentence to the VTG, `after` the time [s] from the VTG to the next
@@ -304,39 +363,45 @@ class Epochs:
         if self._epochs_against_order >= ORDER_BY:
             self._vtg_leads, self._epochs_against_order = leads, 0
 
-    def _begin(self, seconds: float, t_rx: float) -> None:
-        """Emit the present epoch and begin the epoch with this time of the day [s]."""
+    def _begin_epoch(self, seconds: float, t_rx: float) -> None:
+        """Emit the present epoch and begin the epoch with this time of the day [s], received at run time `t_rx` [s]."""
         if self._epoch is not None:
-            self._emit()
+            self._emit_epoch()
             self._kinds.append(self._epoch.kinds)
             self._expected = set().union(*self._kinds)
         self._epoch, self._emitted = _Epoch(seconds, t_rx), False
 
-    def _add(self, kind: str, message: Message) -> None:
-        """Add the values of a sentence to the present epoch, and emit the epoch if it is complete."""
+    def _add_values(self, kind: str, message: Message) -> None:
+        """Add the values of a sentence to the present epoch, and emit the epoch if it is complete.
+
+        Without an epoch nothing happens.
+        """
         epoch = self._epoch
         if epoch is None:
             return
         epoch.kinds.add(kind)
-        _READ[kind](epoch, message)
+        _READERS[kind](epoch, message)
         if self._expected and epoch.kinds >= self._expected:
-            self._emit()
+            self._emit_epoch()
 
-    def _emit(self) -> None:
+    def _emit_epoch(self) -> None:
         """Append the sample of the present epoch, unless this has been done or the epoch has no position sentence."""
         epoch = self._epoch
         if epoch is None or self._emitted:
             return
         self._emitted = True
-        utc = self._utc(epoch)
+        utc = self._utc_of_epoch(epoch)
         if epoch.kinds.isdisjoint(_POSITION):
             return
-        sample = _gnss(epoch, utc, self._mode_gsa)
+        sample = _gnss_sample(epoch, utc, self._mode_gsa)
         self._timed = bool(self._timed) or sample.fix >= 2
         self._out.append(Frame(sample, epoch.t_rx, utc if self._timed else NAN))
 
-    def _utc(self, epoch: _Epoch) -> float:
-        """Return the UTC [s since 1970] of an epoch, by its own date if it has one."""
+    def _utc_of_epoch(self, epoch: _Epoch) -> float:
+        """Return the UTC [s since 1970] of an epoch, by its own date if it has one, and store it for the next epoch.
+
+        NaN if the epoch has no time.
+        """
         if epoch.date is not None:
             midnight = datetime.datetime.combine(epoch.date, datetime.time(), datetime.UTC)
             utc = midnight.timestamp() + epoch.seconds
@@ -362,7 +427,7 @@ def nearest_day(t: float, near: float) -> float:
     return t + round((near - t) / DAY) * DAY
 
 
-def _gnss(epoch: _Epoch, utc: float, mode_gsa: int) -> Gnss:
+def _gnss_sample(epoch: _Epoch, utc: float, mode_gsa: int) -> Gnss:
     """Return the sample of an epoch. `mode_gsa` is the dimension of the fix by GSA, 0 without GSA."""
     value = epoch.values
     fix = int(value.get("quality", value.get("mode", 0)))
@@ -390,7 +455,7 @@ def _gnss(epoch: _Epoch, utc: float, mode_gsa: int) -> Gnss:
     )  # fmt: skip
 
 
-def _parse(body: bytes) -> Message | None:
+def _parse_sentence(body: bytes) -> Message | None:
     """Return the fields of a sentence by pynmeagps, or None if it fails. A short sentence lacks the last fields."""
     try:
         return dict(vars(NMEAReader.parse(b"$%b*00\r\n" % body, validate=0)))
@@ -400,7 +465,7 @@ def _parse(body: bytes) -> Message | None:
         return None
 
 
-def _seconds(words: list[bytes], index: int) -> float:
+def _time_of_day(words: list[bytes], index: int) -> float:
     """Return the time of the day [s] in the word with this index, NaN if it is empty or invalid.
 
     A leap second (:60) is valid. pynmeagps rejects it, so its time is not used.
@@ -413,25 +478,26 @@ def _seconds(words: list[bytes], index: int) -> float:
 
 
 def _read_gga(epoch: _Epoch, message: Message) -> None:
-    """Store the values of GGA in the epoch."""
-    fix = _QUALITY.get(_integer(message.get("quality"), 0), 0)
+    """Store fix and satellites of GGA in the epoch; position, height and HDOP only with a fix."""
+    fix = _QUALITY.get(_to_integer(message.get("quality"), 0), 0)
     epoch.values["quality"] = fix
-    _keep(epoch, "n_sat", _number(message.get("numSV")))
+    _store_finite(epoch, "n_sat", _to_number(message.get("numSV")))
     if fix:
-        _place(epoch, "GGA", message)
-        _keep(epoch, "alt", _number(message.get("alt")))
-        _keep(epoch, "hdop", _number(message.get("HDOP")))
+        _store_position(epoch, "GGA", message)
+        _store_finite(epoch, "alt", _to_number(message.get("alt")))
+        _store_finite(epoch, "hdop", _to_number(message.get("HDOP")))
 
 
 def _read_gns(epoch: _Epoch, message: Message) -> None:
+    """Store the best fix of all systems and the position of GNS in the epoch."""
     fix = max((_MODE.get(letter, 0) for letter in str(message.get("posMode", ""))), default=0)
     epoch.values.setdefault("mode", fix)
     if fix:
-        _place(epoch, "GNS", message)
+        _store_position(epoch, "GNS", message)
 
 
 def _read_rmc(epoch: _Epoch, message: Message) -> None:
-    """Store the values of RMC in the epoch. RMC contains the date."""
+    """Store date, fix, position, speed and course of RMC in the epoch; the last three only if the sentence is valid."""
     if isinstance(date := message.get("date"), datetime.date):
         # RMC has two digits of the year. Before its first fix a receiver may send a year from 1980 on.
         century = 100 if date.year >= 2080 else 0
@@ -439,28 +505,34 @@ def _read_rmc(epoch: _Epoch, message: Message) -> None:
     valid = message.get("status") == "A"
     epoch.values["mode"] = _MODE.get(str(message.get("posMode") or "A"), 0) if valid else 0
     if valid:
-        _place(epoch, "RMC", message)
-        _motion(epoch, _number(message.get("spd")) * KNOT, _number(message.get("cog")))
+        _store_position(epoch, "RMC", message)
+        _store_motion(epoch, _to_number(message.get("spd")) * KNOT, _to_number(message.get("cog")))
 
 
 def _read_gll(epoch: _Epoch, message: Message) -> None:
+    """Store the position of GLL in the epoch if it is valid."""
     if message.get("status") == "A":
         epoch.values.setdefault("mode", 3)
-        _place(epoch, "GLL", message)
+        _store_position(epoch, "GLL", message)
 
 
 def _read_vtg(epoch: _Epoch, message: Message) -> None:
+    """Store speed and course of VTG in the epoch, unless the epoch has an RMC."""
     if "RMC" not in epoch.kinds:  # RMC has the same values, and it contains the time of its epoch
-        _motion(epoch, _number(message.get("sogk")) / 3.6, _number(message.get("cogt")))
+        _store_motion(epoch, _to_number(message.get("sogk")) / 3.6, _to_number(message.get("cogt")))
 
 
 def _read_gst(epoch: _Epoch, message: Message) -> None:
-    _keep(
-        epoch, "sigma_h", math.hypot(_number(message.get("stdLat")), _number(message.get("stdLong"))) / math.sqrt(2.0)
+    """Store the standard deviation of the position per axis of GST in the epoch [m]."""
+    _store_finite(
+        epoch,
+        "sigma_h",
+        math.hypot(_to_number(message.get("stdLat")), _to_number(message.get("stdLong"))) / math.sqrt(2.0),
     )
 
 
 def _read_zda(epoch: _Epoch, message: Message) -> None:
+    """Store the date of ZDA in the epoch if it is valid."""
     try:
         epoch.date = datetime.date(
             int(message.get("year", "")), int(message.get("month", "")), int(message.get("day", ""))
@@ -469,47 +541,61 @@ def _read_zda(epoch: _Epoch, message: Message) -> None:
         return
 
 
-def _place(epoch: _Epoch, kind: str, message: Message) -> None:
+def _store_position(epoch: _Epoch, kind: str, message: Message) -> None:
     """Store latitude and longitude [deg] of an NMEA sentence if both are in range."""
-    lat, lon = _number(message.get("lat")), _number(message.get("lon"))
+    lat, lon = _to_number(message.get("lat")), _to_number(message.get("lon"))
     if abs(lat) <= 90.0 and abs(lon) <= 180.0:
         epoch.position[kind] = (lat, lon)
 
 
-def _keep(epoch: _Epoch, name: str, value: float) -> None:
+def _store_finite(epoch: _Epoch, name: str, value: float) -> None:
+    """Store a value in the epoch by its name, if it is finite."""
     if math.isfinite(value):
         epoch.values[name] = value
 
 
-def _motion(epoch: _Epoch, speed: float, course_deg: float) -> None:
+def _store_motion(epoch: _Epoch, speed: float, course_deg: float) -> None:
+    """Store speed [m/s] and course [deg, converted to rad] over ground in the epoch, if the speed is finite."""
     if math.isfinite(speed):
         epoch.values["speed"] = speed
         epoch.values["course"] = math.radians(course_deg)
 
 
-def _number(word: Any) -> float:
+def _to_number(word: Any) -> float:
+    """Return a field of pynmeagps as a number; NaN if it is empty, that is a text."""
     return float(word) if isinstance(word, (int, float)) else NAN
 
 
-def _integer(word: Any, default: int) -> int:
+def _to_integer(word: Any, default: int) -> int:
+    """Return a field of pynmeagps as a whole number; `default` if it is empty or not a number."""
     try:
         return int(word)
     except (TypeError, ValueError):
         return default
 
 
-_READ = {
+_READERS = {
     "GGA": _read_gga, "GNS": _read_gns, "RMC": _read_rmc, "GLL": _read_gll,
     "VTG": _read_vtg, "GST": _read_gst, "ZDA": _read_zda,
 }  # fmt: skip
 
 
 class Transducer(NamedTuple):
-    """Measurement of a transducer in XDR that is not pitch or roll."""
+    """Measurement of a transducer in XDR that is not pitch or roll.
+
+    Attributes
+    ----------
+    name
+        Name of the transducer in the sentence.
+    unit
+        SI unit, or "1" if the unit is unknown.
+    value
+        Value in that unit.
+    """
 
     name: str
     unit: str
-    value: float  # in `unit`
+    value: float
 
 
 class Headings:
@@ -518,8 +604,20 @@ class Headings:
     The best kind of sentence received so far gives the yaw. Pitch and roll are from the same sentence or from XDR
     before it. The yaw rate is from ROT before it. Missing values are NaN.
 
-    Magnetic headings are corrected by the variation in HDG. If it is missing, they are corrected by `declination`
-    [rad, positive to the east]. Without both they give no sample, and `remark` reports this.
+    Magnetic headings are corrected by the variation in HDG. If it is missing, they are corrected by `declination`.
+    Without both they give no sample, and `remark` reports this.
+
+    Parameters
+    ----------
+    declination
+        True heading minus magnetic heading [rad], positive to the east. None if it is unknown.
+
+    Attributes
+    ----------
+    remark
+        Advice for the user about missing headings, in one line; empty if there is none.
+    transducers
+        Other measurements in the last XDR sentence.
     """
 
     def __init__(self, declination: float | None = None) -> None:
@@ -545,21 +643,21 @@ class Headings:
         elif words[:2] == [b"PSTI", b"036"] and len(words) > 6:
             kind = "PSTI"
         if kind == "ROT":
-            return self._turn(words)
+            return self._store_rate_of_turn(words)
         if kind == "XDR":
-            return self._transducers(words)
+            return self._store_transducers(words)
         rank = _RANK.get(kind, 0)
         if rank < max(self._best, 1):
             return []
         places = _ATTITUDE.get(kind, (1,))
         if len(words) < 2 or not words[places[0]] or _is_void(kind, words):
             return []
-        numbers = _numbers(words, places)
+        numbers = _parse_numbers(words, places)
         if numbers is None:
             return None
         if abs(numbers[0]) > _FULL_TURN:
             return []
-        yaw = numbers[0] * _DEG + self._variation(kind, words)
+        yaw = numbers[0] * _DEG + self._heading_correction(kind, words)
         if math.isnan(yaw):
             self.remark = "magnetic headings are left out: the rig has no declination_deg for this device"
             return []
@@ -568,41 +666,44 @@ class Headings:
         rate, self._rate, self._level = self._rate, NAN, [NAN, NAN]
         return [Frame(Ahrs(wrap_angle(yaw), pitch, roll, r=rate), t_rx, NAN)]
 
-    def _turn(self, words: list[bytes]) -> list[Frame] | None:
-        """Store the rate of turn of ROT for the next heading."""
+    def _store_rate_of_turn(self, words: list[bytes]) -> list[Frame] | None:
+        """Store the rate of turn of ROT for the next heading. Return no sample; None if it is not a number."""
         if len(words) < 3 or words[2] != b"A" or not words[1]:
             return []
-        numbers = _numbers(words, (1,))
+        numbers = _parse_numbers(words, (1,))
         if numbers is None:
             return None
         self._rate = numbers[0] * _DEG / 60.0  # ROT is in degrees per minute, positive to starboard
         return []
 
-    def _transducers(self, words: list[bytes]) -> list[Frame] | None:
-        """Store pitch, roll and the other transducers of XDR.
+    def _store_transducers(self, words: list[bytes]) -> list[Frame] | None:
+        """Store pitch and roll of XDR for the next heading, and the other transducers in `transducers`.
 
-        XDR contains groups of kind, value, unit and name. Pitch and roll are in degrees, positive with the bow up and
-        with starboard down.
+        Return no sample; None if pitch or roll is not a number. XDR contains groups of kind, value, unit and name.
+        Pitch and roll are in degrees, positive with the bow up and with starboard down.
         """
         self.transducers = []
         for at in range(1, len(words) - 3, 4):
             if words[at] == b"A" and words[at + 2] == b"D" and words[at + 3] in _LEVEL:
-                numbers = _numbers(words, (at + 1,))
+                numbers = _parse_numbers(words, (at + 1,))
                 if numbers is None:
                     return None
                 self._level[_LEVEL[words[at + 3]]] = numbers[0] * _DEG
-            elif words[at + 3] and (numbers := _numbers(words, (at + 1,))) is not None:
+            elif words[at + 3] and (numbers := _parse_numbers(words, (at + 1,))) is not None:
                 unit, factor = _TRANSDUCERS.get((words[at], words[at + 2]), ("1", 1.0))
                 name = words[at + 3].decode("ascii", "replace")
                 self.transducers.append(Transducer(name, unit, factor * numbers[0]))
         return []
 
-    def _variation(self, kind: str, words: list[bytes]) -> float:
-        """Return the difference between true heading and the heading in a sentence [rad]; NaN if it is unknown."""
+    def _heading_correction(self, kind: str, words: list[bytes]) -> float:
+        """Return the true heading minus the heading in a sentence [rad]; NaN if it is unknown.
+
+        The difference is zero for true headings. For magnetic headings it is variation plus deviation.
+        """
         if kind not in ("HDG", "HDM"):
             return 0.0
-        deviation = _signed(words, 2) if kind == "HDG" else 0.0
-        variation = _signed(words, 4) if kind == "HDG" and len(words) > 5 and words[4] else NAN
+        deviation = _signed_angle(words, 2) if kind == "HDG" else 0.0
+        variation = _signed_angle(words, 4) if kind == "HDG" and len(words) > 5 and words[4] else NAN
         if math.isnan(variation):
             variation = NAN if self._declination is None else self._declination
         return variation + (0.0 if math.isnan(deviation) else deviation)
@@ -618,14 +719,14 @@ def _is_void(kind: str, words: list[bytes]) -> bool:
     return kind == "PASHR" and words[10:12] == [b"0", b"0"]
 
 
-def _signed(words: list[bytes], index: int) -> float:
+def _signed_angle(words: list[bytes], index: int) -> float:
     """Return the angle [rad] in the word with this index, before the word E or W. NaN if it is empty or invalid."""
     if len(words) < index + 2 or words[index + 1] not in (b"E", b"W") or not _NUMBER.match(words[index]):
         return NAN
     return float(words[index]) * _DEG * (1.0 if words[index + 1] == b"E" else -1.0)
 
 
-def _numbers(words: list[bytes], places: tuple[int, ...]) -> list[float] | None:
+def _parse_numbers(words: list[bytes], places: tuple[int, ...]) -> list[float] | None:
     """Return the numbers in the words with these indices, or None if one of them is not a number."""
     numbers = []
     for place in places:

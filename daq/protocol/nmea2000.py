@@ -50,11 +50,23 @@ def split_identifier(word: int) -> tuple[int, int]:
 
 @dataclass
 class _Packet:
-    """Received part of a fast packet."""
+    """Received frames of an incomplete fast packet.
 
-    sequence: int  # number of the packet, 0 to 7
-    length: int  # bytes of the message
-    frames: int  # number of received frames
+    Attributes
+    ----------
+    sequence
+        Number of the packet, 0 to 7.
+    length
+        Length of the message [bytes].
+    frames
+        Number of received frames.
+    data
+        Received bytes of the message.
+    """
+
+    sequence: int
+    length: int
+    frames: int
     data: bytearray
 
 
@@ -94,9 +106,10 @@ class Decoder(FrameDecoder):
             FIX: (_FIX.size, self._fix),
             DOPS: (_DOPS.size, self._dops),
         }
-        self._forget()
+        self._forget_state()
 
-    def _forget(self) -> None:
+    def _forget_state(self) -> None:
+        """Discard all received state: incomplete packets, ranks of the senders, and values for the next samples."""
         self._packets: dict[int, _Packet] = {}  # incomplete fixes by source
         self._senders: dict[int, dict[tuple[int, int], float]] = {}  # PGN -> rank and source -> last t_rx [s]
         self._since: dict[int, float] = {}  # PGN -> first t_rx [s]
@@ -107,7 +120,7 @@ class Decoder(FrameDecoder):
         self._bus_variation = NAN  # rad
         self._timed: set[int] = set()  # sources that had a fix; before a fix their time is from their own clock
 
-    def _take(self, identifier: int, extended: bool, data: bytes, t_rx: float) -> list[Frame]:
+    def _decode_can_frame(self, identifier: int, extended: bool, data: bytes, t_rx: float) -> list[Frame]:
         """Decode one frame of a known message. Return the samples that it completes."""
         pgn, source = split_identifier(identifier)
         if not extended or pgn not in self._take_message:
@@ -115,7 +128,7 @@ class Decoder(FrameDecoder):
         size, take = self._take_message[pgn]
         content: bytes | None = data
         if pgn == FIX:
-            content = self._joined(source, data)
+            content = self._complete_packet(source, data)
             if content is None:
                 return []
         elif len(data) < size:
@@ -125,21 +138,21 @@ class Decoder(FrameDecoder):
         self.frames += 1
         return take(source, content, t_rx)
 
-    def _joined(self, source: int, data: bytes) -> bytes | None:
+    def _complete_packet(self, source: int, data: bytes) -> bytes | None:
         """Return the message that this frame of a fast packet completes, or None.
 
         The frames of an incomplete packet are counted as unparsed when another packet begins.
         """
         if len(data) < 2:
-            self._drop(source, 1)
+            self._drop_packet(source, 1)
             return None
         sequence, number = data[0] >> 5, data[0] & 0x1F
         packet = self._packets.get(source)
         if number == 0:
-            self._drop(source)
+            self._drop_packet(source)
             packet = self._packets[source] = _Packet(sequence, data[1], 1, bytearray(data[2:]))
         elif packet is None or (packet.sequence, packet.frames) != (sequence, number):
-            self._drop(source, 1)
+            self._drop_packet(source, 1)
             return None
         else:
             packet.data += data[1:]
@@ -147,21 +160,24 @@ class Decoder(FrameDecoder):
         if len(packet.data) < packet.length:
             return None
         if packet.length < _FIX.size:
-            self._drop(source)
+            self._drop_packet(source)
             return None
         del self._packets[source]
         return bytes(packet.data[: packet.length])
 
-    def _drop(self, source: int, frames: int = 0) -> None:
-        """Discard the packet of a source. Count its frames, and `frames` more, as unparsed."""
+    def _drop_packet(self, source: int, frames: int = 0) -> None:
+        """Discard the incomplete packet of a source, if there is one.
+
+        Count its frames, and `frames` more, as unparsed.
+        """
         packet = self._packets.pop(source, None)
         self.unparsed_bytes += FRAME_BYTES * (frames + (packet.frames if packet is not None else 0))
 
-    def _settled(self, pgn: int, t_rx: float) -> bool:
-        """Return whether the time for finding all senders of a message has passed."""
+    def _has_settled(self, pgn: int, t_rx: float) -> bool:
+        """Return whether the time for finding all senders of a message has passed. The first call starts this time."""
         return t_rx - self._since.setdefault(pgn, t_rx) >= self._settle
 
-    def _leads(self, pgn: int, rank: int, source: int, t_rx: float) -> bool:
+    def _is_best_sender(self, pgn: int, rank: int, source: int, t_rx: float) -> bool:
         """Return whether a message is from the sender with the best rank (lowest number).
 
         Each rank of the last STALE_S counts, so that a sender keeps its best rank when it sends a worse one for a
@@ -172,21 +188,25 @@ class Decoder(FrameDecoder):
         return min(key for key, when in senders.items() if t_rx - when <= STALE_S)[1] == source
 
     def _heading(self, source: int, data: bytes, t_rx: float) -> list[Frame]:
-        """Return the sample of a heading from the best sender."""
+        """Return the sample of a heading from the best sender, with the newest pitch and roll.
+
+        The list is empty for an invalid heading, for another sender, before all senders are found, and for a magnetic
+        heading with an unknown variation.
+        """
         raw, deviation, variation, reference = _HEADING.unpack_from(data)
         yaw, magnetic = _unsigned16(raw, _ANGLE), reference & 3 == MAGNETIC
         if not yaw <= math.tau + _ANGLE or reference & 3 > MAGNETIC:
             return []
-        settled = self._settled(HEADING, t_rx)
+        settled = self._has_settled(HEADING, t_rx)
         if magnetic:
-            east = self._east(_signed16(variation, _ANGLE))
+            east = self._resolve_variation(_signed16(variation, _ANGLE))
             if math.isnan(east):
                 if settled and HEADING not in self._senders:
                     self.remark = "magnetic headings are left out: the rig has no declination_deg for this device"
                 return []
             deviation_rad = _signed16(deviation, _ANGLE)
             yaw += east + (0.0 if math.isnan(deviation_rad) else deviation_rad)
-        if not self._leads(HEADING, int(magnetic), source, t_rx) or not settled:
+        if not self._is_best_sender(HEADING, int(magnetic), source, t_rx) or not settled:
             return []
         self.remark = ""
         pitch, roll, when = self._level
@@ -194,7 +214,7 @@ class Decoder(FrameDecoder):
             pitch = roll = NAN
         return [Frame(Ahrs(wrap_angle(yaw), pitch, roll), t_rx, NAN)]
 
-    def _east(self, message_variation: float) -> float:
+    def _resolve_variation(self, message_variation: float) -> float:
         """Return the variation, true minus magnetic [rad], NaN if it is unknown.
 
         `message_variation` is the variation in the message itself. If it is NaN, the variation on the bus or the
@@ -206,49 +226,49 @@ class Decoder(FrameDecoder):
         return NAN
 
     def _turn(self, source: int, data: bytes, t_rx: float) -> list[Frame]:
-        """Return the sample of a rate of turn from the best sender."""
+        """Return the sample of a rate of turn from the best sender; none for other senders and invalid rates."""
         (raw,) = _TURN.unpack_from(data)
         rate = raw * _RATE if raw < 2**31 - 3 else NAN
-        if math.isnan(rate) or not self._leads(TURN, 0, source, t_rx) or not self._settled(TURN, t_rx):
+        if math.isnan(rate) or not self._is_best_sender(TURN, 0, source, t_rx) or not self._has_settled(TURN, t_rx):
             return []
         return [Frame(Ahrs(NAN, NAN, NAN, r=rate), t_rx, NAN)]
 
     def _attitude(self, source: int, data: bytes, t_rx: float) -> list[Frame]:
-        """Store pitch and roll for the next heading."""
+        """Store pitch and roll of the best sender for the next heading. Return no sample."""
         _, pitch, roll = (_signed16(raw, _ANGLE) for raw in _ATTITUDE.unpack_from(data))
-        if not math.isnan(pitch + roll) and self._leads(ATTITUDE, 0, source, t_rx):
+        if not math.isnan(pitch + roll) and self._is_best_sender(ATTITUDE, 0, source, t_rx):
             self._level = pitch, roll, t_rx
         return []
 
     def _variation(self, source: int, data: bytes, t_rx: float) -> list[Frame]:
-        """Store the variation for magnetic headings and courses."""
+        """Store the variation of the best sender for magnetic headings and courses. Return no sample."""
         variation = _signed16(_VARIATION.unpack_from(data)[2], _ANGLE)
-        if not math.isnan(variation) and self._leads(VARIATION, 0, source, t_rx):
+        if not math.isnan(variation) and self._is_best_sender(VARIATION, 0, source, t_rx):
             self._bus_variation = variation
         return []
 
     def _course(self, source: int, data: bytes, t_rx: float) -> list[Frame]:
-        """Store course and speed over ground for the next fix."""
+        """Store course and speed over ground of a sender for its next fix. Return no sample."""
         reference, raw_course, raw_speed = _COURSE.unpack_from(data)
         course, speed = _unsigned16(raw_course, _ANGLE), _unsigned16(raw_speed, _SPEED)
         if reference & 3:
-            course += self._east(NAN) if reference & 3 == MAGNETIC else NAN
+            course += self._resolve_variation(NAN) if reference & 3 == MAGNETIC else NAN
         if speed == 0.0 and math.isnan(course):
             course = 0.0  # a receiver at rest has no course, and the velocity is zero for any course
         if not math.isnan(speed):
             self._motions[source] = speed, course, t_rx
-            if self._leads(COURSE, reference & 3 if course == course else 3, source, t_rx):
+            if self._is_best_sender(COURSE, reference & 3 if course == course else 3, source, t_rx):
                 self._motions[None] = speed, course, t_rx
         return []
 
     def _dops(self, source: int, data: bytes, t_rx: float) -> list[Frame]:
-        """Store the dimensions of a sender's fixes."""
+        """Store the dimensions, 2 or 3, of a sender's fixes. Return no sample."""
         if (mode := _DOPS.unpack_from(data)[0] >> 3 & 7) in _DIMENSIONS:
             self._dimensions[source] = _DIMENSIONS[mode], t_rx
         return []
 
     def _fix(self, source: int, data: bytes, t_rx: float) -> list[Frame]:
-        """Return the sample of a fix from the best sender."""
+        """Return the sample of a fix from the best sender, with its newest course and speed; none for other senders."""
         day, ticks, lat, lon, alt, method, _, n_sat, hdop, _, _ = _FIX.unpack_from(data)
         counts = 0 < n_sat < 0xFD  # a device that relays fixes of another device often omits the number of satellites
         place = lat * _PLACE, lon * _PLACE
@@ -258,7 +278,7 @@ class Decoder(FrameDecoder):
         if fix >= 2:
             self._timed.add(source)
         rank = (0 if fix >= 2 else 2 if fix else 4) + (0 if counts else 1)
-        if not self._leads(FIX, rank, source, t_rx) or not self._settled(FIX, t_rx):
+        if not self._is_best_sender(FIX, rank, source, t_rx) or not self._has_settled(FIX, t_rx):
             return []
         utc = day * _DAY + ticks * _TICK if day < 0xFFFD and ticks * _TICK < _DAY + 2.0 else NAN
         motions = (self._motions.get(key, (NAN, NAN, -math.inf)) for key in (source, None))
@@ -284,10 +304,12 @@ class Decoder(FrameDecoder):
 
 
 def _unsigned16(raw: int, scale: float) -> float:
+    """Return an unsigned 16-bit field times its resolution; NaN if it is not available."""
     return raw * scale if raw < 0xFFFD else NAN  # the last three values mean "not available"
 
 
 def _signed16(raw: int, scale: float) -> float:
+    """Return a signed 16-bit field times its resolution; NaN if it is not available."""
     return raw * scale if raw < 0x7FFD else NAN
 
 
@@ -318,7 +340,10 @@ def encode(sample: Ahrs | Gnss, sid: int = 0, source: int = 35) -> list[tuple[in
 
 
 def _encode_gnss(fix: Gnss, sid: int, source: int) -> list[tuple[int, bytes]]:
-    """Encode a fix: course and speed over ground if it has a speed, then the fix as a fast packet."""
+    """Encode a fix as CAN frames (identifier, data): course and speed over ground if it has a speed, then the fix.
+
+    `sid` joins the messages of one measurement, and `source` is the address of the sender.
+    """
     out = []
     if not math.isnan(fix.speed):
         has_velocity = not math.isnan(fix.vel_n + fix.vel_e)

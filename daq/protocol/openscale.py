@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 
-from seatrial.daq.protocol.text_lines import Flags, LineDecoder
+from seatrial.daq.protocol.text_lines import FlagDetector, LineDecoder
 from seatrial.daq.samples import NAN, Frame, LoadCell
 
 NEWTON = {b"kg": 9.80665, b"lbs": 4.4482216152605}  # N per unit: standard gravity (CGPM 1901); pound-force
@@ -39,12 +39,12 @@ class Decoder(LineDecoder):
         self, saturation: float | None = None, force: Callable[[float], float] | None = None, skip_first: bool = False
     ) -> None:
         super().__init__(skip_first)
-        self._flags = Flags(saturation)
+        self._flags = FlagDetector(saturation)
         self._force = force
         self._last_ms = 0
         self._turns = 0
 
-    def _take(self, line: bytes, t_rx: float) -> Frame | None:
+    def _decode_line(self, line: bytes, t_rx: float) -> Frame | None:
         """Convert one line to a sample. Return None without a unit or if another word is not a number."""
         words = line.rstrip(b"\r").rstrip(b",").split(b",")
         unit = next((k for k, word in enumerate(words) if word in NEWTON), 0)
@@ -55,9 +55,11 @@ class Decoder(LineDecoder):
         # An absent remote sensor sends "0". With the raw reading switched off, this "0" may follow the unit.
         counts, is_raw = (float(raw), True) if raw != b"0" else (reading, False)
         force = self._force(counts) if self._force is not None else reading * NEWTON[words[unit]]
-        return Frame(LoadCell(counts, force, self._flags.of(counts) if is_raw else 0), t_rx, self._clock(words, unit))
+        return Frame(
+            LoadCell(counts, force, self._flags.flag(counts) if is_raw else 0), t_rx, self._device_time(words, unit)
+        )
 
-    def _clock(self, words: list[bytes], unit: int) -> float:
+    def _device_time(self, words: list[bytes], unit: int) -> float:
         """Return the time stamp [s], the first word if it is a whole number before the reading. NaN without it.
 
         The counter of the scale wraps after 49.7 days; the result does not.

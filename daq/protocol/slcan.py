@@ -30,7 +30,7 @@ class Decoder(StreamDecoder[bytes]):
     sync = re.compile(rb"[Tt]")
     between = b"\r\n\azZ"  # line ends, and the acknowledgements of the adapter
 
-    def _take(self, buffer: bytearray, start: int, t_rx: float) -> int:
+    def _decode_frame(self, buffer: bytearray, start: int, t_rx: float) -> int:
         """Decode the line at `start`. Return its length, 0 if more bytes are needed, -1 if it is not a valid frame."""
         digits = 8 if buffer[start] == ord("T") else 3
         stop = _NOT_HEX.search(buffer, start + 1, start + _LINE_MAX + 1)

@@ -12,10 +12,26 @@ _SPIKE_BITS = 12  # below 2^12 - 1, numbers 2^n - 1 are ordinary readings and no
 
 
 class LineDecoder(ABC):
-    """Base class of the decoders of lines of text. A subclass converts one line to a sample.
+    """Base class of the decoders of lines of text. A subclass converts one line to a sample in `_decode_line`.
 
-    If `skip_first` is true, the first line after `reset` is discarded. A port is reset when it is opened. Its first
-    line may then be incomplete, and a part of a number is a wrong reading without any sign of an error.
+    Parameters
+    ----------
+    skip_first
+        Whether the first line after `reset` is discarded. A port is reset when it is opened. Its first line may then be
+        incomplete, and a part of a number is a wrong reading without any sign of an error.
+
+    Attributes
+    ----------
+    end : bytes
+        Line end.
+    frames : int
+        Lines that were readings.
+    checksum_errors : int
+        Always 0, because the lines have no checksum.
+    unparsed_bytes : int
+        Bytes of lines that were no readings, without line ends.
+    remark : str
+        Advice about the stream for the user, in one line; empty if there is none.
     """
 
     end = b"\n"
@@ -35,45 +51,52 @@ class LineDecoder(ABC):
         out = []
         for line in lines:
             skip, self._skipping = self._skipping or len(line) >= LINE_MAX, False
-            frame = None if skip else self._take(bytes(line), t_rx)
+            frame = None if skip else self._decode_line(bytes(line), t_rx)
             if frame is None:
-                self._lose(line)
+                self._count_unparsed(line)
             else:
                 self.frames += 1
                 out.append(frame)
         # A line without an end must not fill the memory. The place of the cut does not depend on the reads.
         cut = len(rest) - len(rest) % LINE_MAX
-        self._lose(rest[:cut])
+        self._count_unparsed(rest[:cut])
         self._skipping = self._skipping or cut > 0
         self._buffer = rest[cut:]
         return out
 
     def reset(self) -> None:
         """Discard an incomplete line, because the port was reopened. The counters are kept."""
-        self._lose(self._buffer)
+        self._count_unparsed(self._buffer)
         self._buffer.clear()
         self._skipping = self._skip_first
 
-    def _lose(self, data: bytes | bytearray) -> None:
+    def _count_unparsed(self, data: bytes | bytearray) -> None:
+        """Count bytes as unparsed, without line ends."""
         self.unparsed_bytes += len(data.translate(None, b"\r\n"))
 
     @abstractmethod
-    def _take(self, line: bytes, t_rx: float) -> Frame | None:
+    def _decode_line(self, line: bytes, t_rx: float) -> Frame | None:
         """Convert one line, without its line end, to a sample. Return None if the line is not a reading."""
 
 
-class Flags:
+class FlagDetector:
     """Detector of saturated readings and spikes of a load cell.
 
-    `saturation` is the largest reading [counts] of the converter; None if it is unknown.
+    Parameters
+    ----------
+    saturation
+        Largest reading of the converter [counts]; None if it is unknown. Saturation is then not detected.
     """
 
     def __init__(self, saturation: float | None) -> None:
         self._saturation = saturation
         self._last = NAN  # last reading [counts] without a flag
 
-    def of(self, counts: float) -> int:
-        """Return the flag of the next reading: SATURATED, SPIKE or 0."""
+    def flag(self, counts: float) -> int:
+        """Return the flag of the next reading [counts]: SATURATED, SPIKE or 0.
+
+        A reading without a flag is stored, because the next reading is compared with it.
+        """
         if self._saturation is not None and (counts >= self._saturation or counts <= -self._saturation - 1.0):
             return SATURATED
         if is_spike(counts, self._last):

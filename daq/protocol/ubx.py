@@ -62,7 +62,9 @@ LENGTHS: dict[tuple[int, int], frozenset[int]] = {
 }  # fmt: skip
 LONGEST = HEAD + max(max(lengths) for lengths in LENGTHS.values()) + 2  # bytes of the longest decoded message
 _LENGTHS_OF = {bytes(kind): lengths for kind, lengths in LENGTHS.items()}
-_CARRIES = frozenset({0x07, 0x02, 0x06, 0x14})  # ids of messages with a position, or with the report that there is none
+_POSITION_IDS = frozenset(
+    {0x07, 0x02, 0x06, 0x14}
+)  # ids of messages with a position, or with the report that there is none
 _FIX = {1: 1, 2: 2, 3: 3, 4: 3}  # gpsFix -> Gnss.fix; 5 is a fix of time only, at a previously measured position
 _DIMENSIONS = {1: 3, 2: 2, 3: 3, 4: 3, 5: 3}  # gpsFix -> Gnss.dimensions
 
@@ -86,20 +88,27 @@ class Decoder(nmea.Decoder):
 
     def flush(self) -> list[Frame]:
         """Return the sample of the last epoch at the end of the stream, if it has not been emitted."""
-        return self._epochs.flush() or self._kept(super().flush())
+        return self._epochs.flush() or self._filter_frames(super().flush())
 
     def reset(self) -> None:
         """Discard an incomplete message and epoch, because the port was reopened. The counters are kept."""
         super().reset()
         self._epochs.forget()
 
-    def _take(self, buffer: bytearray, start: int, t_rx: float) -> int:
+    def _decode_frame(self, buffer: bytearray, start: int, t_rx: float) -> int:
+        """Decode the UBX message or the NMEA sentence at `start`, and append its samples.
+
+        Return its length in bytes, 0 if more bytes are needed, or -1 if no valid message begins there.
+        """
         if buffer[start] == SYNC[0]:
             return self._take_ubx(buffer, start, t_rx)
-        return super()._take(buffer, start, t_rx)
+        return super()._decode_frame(buffer, start, t_rx)
 
     def _take_ubx(self, buffer: bytearray, start: int, t_rx: float) -> int:
-        """Decode the UBX message at `start`. Return its length as `_take` does."""
+        """Decode the UBX message at `start`, and append its samples.
+
+        Return its length in bytes, 0 if more bytes are needed, or -1 if no valid message begins there.
+        """
         if len(buffer) < start + HEAD:
             return 0 if SYNC.startswith(buffer[start : start + 2]) else -1
         if buffer[start + 1] != SYNC[1]:
@@ -134,17 +143,18 @@ class Decoder(nmea.Decoder):
         first = max(self._looked - offset, start)
         last = min(end, len(buffer) - LONGEST)  # a decodable message that begins before here is complete
         if first < last:
-            self._ahead += [(offset + a, offset + b) for a, b in _messages(buffer, first, last)]
+            self._ahead += [(offset + a, offset + b) for a, b in _find_messages(buffer, first, last)]
             self._looked = offset + last
             first = last
         is_recorded = any(b <= offset + end for a, b in self._ahead)
-        return is_recorded or any(b <= end for a, b in _messages(buffer, first, end))
+        return is_recorded or any(b <= end for a, b in _find_messages(buffer, first, end))
 
-    def _kept(self, frames: list[Frame]) -> list[Frame]:
+    def _filter_frames(self, frames: list[Frame]) -> list[Frame]:
+        """Drop the fixes of NMEA sentences if the receiver also sends positions in UBX."""
         return [f for f in frames if not (self._epochs.has_position and isinstance(f.sample, Gnss))]
 
 
-def _messages(buffer: bytearray, start: int, end: int) -> Iterator[tuple[int, int]]:
+def _find_messages(buffer: bytearray, start: int, end: int) -> Iterator[tuple[int, int]]:
     """Yield start and end of each complete decodable message that begins between two indices of the buffer."""
     while (start := buffer.find(SYNC, start, end + 1)) >= 0:
         n_payload = int.from_bytes(buffer[start + 4 : start + HEAD], "little")
@@ -192,17 +202,30 @@ def encode(gnss: Gnss) -> bytes:
 
 
 def _or_zero(value: float) -> float:
+    """Return a number unchanged, and 0 for NaN."""
     return 0.0 if math.isnan(value) else value
 
 
 @dataclass
 class _Epoch:
-    """Values of the received messages with one time of week."""
+    """Values of the received UBX messages of one epoch, which have the same time of week.
 
-    i_tow: int  # ms, time of week
-    t_rx: float  # s, of the first message
-    kinds: set[int] = field(default_factory=set)  # ids of the received messages
-    values: dict[str, float] = field(default_factory=dict)  # in SI units and degrees, by name
+    Attributes
+    ----------
+    i_tow
+        Time of week [ms].
+    t_rx
+        Run time of receipt of the first message [s].
+    kinds
+        Ids of the received messages.
+    values
+        Values by name, in SI units; latitude and longitude are in degrees.
+    """
+
+    i_tow: int
+    t_rx: float
+    kinds: set[int] = field(default_factory=set)
+    values: dict[str, float] = field(default_factory=dict)
 
 
 class Epochs:
@@ -228,11 +251,11 @@ class Epochs:
         """Decode one message whose kind and length are in LENGTHS. Return the samples that it completes."""
         number = kind[1]
         if kind == HNR_PVT:
-            return self._high_rate(payload, t_rx)
+            return self._take_high_rate(payload, t_rx)
         if number == 0x05:
             utc = self._utc_of(struct.unpack_from("<I", payload)[0])
-            return [frame._replace(t_device=utc) for frame in _attitude(payload, t_rx)]
-        self.has_position = self.has_position or number in _CARRIES
+            return [frame._replace(t_device=utc) for frame in _attitude_sample(payload, t_rx)]
+        self.has_position = self.has_position or number in _POSITION_IDS
         (i_tow,) = struct.unpack_from("<I", payload, 4 if number == 0x14 else 0)
         out: list[Frame] = []
         if self._epoch is None or self._epoch.i_tow != i_tow:
@@ -242,7 +265,7 @@ class Epochs:
                 self._expected = set().union(*self._kinds)
             self._epoch, self._emitted = _Epoch(i_tow, t_rx), False
         self._epoch.kinds.add(number)
-        _READ[number](self._epoch.values, payload)
+        _READERS[number](self._epoch.values, payload)
         if self._expected and self._epoch.kinds >= self._expected:
             out += self.flush()
         return out
@@ -250,10 +273,10 @@ class Epochs:
     def flush(self) -> list[Frame]:
         """Return the sample of the present epoch, if it has a position message and has not been emitted."""
         epoch = self._epoch
-        if epoch is None or self._emitted or not epoch.kinds & _CARRIES:
+        if epoch is None or self._emitted or not epoch.kinds & _POSITION_IDS:
             return []
         self._emitted = True
-        sample, resolved = _gnss(epoch.values), not epoch.values.get("unresolved")
+        sample, resolved = _gnss_sample(epoch.values), not epoch.values.get("unresolved")
         if math.isfinite(sample.utc) and resolved:
             self._utc, self._utc_tow = sample.utc, epoch.i_tow
         if epoch.t_rx - self._high_rate_at <= HIGH_RATE_S:
@@ -262,13 +285,13 @@ class Epochs:
             sample = replace(sample, utc=self._utc_of(epoch.i_tow))
         return [Frame(sample, epoch.t_rx, sample.utc if resolved else NAN)]
 
-    def _high_rate(self, payload: bytes, t_rx: float) -> list[Frame]:
+    def _take_high_rate(self, payload: bytes, t_rx: float) -> list[Frame]:
         """Return the sample of HNR-PVT, a solution at the rate of the inertial sensors.
 
         These samples replace the samples of the navigation epochs.
         """
         self.has_position, self._high_rate_at = True, t_rx
-        sample, resolved = _hnr_pvt(payload), payload[11] & 7 == 7
+        sample, resolved = _hnr_pvt_sample(payload), payload[11] & 7 == 7
         if math.isfinite(sample.utc) and resolved:
             self._utc, self._utc_tow = sample.utc, struct.unpack_from("<I", payload)[0]
         return [Frame(sample, t_rx, sample.utc if resolved else NAN)]
@@ -286,8 +309,11 @@ class Epochs:
         self._utc, self._utc_tow = NAN, 0
 
 
-def _gnss(v: dict[str, float]) -> Gnss:
-    """Return the sample of the values of one epoch. A value from a more precise message has priority."""
+def _gnss_sample(v: dict[str, float]) -> Gnss:
+    """Return the sample of the values of one epoch by name. A value from a more precise message has priority.
+
+    Without a message that reports a place, or with a place out of range, all values except time and satellites are NaN.
+    """
     fix = int(v.get("fix", v.get("sol_fix", v.get("status_fix", 0))))
     lat, lon = (v.get(f"hp_{name}", v.get(name, v.get(f"sol_{name}", NAN))) for name in ("lat", "lon"))
     has_place = "place" in v and abs(lat) <= 90.0 and abs(lon) <= 180.0
@@ -306,7 +332,7 @@ def _gnss(v: dict[str, float]) -> Gnss:
     )  # fmt: skip
 
 
-def _attitude(payload: bytes, t_rx: float) -> list[Frame]:
+def _attitude_sample(payload: bytes, t_rx: float) -> list[Frame]:
     """Return the sample of NAV-ATT, or no sample if no angle is valid."""
     _, _, roll, pitch, heading, acc_roll, acc_pitch, acc_heading = _ATT.unpack(payload)
     # The accuracy of an invalid angle is 0 (M8) or at least half a turn.
@@ -318,8 +344,11 @@ def _attitude(payload: bytes, t_rx: float) -> list[Frame]:
     return [Frame(Ahrs(yaw, pitch, roll), t_rx, NAN)] if any(valid) else []
 
 
-def _pvt(v: dict[str, float], payload: bytes) -> None:
-    """Store the values of NAV-PVT."""
+def _read_pvt(v: dict[str, float], payload: bytes) -> None:
+    """Store time, fix, satellites, position and velocity of NAV-PVT.
+
+    The fix is 0 unless the receiver marks it as valid.
+    """
     (
         _, year, month, day, hour, minute, second, valid, t_acc, nano, fix, flags, _, n_sat, lon, lat, _, h_msl, h_acc,
         _, vel_n, vel_e, vel_d, *_,
@@ -338,12 +367,13 @@ def _pvt(v: dict[str, float], payload: bytes) -> None:
     v["vel_n"], v["vel_e"], v["vel_d"] = 1e-3 * vel_n, 1e-3 * vel_e, 1e-3 * vel_d
 
 
-def _posllh(v: dict[str, float], payload: bytes) -> None:
+def _read_posllh(v: dict[str, float], payload: bytes) -> None:
+    """Store the values of NAV-POSLLH, the position without a report of the fix."""
     _, lon, lat, _, h_msl, h_acc, _ = _POSLLH.unpack(payload)
     v["lat"], v["lon"], v["alt"], v["sigma"] = 1e-7 * lat, 1e-7 * lon, 1e-3 * h_msl, 1e-3 * h_acc / math.sqrt(2.0)
 
 
-def _hpposllh(v: dict[str, float], payload: bytes) -> None:
+def _read_hpposllh(v: dict[str, float], payload: bytes) -> None:
     """Store the values of NAV-HPPOSLLH, the position with high precision."""
     _, invalid, _, lon, lat, _, h_msl, lon_hp, lat_hp, _, h_msl_hp, h_acc, _ = _HPPOSLLH.unpack(payload)
     if not invalid & 1:
@@ -351,7 +381,7 @@ def _hpposllh(v: dict[str, float], payload: bytes) -> None:
         v["hp_alt"], v["hp_sigma"] = 1e-3 * h_msl + 1e-4 * h_msl_hp, 1e-4 * h_acc / math.sqrt(2.0)
 
 
-def _sol(v: dict[str, float], payload: bytes) -> None:
+def _read_sol(v: dict[str, float], payload: bytes) -> None:
     """Store the values of NAV-SOL of older receivers; position and velocity are converted from ECEF."""
     i_tow, f_tow, week, fix, flags, x, y, z, _, vel_x, vel_y, vel_z, *_, n_sat, _ = _SOL.unpack(payload)
     v["sol_fix"] = 0
@@ -366,7 +396,8 @@ def _sol(v: dict[str, float], payload: bytes) -> None:
     v["sol_vel_n"], v["sol_vel_e"], v["sol_vel_d"] = ecef_to_ned(1e-2 * vel_x, 1e-2 * vel_y, 1e-2 * vel_z, lat, lon)
 
 
-def _status(v: dict[str, float], payload: bytes) -> None:
+def _read_status(v: dict[str, float], payload: bytes) -> None:
+    """Store the kind of fix of NAV-STATUS."""
     _, fix, flags, *_ = _STATUS.unpack(payload)
     v["status_fix"] = 0
     if fix in _DIMENSIONS:
@@ -375,8 +406,8 @@ def _status(v: dict[str, float], payload: bytes) -> None:
         v["status_fix"] = 4 if flags & 2 and fix in (2, 3, 4) else _FIX.get(fix, 0)
 
 
-def _hnr_pvt(payload: bytes) -> Gnss:
-    """Return the sample of HNR-PVT."""
+def _hnr_pvt_sample(payload: bytes) -> Gnss:
+    """Return the sample of HNR-PVT, in which values without a fix are NaN."""
     (
         _, year, month, day, hour, minute, second, valid, nano, gps_fix, flags, lon, lat, _, h_msl, ground, _, course,
         _, h_acc, *_,
@@ -396,24 +427,28 @@ def _hnr_pvt(payload: bytes) -> Gnss:
     )  # fmt: skip
 
 
-def _velned(v: dict[str, float], payload: bytes) -> None:
+def _read_velned(v: dict[str, float], payload: bytes) -> None:
+    """Store the velocity of NAV-VELNED [m/s]."""
     _, north, east, down, *_ = _VELNED.unpack(payload)
     v["vel_n"], v["vel_e"], v["vel_d"] = 1e-2 * north, 1e-2 * east, 1e-2 * down
 
 
-def _timeutc(v: dict[str, float], payload: bytes) -> None:
+def _read_timeutc(v: dict[str, float], payload: bytes) -> None:
+    """Store the UTC of NAV-TIMEUTC if the receiver has resolved it."""
     _, _, nano, year, month, day, hour, minute, second, valid = _TIMEUTC.unpack(payload)
     if valid & 4:  # UTC is valid, leap seconds included
         v["utc"] = _utc(year, month, day, hour, minute, second, nano)
 
 
-def _timegps(v: dict[str, float], payload: bytes) -> None:
+def _read_timegps(v: dict[str, float], payload: bytes) -> None:
+    """Store the UTC of NAV-TIMEGPS if it is valid and no other message of the epoch has a UTC."""
     i_tow, f_tow, week, leap, valid, _ = _TIMEGPS.unpack(payload)
     if valid & 7 == 7:  # time of week, week and leap seconds are valid
         v.setdefault("utc", GPS_EPOCH + week * WEEK + 1e-3 * i_tow + 1e-9 * f_tow - leap)
 
 
-def _dop(v: dict[str, float], payload: bytes) -> None:
+def _read_dop(v: dict[str, float], payload: bytes) -> None:
+    """Store the HDOP of NAV-DOP."""
     v["hdop"] = _DOP.unpack(payload)[5] / 100.0
 
 
@@ -429,7 +464,7 @@ def gps_to_utc(seconds: float) -> float:
     return seconds - bisect_right([leap + k for k, leap in enumerate(LEAPS, start=1)], seconds)
 
 
-_READ: dict[int, Callable[[dict[str, float], bytes], None]] = {
-    0x07: _pvt, 0x02: _posllh, 0x14: _hpposllh, 0x06: _sol, 0x12: _velned, 0x21: _timeutc, 0x20: _timegps, 0x04: _dop,
-    0x03: _status,
+_READERS: dict[int, Callable[[dict[str, float], bytes], None]] = {
+    0x07: _read_pvt, 0x02: _read_posllh, 0x14: _read_hpposllh, 0x06: _read_sol, 0x12: _read_velned,
+    0x21: _read_timeutc, 0x20: _read_timegps, 0x04: _read_dop, 0x03: _read_status,
 }  # fmt: skip

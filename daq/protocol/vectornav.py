@@ -58,11 +58,20 @@ Values = dict[str, tuple[float, ...]]
 
 
 class MessageLayout(NamedTuple):
-    """Layout of a binary message."""
+    """Layout of a binary message.
 
-    header: int  # bytes of sync byte and header
-    length: int  # bytes of the whole message
-    # Quantity, format and offset [bytes] of the fields that are read.
+    Attributes
+    ----------
+    header
+        Length of sync byte and header together [bytes].
+    length
+        Length of the whole message [bytes].
+    fields
+        Quantity, format and offset [bytes] of each field that is read.
+    """
+
+    header: int
+    length: int
     fields: tuple[tuple[str, struct.Struct, int], ...]
 
 
@@ -109,13 +118,20 @@ class Decoder(StreamDecoder[Frame]):
 
     sync = re.compile(rb"[$\xfa]")
 
-    def _take(self, buffer: bytearray, start: int, t_rx: float) -> int:
+    def _decode_frame(self, buffer: bytearray, start: int, t_rx: float) -> int:
+        """Decode the message at `start` and append its sample.
+
+        Return its length in bytes, 0 if more bytes are needed, or -1 if no valid message begins there.
+        """
         return (
             self._take_binary(buffer, start, t_rx) if buffer[start] == SYNC else self._take_ascii(buffer, start, t_rx)
         )
 
     def _take_binary(self, buffer: bytearray, start: int, t_rx: float) -> int:
-        """Decode the binary message at `start`. Return its length as `_take` does."""
+        """Decode the binary message at `start`, and append its sample.
+
+        Return its length in bytes, 0 if more bytes are needed, or -1 if no valid message begins there.
+        """
         if len(buffer) < start + 2:
             return 0
         groups = buffer[start + 1]
@@ -137,11 +153,15 @@ class Decoder(StreamDecoder[Frame]):
         values: Values = {quantity: form.unpack_from(message, at) for quantity, form, at in layout.fields}
         t_device = values.pop("startup", (NAN,))[0] * 1e-9
         if values:
-            self._out.append(Frame(_ahrs(values), t_rx, t_device))
+            self._out.append(Frame(_ahrs_sample(values), t_rx, t_device))
         return layout.length
 
     def _take_ascii(self, buffer: bytearray, start: int, t_rx: float) -> int:
-        """Decode the sentence at `start`. Return its length as `_take` does."""
+        """Decode the ASCII sentence at `start`, and append its sample.
+
+        Return its length in bytes, 0 if more bytes are needed, or -1 if it is invalid. A sentence of an unknown kind is
+        counted as a frame and gives no sample.
+        """
         length, body, bad = take_sentence(buffer, start)
         self.checksum_errors += bad
         if body is None:
@@ -149,16 +169,19 @@ class Decoder(StreamDecoder[Frame]):
         words = body.split(b",")
         fields = ASCII_FIELDS.get(words[0])
         if fields is not None:
-            values = _numbers(words[1:], fields)
+            values = _split_numbers(words[1:], fields)
             if values is None:
                 return -1
-            self._out.append(Frame(_ahrs(values), t_rx, NAN))
+            self._out.append(Frame(_ahrs_sample(values), t_rx, NAN))
         self.frames += 1
         return length
 
 
-def _numbers(words: list[bytes], fields: tuple[tuple[str, int], ...]) -> Values | None:
-    """Return the numbers of a sentence by quantity. Return None if a word is missing or not a number."""
+def _split_numbers(words: list[bytes], fields: tuple[tuple[str, int], ...]) -> Values | None:
+    """Return the numbers of an ASCII sentence by quantity. Return None if a word is missing or not a number.
+
+    `fields` are the quantities in order, each with its number of words.
+    """
     values: Values = {}
     at = 0
     for quantity, count in fields:
@@ -173,12 +196,12 @@ def _numbers(words: list[bytes], fields: tuple[tuple[str, int], ...]) -> Values 
 _NAN3 = (NAN, NAN, NAN)
 
 
-def _ahrs(values: Values) -> Ahrs:
+def _ahrs_sample(values: Values) -> Ahrs:
     """Return the sample of the quantities of one message in SI units, NaN for missing quantities."""
     if "ypr" in values:
         yaw, pitch, roll = (angle * DEG for angle in values["ypr"])
     elif "quaternion" in values:
-        yaw, pitch, roll = _angles(*values["quaternion"])
+        yaw, pitch, roll = _euler_angles(*values["quaternion"])
     else:
         yaw, pitch, roll = _NAN3
     p, q, r = values.get("rate", _NAN3)
@@ -187,7 +210,7 @@ def _ahrs(values: Values) -> Ahrs:
     return Ahrs(yaw, pitch, roll, p, q, r, ax, ay, az, mx, my, mz)
 
 
-def _angles(x: float, y: float, z: float, w: float) -> tuple[float, float, float]:
+def _euler_angles(x: float, y: float, z: float, w: float) -> tuple[float, float, float]:
     """Return yaw, pitch and roll [rad] of a quaternion whose scalar is `w` (UM001, attitude transformations)."""
     yaw = math.atan2(2.0 * (x * y + w * z), w * w + x * x - y * y - z * z)
     pitch = math.asin(min(max(-2.0 * (x * z - w * y), -1.0), 1.0))
@@ -237,4 +260,5 @@ def encode_binary(ahrs: Ahrs, t_device: float) -> bytes:
 
 
 def _or_zero(value: float) -> float:
+    """Return a number unchanged, and 0 for NaN."""
     return 0.0 if math.isnan(value) else value

@@ -21,7 +21,7 @@ STALE = 2.0  # s; temperature and voltage arrive in separate frames; older value
 
 
 @functools.cache
-def _messages() -> dict[int, Any]:
+def _dbc_messages() -> dict[int, Any]:
     """Return the messages of vesc.dbc by packet number."""
     import cantools  # imported here because the import is slow and only CAN needs it
 
@@ -45,22 +45,26 @@ class Decoder(FrameDecoder):
 
     def __init__(self, pole_pairs: dict[int, int], reversed_nodes: frozenset[int] = frozenset()) -> None:
         super().__init__()
-        _messages()  # loads the DBC file now, because loading it at the first frame would delay the port's thread
+        _dbc_messages()  # loads the DBC file now, because loading it at the first frame would delay the port's thread
         self.other_nodes: dict[int, int] = {}
         self._pole_pairs = dict(pole_pairs)
         self._reversed = reversed_nodes
         self._temperature: dict[int, tuple[float, float]] = {}  # node -> (value, t_rx)
         self._voltage: dict[int, tuple[float, float]] = {}
 
-    def _take(self, identifier: int, extended: bool, data: bytes, t_rx: float) -> list[Frame]:
+    def _decode_can_frame(self, identifier: int, extended: bool, data: bytes, t_rx: float) -> list[Frame]:
+        """Decode one frame. Frames with an 11-bit identifier give no sample."""
         return self.feed_frame(identifier, data, t_rx) if extended else []
 
     def feed_frame(self, arbitration_id: int, data: bytes, t_rx: float) -> list[Frame]:
-        """Decode one frame with a 29-bit identifier that was received at `t_rx` [s]."""
+        """Decode one frame with a 29-bit identifier that was received at `t_rx` [s]. Return the sample of a STATUS 1.
+
+        Other frames give no sample; the values of STATUS 4 and 5 are stored.
+        """
         node, packet = arbitration_id & 0xFF, arbitration_id >> 8
         if packet not in (STATUS_1, STATUS_4, STATUS_5):
             return []
-        message = _messages()[packet]
+        message = _dbc_messages()[packet]
         if len(data) < message.length - 2 * (packet == STATUS_5):  # STATUS 5 was 6 bytes in older firmware
             self.unparsed_bytes += FRAME_BYTES
             return []
@@ -77,14 +81,15 @@ class Decoder(FrameDecoder):
         elif packet == STATUS_5:
             self._voltage[node] = (float(values["voltage"]), t_rx)
         else:
-            return [Frame(self._esc(node, values, t_rx), t_rx, NAN)]
+            return [Frame(self._esc_sample(node, values, t_rx), t_rx, NAN)]
         return []
 
-    def _forget(self) -> None:
+    def _forget_state(self) -> None:
+        """Discard the newest temperatures and voltages."""
         self._temperature.clear()
         self._voltage.clear()
 
-    def _esc(self, node: int, values: dict[str, float], t_rx: float) -> Esc:
+    def _esc_sample(self, node: int, values: dict[str, float], t_rx: float) -> Esc:
         """Return the state of a controller from its STATUS 1 and its newest temperature and voltage."""
         sign = -1.0 if node in self._reversed else 1.0
         return Esc(
@@ -92,12 +97,13 @@ class Decoder(FrameDecoder):
             rpm=sign * values["erpm"] / self._pole_pairs[node],
             current=float(values["current"]),
             duty=sign * values["duty"],
-            voltage=_fresh(self._voltage.get(node), t_rx),
-            temperature=_fresh(self._temperature.get(node), t_rx),
+            voltage=_value_if_fresh(self._voltage.get(node), t_rx),
+            temperature=_value_if_fresh(self._temperature.get(node), t_rx),
         )
 
 
-def _fresh(latest: tuple[float, float] | None, t_rx: float) -> float:
+def _value_if_fresh(latest: tuple[float, float] | None, t_rx: float) -> float:
+    """Return the value of a pair (value, time [s]); NaN for None and for values older than STALE at time `t_rx` [s]."""
     return latest[0] if latest is not None and t_rx - latest[1] <= STALE else NAN
 
 
@@ -106,10 +112,12 @@ def encode_status(esc: Esc, pole_pairs: int) -> list[tuple[int, bytes]]:
 
     STATUS 1 is always included. STATUS 4 and STATUS 5 are included if temperature and voltage are not NaN.
     """
-    frames = [_encode(STATUS_1, esc.node, erpm=_or_zero(esc.rpm) * pole_pairs, current=esc.current, duty=esc.duty)]
+    frames = [
+        _encode_packet(STATUS_1, esc.node, erpm=_or_zero(esc.rpm) * pole_pairs, current=esc.current, duty=esc.duty)
+    ]
     if not math.isnan(esc.temperature):
         frames.append(
-            _encode(
+            _encode_packet(
                 STATUS_4,
                 esc.node,
                 temperature=esc.temperature,
@@ -119,7 +127,7 @@ def encode_status(esc: Esc, pole_pairs: int) -> list[tuple[int, bytes]]:
             )
         )
     if not math.isnan(esc.voltage):
-        frames.append(_encode(STATUS_5, esc.node, tachometer=0.0, voltage=esc.voltage))
+        frames.append(_encode_packet(STATUS_5, esc.node, tachometer=0.0, voltage=esc.voltage))
     return frames
 
 
@@ -133,19 +141,19 @@ def encode_duty(node: int, n: float) -> tuple[int, bytes]:
     """
     if not -1.0 <= n <= 1.0:
         raise ValueError(f"a duty is between -1 and 1, not {n}")
-    return _encode(SET_DUTY, node, duty=n)
+    return _encode_packet(SET_DUTY, node, duty=n)
 
 
 def decode_command(arbitration_id: int, data: bytes) -> tuple[int, float] | None:
     """Return controller id and duty, -1..1, of a command frame. Return None for other frames."""
     if arbitration_id >> 8 != SET_DUTY or len(data) < 4:
         return None
-    return arbitration_id & 0xFF, float(_messages()[SET_DUTY].decode(data[:4])["duty"])
+    return arbitration_id & 0xFF, float(_dbc_messages()[SET_DUTY].decode(data[:4])["duty"])
 
 
-def _encode(packet: int, node: int, **values: float) -> tuple[int, bytes]:
+def _encode_packet(packet: int, node: int, **values: float) -> tuple[int, bytes]:
     """Encode the values of one packet as a frame. Values are clipped to the range of their signals; NaN becomes 0."""
-    message = _messages()[packet]
+    message = _dbc_messages()[packet]
     clipped = {}
     for signal in message.signals:
         limit = (1 << signal.length - 1) - 1
@@ -154,4 +162,5 @@ def _encode(packet: int, node: int, **values: float) -> tuple[int, bytes]:
 
 
 def _or_zero(value: float) -> float:
+    """Return a number unchanged, and 0 for NaN."""
     return 0.0 if math.isnan(value) else value

@@ -1,6 +1,6 @@
 from .autopilot_tables import identify_autopilot as identify_autopilot
 from .discovery import DiscoveredDevice as DiscoveredDevice
-from .discovery import find as find
+from .discovery import discover_devices as discover_devices
 from .discovery import identify_protocol as identify_protocol
 from .export import export_log as export_log
 from .export import export_resampled as export_resampled

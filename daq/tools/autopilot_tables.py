@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from seatrial.daq.drivers import LEFT, PADDLES, RIGHT, check_parameters, parameter_names
-from seatrial.daq.protocol import INVALID, ROVER, Codec, MavlinkDecoder, Samples, vehicle_name
+from seatrial.daq.protocol import INVALID, ROVER, Codec, MavlinkDecoder, SampleConverter, vehicle_name
 from seatrial.daq.rig import AutopilotOutput, Device, MavlinkSettings, Thruster
 from seatrial.daq.tools.discovery import DiscoveredDevice
 from seatrial.daq.transport import Port, PortError, make_port
@@ -164,7 +164,7 @@ class _Listener:
 
     def __init__(self, port: Port) -> None:
         self._port = port
-        self.decoder = MavlinkDecoder(Samples({}), 0, 1)
+        self.decoder = MavlinkDecoder(SampleConverter({}), 0, 1)
         self.decoder.listener = self._receive
         self.heartbeat: Any = None  # the newest heartbeat of an autopilot
         self.parameters: dict[str, float] = {}

@@ -129,7 +129,7 @@ class _Listener:
         return (len(self.times) - self.times.count(self.times[0])) / (self.times[-1] - self.times[0])
 
 
-def find(
+def discover_devices(
     listen: float = LISTEN_S, bauds: Sequence[int] = (), said: Callable[[str], None] = lambda text: None
 ) -> list[DiscoveredDevice]:
     """Find all serial ports and CAN buses of this computer, and identify the devices at the serial ports.
@@ -217,7 +217,9 @@ def identify_protocol(
         framed += [f"{c.protocol} at {baud} baud" for c in candidates if c.checked and c.decoder.frames >= MIN_LINES]
         best = max(candidates, key=_Listener.score, default=None)
         if best is not None and best.score() > (0.0, 0):
-            says = "CAN adapter (slcan) with open channel" if best.protocol == SLCAN else types[best.protocol].says
+            says = (
+                "CAN adapter (slcan) with open channel" if best.protocol == SLCAN else types[best.protocol].description
+            )
             says += best.condition
             return DiscoveredDevice(path, description, best.protocol, baud, best.rate(), says, hint)
     if framed:

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from seatrial.daq.errors import SeatrialError, counted
-from seatrial.daq.log import Log, first_of, schema
+from seatrial.daq.log import Log, first_segment_of, schema
 from seatrial.daq.samples import PortHealth, Scalar
 
 FIRST_EVENTS, LAST_EVENTS = 25, 15  # of many events only these are shown: the last events are about the end of the run
@@ -48,7 +48,7 @@ def show_log(log: Log, console: Console) -> None:
         console.print(f"from {begin}, {log.duration:.3f} s, {content}")
     else:
         console.print("no messages")
-    first = first_of(log.path)
+    first = first_segment_of(log.path)
     if first is not None and log.metadata.get("segment", "0") != "0":
         number = escape(log.metadata["segment"])
         console.print(f"  segment {number} of {escape(first.name)}; open that file for the whole log")

@@ -16,7 +16,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from seatrial.daq.acquisition import NO_STATUS_S, Acquisition, PortStatus, Source, Status, senders
+from seatrial.daq.acquisition import NO_STATUS_S, Acquisition, PortStatus, Source, Status, count_senders
 from seatrial.daq.clock import RunClock
 from seatrial.daq.errors import counted
 from seatrial.daq.rig import Rig
@@ -169,7 +169,7 @@ def _newest(source: Source, port: PortStatus, status: Status, rig: Rig) -> Text:
     """Return the text of the newest sample of a source. For an old sample the text begins with its age."""
     latest = status.latest[source]
     text, age = describe(latest.sample, rig, port.name), status.t - latest.t
-    kinds, nodes = senders(status, port.name)
+    kinds, nodes = count_senders(status, port.name)
     rate = port.expected if source[1] is None else port.expected / nodes
     seldom = SEVERAL_KINDS_FACTOR if kinds > 1 or source[0] != port.name else 1.0
     stale = age > seldom * _stale_after(rate, rig.speed)

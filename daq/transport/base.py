@@ -23,7 +23,17 @@ class PortError(Exception):
 
 
 class Port(ABC):
-    """Interface of a port. Serial ports read and write bytes, CAN ports complete 16-byte `struct can_frame`."""
+    """Interface of a port. Serial ports read and write bytes, CAN ports complete 16-byte `struct can_frame`.
+
+    Attributes
+    ----------
+    bytes_in : int
+        Bytes read so far.
+    unparsed_bytes : int
+        Read bytes that the port itself has discarded, for example datagrams of other senders.
+    hint : str
+        Advice to the user on the port, in one line; set when the port is opened, empty without advice.
+    """
 
     def __init__(self) -> None:
         self.bytes_in = 0
@@ -32,7 +42,7 @@ class Port(ABC):
 
     @property
     def is_confirmed(self) -> bool:
-        """Return whether the sender of the last read is known to be the device. `confirm` makes a new sender known."""
+        """Whether the sender of the last read is known to be the device. `confirm` makes a new sender known."""
         return True
 
     def confirm(self) -> None:

@@ -49,6 +49,13 @@ class _OpeningAnswers:
 class _FrameAnswers:
     """Counter of consecutive frames that an slcan adapter refuses to send.
 
+    Attributes
+    ----------
+    refused : int
+        Number of refused frames since the last accepted one.
+
+    Notes
+    -----
     An adapter answers an accepted frame with `z`, `Z` or an empty line, and a refused frame with BELL. For adapters
     that do not answer, the count stays zero.
     """
@@ -58,7 +65,7 @@ class _FrameAnswers:
         self._in_line = True  # whether the present line is a received frame; at first this is unknown
 
     def feed(self, data: bytes) -> None:
-        """Process received bytes."""
+        """Process received bytes, and update `refused`."""
         if not self.refused and BELL not in data:
             self._in_line = data[-1:] not in (b"\r", b"\a") if data else self._in_line
             return
@@ -74,7 +81,17 @@ class _FrameAnswers:
 
 
 class SlcanPort(Port):
-    """CAN port of an slcan adapter on a serial port."""
+    """CAN port of an slcan adapter on a serial port.
+
+    Parameters
+    ----------
+    path
+        Path of the serial port.
+    baud
+        Baud rate of the serial port [bit/s].
+    bitrate
+        Bit rate of the CAN bus [bit/s].
+    """
 
     def __init__(self, path: str, baud: int, bitrate: int) -> None:
         super().__init__()
@@ -85,7 +102,7 @@ class SlcanPort(Port):
         self._answers: _FrameAnswers | None = None  # None before the first frame is sent
 
     def open(self) -> None:
-        """Open the serial port, then the channel of the adapter."""
+        """Open the serial port, then the channel of the adapter. Raise PortError if slcan lacks the bit rate."""
         try:
             commands = slcan.open_channel(self._bitrate)
         except ValueError as error:
@@ -101,7 +118,11 @@ class SlcanPort(Port):
         return self._serial.fileno()
 
     def read(self) -> bytes:
-        """Return the complete frames that have arrived."""
+        """Return the complete frames that have arrived, 16 bytes each.
+
+        If the adapter has refused the bit rate or the opening of its channel, `hint` is set. PortError is raised if it
+        refuses REFUSED frames in a row.
+        """
         data = self._serial.read()
         if self._opening is not None and (refused := self._opening.feed(data)) is not None:
             self._opening = None
@@ -119,7 +140,7 @@ class SlcanPort(Port):
         return b"".join(frames)
 
     def write(self, data: bytes) -> None:
-        """Send frames with 29-bit identifiers."""
+        """Send frames, 16 bytes each, with 29-bit identifiers."""
         self._answers = self._answers or _FrameAnswers()
         lines = (slcan.encode(word & ~EXTENDED, body[:length]) for word, length, body in CAN_FRAME.iter_unpack(data))
         self._serial.write(b"".join(lines))
@@ -133,7 +154,13 @@ class SlcanPort(Port):
 
 
 class SocketCanPort(Port):
-    """CAN port of an interface of the kernel (`ip link set can0 up type can bitrate ...`)."""
+    """CAN port of an interface of the kernel (`ip link set can0 up type can bitrate ...`).
+
+    Parameters
+    ----------
+    channel
+        Name of the interface, such as "can0".
+    """
 
     def __init__(self, channel: str) -> None:
         super().__init__()
@@ -144,7 +171,7 @@ class SocketCanPort(Port):
         self._bus: Any = None
 
     def open(self) -> None:
-        """Open a raw socket on the interface."""
+        """Open a raw socket on the interface. Raise PortError if this fails."""
         self.close()
         try:
             self._bus = self._can.Bus(interface="socketcan", channel=self._channel)
@@ -156,7 +183,10 @@ class SocketCanPort(Port):
         return -1 if self._bus is None else int(self._bus.fileno())
 
     def read(self) -> bytes:
-        """Return the data frames that have arrived."""
+        """Return the data frames that have arrived, 16 bytes each, at most MOST.
+
+        Error frames, remote frames and frames of CAN FD are left out.
+        """
         frames = []
         try:
             for _ in range(MOST):
@@ -171,7 +201,7 @@ class SocketCanPort(Port):
         return b"".join(frames)
 
     def write(self, data: bytes) -> None:
-        """Send frames with 29-bit identifiers."""
+        """Send frames, 16 bytes each, with 29-bit identifiers."""
         try:
             for word, length, body in CAN_FRAME.iter_unpack(data):
                 message = self._can.Message(arbitration_id=word & ~EXTENDED, is_extended_id=True, data=body[:length])

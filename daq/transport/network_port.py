@@ -23,8 +23,13 @@ CONNECT_S = 2.0  # wall s
 BUFFER_BYTES = 1 << 20  # for datagrams that arrive while this process is not running
 
 
-def _resolve(host: str, number: int, kind: socket.SocketKind, passive: bool) -> tuple[socket.AddressFamily, Any]:
-    """Return family and address of a host and port number. Raise PortError if there is none."""
+def _resolve_address(
+    host: str, number: int, kind: socket.SocketKind, passive: bool
+) -> tuple[socket.AddressFamily, Any]:
+    """Return family and address of a host and port number. Raise PortError if there is none.
+
+    `passive` is true for a local address to listen at.
+    """
     flags = socket.AI_PASSIVE if passive else 0
     try:
         family, _, _, _, address = socket.getaddrinfo(host, number, type=kind, flags=flags)[0]
@@ -34,7 +39,15 @@ def _resolve(host: str, number: int, kind: socket.SocketKind, passive: bool) -> 
 
 
 class UdpPort(Port):
-    """UDP port. It joins datagrams to a stream of bytes, because each datagram of MAVLink contains complete frames."""
+    """UDP port. It joins datagrams to a stream of bytes, because each datagram of MAVLink contains complete frames.
+
+    Parameters
+    ----------
+    host, number
+        Host and port number: the local address to listen at, or the remote address to send to.
+    listen
+        Whether to listen at the address and to answer the first sender of a frame of the device.
+    """
 
     def __init__(self, host: str, number: int, listen: bool) -> None:
         super().__init__()
@@ -45,20 +58,20 @@ class UdpPort(Port):
         self._heard_at = 0.0  # wall s of the last confirmed read
 
     def open(self) -> None:
-        """Bind a local address, or connect to a remote one."""
-        self._open(shared=False)
+        """Bind the local address to listen at, or connect to the remote one. Raise PortError if this fails."""
+        self._open_socket(shared=False)
 
     def take_over(self) -> None:
         """Bind the local address although another process has bound it.
 
         A killed process keeps its address until its memory is freed. The newest socket receives all datagrams.
         """
-        self._open(shared=True)
+        self._open_socket(shared=True)
 
-    def _open(self, shared: bool) -> None:
+    def _open_socket(self, shared: bool) -> None:
         """Open the socket. If `shared` is true, the local address may be bound by another process."""
         self.close()
-        family, address = _resolve(self._host, self._number, socket.SOCK_DGRAM, self._listen)
+        family, address = _resolve_address(self._host, self._number, socket.SOCK_DGRAM, self._listen)
         sock = socket.socket(family, socket.SOCK_DGRAM)
         try:
             sock.setblocking(False)
@@ -112,11 +125,11 @@ class UdpPort(Port):
 
     @property
     def is_confirmed(self) -> bool:
-        """Return whether the bytes of the last read are from the confirmed sender."""
+        """Whether the bytes of the last read are from the confirmed sender."""
         return self._candidate is None or self._candidate == self._peer
 
     def confirm(self) -> None:
-        """Answer the sender of the last read from now on."""
+        """Accept the sender of the last read, which is answered from now on. Its time of silence starts anew."""
         if self._candidate is not None:
             self._peer = self._candidate
         self._heard_at = time.monotonic()
@@ -143,7 +156,13 @@ class UdpPort(Port):
 
 
 class TcpPort(Port):
-    """TCP port. It connects to a server."""
+    """TCP port. It connects to a server.
+
+    Parameters
+    ----------
+    host, number
+        Host and port number of the server.
+    """
 
     def __init__(self, host: str, number: int) -> None:
         super().__init__()
@@ -151,9 +170,9 @@ class TcpPort(Port):
         self._socket: socket.socket | None = None
 
     def open(self) -> None:
-        """Connect to the server."""
+        """Connect to the server. Raise PortError if there is no connection within CONNECT_S."""
         self.close()
-        _resolve(self._host, self._number, socket.SOCK_STREAM, False)
+        _resolve_address(self._host, self._number, socket.SOCK_STREAM, False)
         try:
             self._socket = socket.create_connection((self._host, self._number), timeout=CONNECT_S)
         except OSError as error:

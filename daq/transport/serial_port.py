@@ -17,7 +17,15 @@ from seatrial.daq.transport.ftdi_latency import set_latency_timer
 
 
 class SerialPort(Port):
-    """Serial port or pseudo-terminal."""
+    """Serial port or pseudo-terminal.
+
+    Parameters
+    ----------
+    path
+        Path of the device file.
+    baud
+        Baud rate [bit/s].
+    """
 
     def __init__(self, path: str, baud: int) -> None:
         super().__init__()

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from seatrial.daq.checks import WARNING, Finding, held_signals, held_together, is_measured
+from seatrial.daq.checks import WARNING, Finding, group_held_signals, held_signals, is_measured
 from seatrial.ident.checks.sensors import Channels
 
 LEAST_LATE_S = 0.1  # average delay of a held input; a smaller one gives no warning
@@ -60,7 +60,7 @@ def check_held(c: Channels) -> Iterator[Finding]:
     for table in tables:
         t = c[table[0]].t
         found = held_signals(t, {name: c[name].value for name in table})
-        for names, held in held_together(found):
+        for names, held in group_held_signals(found):
             interval, n_again = held.rows * float(np.median(np.diff(t))), t.size - int(held.new.sum())
             text = (
                 f"held between measurements {interval:.3g} s apart: {n_again} of {t.size} values repeat the one "

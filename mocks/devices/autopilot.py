@@ -12,7 +12,7 @@ from collections import deque
 from collections.abc import Mapping
 from typing import Any, final
 
-from seatrial.daq.protocol import EPOCH_2015, Codec, Samples, mavlink, mode_name, read_key
+from seatrial.daq.protocol import EPOCH_2015, Codec, SampleConverter, mavlink, mode_name, read_key
 from seatrial.daq.rig import Device, Rig
 from seatrial.daq.samples import Ahrs, Esc, Gnss
 from seatrial.mocks.devices.autopilot_messages import (
@@ -81,7 +81,7 @@ class AutopilotEmulator(DeviceEmulator):
         key = None if settings.key_file is None else read_key(settings.key_file)
         self._address = (settings.system_id, settings.component_id)
         self._codec = Codec(*self._address, key, now_unix)
-        self._decoder = mavlink.MavlinkDecoder(Samples({}), mavlink.ANY, settings.own_component_id, self._codec)
+        self._decoder = mavlink.MavlinkDecoder(SampleConverter({}), mavlink.ANY, settings.own_component_id, self._codec)
         self._decoder.listener = self._handle_message
         self._rates: dict[str, float] = dict(ALWAYS)
         self._sent: dict[str, int] = {}  # number of the interval in which each message was sent last

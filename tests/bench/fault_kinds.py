@@ -169,7 +169,7 @@ def _of(rig: str) -> Iterator[Kind]:
     yield Kind("load cell frozen", frozen, "loadcell repeats", fault="stuck/loadcell@usr1:24", alternates=True)
     # The fault applies to every receiver: an autopilot has its own receiver, which would replace the faulty one.
     yield Kind("position held", 10.0 / SPEED + GUARD_S, "repeats the same value", fault="hold@usr1:48")
-    yield Kind("all stopped for 0.4 s", 0.0, "stood still|no sign of life|no heartbeat", strike=_paused)
+    yield Kind("all stopped for 0.4 s", 0.0, "stood still|has not responded", strike=_paused)
     yield Kind("AHRS lost", GUARD_S, "ahrs .*lost", fault="pull/ahrs@usr1:8")
     yield Kind("GNSS lost", STALE_S + 5 * SLOW_S + GUARD_S, "gnss .*silent", fault="silence/gnss@usr1:8")
     yield Kind("load cell lost", GUARD_S, "loadcell .*lost", fault="pull/loadcell@usr1:8")

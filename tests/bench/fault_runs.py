@@ -27,7 +27,8 @@ from tests.bench.runs import acquisition_of, is_alive, watchdog_of
 
 PATIENCE_S = 20.0
 POLL_S = 0.005
-DEADMAN = "no sign of life of the runner"  # no fault of a device causes this message: the machine delayed the runner
+# No fault of a device causes this message: the machine delayed the runner.
+DEADMAN = "the program that runs the mission has not responded"
 MEMORY = "/dev/shm"  # a file system in memory, on Linux
 
 

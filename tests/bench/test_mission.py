@@ -26,7 +26,7 @@ def test_the_documented_example_is_a_mission() -> None:
     assert mission.thrusters == ("left", "right")
     assert mission.seed == 1
     assert mission.slew_per_s == 4.0
-    assert mission.starts() == [(0.0, 10.0, "static"), (10.0, 300.0, "steps up")]
+    assert mission.segment_times() == [(0.0, 10.0, "static"), (10.0, 300.0, "steps up")]
     np.testing.assert_array_equal(mission.segments[1].n, [[0.3, 0.3], [0.5, 0.2], [0.0, 0.0]])
 
 

@@ -132,7 +132,7 @@ def _mavlink() -> tuple[bytes, ...]:
     ]  # fmt: skip
     status = EscStatus(5_000_000, (700, 0, -650, 0), (15.5, 0.0, 15.25, 0.0), (1.5, 0.0, 2.5, 0.0), 0)
     found = 8 * [*(codec.encode(*message) for message in right), encode_esc_status(1, 1, 9, status)]
-    heard = {*mavlink.make_samples(RIG.devices[0], RIG).wanted, *mavlink.SERVICE} - {"ESC_STATUS"}
+    heard = {*mavlink.make_sample_converter(RIG.devices[0], RIG).wanted, *mavlink.SERVICE} - {"ESC_STATUS"}
     for name in sorted(heard):
         kind = dialect().mavlink_map[getattr(dialect(), f"MAVLINK_MSG_ID_{name}")]
         for _ in range(3):

@@ -25,7 +25,7 @@ from seatrial.daq.clock import ClockMap
 from seatrial.daq.geometry import local_ned
 from seatrial.daq.log.recorder import Recorder
 from seatrial.daq.protocol import Codec, dialect
-from seatrial.daq.protocol.mavlink import MavlinkDecoder, make_samples
+from seatrial.daq.protocol.mavlink import MavlinkDecoder, make_sample_converter
 from seatrial.daq.samples import NAN, Ahrs, Command, Esc, Frame, Gnss
 from seatrial.mocks.devices.autopilot import AutopilotEmulator
 from seatrial.mocks.hidden_effects.catalogue import make_effect
@@ -149,7 +149,7 @@ def autopilot_log(path: Path, readings: Sequence[Reading], *, signed: bool) -> P
     assert device.mavlink is not None
     outputs = {thruster.node: Output() for thruster in rig.thrusters}
     autopilot = AutopilotEmulator(rig, device, outputs)  # type: ignore[arg-type]
-    ground, decoder = Codec(device.mavlink.own_system_id, 190), MavlinkDecoder(make_samples(device, rig))
+    ground, decoder = Codec(device.mavlink.own_system_id, 190), MavlinkDecoder(make_sample_converter(device, rig))
     rates = device.mavlink.requested(device.rate_hz)
     rates |= {"ESC_TELEMETRY_1_TO_4": 0.0} if signed else {}
     for name, rate in rates.items():

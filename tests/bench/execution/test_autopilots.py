@@ -146,7 +146,11 @@ def fit(link: LinkStatus, n_max: float = 0.0, said: list[str] | None = None, mes
         (replace(LINK, armed=False, alarm="critical: Leak"), StopCode.LINK, "autopilot was disarmed (critical: Leak)"),
         (replace(LINK, mode="HOLD"), StopCode.LINK, "autopilot went over to HOLD"),
         (replace(LINK, alarm="critical: Leak"), StopCode.LINK, "autopilot says critical: Leak"),
-        (replace(LINK, rivals=1), StopCode.RIVAL, "autopilot: another ground station has our own system id: its"),
+        (
+            replace(LINK, other_station_frames=1),
+            StopCode.RIVAL,
+            "autopilot: another ground station has our own system id: its",
+        ),
         (
             replace(LINK, changed=("FS_THR_ENABLE was changed: 1 to 0",)),
             StopCode.PARAMETER,
@@ -188,7 +192,7 @@ def answered(**wrong: float) -> dict[str, float]:
         (replace(LINK, parameters_pending=True), 0.0, "no heartbeat or no parameters in 0.2 s"),
         (replace(LINK, vehicle="PX4"), 0.0, "autopilot is PX4: only ArduPilot Rover is driven"),
         (replace(LINK, vehicle=""), 0.0, "autopilot is of an unknown kind"),
-        (replace(LINK, rivals=2), 0.0, "another ground station has our own system id"),
+        (replace(LINK, other_station_frames=2), 0.0, "another ground station has our own system id"),
         (LINK, 0.0, "parameters forbid to drive, yours to set: RC_OVERRIDE_TIME was not answered"),
         (replace(LINK, parameters=answered(FS_ACTION=1.0)), 0.0, "1 parameter forbids to drive, yours to set: FS_ACT"),
         (replace(LINK, parameters=answered()), 0.9, "a link test is needed; it was never done"),

@@ -34,6 +34,8 @@ from tests.bench.runs import (
 )
 from tests.bench.standin import SLOW_ESC_S, TIMEOUT_S, StandIn, until
 
+PARENT = "the program that started the acquisition"  # in messages of the acquisition process
+
 
 @pytest.mark.parametrize("moment", [0, *(pytest.param(k, marks=pytest.mark.study) for k in (1, 2, 3))])
 def test_ctrl_c_at_any_moment_sends_zero_at_once(standin: StandIn, tmp_path: Path, moment: int) -> None:
@@ -225,7 +227,7 @@ def test_after_kill_9_of_the_runner_the_deadman_sends_zero(standin: StandIn, tmp
     assert standin.n == 0.0
     # The killed runner cannot print its last line, so the acquisition process prints it.
     why, _, thrust = run.line().partition(": ")[2].partition(": ")
-    assert why in ("the parent process is gone", "no heartbeat of the parent for 0.25 s")
+    assert why in (f"{PARENT} has ended", f"{PARENT} has not responded for 0.25 s")
     assert thrust == f"zero was sent, not confirmed; the log is {run.log}"
     log = open_log(run.log)
     assert not log.warnings  # closed regularly, not salvaged
@@ -243,7 +245,7 @@ def test_if_the_runner_hangs_the_deadman_sends_zero(standin: StandIn, tmp_path: 
         assert run.process.stderr is not None
         first = run.process.stderr.readline()  # printed by the acquisition process, because the runner still hangs
         assert first == (
-            f"seatrial: no heartbeat of the parent for 0.25 s: zero was sent, not confirmed; the log is {run.log}\n"
+            f"seatrial: {PARENT} has not responded for 0.25 s: zero was sent, not confirmed; the log is {run.log}\n"
         )
         run.process.send_signal(signal.SIGCONT)
         assert run.end() in (1, 3)

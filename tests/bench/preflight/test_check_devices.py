@@ -141,7 +141,7 @@ GOOD = LinkStatus(
         (replace(GOOD, parameters_pending=True), "warning", "parameters-unanswered", "not sent all parameters"),
         (replace(GOOD, refused=("RAW_IMU at 50 Hz: denied",)), "warning", "rate-refused", "refuses RAW_IMU at 50 Hz"),
         (
-            replace(GOOD, rivals=3),
+            replace(GOOD, other_station_frames=3),
             "fault",
             "rival-station",
             "another ground station has system id 255, the same as this rig",

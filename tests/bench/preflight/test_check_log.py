@@ -10,7 +10,7 @@ import pytest
 
 from seatrial import command_line
 from seatrial.bench.mission_generators import make_mission
-from seatrial.daq.checks.device_checks import check_timestamps, lost_zeros, white
+from seatrial.daq.checks.device_checks import check_lost_zeros, check_timestamps, white_noise_sd
 from seatrial.daq.checks.findings import Finding, findings_lines, findings_summary, worst_first
 from seatrial.ident.checks.log_checks import check_signals
 from seatrial.ident.checks.motion import check_motion
@@ -184,7 +184,7 @@ def test_the_lever_arm_of_an_antenna_is_not_reported_as_delay(seed: int) -> None
 def test_white_noise_is_measured_under_motion() -> None:
     rng = np.random.default_rng(1)
     t = np.arange(0.0, 60.0, 0.02)
-    assert white(np.sin(t) + 0.01 * rng.normal(size=t.size)) == pytest.approx(0.01, rel=0.1)
+    assert white_noise_sd(np.sin(t) + 0.01 * rng.normal(size=t.size)) == pytest.approx(0.01, rel=0.1)
 
 
 def stamped(device: np.ndarray, received: np.ndarray) -> np.ndarray:
@@ -232,13 +232,13 @@ def test_clocks_that_jump_run_back_drift_or_lag_are_reported() -> None:
 def test_time_stamps_without_leading_zeros_are_reported() -> None:
     rng = np.random.default_rng(3)
     t = np.cumsum(rng.uniform(0.08, 0.12, 1000))
-    assert not list(lost_zeros("n", t))
+    assert not list(check_lost_zeros("n", t))
     nanoseconds = np.round((t % 1.0) * 1e9).astype(int)
     wrong = np.floor(t) + np.array([float(f"0.{k}") for k in nanoseconds])
-    (found,) = lost_zeros("n", wrong)
+    (found,) = check_lost_zeros("n", wrong)
     assert found.code == "lost-zeros"
     assert "unpadded-ns" in found.advice
-    assert not list(lost_zeros("gnss", 0.5 + np.arange(1000.0)))  # a device that always sends at the half second
+    assert not list(check_lost_zeros("gnss", 0.5 + np.arange(1000.0)))  # a device that always sends at the half second
 
 
 def test_the_findings_are_printed_as_a_table() -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from seatrial.daq.checks.device_checks import _stuck, check_devices, check_timestamps
+from seatrial.daq.checks.device_checks import _check_stuck, check_devices, check_timestamps
 from seatrial.daq.checks.findings import Finding
 from seatrial.daq.config.rig_file import parse_rig
 from seatrial.daq.log.reader import open_log
@@ -141,7 +141,7 @@ def test_the_search_for_a_stuck_sensor_is_fast() -> None:
         return time.process_time() - began
 
     sort = min(seconds(lambda: np.sort(noise)) for _ in range(3))
-    assert min(seconds(lambda: list(_stuck(Ahrs, "ahrs", table))) for _ in range(2)) < 40.0 * sort
+    assert min(seconds(lambda: list(_check_stuck(Ahrs, "ahrs", table))) for _ in range(2)) < 40.0 * sort
 
 
 def test_the_rate_of_an_nmea_2000_bus_is_that_of_its_headings(tmp_path: Path) -> None:

@@ -131,16 +131,16 @@ def test_a_runner_that_falls_silent_ends_thrust_and_the_log(tmp_path: Path) -> N
             acquisition.schedule([(clock.now(), {"left": 0.5, "right": 0.5})])
             fell_silent = time.monotonic()
             wait_for(lambda: is_closed(tmp_path / "run.mcap"), seconds=3.0, what="the end of the log")
-            with pytest.raises(SeatrialError, match="no sign of life"):
+            with pytest.raises(SeatrialError, match="has not responded"):
                 wait_for(lambda: acquisition.status().t < 0)
-            with pytest.raises(SeatrialError, match="no sign of life"):
+            with pytest.raises(SeatrialError, match="has not responded"):
                 acquisition.schedule([(clock.now(), {"left": 0.5})])
         assert_ends_at_zero(boat)
         heard = boat.ports["can"].heard
         last_thrust = max(t for t, data in heard if any(n for _, n in commands_in(data)))
         assert last_thrust - fell_silent < 0.6
     log = open_log(tmp_path / "run.mcap")
-    stop = next(t for t, kind, text in log.events() if kind == "stop" and "no sign of life" in text)
+    stop = next(t for t, kind, text in log.events() if kind == "stop" and "has not responded" in text)
     assert log.table(Ahrs, "ahrs")["t"][-1] - stop > 0.8  # the recording went on
 
 
@@ -319,7 +319,7 @@ def test_after_a_pause_of_the_process_no_old_command_is_repeated(
     with TestBoat(tmp_path) as boat:
         setpoints, reasons = Setpoints(), list[str]()
         loop = driving_loop(boat, setpoints, reasons)
-        paused, wait = [0.0], loop._wait
+        paused, wait = [0.0], loop._wait_for_bytes
 
         def waiting(fd: int, seconds: float) -> bool:
             found, pause = wait(fd, seconds), paused[0]
@@ -327,7 +327,7 @@ def test_after_a_pause_of_the_process_no_old_command_is_repeated(
             time.sleep(pause)
             return found
 
-        monkeypatch.setattr(loop, "_wait", waiting)
+        monkeypatch.setattr(loop, "_wait_for_bytes", waiting)
         loop.start()
         setpoints.append([(0.0, {1: 0.5}), (time.time() + 60.0, {1: 0.6})])
         loop.wake()
@@ -352,7 +352,7 @@ def test_after_a_suspend_an_earlier_command_is_replaced_by_zero(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asleep = [0.0]
-    monkeypatch.setattr(SuspendDetector, "_difference", staticmethod(lambda: asleep[0]))
+    monkeypatch.setattr(SuspendDetector, "_suspended_time", staticmethod(lambda: asleep[0]))
     with TestBoat(tmp_path) as boat:
         setpoints, reasons = Setpoints(), list[str]()
         loop = driving_loop(boat, setpoints, reasons)
@@ -374,7 +374,7 @@ def test_after_a_suspend_an_earlier_command_is_replaced_by_zero(
     assert reasons == ["the computer was suspended for 7.0 s"]
 
 
-@pytest.mark.parametrize("place", ["_received", "_check_suspend", "_log"])
+@pytest.mark.parametrize("place", ["_decode_received", "_check_suspend", "_queue_for_log"])
 def test_a_pause_at_any_place_of_the_loop_ends_thrust(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, place: str
 ) -> None:
@@ -413,7 +413,7 @@ def test_fixes_and_attitudes_of_one_port_are_both_in_the_status(tmp_path: Path) 
 
 def test_a_suspend_at_rest_ends_thrust_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asleep = [0.0]
-    monkeypatch.setattr(SuspendDetector, "_difference", staticmethod(lambda: asleep[0]))
+    monkeypatch.setattr(SuspendDetector, "_suspended_time", staticmethod(lambda: asleep[0]))
     with TestBoat(tmp_path) as boat:
         setpoints, reasons = Setpoints(), list[str]()
         loop = driving_loop(boat, setpoints, reasons)

@@ -17,7 +17,7 @@ import pytest
 from seatrial.daq.config.rig_file import load_rig
 from seatrial.daq.drivers.base import DISARMED
 from seatrial.daq.log.reader import open_log
-from seatrial.daq.protocol.mavlink import MavlinkDecoder, Samples
+from seatrial.daq.protocol.mavlink import MavlinkDecoder, SampleConverter
 from seatrial.daq.samples import Ahrs, Gnss, Servo
 from tests.bench.autopilot_faults import FAULTS, SETTINGS, link_test, ready_rover, start, try_fault, try_parameter
 from tests.daq.ardurover import HEADING_DEG, MISSING, PROGRAM, RIG, Rover
@@ -103,7 +103,7 @@ def test_a_fix_that_a_real_autopilot_loses_is_reported(tmp_path: Path, rover: Ro
         time.sleep(5.0)
     finally:
         rover.set("SIM_GPS1_ENABLE", 1.0)
-    decoder, data = MavlinkDecoder(Samples()), (tmp_path / "run.tlog").read_bytes()
+    decoder, data = MavlinkDecoder(SampleConverter()), (tmp_path / "run.tlog").read_bytes()
     fixes = [f for f in decoder.feed(data, 0.0) if isinstance(f.sample, Gnss)]
     kinds = [f.sample.fix for f in fixes if isinstance(f.sample, Gnss)]
     lost = len(kinds) - kinds[::-1].index(0) - 1

@@ -32,7 +32,7 @@ MESSAGES: list[ipc.Message] = [
     ipc.StatusReport(STATUS),
     ipc.SampleBatch([StreamedSample("ahrs", Ahrs(1.0, math.nan, 0.2), 1.5)], 3),
     ipc.Failed("the disk is full"),
-    ipc.Closed("closed as asked"),
+    ipc.Closed("closed on request"),
     ipc.WatchdogConfiguration("text", "/rig.toml", 7, "/run.mcap"),
     ipc.WatchdogReady(),
 ]

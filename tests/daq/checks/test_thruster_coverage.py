@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from seatrial.daq.checks import Finding
-from seatrial.daq.checks.thruster_coverage import _without_rpm_max, check_thruster_coverage
+from seatrial.daq.checks.thruster_coverage import _check_rpm_max, check_thruster_coverage
 from seatrial.daq.config.rig_file import load_rig
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.importers.can_log import import_can
@@ -90,7 +90,7 @@ def test_a_silent_and_a_slow_controller_are_reported(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("speed", "n_named"), [(1200.0, 1), (0.0, 0)])
-def test_a_speed_without_rpm_max_is_named(tmp_path: Path, speed: float, n_named: int) -> None:
+def test_a_speed_check_rpm_max_is_named(tmp_path: Path, speed: float, n_named: int) -> None:
     """Behind an autopilot rpm_max may be missing. A fit then has no shaft speed."""
     rig = mav_rig()
     rows = [
@@ -100,7 +100,7 @@ def test_a_speed_without_rpm_max_is_named(tmp_path: Path, speed: float, n_named:
     ]
     write_frames(tmp_path / "run.mcap", rows, metadata={}, note="made for a test")
     with open_log(tmp_path / "run.mcap") as log:
-        found = list(_without_rpm_max(log, rig))
+        found = list(_check_rpm_max(log, rig))
     assert codes(found) == [("rpm-max-missing", "right")] * n_named
     assert all("1200 rev/min" in f.advice for f in found)
 

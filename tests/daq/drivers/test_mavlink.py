@@ -19,7 +19,7 @@ from seatrial.daq.drivers.base import DISARMED, LinkRole
 from seatrial.daq.drivers.factory import make_driver
 from seatrial.daq.drivers.setpoints import Due
 from seatrial.daq.protocol.catalogue import make_decoder
-from seatrial.daq.protocol.mavlink_wire import Codec, Head, head
+from seatrial.daq.protocol.mavlink_wire import Codec, FrameHeader, parse_header
 from seatrial.daq.rig import Rig
 from seatrial.daq.samples import NAN, Ahrs, Battery, Esc, Gnss, Servo
 from seatrial.mocks.devices.autopilot import HOLD, OWN_N, RTL, AutopilotEmulator
@@ -299,8 +299,8 @@ def parsed(codec: Codec, data: bytes) -> list[Any]:
     """The messages in whole frames."""
     found = []
     while data:
-        about = head(data, 0)
-        assert isinstance(about, Head)
+        about = parse_header(data, 0)
+        assert isinstance(about, FrameHeader)
         found.append(codec.decode(data[: about.total]))
         data = data[about.total :]
     return found
@@ -410,12 +410,12 @@ def test_while_muted_nothing_is_sent_but_a_zero_is() -> None:
 
 def test_another_station_of_our_id_and_lost_frames_are_counted() -> None:
     ends = ready(Ends(mav_rig()))
-    assert (ends.driver.link_at(ends.t).rivals, ends.driver.link_at(ends.t).lost) == (0, 0)
+    assert (ends.driver.link_at(ends.t).other_station_frames, ends.driver.link_at(ends.t).lost) == (0, 0)
     ends.to_ground(Codec(255, 230).encode("HEARTBEAT", 6, 8, 0, 0, 4, 3))
     for _ in range(7):
         ends.autopilot._codec.encode("HEARTBEAT", 11, 3, 81, 0, 4, 3)  # on their way, and lost
     ends.run(2.0)
-    assert (ends.driver.link_at(ends.t).rivals, ends.driver.link_at(ends.t).lost) == (1, 7)
+    assert (ends.driver.link_at(ends.t).other_station_frames, ends.driver.link_at(ends.t).lost) == (1, 7)
     texts = [event.text for event in ends.driver.events()]
     assert any(text.startswith("7 of ") and text.endswith(" frames of the autopilot were lost") for text in texts)
 

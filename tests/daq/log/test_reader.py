@@ -190,7 +190,7 @@ def a_run(path: Path, n: int, kill: bool = False, chunk: int = 250) -> Path:
                 log._writer.flush()
     if kill:
         log._writer.flush()
-        log._writer._end()
+        log._writer._close_file()
     else:
         log.close()
     return path

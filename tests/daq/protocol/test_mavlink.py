@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.protocol import ubx
-from seatrial.daq.protocol.mavlink import MavlinkDecoder, Samples
+from seatrial.daq.protocol.mavlink import MavlinkDecoder, SampleConverter
 from seatrial.daq.protocol.mavlink_wire import Codec, EscStatus, crc16, dialect, encode_esc_status, read_key
 from seatrial.daq.rig import AutopilotOutput
 from seatrial.daq.samples import Ahrs, Autopilot, Battery, Esc, Event, Frame, Gnss, Servo
@@ -30,7 +30,7 @@ PLUG = bytes(300)
 
 
 def decoder() -> MavlinkDecoder:
-    return MavlinkDecoder(Samples(OUTPUTS, frozenset({3})))
+    return MavlinkDecoder(SampleConverter(OUTPUTS, frozenset({3})))
 
 
 def vehicle(*messages: tuple[object, ...], system: int = 1) -> list[bytes]:
@@ -54,7 +54,7 @@ def test_an_estimator_that_has_lost_its_position_gives_no_fix() -> None:
         position = ("GLOBAL_POSITION_INT", 1000, 423_580_000, -710_856_831, 0, 0, 100, 0, 0, 9000)
         reports = [("EKF_STATUS_REPORT", flag, 0.0, 0.0, 0.0, 0.0, 0.0) for flag in flags]
         stream = b"".join(vehicle(HEARTBEAT, *reports, position))
-        found = MavlinkDecoder(Samples(gnss="fused")).feed(stream, 1.0)
+        found = MavlinkDecoder(SampleConverter(gnss="fused")).feed(stream, 1.0)
         return next(frame.sample.fix for frame in found if isinstance(frame.sample, Gnss))
 
     assert fix() == 3  # the estimator does not report its state
@@ -280,7 +280,7 @@ def test_messages_of_a_tlog_are_counted_as_by_pymavlink() -> None:
     while (message := reader.recv_match()) is not None:
         theirs[message.get_type()] += 1
     reader.close()
-    there = MavlinkDecoder(Samples())
+    there = MavlinkDecoder(SampleConverter())
     found = there.feed(path.read_bytes(), 0.0)
     assert there.frames == sum(theirs.values()) == 63643
     assert there.unparsed_bytes == 8 * there.frames  # the times between the messages, which are not MAVLink
@@ -293,7 +293,7 @@ def test_messages_of_a_tlog_are_counted_as_by_pymavlink() -> None:
 
 
 def test_a_text_of_the_autopilot_does_not_write_to_the_terminal() -> None:
-    samples = Samples()
+    samples = SampleConverter()
     text = dialect().MAVLink_statustext_message(2, b"\x1b[2Jboo\x07")
     ((event, _),) = samples.take(text)
     assert isinstance(event, Event)

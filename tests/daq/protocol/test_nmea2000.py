@@ -213,7 +213,7 @@ def test_the_rate_is_that_of_headings_or_without_them_of_fixes(tmp_path: Path, s
     assert device.bitrate == 250_000
     loop = DeviceLoop(device, SerialPort("can", 115200), make_decoder(device, rig), RunClock(), LogSink())
     for k in range(7):
-        loop._received(can([frame for sample in says for frame in encode(sample, sid=k)]), 10.0 + k)
+        loop._decode_received(can([frame for sample in says for frame in encode(sample, sid=k)]), 10.0 + k)
     assert loop._rated == 5  # from 1.2 s on
 
 

@@ -22,7 +22,7 @@ from seatrial.daq.drivers.setpoints import Setpoints
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.protocol.catalogue import make_decoder
 from seatrial.daq.protocol.mavlink import MavlinkDecoder
-from seatrial.daq.protocol.mavlink_wire import Codec, Head, head
+from seatrial.daq.protocol.mavlink_wire import Codec, FrameHeader, parse_header
 from seatrial.daq.transport.base import Port, PortError, decode_read
 from seatrial.daq.transport.factory import make_net_port, make_port
 from seatrial.daq.transport.network_port import SILENT_S, UdpPort
@@ -151,7 +151,10 @@ def test_what_cannot_be_opened_says_so(other: socket.socket) -> None:
         (("udp:127.0.0.1:14550", "udp:14550"), r"device\[1\].port: must be udp:HOST:PORT"),
         (("udp:127.0.0.1:14550", "tcp:host:x"), r"device\[1\].port: must be udp:HOST:PORT"),
         (("rc_channel = 1", "rc_channel = 19"), r"rc_channel: must be within 1 .. 18"),
-        (("rc_channel = 3", "rc_channel = 1"), r"thruster: 'autopilot rc_channel 1' appears twice; give each its own"),
+        (
+            ("rc_channel = 3", "rc_channel = 1"),
+            r"thruster: 'autopilot rc_channel 1' appears twice; give each thruster its own",
+        ),
         (("node = 1", "node = 17"), r"thruster\[1\].node: must be the number of a servo output, 1 .. 16, not 17"),
         (("rpm_max = 4500.0", "pwm_us = [1500, 1500, 1900]"), r"pwm_us: must be \[full reverse, neutral"),
         (
@@ -276,8 +279,8 @@ def test_the_watchdog_is_heard_on_a_signed_link_long_after_it_was_made(tmp_path:
             with contextlib.suppress(TimeoutError):
                 data = own.recv(1000)
                 while data:
-                    about = head(data, 0)
-                    assert isinstance(about, Head)
+                    about = parse_header(data, 0)
+                    assert isinstance(about, FrameHeader)
                     message = autopilot.decode(data[: about.total])
                     heard += [] if message is None else [message.get_type()]
                     data = data[about.total :]
