@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import math
-import re
 import warnings
 from collections import Counter
 from collections.abc import Sequence
@@ -18,10 +17,9 @@ from seatrial.daq.config import default_decoder
 from seatrial.daq.errors import SeatrialError, SeatrialWarning, counted
 from seatrial.daq.importers.write_log import SignalRow, write_frames
 from seatrial.daq.protocol import Decoder, nmea, ubx, vectornav
-from seatrial.daq.samples import Ahrs, Frame, Gnss, LoadCell, Scalar
+from seatrial.daq.samples import Ahrs, Frame, Gnss, LoadCell, Transducer
 
 _NAMES: dict[type, str] = {Ahrs: "ahrs", Gnss: "gnss", LoadCell: "load_cell"}
-XDR = "xdr_"  # prefix of the name of a transducer
 _CHUNK_BYTES = 1 << 16
 OTHER_CALENDAR_S = 300 * nmea.DAY  # s; a larger jump of the date cannot happen within a run
 LONGEST_PAUSE_S = 600.0  # s; longest pause between two parts of the same run
@@ -64,8 +62,6 @@ def import_raw(
     samples before the first date get the date that follows, or 1970-01-01 if no date follows.
     """
     decoder = default_decoder(protocol)
-    if isinstance(decoder, nmea.Decoder):
-        decoder.transducers = []
     frames, sha256 = _decode(decoder, path)
     wrong = f"{counted(decoder.checksum_errors, 'checksum error')}, {counted(decoder.unparsed_bytes, 'byte')} unparsed"
     if not frames:
@@ -75,11 +71,10 @@ def import_raw(
         wrong += f"; {counted(n_left_out, 'ASCII sample')} left out, contained in binary samples" * bool(n_left_out)
     if not rate and isinstance(decoder, (nmea.Decoder, ubx.Decoder)):
         frames = _one_calendar(path, frames)
-    transducers = list(decoder.transducers or ()) if isinstance(decoder, nmea.Decoder) else []
-    names = _names(frames, transducers)
-    if all(name.startswith(XDR) for name in names):
+    names = [_signal_name(frame) for frame in frames]
+    device = next((name for name in names if not name.startswith(nmea.XDR)), None)
+    if device is None:
         raise SeatrialError(f"{path}: contains only transducers (XDR), which have no times; log a receiver too")
-    device = next(name for name in names if not name.startswith(XDR))
     times = _even_times(frames, names, rate) if rate else _device_times(path, frames)
     summary = f"{counted(len(frames), 'sample')} of {counted(decoder.frames, f'{protocol} frame')}; {wrong}"
     target = out or Path(f"{path.stem}.mcap")
@@ -87,13 +82,11 @@ def import_raw(
     if rate:
         metadata["import.rate_hz"] = repr(rate)
     rows = [
-        SignalRow(t, name if name.startswith(XDR) else device, frame._replace(t_rx=t))
+        SignalRow(t, name if name.startswith(nmea.XDR) else device, frame._replace(t_rx=t))
         for t, name, frame in zip(times, names, frames, strict=True)
     ]
-    units = {
-        name: transducer.unit
-        for name, transducer in zip((n for n in names if n.startswith(XDR)), transducers, strict=True)
-    }
+    samples = (frame.sample for frame in frames)
+    units = {sample.name: sample.unit for sample in samples if isinstance(sample, Transducer)}
     if min(times) < 0.0 or max(times) >= 2**31:
         raise SeatrialError(f"{target}: the device's times do not lie between 1970 and 2038; give --rate instead")
     note = f"{path.name} as {protocol}: {summary}"
@@ -101,15 +94,9 @@ def import_raw(
     return target, summary
 
 
-def _names(frames: Sequence[Frame], transducers: Sequence[nmea.Transducer]) -> list[str]:
-    """Return a name for each frame: the name of its kind, or of its transducer, converted to a valid signal name."""
-    left = iter(transducers)
-    return [
-        f"{XDR}{re.sub('[^A-Za-z0-9_]+', '_', next(left).name).strip('_')}"
-        if isinstance(frame.sample, Scalar)
-        else _NAMES[type(frame.sample)]
-        for frame in frames
-    ]
+def _signal_name(frame: Frame) -> str:
+    """Return the signal name of a transducer (`xdr_ENGINE_0`), or the name of the kind of another sample (`gnss`)."""
+    return frame.sample.name if isinstance(frame.sample, Transducer) else _NAMES[type(frame.sample)]
 
 
 def _decode(decoder: Decoder, path: Path) -> tuple[list[Frame], str]:
@@ -219,7 +206,9 @@ def _even_times(frames: Sequence[Frame], kinds: Sequence[str], rate: float) -> l
     it.
     """
     numbers = Counter(kinds)
-    most, n_most = max(((kind, n) for kind, n in numbers.items() if not kind.startswith(XDR)), key=lambda pair: pair[1])
+    most, n_most = max(
+        ((kind, n) for kind, n in numbers.items() if not kind.startswith(nmea.XDR)), key=lambda pair: pair[1]
+    )
     so_far: Counter[str] = Counter()
     times = []
     for kind in kinds:
