@@ -69,6 +69,9 @@ def import_raw(
     if isinstance(decoder, vectornav.Decoder):
         frames, n_left_out = _without_doubles(frames)
         wrong += f"; {counted(n_left_out, 'ASCII sample')} left out, contained in binary samples" * bool(n_left_out)
+    if isinstance(decoder, nmea.Decoder) and decoder.two_receivers:
+        advice = "record each receiver by itself, since only one position per time is kept"
+        warnings.warn(f"{path}: {decoder.two_receivers}; {advice}", SeatrialWarning, stacklevel=2)
     if not rate and isinstance(decoder, (nmea.Decoder, ubx.Decoder)):
         frames = _one_calendar(path, frames)
     names = [_signal_name(frame) for frame in frames]

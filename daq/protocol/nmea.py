@@ -30,6 +30,9 @@ ORDER_BY = 3
 _TIME = re.compile(rb"(\d\d)(\d\d)(\d\d(?:\.\d*)?)\Z")
 _TIME_FIELD = {"GGA": 1, "RMC": 1, "GST": 1, "ZDA": 1, "GNS": 1, "GLL": 5}  # kind -> index of the field with the time
 _POSITION = ("GGA", "GNS", "RMC", "GLL")  # sentences with a position; the first one in this order is used
+# Epochs with two positions by the same kind of sentence, from which two receivers are assumed; and the least difference
+# of the two positions [deg], about 0.1 m.
+FEWEST_CONFLICTS, CONFLICT_DEG = 5, 1e-6
 # s without a sentence that has a time. Afterwards sentences without a time are from a receiver that never had a fix.
 TIMELESS_S = 1.5
 KINDS = frozenset({*_TIME_FIELD, "VTG", "GSA"})
@@ -74,6 +77,11 @@ class Decoder(StreamDecoder[Frame]):
         super().__init__()
         self._sentences = Sentences(declination, signal_ending)
 
+    @property
+    def two_receivers(self) -> str:
+        """Note that two receivers send in the stream, in one line; empty if there is one."""
+        return self._sentences.epochs.remark
+
     def flush(self) -> list[Frame]:
         """Return the sample of the last epoch at the end of the stream, if it has not been emitted."""
         return self._sentences.epochs.flush()
@@ -93,7 +101,7 @@ class Decoder(StreamDecoder[Frame]):
         if frames is None:
             return -1
         self.frames += 1
-        self.remark = self._sentences.headings.remark
+        self.remark = self._sentences.headings.remark or self._sentences.epochs.remark
         self._out += self._kept(frames)
         return length
 
@@ -218,6 +226,14 @@ class Epochs:
         self._epochs_against_order = ORDER_BY - 1
         # The last sentence if it was VTG: t_rx [s], fields, and time [s] since the sentence before it.
         self._vtg: tuple[float, Message, float] | None = None
+        self.n_conflicts = 0  # sentences whose epoch already had another position by the same kind of sentence
+
+    @property
+    def remark(self) -> str:
+        """Note that two receivers send in the stream, in one line; empty if their epochs have one position each."""
+        if self.n_conflicts < FEWEST_CONFLICTS:
+            return ""
+        return f"two receivers send in one stream: {self.n_conflicts} positions have the time of another position"
 
     def take(self, kind: str, body: bytes, t_rx: float) -> list[Frame] | None:
         """Decode one sentence whose kind is in KINDS. Return the samples that it completes, None if it is invalid."""
@@ -317,7 +333,11 @@ class Epochs:
         if epoch is None:
             return
         epoch.kinds.add(kind)
+        lat, lon = epoch.position.get(kind, (NAN, NAN))
         _READ[kind](epoch, message)
+        if lat == lat:  # not NaN: the second sentence of this kind
+            other_lat, other_lon = epoch.position[kind]
+            self.n_conflicts += max(abs(other_lat - lat), abs(other_lon - lon)) > CONFLICT_DEG
         if self._expected and epoch.kinds >= self._expected:
             self._emit()
 

@@ -96,6 +96,21 @@ def test_the_transducers_of_nmea_keep_their_names(tmp_path: Path) -> None:
         np.testing.assert_allclose(table["t"], start + np.arange(20), atol=1e-6)
 
 
+def test_two_receivers_in_one_stream_are_named(tmp_path: Path, recwarn: pytest.WarningsRecorder) -> None:
+    """One at 5 Hz and one at 1 Hz, with equal epochs: the second position of an epoch was dropped in silence."""
+    both, one = b"", b""
+    for k in range(50):
+        fix = nmea.encode(Gnss(1.7e9 + 0.2 * k, 59.0, 10.0, fix=3))
+        one += fix
+        both += fix + (nmea.encode(Gnss(1.7e9 + 0.2 * k, 59.0, 10.0001, fix=3)) if k % 5 == 0 else b"")
+    (tmp_path / "one.nmea").write_bytes(one)
+    import_raw("nmea", tmp_path / "one.nmea", out=tmp_path / "one.mcap")
+    assert not recwarn.list
+    (tmp_path / "both.nmea").write_bytes(both)
+    with pytest.warns(SeatrialWarning, match="two receivers send in one stream"):
+        import_raw("nmea", tmp_path / "both.nmea", out=tmp_path / "both.mcap")
+
+
 def test_a_rate_counts_one_kind_of_sentence(tmp_path: Path) -> None:
     """A heading beside each fix does not halve the rate.
 
