@@ -72,7 +72,23 @@ _ZONES = {"utc", "gmt", "local"}  # words that stand in the place of the unit of
 
 
 class Clock(NamedTuple):
-    """Source of the times of a table."""
+    """Source of the times of a table.
+
+    Attributes
+    ----------
+    column : str
+        Column of the times; "" if the table has its own times, or no times.
+    form : str
+        Format of the times, as in [time] of a map: a unit, "iso", "gps", ... or a strptime pattern.
+    caveat : str
+        Doubt about the format, for a comment in the map; "" if there is none.
+    rate : float
+        Rate of the rows [Hz] if several rows share each stamp, else 0.
+    start : float
+        Time of the first row [s] if `rate` is not 0.
+    date : str
+        Column of the dates or of the GPS weeks; "" if the times need none.
+    """
 
     column: str = ""  # "" if the table has its own times, or no times
     form: str = "s"  # format as in [time] of a map
@@ -117,8 +133,8 @@ def clock_of(table: Table) -> Clock:
             if form := format_of_text(table.text(name))[0]:
                 return Clock(name, form, f"{name!r} has dates and is assumed to be the time")
             continue
-        if _may_be_time(table, name) and _is_even(values):
-            form, _ = _format(table, name)
+        if _may_be_time(table, name) and _rises_evenly(values):
+            form, _ = _time_format(table, name)
             place = "first" if name == table.names[0] else "second"
             return Clock(name, form, f"its {place} column rises evenly and is assumed to be the time")
     return Clock()
@@ -126,7 +142,7 @@ def clock_of(table: Table) -> Clock:
 
 def _named_clock(table: Table, name: str, dates: Sequence[str], weeks: Sequence[str]) -> Clock:
     """Return the clock of a column with the name of a time, with its column of dates or GPS weeks if needed."""
-    form, caveat = _format(table, name)
+    form, caveat = _time_format(table, name)
     clock = Clock(name, form, caveat)
     if weeks and form in ("s", "ms"):
         clock = Clock(name, "gps" if form == "s" else "gps_ms", date=weeks[0])
@@ -147,18 +163,18 @@ def _compact_date(table: Table, name: str) -> Clock | None:
 
     The result is None if the times are not of this form, or no column of dates fits.
     """
-    times = _typical(table.text(name))
+    times = _typical_texts(table.text(name))
     if not times or not all(re.fullmatch(r"([01]\d|2[0-3])([0-5]\d){2}(\.\d+)?", text) for text in times):
         return None
     clock = "%H%M%S.%f" if any("." in text for text in times) else "%H%M%S"
     for date in (
         column for column in table.names if column and read_name(column).words & {"date", "datum", "day", "utcdate"}
     ):
-        days = _typical(table.text(date)) if table.names.count(date) == 1 else []
+        days = _typical_texts(table.text(date)) if table.names.count(date) == 1 else []
         pattern = _COMPACT.get(len(days[0]) if days else 0)
         if pattern is None or any(len(day) != len(days[0]) for day in days):
             continue
-        if _fits(partial(read_date, pattern=pattern), days):
+        if _reads_all(partial(read_date, pattern=pattern), days):
             return Clock(name, f"{pattern} {clock}", "", date=date)
     return None
 
@@ -182,7 +198,7 @@ def row_seconds(table: Table, clock: Clock) -> Column | None:
         return None
 
 
-def _is_even(values: Column) -> bool:
+def _rises_evenly(values: Column) -> bool:
     """Return whether all steps of a column (n,) are positive and of about the same size."""
     steps = np.diff(values)
     return bool(len(steps) > 10 and np.all(steps > 0.0) and np.ptp(steps) < 0.5 * np.mean(steps))
@@ -214,10 +230,10 @@ def _even_clock(table: Table, clock: Clock) -> Clock:
 
 
 def _may_be_time(table: Table, name: str, rising: float = 0.5) -> bool:
-    """Return whether a column may be the time.
+    """Return whether a column may be the time, by its values.
 
-    More than the share `rising` of the steps of numbers must be positive. Texts must contain digits and differ from
-    row to row.
+    More than the share `rising` (0 to 1) of the steps of numbers must be positive. Texts must contain digits and differ
+    from row to row.
     """
     try:
         values = table.numbers(name)
@@ -228,7 +244,7 @@ def _may_be_time(table: Table, name: str, rising: float = 0.5) -> bool:
     return len(good) > 1 and float(np.mean(np.diff(good) > 0.0)) > rising
 
 
-def _format(table: Table, column: str) -> tuple[str, str]:
+def _time_format(table: Table, column: str) -> tuple[str, str]:
     """Return the format of a column of times, as in [time] of a map, and the caveat about it."""
     if column in table.seconds:
         return "s", ""
@@ -243,7 +259,9 @@ def _format(table: Table, column: str) -> tuple[str, str]:
     if _DIGITS.fullmatch(next((text.strip() for text in table.text(column) if text.strip()), "")):
         patterns = ("%Y%m%d%H%M%S", "%Y%m%d%H%M%S.%f", "%Y%m%d%H%M%S%f")
         if fitting := [
-            pattern for pattern in patterns if _fits(partial(read_date, pattern=pattern), _typical(table.text(column)))
+            pattern
+            for pattern in patterns
+            if _reads_all(partial(read_date, pattern=pattern), _typical_texts(table.text(column)))
         ]:
             return fitting[0], ""
     name = read_name(f"{column} [{table.units[column]}]" if column in table.units else column)
@@ -274,10 +292,10 @@ def format_of_text(texts: Sequence[str]) -> tuple[str, str]:
     tuple of str
         ``iso`` or a strptime pattern, "" if no pattern fits; and the caveat, "" if the format is certain.
     """
-    tried = _typical(texts)
+    tried = _typical_texts(texts)
     if not tried:
         return "", ""
-    if not tried[0].replace(".", "").isdigit() and _fits(datetime.fromisoformat, tried):
+    if not tried[0].replace(".", "").isdigit() and _reads_all(datetime.fromisoformat, tried):
         return "iso", ""
     fitting = [
         pattern for pattern in _fitting_patterns(tried, (*_CLOCKS, *_WHOLE, *_BOTH)) if not _is_unpadded(pattern, tried)
@@ -305,14 +323,14 @@ def _fitting_patterns(texts: Sequence[str], patterns: Sequence[str]) -> list[str
     fitting = []
     zone = _ZONE.search(texts[0])
     for end in ("", zone[1] + (zone[2] or "%z")) if zone else ("",):
-        shapes = {_shape(_ZONE.sub("", text) if end else text) for text in texts}
+        shapes = {_text_shape(_ZONE.sub("", text) if end else text) for text in texts}
         for pattern in patterns:
-            if shapes <= _pattern_shapes(pattern) and _fits(partial(read_date, pattern=pattern + end), texts):
+            if shapes <= _pattern_shapes(pattern) and _reads_all(partial(read_date, pattern=pattern + end), texts):
                 fitting.append(pattern + end)
     return fitting
 
 
-def _shape(text: str) -> str:
+def _text_shape(text: str) -> str:
     """Return the text with each number replaced by 0 and each word by a."""
     return re.sub(r"[^\W\d_]+", "a", re.sub(r"\d+", "0", text))
 
@@ -323,7 +341,7 @@ def _pattern_shapes(pattern: str) -> frozenset[str]:
     shapes = [
         re.sub("%[bBpa]", "a", re.sub("%[dmYyHIMSfj]", "0", p)) for p in (pattern, re.sub("[.,:]%f", "", pattern))
     ]
-    return frozenset(_shape(shape) for shape in shapes)
+    return frozenset(_text_shape(shape) for shape in shapes)
 
 
 def _is_unpadded(pattern: str, texts: Sequence[str]) -> bool:
@@ -331,7 +349,7 @@ def _is_unpadded(pattern: str, texts: Sequence[str]) -> bool:
     return ":%f" in pattern and not all(re.search(r":\d{3}(\D|$)", text) for text in texts)
 
 
-def _typical(texts: Sequence[str]) -> list[str]:
+def _typical_texts(texts: Sequence[str]) -> list[str]:
     """Return up to about `TRIED` different texts, taken evenly over the file, without texts of a rare shape.
 
     A text of a rare shape is not a time: ERR, OVERFLOW.
@@ -339,18 +357,18 @@ def _typical(texts: Sequence[str]) -> list[str]:
     # Over the whole file a day above 12 is likely; only such a day shows the order of day and month.
     filled = [text.strip() for text in texts if text.strip()]
     tried = list(dict.fromkeys(filled[:: max(1, len(filled) // TRIED)] + filled[-1:]))
-    shapes = [_shape(text) for text in tried]
+    shapes = [_text_shape(text) for text in tried]
     number = Counter(shapes)
     return [text for text, shape in zip(tried, shapes, strict=True) if number[shape] > FEW * len(tried)]
 
 
 def _day_format(texts: Sequence[str]) -> str:
     """Return the pattern of dates without a time of day; "" if the texts are not such dates."""
-    tried = _typical(texts)
+    tried = _typical_texts(texts)
     return next(iter(_fitting_patterns(tried, _DAYS)), "") if tried else ""
 
 
-def _fits(read: Callable[[str], object], texts: Sequence[str]) -> bool:
+def _reads_all(read: Callable[[str], object], texts: Sequence[str]) -> bool:
     """Return whether a function reads all texts without a ValueError."""
     try:
         for text in texts:

@@ -19,7 +19,7 @@ from pymavlink.dialects.v20.ardupilotmega import (
 
 from seatrial.daq.config.rig_file import load_rig
 from seatrial.daq.errors import SeatrialError, SeatrialWarning
-from seatrial.daq.importers.dataflash import _Reader
+from seatrial.daq.importers.dataflash import _MessageConverter
 from seatrial.daq.importers.guess import guess_map
 from seatrial.daq.importers.import_files import import_files
 from seatrial.daq.importers.mavlink import STAMP, _frames, import_mavlink
@@ -340,7 +340,7 @@ def test_the_sign_of_a_shaft_speed_follows_from_the_rig_or_the_data(
     has_rig: bool, reported: tuple[float, ...], found: tuple[float, ...]
 ) -> None:
     rig = mav_rig() if has_rig else None
-    reader = _Reader(rig, None if rig is None else rig.device("autopilot"))
+    reader = _MessageConverter(rig, None if rig is None else rig.device("autopilot"))
     rows = []
     for rpm, pulse in zip(reported, (1700, 1300), strict=True):
         reader.take["RCOU"](SimpleNamespace(C1=pulse))
