@@ -59,7 +59,7 @@ def import_mavlink(
         If the file cannot be read or contains no samples of the autopilot.
     """
     rows, summary, parameters = read_autopilot(path, rig, system)
-    device = _device(rig)
+    device = _mavlink_device(rig)
     counts = Counter(type(row.frame.sample).__name__ for row in rows)
     summary += ": " + ", ".join(f"{n} {name}" for name, n in counts.most_common())
     summary += "".join(f"; differs from the rig: {finding}" for finding in mismatches(parameters, rig))
@@ -68,7 +68,7 @@ def import_mavlink(
     name = device.name if device is not None else DEVICE
     reads = [path] if rig is None else [path, rig.path]
     with replacing(target, force, reads) as part:
-        _write(target, part, name, rows, about, rig, f"{path.name}: {summary}")
+        _write_log_file(target, part, name, rows, about, rig, f"{path.name}: {summary}")
     return target, summary
 
 
@@ -99,8 +99,8 @@ def read_autopilot(path: Path, rig: Rig | None, system: int | None) -> tuple[lis
     except OSError as error:
         raise SeatrialError(f"{path}: cannot be read: {error.strerror}") from error
     if data.startswith(DATAFLASH):
-        return read_dataflash(path, rig, _device(rig))
-    return read_tlog(path, data, rig, _device(rig), system)
+        return read_dataflash(path, rig, _mavlink_device(rig))
+    return read_tlog(path, data, rig, _mavlink_device(rig), system)
 
 
 def is_tlog(head: bytes) -> bool:
@@ -108,7 +108,7 @@ def is_tlog(head: bytes) -> bool:
     return len(head) > STAMP and head[STAMP] in (0xFD, 0xFE) and 2**50 < struct.unpack_from(">Q", head)[0] < 2**52
 
 
-def _device(rig: Rig | None) -> Device | None:
+def _mavlink_device(rig: Rig | None) -> Device | None:
     """Return the MAVLink device of a rig; None without a rig. Raise SeatrialError unless the rig has exactly one."""
     if rig is None:
         return None
@@ -149,7 +149,7 @@ def read_tlog(
     """
     component = 1
     if system is None:
-        system, component = _who(path, data)
+        system, component = _first_autopilot(path, data)
         others = sorted({found.system for found, _ in _heartbeats(data)} - {system})
         if others:
             names = " and ".join(str(number) for number in others)
@@ -170,7 +170,7 @@ def read_tlog(
     clock = ClockMap()
     rows: list[Timed] = []
     skipped, end = 0, 0
-    for t_rx, at, found in _frames(data):
+    for t_rx, at, found in _tlog_frames(data):
         skipped, end = skipped + at - STAMP - end, at + found.total
         for frame in decoder.feed(data[at:end], t_rx):
             t = clock.estimate(frame.t_device, t_rx, unordered=True, kind=type(frame.sample))
@@ -178,15 +178,16 @@ def read_tlog(
     skipped += len(data) - end
     if not rows:
         raise SeatrialError(
-            f"{path}: no samples of system {system} in {decoder.frames} frames of this tlog; {_others(decoder)}"
+            f"{path}: no samples of system {system} in {decoder.frames} frames of this tlog; "
+            f"{_other_systems_text(decoder)}"
         )
-    _refuse_two_of_one_number(path, rows, system)
+    _refuse_two_autopilots(path, rows, system)
     delay = f"device times {1e3 * clock.bias:.1f} ms before their arrival, spread {1e3 * clock.spread:.1f} ms"
     read = f"{counted(decoder.frames, 'frame')}, {decoder.lost} lost, {counted(skipped, 'byte')} not understood"
     return rows, f"system {system}, {read}, {delay}", parameters
 
 
-def _refuse_two_of_one_number(path: Path, rows: Sequence[Timed], system: int) -> None:
+def _refuse_two_autopilots(path: Path, rows: Sequence[Timed], system: int) -> None:
     """Raise SeatrialError if two autopilots have the same system number, which alternating boot times show."""
     for kind in (Ahrs, Gnss):
         boot = np.array([row.frame.t_device for row in rows if isinstance(row.frame.sample, kind)])
@@ -215,7 +216,7 @@ def mismatches(p: Mapping[str, float], rig: Rig | None) -> list[ParameterMismatc
     list of ParameterMismatch
         The differences; empty without a rig.
     """
-    device = _device(rig)
+    device = _mavlink_device(rig)
     thrusters = [] if rig is None or device is None else [t for t in rig.thrusters if t.device == device.name]
     outputs = tuple(f"SERVO{thruster.node}_" for thruster in thrusters)
     return [
@@ -225,13 +226,13 @@ def mismatches(p: Mapping[str, float], rig: Rig | None) -> list[ParameterMismatc
     ]
 
 
-def _others(decoder: MavlinkDecoder) -> str:
+def _other_systems_text(decoder: MavlinkDecoder) -> str:
     """Return the part of an error message about the other systems of a tlog."""
     others = ", ".join(str(number) for number in sorted(decoder.foreign))
     return f"it contains systems {others}: choose one by --system" if others else "it contains no other MAVLink system"
 
 
-def _frames(data: bytes) -> Iterator[tuple[float, int, Head]]:
+def _tlog_frames(data: bytes) -> Iterator[tuple[float, int, Head]]:
     """Yield time [s since 1970], offset and header of each complete frame. Skip bytes between the frames."""
     at = 0
     while at + STAMP < len(data):
@@ -249,7 +250,7 @@ def _frames(data: bytes) -> Iterator[tuple[float, int, Head]]:
         at += STAMP + found.total
 
 
-def _who(path: Path, data: bytes) -> tuple[int, int]:
+def _first_autopilot(path: Path, data: bytes) -> tuple[int, int]:
     """Return system and component of the first heartbeat of an autopilot. Raise SeatrialError without one."""
     for found, _ in _heartbeats(data):
         return found.system, found.component
@@ -257,8 +258,11 @@ def _who(path: Path, data: bytes) -> tuple[int, int]:
 
 
 def _heartbeats(data: bytes) -> Iterator[tuple[Head, int]]:
-    """Yield header and MAV_TYPE of each heartbeat of an autopilot."""
-    for _, at, found in _frames(data):
+    """Yield header and MAV_TYPE (type of the vehicle) of each heartbeat of an autopilot.
+
+    Heartbeats of ground stations and other systems that are no autopilot are skipped.
+    """
+    for _, at, found in _tlog_frames(data):
         payload = at + (10 if data[at] == 0xFD else 6)
         if found.message_id == 0 and found.payload > 5 and data[payload + 5] != 8:  # 8: MAV_AUTOPILOT_INVALID
             yield found, data[payload + 4]
@@ -288,10 +292,14 @@ def vehicle_type(path: Path, rows: Sequence[Timed], system: int | None) -> int |
     return next((kind for found, kind in _heartbeats(data) if system in (None, found.system)), None)
 
 
-def _write(
+def _write_log_file(
     out: Path, part: Path, device: str, rows: Sequence[Timed], about: dict[str, str], rig: Rig | None, note: str
 ) -> None:
-    """Write the samples in the order of receipt to `part`, the temporary file of `out`."""
+    """Write the samples in the order of receipt to `part`, the temporary file of the log `out`.
+
+    Warn of clocks that run back, and add these lines as events. Raise SeatrialError if a time is not between 1970 and
+    2038.
+    """
     in_file_order = rows
     rows = sorted(rows, key=lambda row: row.frame.t_rx)
     if not all(0.0 <= t < 2**31 for row in rows for t in (row.frame.t_rx, row.t)):
@@ -305,12 +313,12 @@ def _write(
     attachments = {} if rig is None else {"rig.toml": rig.text.encode()}
     writer = LogWriter(part, metadata=metadata, attachments=attachments, time_ns=first)
     try:
-        _add_all(writer, device, rows, first, [("import", note), *(("clock", text) for text in steps)])
+        _add_events_and_samples(writer, device, rows, first, [("import", note), *(("clock", text) for text in steps)])
     finally:
         writer.close()
 
 
-def _add_all(
+def _add_events_and_samples(
     writer: LogWriter, device: str, rows: Sequence[Timed], first: int, events: Sequence[tuple[str, str]]
 ) -> None:
     """Add events at the time `first` [ns], then the samples with their channels."""

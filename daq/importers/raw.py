@@ -62,7 +62,7 @@ def import_raw(
     samples before the first date get the date that follows, or 1970-01-01 if no date follows.
     """
     decoder = default_decoder(protocol)
-    frames, sha256 = _decode(decoder, path)
+    frames, sha256 = _decoded_frames(decoder, path)
     wrong = f"{counted(decoder.checksum_errors, 'checksum error')}, {counted(decoder.unparsed_bytes, 'byte')} unparsed"
     if not frames:
         raise SeatrialError(f"{path}: no {protocol} samples in {decoder.frames} complete frames ({wrong})")
@@ -102,7 +102,7 @@ def _signal_name(frame: Frame) -> str:
     return frame.sample.name if isinstance(frame.sample, Transducer) else _NAMES[type(frame.sample)]
 
 
-def _decode(decoder: Decoder, path: Path) -> tuple[list[Frame], str]:
+def _decoded_frames(decoder: Decoder, path: Path) -> tuple[list[Frame], str]:
     """Return the decoded frames of a capture, and its SHA-256."""
     frames: list[Frame] = []
     digest = hashlib.sha256()
@@ -115,7 +115,7 @@ def _decode(decoder: Decoder, path: Path) -> tuple[list[Frame], str]:
         raise SeatrialError(f"{path}: cannot be read: {error.strerror}") from error
     if isinstance(decoder, (nmea.Decoder, ubx.Decoder)):
         frames += decoder.flush()
-        frames = _dated([_timed(frame) for frame in frames])
+        frames = _with_first_dates([_with_utc_as_device_time(frame) for frame in frames])
     decoder.reset()  # an incomplete frame counts as unparsed
     return frames, digest.hexdigest()
 
@@ -146,13 +146,13 @@ def _without_doubles(frames: Sequence[Frame]) -> tuple[list[Frame], int]:
     return kept, len(frames) - len(kept)
 
 
-def _timed(frame: Frame) -> Frame:
+def _with_utc_as_device_time(frame: Frame) -> Frame:
     """Return a fix with the receiver's UTC as its device time, even if the receiver marks this UTC as uncertain."""
     sample = frame.sample
     return frame._replace(t_device=sample.utc) if isinstance(sample, Gnss) else frame
 
 
-def _dated(frames: list[Frame]) -> list[Frame]:
+def _with_first_dates(frames: list[Frame]) -> list[Frame]:
     """Return the frames, with those before the first date moved to the day of the frames that follow."""
     times = [frame.t_device for frame in frames]
     near = nmea.DAY / 2 if any(t < 0.0 for t in times) else math.nan  # without any date: on 1970-01-01
@@ -160,7 +160,7 @@ def _dated(frames: list[Frame]) -> list[Frame]:
         if times[k] < UNDATED and math.isfinite(near):
             times[k] = nmea.nearest_day(times[k], near)
         near = times[k] if math.isfinite(times[k]) else near
-    return [_at(frame, t) if t != frame.t_device else frame for frame, t in zip(frames, times, strict=True)]
+    return [_at_device_time(frame, t) if t != frame.t_device else frame for frame, t in zip(frames, times, strict=True)]
 
 
 def _one_calendar(path: Path, frames: list[Frame]) -> list[Frame]:
@@ -193,10 +193,10 @@ def _one_calendar(path: Path, frames: list[Frame]) -> list[Frame]:
     text = "wrong dates: the receiver had not received the date yet, or its week number started again (1024 weeks)"
     warnings.warn(f"{path}: {text}; {' and '.join(places)}", SeatrialWarning, stacklevel=3)
     rows = zip(frames, moved.tolist(), left_out.tolist(), strict=True)
-    return [_at(frame, frame.t_device + days) if days else frame for frame, days, out in rows if not out]
+    return [_at_device_time(frame, frame.t_device + days) if days else frame for frame, days, out in rows if not out]
 
 
-def _at(frame: Frame, t: float) -> Frame:
+def _at_device_time(frame: Frame, t: float) -> Frame:
     """Return a frame with another device time [s since 1970]; the UTC of a fix changes with it."""
     sample = frame.sample
     return frame._replace(t_device=t, sample=replace(sample, utc=t) if isinstance(sample, Gnss) else sample)

@@ -26,7 +26,21 @@ _ATTITUDE = ("roll", "pitch", "yaw")
 
 @dataclass(frozen=True)
 class SignalData:
-    """Samples of one signal in SI units."""
+    """Samples of one signal in SI units.
+
+    Attributes
+    ----------
+    signal : Signal
+        The signal of the map.
+    unit : str
+        SI unit of the values.
+    t : Array (n,)
+        Times [s of the file's clock], or [s since 1970] after the origin of the map was added.
+    values : Array (n,)
+        The values.
+    has_gaps : bool
+        Whether it is an input with unknown intervals; a NaN sample begins each.
+    """
 
     signal: Signal
     unit: str
@@ -37,7 +51,19 @@ class SignalData:
 
 @dataclass(frozen=True)
 class Held:
-    """Signal whose last value the source repeats until the next measurement."""
+    """Signal whose last value the source repeats until the next measurement.
+
+    Attributes
+    ----------
+    name : str
+        Name of the signal.
+    n : int
+        Number of samples.
+    n_left_out : int
+        Number of samples that repeat the previous one and are left out.
+    interval : float
+        Time from one measurement to the next [s].
+    """
 
     name: str
     n: int  # samples
@@ -47,7 +73,22 @@ class Held:
 
 @dataclass(frozen=True)
 class RowsLeftOut:
-    """Rows of one table that are not in the log because of their times."""
+    """Rows of one table that are not in the log because of their times.
+
+    Attributes
+    ----------
+    topic : str
+        Topic of the table; "" for a file with a single table.
+    n : int
+        Number of rows left out.
+    n_rows : int
+        Number of rows of the table.
+    why : str
+        "repeats" if times repeat; "back" if times run back, and some may repeat; "stamps" if the reader found wrong
+        stamps.
+    rate : float
+        Mean rate of the rows of the table [Hz]; 0 for "stamps".
+    """
 
     topic: str
     n: int  # rows left out
@@ -66,7 +107,21 @@ class RowsLeftOut:
 
 @dataclass(frozen=True)
 class Signals:
-    """Signals of one source file."""
+    """Signals of one source file.
+
+    Attributes
+    ----------
+    signals : tuple of SignalData
+        The signals, in the order of the map.
+    held : tuple of Held
+        Signals whose repeats were left out.
+    n_dropped : int
+        Number of rows out of order and of cells without a number that the map drops.
+    n_disordered : int
+        Number of rows among them whose times run back or repeat.
+    left_out : tuple of RowsLeftOut
+        The same rows by table, and the rows with wrong stamps.
+    """
 
     signals: tuple[SignalData, ...]
     held: tuple[Held, ...]  # signals whose repeats were left out
@@ -98,13 +153,13 @@ def read_signals(tables: Sequence[Table], source: Source) -> Signals:
     """
     signals: list[SignalData] = []
     n_dropped = 0
-    uses: dict[tuple[int, str, str], _RowUse] = {}
+    uses: dict[tuple[int, str, str], _RowCounter] = {}
     held: list[Held] = []
     of_table: dict[tuple[object, ...], list[int]] = {}  # indices in `signals` of the signals with the same rows
     # Times, rows in order, and rows in order that do not repeat the row before; each (n,)
     clocks: dict[tuple[int, str, str], tuple[Column, NDArray[np.bool_], NDArray[np.bool_]]] = {}
     for signal in source.signals:
-        table = _table(tables, signal)
+        table = _table_of_signal(tables, signal)
         time = source.time
         if signal.time:
             time = replace(time or TimeColumn(), column=signal.time, rate_hz=0.0)
@@ -113,17 +168,17 @@ def read_signals(tables: Sequence[Table], source: Source) -> Signals:
         clock = (id(table), signal.time, signal.time_format)
         if clock not in clocks:
             t = row_times(table, time, lenient=source.options.style.time_order == "drop")
-            ordered = _order(table, t, source)
-            uses[clock] = _RowUse(table, t)
-            shared = [s for s in source.signals if (id(_table(tables, s)), s.time, s.time_format) == clock]
+            ordered = _rows_in_order(table, t, source)
+            uses[clock] = _RowCounter(table, t)
+            shared = [s for s in source.signals if (id(_table_of_signal(tables, s)), s.time, s.time_format) == clock]
             columns = [column for s in shared if not s.timeout for column in s.columns]
             new = ordered
             if source.options.style.repeats == "drop" and columns:
-                new = ordered & _news([table.numbers(column) for column in columns])
+                new = ordered & _changed_rows([table.numbers(column) for column in columns])
             n_dropped += len(t) - int(new.sum())
             clocks[clock] = t, ordered, new
         t, ordered, new = clocks[clock]
-        raw = _raw(table, signal)
+        raw = _raw_values(table, signal)
         policy = signal.nan or source.options.style.nan or ("error" if table.strict else "drop")
         if policy == "zero":
             raw = np.where(np.isnan(raw), (0.0 - signal.offset) / signal.scale, raw)
@@ -132,7 +187,7 @@ def read_signals(tables: Sequence[Table], source: Source) -> Signals:
             # a value, so the order of times is judged by the rows with values alone.
             known = np.isfinite(raw) & np.isfinite(t)
             rises = np.zeros(len(raw), bool)
-            rises[known] = _rising(t[known])
+            rises[known] = _longest_rising(t[known])
             new, ordered = new | rises if source.options.style.repeats != "drop" else new, ordered | rises
             new, ordered = new & (rises | ~known), ordered & (rises | ~known)
         uses[clock].add(raw, ordered)
@@ -157,10 +212,10 @@ def read_signals(tables: Sequence[Table], source: Source) -> Signals:
         if repeats == "" and not holds and not np.isnan(raw[rows]).any():
             of_table.setdefault((clock, rows.tobytes()), []).append(len(signals))
         elif signal.repeats == "drop":
-            rows[np.flatnonzero(rows)] &= _news([raw[rows]])
+            rows[np.flatnonzero(rows)] &= _changed_rows([raw[rows]])
         unit, factor = UNITS[signal.unit]
-        signal, values = _turned(signal, values[rows] * factor)
-        t_signal, values = _expire(t[rows], _angle(values, signal.angle), signal.timeout)
+        signal, values = _in_ned(signal, values[rows] * factor)
+        t_signal, values = _with_timeouts(t[rows], _wrapped_or_unwrapped(values, signal.angle), signal.timeout)
         signals.append(SignalData(signal, unit, t_signal, values, bool(gaps.any())))
     for places in of_table.values():
         for k, data, held_signal in _without_held([signals[k] for k in places], places):
@@ -171,11 +226,11 @@ def read_signals(tables: Sequence[Table], source: Source) -> Signals:
     return Signals(tuple(signals), tuple(held), n_dropped, n_disordered, tuple(left_out.values()))
 
 
-class _RowUse:
+class _RowCounter:
     """Count of the rows of a table that are in the log, over all signals with the same clock."""
 
     def __init__(self, table: Table, t: Column) -> None:
-        self._table, self._t = table, t
+        self._table_of_signal, self._t = table, t
         self._kept, self._valued = np.zeros(len(t), bool), np.zeros(len(t), bool)
         self._again = np.append(False, np.diff(t) == 0.0)  # rows that are copies of the row before
         self._has_time = np.isfinite(t)  # a remark of the table counts the rows without a time
@@ -189,7 +244,7 @@ class _RowUse:
 
     def left_out(self) -> Iterator[RowsLeftOut]:
         """Yield the rows that the log lacks because of their times. Copies of other rows do not count."""
-        table, t = self._table, self._t[self._has_time]
+        table, t = self._table_of_signal, self._t[self._has_time]
         if table.n_left_out:
             yield RowsLeftOut(table.topic, table.n_left_out, len(t) + table.n_left_out, "stamps", 0.0)
         if n := int(np.sum(self._valued & ~self._kept & ~self._again & self._has_time)):
@@ -198,7 +253,10 @@ class _RowUse:
 
 
 def _without_held(table: Sequence[SignalData], places: Sequence[int]) -> Iterator[tuple[int, SignalData, Held]]:
-    """Yield for each held signal of one table its place, the signal without repeats, and the count of repeats."""
+    """Yield each held signal of one table: its index in `places`, the signal without repeats, and their number.
+
+    Signals that are not held are not yielded, nor inputs whose values look like commands instead of measurements.
+    """
     t = table[0].t
     found = held_signals(t, {data.signal.name: data.values for data in table})
     for k, data in zip(places, table, strict=True):
@@ -212,7 +270,7 @@ def _without_held(table: Sequence[SignalData], places: Sequence[int]) -> Iterato
         yield k, data, Held(data.signal.name, len(t), n_left_out, interval)
 
 
-def _table(tables: Sequence[Table], signal: Signal) -> Table:
+def _table_of_signal(tables: Sequence[Table], signal: Signal) -> Table:
     """Return the table of a signal: the table of its topic, or, for a signal without a topic, the only table.
 
     If several tables have the topic, the table with the columns of the signal is returned.
@@ -227,17 +285,19 @@ def _table(tables: Sequence[Table], signal: Signal) -> Table:
         return of_topic[0]  # reading the missing column raises an error that lists the columns
     if signal.topic or not tables:
         topics = ", ".join(sorted({table.topic for table in tables if table.topic})) or "none"
-        raise SeatrialError(f"{_path(tables)}: no topic {signal.topic}; the topics are: {topics}")
+        raise SeatrialError(f"{_path_text(tables)}: no topic {signal.topic}; the topics are: {topics}")
     raise SeatrialError(
-        f"{_path(tables)}: signal {signal.name}: the source has {len(tables)} topics; give the signal topic and field"
+        f"{_path_text(tables)}: signal {signal.name}: the source has {len(tables)} topics; give the signal topic and "
+        "field"
     )
 
 
-def _path(tables: Sequence[Table]) -> str:
+def _path_text(tables: Sequence[Table]) -> str:
+    """Return the path of the source file, for messages; "the source" without a table."""
     return str(tables[0].path) if tables else "the source"
 
 
-def _raw(table: Table, signal: Signal) -> Column:
+def _raw_values(table: Table, signal: Signal) -> Column:
     """Return the values of a signal before scale and sign, (n,), in `signal.unit`."""
     if not signal.make:
         return table.numbers(signal.columns[0])
@@ -258,8 +318,8 @@ def _raw(table: Table, signal: Signal) -> Column:
     return found
 
 
-def _turned(signal: Signal, values: Column) -> tuple[Signal, Column]:
-    """Return a signal and its values (n,) in NED, from the frame of the signal."""
+def _in_ned(signal: Signal, values: Column) -> tuple[Signal, Column]:
+    """Return a signal and its values (n,) converted to NED axes. A signal of frame "NED" is unchanged."""
     if signal.frame == "NED":
         return signal, values
     if signal.name == "psi":
@@ -268,8 +328,11 @@ def _turned(signal: Signal, values: Column) -> tuple[Signal, Column]:
     return replace(signal, name=signal.log_name), sign * values
 
 
-def _angle(values: Column, how: str) -> Column:
-    """Return angles (n,) [rad], wrapped, unwrapped or unchanged."""
+def _wrapped_or_unwrapped(values: Column, how: str) -> Column:
+    """Return angles (n,) [rad]: wrapped to -pi < angle <= pi for "wrap", continuous for "unwrap", else unchanged.
+
+    NaN stays NaN; a continuous angle goes on after it.
+    """
     if how == "wrap":
         return np.asarray(np.pi - np.mod(np.pi - values, 2.0 * np.pi))  # -pi < angle <= pi
     if how == "unwrap":
@@ -280,7 +343,7 @@ def _angle(values: Column, how: str) -> Column:
     return values
 
 
-def _news(values: Sequence[Column]) -> NDArray[np.bool_]:
+def _changed_rows(values: Sequence[Column]) -> NDArray[np.bool_]:
     """Return the flags (n,) of rows in which any of the columns (n,) differs from the row before."""
     new = np.zeros(len(values[0]), bool)
     new[:1] = True
@@ -289,7 +352,7 @@ def _news(values: Sequence[Column]) -> NDArray[np.bool_]:
     return new
 
 
-def _expire(t: Column, values: Column, timeout: float) -> tuple[Column, Column]:
+def _with_timeouts(t: Column, values: Column, timeout: float) -> tuple[Column, Column]:
     """Return times and values with a zero `timeout` [s] after each sample that no other sample follows in this time."""
     if not timeout or not len(t):
         return t, values
@@ -297,7 +360,7 @@ def _expire(t: Column, values: Column, timeout: float) -> tuple[Column, Column]:
     return np.insert(t, last + 1, t[last] + timeout), np.insert(values, last + 1, 0.0)
 
 
-def _order(table: Table, t: Column, source: Source) -> NDArray[np.bool_]:
+def _rows_in_order(table: Table, t: Column, source: Source) -> NDArray[np.bool_]:
     """Return the flags (n,) of the largest set of rows whose times rise.
 
     Raise SeatrialError if rows are out of order and the map does not drop them.
@@ -315,7 +378,7 @@ def _order(table: Table, t: Column, source: Source) -> NDArray[np.bool_]:
             advice = f"its stamps are too coarse: {coarse_advice((len(t) - 1) / max(float(np.ptp(t)), 1e-9))}"
         raise table.error(row, column, f"time {fault}; {advice}")
     ordered = np.zeros(len(t), bool)
-    ordered[has_time] = _rising(t[has_time])
+    ordered[has_time] = _longest_rising(t[has_time])
     return ordered
 
 
@@ -335,7 +398,7 @@ def coarse_advice(rate: float) -> str:
     return f"time = {{ rate_hz = {rate:.4g} }} in the map replaces them by even times"
 
 
-def _rising(t: Column) -> NDArray[np.bool_]:
+def _longest_rising(t: Column) -> NDArray[np.bool_]:
     """Return the flags (n,) of a longest rising subsequence of times (n,); of equal times, only the first.
 
     A single time that is too large then costs only its own row (Fredman, Discrete Mathematics 11, 1975).

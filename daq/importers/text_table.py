@@ -121,7 +121,7 @@ class TextTable(Table):
     def _read(self, file: Iterable[str]) -> None:
         """Read header and rows. Skip comments, repeated headers, units and subheadings."""
         watched = _WatchedLines(file)
-        rows = _split(watched, self._style)
+        rows = _cells_of_lines(watched, self._style)
         header = list(self._style.columns) or next((cells for _, cells in rows), [])
         if not header:
             raise SeatrialError(f"{self.path}: the file is empty")
@@ -139,7 +139,9 @@ class TextTable(Table):
                 continue
             if not self.lines and is_units_row(cells):
                 self.units = self.units or {
-                    name: found for name, cell in zip(self._header, cells, strict=False) if (found := bare(cell))
+                    name: found
+                    for name, cell in zip(self._header, cells, strict=False)
+                    if (found := without_brackets(cell))
                 }
                 continue
             if not self.lines and self._style.nan and is_subheading(cells):
@@ -154,13 +156,13 @@ class TextTable(Table):
             self.lines.append(line + self._style.skip_rows)
             self._rows.append(cells)
         if ragged:
-            self._leave_out(ragged, watched.is_cut)
+            self._note_ragged_lines(ragged, watched.is_cut)
         if not self.lines:
             raise SeatrialError(f"{self.path}: no rows below the header")
         for name in {name for name in self._header if name and self._header.count(name) > 1}:
-            self._note(f"column '{name}' is {counted(self._header.count(name), 'time')} in the header: {_RENAME}")
+            self._add_remark(f"column '{name}' is {counted(self._header.count(name), 'time')} in the header: {_RENAME}")
 
-    def _leave_out(self, ragged: Sequence[tuple[int, int]], is_cut: bool) -> None:
+    def _note_ragged_lines(self, ragged: Sequence[tuple[int, int]], is_cut: bool) -> None:
         """Note the lines whose number of cells differs from the header. Raise SeatrialError if they may be rows."""
         line, n_cells = ragged[0]
         width, n = len(self._header), len(ragged)
@@ -170,12 +172,12 @@ class TextTable(Table):
                 "delimiter, and whether the last line is cut off"
             )
         if n == 1 and is_cut and (not self.lines or line > self.lines[-1]):
-            self._note(f"line {line}, the last, is cut off and left out")
+            self._add_remark(f"line {line}, the last, is cut off and left out")
         else:
             fault = f"{counted(n_cells, 'cell')}, but the header has {width}"
-            self._note(f"{counted(n, 'line')} left out; the first, line {line}, has {fault}")
+            self._add_remark(f"{counted(n, 'line')} left out; the first, line {line}, has {fault}")
 
-    def _note(self, text: str) -> None:
+    def _add_remark(self, text: str) -> None:
         """Add a remark, once."""
         if text not in self.remark:
             self.remark = "; ".join(part for part in (self.remark, text) if part)
@@ -231,7 +233,7 @@ class TextTable(Table):
         has_thousands = decimal == "." and (self._style.delimiter == "," or self._has_points())
         found, wrong = np.full(len(cells), math.nan), list[int]()
         try:
-            found[:] = _plain_numbers(cells, decimal)
+            found[:] = _numbers_of_plain_cells(cells, decimal)
         except ValueError:  # some cell is not a plain number: convert each cell separately
             for row, text in enumerate(cells):
                 try:
@@ -248,7 +250,9 @@ class TextTable(Table):
         if self._style.nan not in ("drop", "keep") or len(wrong) > MOST_TEXT * (len(wrong) + n_numbers):
             raise self.error(row, column, problem)
         found[np.isinf(found)] = math.nan
-        self._note(f"line {self.lines[row]}, column '{column}': {problem}; {counted(len(wrong), 'such cell')} left out")
+        self._add_remark(
+            f"line {self.lines[row]}, column '{column}': {problem}; {counted(len(wrong), 'such cell')} left out"
+        )
         return found
 
     def _has_points(self) -> bool:
@@ -283,7 +287,7 @@ class _WatchedLines:
             yield line.replace("\0", "")  # zero bytes come from blocks of a card that were never written
 
 
-def _plain_numbers(cells: Sequence[str], decimal: str) -> list[float]:
+def _numbers_of_plain_cells(cells: Sequence[str], decimal: str) -> list[float]:
     """Return the numbers of a column (n,). Raise ValueError if a cell is not a plain number."""
     if any("_" in text for text in cells):  # Python's float also reads 1_000, which no instrument writes
         raise ValueError("_")
@@ -327,8 +331,8 @@ def to_number(text: str, decimal: str, has_thousands: bool = False) -> float:
         return float(text if decimal == "." else text.replace(decimal, "."))
 
 
-def _split(file: Iterable[str], style: TextStyle) -> Iterator[tuple[int, list[str]]]:
-    """Yield number and cells of each line that is not blank."""
+def _cells_of_lines(file: Iterable[str], style: TextStyle) -> Iterator[tuple[int, list[str]]]:
+    """Yield the number, counted from 1, and the cells of each line that is not blank."""
     if style.delimiter == BLANK:
         for number, line in enumerate(file, start=1):
             if cells := line.split():
@@ -365,14 +369,14 @@ def is_subheading(cells: Sequence[str]) -> bool:
     return not any(c.isdigit() for text in texts for c in text) and any(text.lower() not in _EMPTY for text in texts)
 
 
-def bare(cell: str) -> str:
+def without_brackets(cell: str) -> str:
     """Return the text of a cell of a row of units, without blanks and brackets."""
     return cell.strip().strip("()[]{}<>").strip()
 
 
 def is_units_row(cells: list[str]) -> bool:
     """Return whether a row contains the units of the columns: at least half are known units, and none is a number."""
-    texts = [text for cell in cells if (text := bare(cell))]
+    texts = [text for cell in cells if (text := without_brackets(cell))]
     known = [text for text in texts if unit_of(text)]
     values = [text for text in texts if text not in known and any(character.isdigit() for character in text)]
     return not values and 2 * len(known) >= len(texts) and any(text not in ("1", "-") for text in known)
@@ -443,17 +447,17 @@ def sniff_style(path: Path, head: bytes) -> TextStyle | None:
     except UnicodeDecodeError as error:
         encoding = encoding if error.start > len(head) - 4 else "latin-1"
         text = head.decode(encoding, "ignore")
-    lines, places = _whole_lines(text.splitlines()[:-1] or text.splitlines())
+    lines, places = _joined_quoted_lines(text.splitlines()[:-1] or text.splitlines())
     best: tuple[float, TextStyle] | None = None
     for delimiter in DELIMITERS:
         for decimal in (".", ","):
-            found = _table_in(lines, TextStyle(delimiter, decimal, encoding))
+            found = _score_of_style(lines, TextStyle(delimiter, decimal, encoding))
             if found is not None and (best is None or found[0] > best[0]):
                 best = found
     return None if best is None else replace(best[1], skip_rows=places[best[1].skip_rows])
 
 
-def _whole_lines(lines: Sequence[str]) -> tuple[list[str], list[int]]:
+def _joined_quoted_lines(lines: Sequence[str]) -> tuple[list[str], list[int]]:
     """Return the rows, and the line of the file at which each begins. A cell in quotes may have several lines."""
     found: list[str] = []
     places: list[int] = []
@@ -466,12 +470,12 @@ def _whole_lines(lines: Sequence[str]) -> tuple[list[str], list[int]]:
     return found, places
 
 
-def _table_in(lines: list[str], style: TextStyle) -> tuple[float, TextStyle] | None:
+def _score_of_style(lines: list[str], style: TextStyle) -> tuple[float, TextStyle] | None:
     """Return a score and the style with the place of the header; None if the lines are not a table in this style.
 
     The score is the sum over the rows of the squared share of numbers times the number of cells.
     """
-    rows = [next((cells for _, cells in _split(line.splitlines(keepends=True), style)), []) for line in lines]
+    rows = [next((cells for _, cells in _cells_of_lines(line.splitlines(keepends=True), style)), []) for line in lines]
     widths = Counter(len(cells) for cells in rows if cells).most_common(1)
     if not widths:
         return None
@@ -479,12 +483,14 @@ def _table_in(lines: list[str], style: TextStyle) -> tuple[float, TextStyle] | N
     # A spreadsheet fills up the line of a title with separators; it has fewer filled cells than a row of data.
     last = [cells for cells in rows if len(cells) == width][-20:]
     least = min(_n_filled(cells) for cells in last) / 2
-    least_share = max(LEAST_NUMERIC, LEAST_OF_USUAL * float(np.median([_share(cells, style) for cells in last])))
+    least_share = max(
+        LEAST_NUMERIC, LEAST_OF_USUAL * float(np.median([_share_of_numbers(cells, style) for cells in last]))
+    )
     first = next(
         (
             k
             for k, cells in enumerate(rows)
-            if len(cells) == width and _share(cells, style) >= least_share and _n_filled(cells) >= least
+            if len(cells) == width and _share_of_numbers(cells, style) >= least_share and _n_filled(cells) >= least
         ),
         None,
     )
@@ -493,7 +499,7 @@ def _table_in(lines: list[str], style: TextStyle) -> tuple[float, TextStyle] | N
     body = [cells for cells in rows[first:] if cells and not is_comment(cells, width)]
     if sum(len(cells) == width for cells in body) < LEAST_SAME * len(body):
         return None
-    shares = [_share(cells, style, with_times=False) for cells in body]
+    shares = [_share_of_numbers(cells, style, with_times=False) for cells in body]
     score = sum(share**2 * len(cells) for share, cells in zip(shares, body, strict=True))
     open_rows = all(not cells[-1].strip() for cells in body if len(cells) == width)  # rows end with a separator
     above = _header_above(rows, first, width, open_rows, style)
@@ -515,7 +521,7 @@ def _header_above(rows: Sequence[list[str]], first: int, width: int, open_rows: 
             is_units_row(cells) or len(set(texts)) <= len(texts) / 2
         )  # units or kinds of values; the header is above them
         if not (is_below or (is_comment(cells, width) and not is_named)):
-            return above[-1] if is_named and _share(cells, style) < LEAST_NUMERIC else None
+            return above[-1] if is_named and _share_of_numbers(cells, style) < LEAST_NUMERIC else None
         above.pop()
     return None
 
@@ -525,7 +531,7 @@ def _n_filled(cells: Sequence[str]) -> int:
     return sum(bool(cell.strip()) for cell in cells)
 
 
-def _share(cells: Sequence[str], style: TextStyle, with_times: bool = True) -> float:
+def _share_of_numbers(cells: Sequence[str], style: TextStyle, with_times: bool = True) -> float:
     """Return the share of cells that are numbers, times or empty; 0 if no cell is a number or a time."""
     n, empty = 0, 0
     for cell in cells:

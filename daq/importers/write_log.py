@@ -27,7 +27,17 @@ WRITTEN_S = 30 * 86_400.0  # s; longest time from the end of a recording to the 
 
 
 class SignalRow(NamedTuple):
-    """Sample of a log to be written."""
+    """Sample of a log to be written.
+
+    Attributes
+    ----------
+    t : float
+        Time [s since 1970].
+    device : str
+        Name of the device, or of the signal.
+    frame : Frame
+        The sample with its receipt and device time.
+    """
 
     t: float  # s since 1970
     device: str  # or the name of the signal
@@ -35,7 +45,15 @@ class SignalRow(NamedTuple):
 
 
 class Timed(NamedTuple):
-    """Sample with its estimated time."""
+    """Sample with its estimated time.
+
+    Attributes
+    ----------
+    frame : Frame
+        The sample with its receipt and device time.
+    t : float
+        Estimated time of the sample [s since 1970].
+    """
 
     frame: Frame  # the sample, with its receipt and device time
     t: float  # s since 1970, estimated
@@ -89,12 +107,12 @@ def write_signals(
     with replacing(out, force, reads) as part:
         writer = LogWriter(part, metadata=about, attachments=attachments, time_ns=first)
         try:
-            _write(writer, signals, t_ns, note, first, events)
+            _write_in_order(writer, signals, t_ns, note, first, events)
         finally:
             writer.close()
 
 
-def _write(
+def _write_in_order(
     writer: LogWriter,
     signals: Sequence[SignalData],
     t_ns: Sequence[np.typing.NDArray[np.int64]],
