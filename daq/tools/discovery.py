@@ -14,7 +14,7 @@ from pathlib import Path
 
 from seatrial.daq.config import default_decoder
 from seatrial.daq.protocol import DEVICES, Decoder, nmea, slcan, ubx
-from seatrial.daq.samples import Frame, Gnss
+from seatrial.daq.samples import Frame, Gnss, Transducer
 from seatrial.daq.transport import PortError, SerialPort, list_serial_ports
 
 LISTEN_S = 1.3  # s of wall time at each baud rate; a GNSS receiver sends once a second
@@ -70,7 +70,9 @@ class _Listener:
 
     def feed(self, data: bytes, t: float) -> None:
         """Decode bytes that were read at time t [s]."""
-        found = self.decoder.feed(data, t)
+        frames = self.decoder.feed(data, t)
+        # A transducer beside a receiver does not change the rate of the receiver.
+        found = [frame for frame in frames if not (isinstance(frame, Frame) and isinstance(frame.sample, Transducer))]
         self.n_bytes += len(data)
         self.samples += len(found)
         self._count_fixes(found)
