@@ -230,7 +230,7 @@ class _RowCounter:
     """Count of the rows of a table that are in the log, over all signals with the same clock."""
 
     def __init__(self, table: Table, t: Column) -> None:
-        self._table_of_signal, self._t = table, t
+        self._table, self._t = table, t
         self._kept, self._valued = np.zeros(len(t), bool), np.zeros(len(t), bool)
         self._again = np.append(False, np.diff(t) == 0.0)  # rows that are copies of the row before
         self._has_time = np.isfinite(t)  # a remark of the table counts the rows without a time
@@ -244,7 +244,7 @@ class _RowCounter:
 
     def left_out(self) -> Iterator[RowsLeftOut]:
         """Yield the rows that the log lacks because of their times. Copies of other rows do not count."""
-        table, t = self._table_of_signal, self._t[self._has_time]
+        table, t = self._table, self._t[self._has_time]
         if table.n_left_out:
             yield RowsLeftOut(table.topic, table.n_left_out, len(t) + table.n_left_out, "stamps", 0.0)
         if n := int(np.sum(self._valued & ~self._kept & ~self._again & self._has_time)):

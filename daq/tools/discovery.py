@@ -29,7 +29,25 @@ SLCAN_BAUDS = (115200, 1_000_000)
 
 @dataclass(frozen=True)
 class DiscoveredDevice:
-    """Port with the device that was identified at it."""
+    """Port with the device that was identified at it.
+
+    Attributes
+    ----------
+    port : str
+        Path or address of the port.
+    description : str
+        Description of the port by the operating system.
+    protocol : str
+        Name of the protocol as in a rig file, or "slcan" for a CAN adapter; "" if no protocol was recognised.
+    baud : int
+        Baud rate; 0 if unknown or not needed.
+    rate : float
+        Rate of the samples [Hz]; NaN if unknown.
+    says : str
+        Text for the user: the device, or the reason why it was not identified.
+    hint : str
+        Advice on how to improve the settings of the port; "" without one.
+    """
 
     port: str
     description: str  # description of the port by the operating system
@@ -56,8 +74,22 @@ class DiscoveredDevice:
         )
 
 
-class _Listener:
-    """Candidate protocol at one port, with its decoder and the counts of the samples so far."""
+class _ProtocolCandidate:
+    """Candidate protocol at one port, with its decoder and the counts of the samples so far.
+
+    Attributes
+    ----------
+    protocol : str
+        Name of the protocol.
+    decoder : Decoder
+        Decoder of the protocol with default settings.
+    samples, n_bytes : int
+        Numbers of samples and of bytes so far.
+    gnss, fixes : int
+        Numbers of GNSS samples, and of GNSS samples with a fix.
+    times : list of float
+        Time of arrival of each sample [s of a monotonic clock].
+    """
 
     def __init__(self, protocol: str) -> None:
         self.protocol = protocol
@@ -203,11 +235,13 @@ def identify_protocol(
     hint = ""
     for baud in baud_rates(bauds):
         # A rate from the user is tried with every protocol: a device may be set to a rate that is unusual for it.
-        candidates = [_Listener(name) for name, row in types.items() if baud in row.bauds or (bauds and row.bauds)]
-        candidates += [_Listener(SLCAN)] if baud in SLCAN_BAUDS or bauds else []
+        candidates = [
+            _ProtocolCandidate(name) for name, row in types.items() if baud in row.bauds or (bauds and row.bauds)
+        ]
+        candidates += [_ProtocolCandidate(SLCAN)] if baud in SLCAN_BAUDS or bauds else []
         port = SerialPort(path, baud)
         try:
-            n_bytes = _listen(port, candidates, listen, silent=SILENT_S if not answered_at else listen)
+            n_bytes = _feed_candidates(port, candidates, listen, silent=SILENT_S if not answered_at else listen)
         except PortError as error:
             return DiscoveredDevice(path, description, says=str(error))
         hint = port.hint
@@ -217,7 +251,7 @@ def identify_protocol(
             )
         answered_at.append(baud)
         framed += [f"{c.protocol} at {baud} baud" for c in candidates if c.checked and c.decoder.frames >= MIN_LINES]
-        best = max(candidates, key=_Listener.score, default=None)
+        best = max(candidates, key=_ProtocolCandidate.score, default=None)
         if best is not None and best.score() > (0.0, 0):
             says = "CAN adapter (slcan) with open channel" if best.protocol == SLCAN else types[best.protocol].says
             says += best.condition
@@ -229,7 +263,7 @@ def identify_protocol(
     return DiscoveredDevice(path, description, says=f"bytes of no known protocol at {tried} baud", hint=hint)
 
 
-def _listen(port: SerialPort, candidates: Sequence[_Listener], seconds: float, silent: float) -> int:
+def _feed_candidates(port: SerialPort, candidates: Sequence[_ProtocolCandidate], seconds: float, silent: float) -> int:
     """Feed the candidates with the bytes of a port, and return the number of bytes.
 
     Listening ends `seconds` after the first byte, after `silent` seconds without a byte, or earlier if a protocol with

@@ -40,7 +40,7 @@ def show_log(log: Log, console: Console) -> None:
     size = sum(path.stat().st_size for path in log.paths)
     pieces = f" in {len(log.paths)} segments" if len(log.paths) > 1 else ""
     state = "complete" if log.complete else "cut off, or still being written"
-    console.print(f"[bold]{escape(str(log.path))}[/]  {_size(size)}{pieces}, {state}")
+    console.print(f"[bold]{escape(str(log.path))}[/]  {_size_text(size)}{pieces}, {state}")
     if log.counts:
         begin = datetime.fromtimestamp(log.start, UTC).isoformat(sep=" ", timespec="milliseconds")
         n_samples = sum(log.counts[topic] for topic, kind in log.types().items() if kind in schema.SAMPLE_TYPES)
@@ -58,10 +58,10 @@ def show_log(log: Log, console: Console) -> None:
     for name, data in log.attachments.items():
         console.print(f"  attached: {escape(name)} ({counted(len(data), 'byte')})")
     if log.counts:
-        console.print(_topics(log))
+        console.print(_topic_table(log))
     if log.sources(PortHealth):
-        console.print(_health(log))
-    _events(log, console)
+        console.print(_port_table(log))
+    _print_events(log, console)
     steps = [
         f"{topic}: its times ran back {counted(n, 'time')}, by up to {longest:.1f} s"
         for topic, (n, longest) in log.clock_steps.items()
@@ -70,7 +70,7 @@ def show_log(log: Log, console: Console) -> None:
         console.print(f"[bold]warning:[/] {escape(warning)}")
 
 
-def _topics(log: Log) -> Table:
+def _topic_table(log: Log) -> Table:
     """Return the table of topics: types, numbers of messages, rates and gaps."""
     signals = {f"/signal/{name}": name for name in log.sources(Scalar)}
     notes = [""] if signals else []
@@ -85,11 +85,13 @@ def _topics(log: Log) -> Table:
             name = signals[topic]
             notes = [f"{log.role(name)} [{log.unit(name)}], hold {log.hold(name)}"]
         count = str(log.counts[topic])
-        table.add_row(escape(topic), escape(type_name), count, _number(rate, 2), _number(gap, 4), *map(escape, notes))
+        table.add_row(
+            escape(topic), escape(type_name), count, _number_text(rate, 2), _number_text(gap, 4), *map(escape, notes)
+        )
     return table
 
 
-def _health(log: Log) -> Table:
+def _port_table(log: Log) -> Table:
     """Return the table of the last port counters of each device."""
     heads = ("port", "bytes in", "frames", "checksum errors", "unparsed bytes", "dropped", "reconnects", "delay [ms]")
     table = Table("device", *(escape(head) for head in heads))
@@ -107,19 +109,19 @@ def _health(log: Log) -> Table:
         )
         delay = "-"
         if math.isfinite(last.clock_bias):
-            delay = f"{last.clock_bias * 1e3:.2f} ± {_number(last.clock_spread * 1e3, 2)}"
+            delay = f"{last.clock_bias * 1e3:.2f} ± {_number_text(last.clock_spread * 1e3, 2)}"
         table.add_row(escape(device), escape(last.port), *(str(counter) for counter in counters), delay)
     return table
 
 
-def _events(log: Log, console: Console) -> None:
+def _print_events(log: Log, console: Console) -> None:
     """Print the first and the last events of a log."""
     try:
         events = log.events()
     except SeatrialError as error:
         console.print(f"[bold]warning:[/] {escape(str(error))}")
         return
-    lines = _folded(events)
+    lines = _with_repeats_joined(events)
     left_out = max(len(lines) - FIRST_EVENTS - LAST_EVENTS, 0)
     for k, (t, kind, text) in enumerate(lines):
         if k == FIRST_EVENTS and left_out:
@@ -128,7 +130,7 @@ def _events(log: Log, console: Console) -> None:
             console.print(f"{t - log.start:10.3f} s  [bold]{escape(kind)}[/]  {escape(text)}")
 
 
-def _folded(events: list[tuple[float, str, str]]) -> list[tuple[float, str, str]]:
+def _with_repeats_joined(events: list[tuple[float, str, str]]) -> list[tuple[float, str, str]]:
     """Replace repeated events of the kinds in `FOLDED` by one event with the number of repetitions.
 
     Parameters
@@ -147,9 +149,11 @@ def _folded(events: list[tuple[float, str, str]]) -> list[tuple[float, str, str]
     return lines
 
 
-def _size(n_bytes: int) -> str:
+def _size_text(n_bytes: int) -> str:
+    """Return a number of bytes as a text in MB, or in kB below one million."""
     return f"{n_bytes / 1e6:.2f} MB" if n_bytes >= 1e6 else f"{n_bytes / 1e3:.1f} kB"
 
 
-def _number(value: float, digits: int) -> str:
+def _number_text(value: float, digits: int) -> str:
+    """Return a number with `digits` digits behind the point as a text; "-" for NaN."""
     return "-" if math.isnan(value) else f"{value:.{digits}f}"

@@ -54,7 +54,7 @@ class LiveServer:
         self._ending = threading.Event()
         self._channels: dict[str, Any] = {}
         self._sent: dict[Source, float] = {}
-        self._thread = threading.Thread(target=self._run, name="live view", daemon=True)
+        self._thread = threading.Thread(target=self._publish_until_end, name="live view", daemon=True)
 
     @property
     def address(self) -> str:
@@ -95,7 +95,7 @@ class LiveServer:
         self._server.stop()
         self._gate.close()
 
-    def _run(self) -> None:
+    def _publish_until_end(self) -> None:
         """Publish the status periodically until the end of the block or of the acquisition."""
         while not self._ending.wait(PERIOD_S):
             try:
@@ -112,9 +112,9 @@ class LiveServer:
             t_ns = round(latest.t * NANO)
             device = source[0].partition("/")[0]  # DEVICE/KIND for a device with several kinds of samples
             for message in schema.messages(device, Frame(latest.sample, latest.t, NAN)):
-                self._channel(message.topic, message.type_name).log(message.pack(t_ns), log_time=t_ns)
+                self._channel_of_topic(message.topic, message.type_name).log(message.pack(t_ns), log_time=t_ns)
 
-    def _channel(self, topic: str, type_name: str) -> Any:
+    def _channel_of_topic(self, topic: str, type_name: str) -> Any:
         """Return the channel of a topic; create it if it does not exist."""
         if topic not in self._channels:
             definition = full_definition(type_name).encode()
@@ -152,7 +152,7 @@ class OriginGate:
         self._loop = asyncio.new_event_loop()
         self._tasks: dict[asyncio.Task[None], asyncio.StreamWriter] = {}  # task of each connection, and its client
         try:
-            listening = asyncio.start_server(self._accept, host, port, limit=HEAD_BYTES)
+            listening = asyncio.start_server(self._start_connection, host, port, limit=HEAD_BYTES)
             self._server = self._loop.run_until_complete(listening)
         except OSError:
             self._loop.close()
@@ -182,7 +182,7 @@ class OriginGate:
         origins = [origin.decode("latin-1") for origin in _ORIGIN.findall(head)]
         return all(origin in self._origins or _OURS.fullmatch(origin) for origin in origins)
 
-    def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    def _start_connection(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Serve a connection in a task of this class. asyncio prints a traceback when it cancels tasks of its own."""
         task = self._loop.create_task(self._serve(reader, writer))
         self._tasks[task] = writer

@@ -88,7 +88,7 @@ def replay_log(
                 return 0
             time.sleep(WAIT_S)
         said(f"replaying {log.duration:.1f} s at speed {speed:g}")
-        return _send(chunks(log, names), ports, speed, stopped)
+        return _send_in_time(chunks(log, names), ports, speed, stopped)
     finally:
         place.close()
         for port in ports.values():
@@ -114,20 +114,23 @@ class ReplayFolder:
         self._made: dict[str, tuple[int, int, int]] = {}  # identity of each own file, by name
 
     def link(self, name: str, target: str) -> Path:
-        """Create a symbolic link. Raises SeatrialError if a file or folder has this name already."""
-        return self._make(name, lambda: os.symlink(target, name, dir_fd=self._fd))
+        """Create a symbolic link `name` to `target` and return its path.
+
+        Raise SeatrialError if a file or folder has this name already.
+        """
+        return self._create_own_file(name, lambda: os.symlink(target, name, dir_fd=self._fd))
 
     def write(self, name: str, text: str) -> Path:
-        """Write a new file. Raises SeatrialError where anything has that name."""
+        """Write a new file and return its path. Raise SeatrialError if a file or folder has this name already."""
 
         def write() -> None:
             fd = os.open(name, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o644, dir_fd=self._fd)
             with os.fdopen(fd, "w", encoding="utf-8") as file:
                 file.write(text)
 
-        return self._make(name, write)
+        return self._create_own_file(name, write)
 
-    def _make(self, name: str, make: Callable[[], None]) -> Path:
+    def _create_own_file(self, name: str, make: Callable[[], None]) -> Path:
         """Create a file by calling `make`, note its identity, and return its path."""
         try:
             make()
@@ -138,10 +141,10 @@ class ReplayFolder:
             ) from None
         except OSError as error:
             raise SeatrialError(f"{self.path / name}: {error.strerror}") from error
-        self._made[name] = self._identity(name)
+        self._made[name] = self._file_identity(name)
         return self.path / name
 
-    def _identity(self, name: str) -> tuple[int, int, int]:
+    def _file_identity(self, name: str) -> tuple[int, int, int]:
         """Return numbers that distinguish a file from later files of the same name: device, inode, time [ns]."""
         # The inode alone is not sufficient: the file system reuses the inode of a deleted file.
         status = os.stat(name, dir_fd=self._fd, follow_symlinks=False)
@@ -151,7 +154,7 @@ class ReplayFolder:
         """Delete the own files that another program has not replaced."""
         for name, identity in self._made.items():
             with contextlib.suppress(OSError):
-                if self._identity(name) == identity:
+                if self._file_identity(name) == identity:
                     os.unlink(name, dir_fd=self._fd)
         os.close(self._fd)
 
@@ -213,7 +216,9 @@ def as_slcan(data: bytes) -> bytes:
     return b"".join(out)
 
 
-def _send(pieces: Iterator[Chunk], ports: dict[str, ReplayPort], speed: float, stopped: Callable[[], bool]) -> int:
+def _send_in_time(
+    pieces: Iterator[Chunk], ports: dict[str, ReplayPort], speed: float, stopped: Callable[[], bool]
+) -> int:
     """Send the bytes at their times, and return the number of bytes that were passed to the ports."""
     n_sent, start, first = 0, time.monotonic(), 0.0
     for t, name, data in pieces:
@@ -301,7 +306,7 @@ def write_replay_rig(log: Log, devices: Sequence[str], folder: ReplayFolder, spe
         If a file of this name exists already.
     """
     try:
-        text = _text(log, devices, speed)
+        text = _replay_rig_text(log, devices, speed)
         if text is None:
             return None
         parse_rig(text, folder.path / RIG)
@@ -310,7 +315,7 @@ def write_replay_rig(log: Log, devices: Sequence[str], folder: ReplayFolder, spe
     return folder.write(RIG, text)
 
 
-def _text(log: Log, devices: Sequence[str], speed: float) -> str | None:
+def _replay_rig_text(log: Log, devices: Sequence[str], speed: float) -> str | None:
     """Return the text of the rig file of a replay; None if the log has no rig with these devices."""
     rig = log.rig
     if rig is None or not {device.name for device in rig.devices}.issuperset(devices):
