@@ -86,7 +86,10 @@ def bench_candidates(table: Table, t: Column | None) -> list[Candidate]:
 
 
 def _number_columns(table: Table) -> Iterator[tuple[str, Column]]:
-    """Yield the name and the values (n,) of each column of numbers. A name that appears twice is skipped."""
+    """Yield the name and the values (n,) of each column of numbers.
+
+    Columns without a name, of text, without any finite number, or with a name that appears twice are skipped.
+    """
     for name in table.names:
         if name and table.names.count(name) == 1:
             try:
@@ -100,7 +103,8 @@ def _number_columns(table: Table) -> Iterator[tuple[str, Column]]:
 def _stand_columns(table: Table, numbers: Mapping[str, Column]) -> _StandColumns | None:
     """Return the columns of thrust, command and speed.
 
-    The result is None if the table is from a boat or lacks the thrust or the command.
+    The result is None if the table is from a boat, has no command that changes, or has no thrust or more than one. Of
+    several speeds the one with the most values other than zero is taken; of several commands the first.
     """
     # A name of a side or of a signal of motion means that the table is from a boat. A stand may have an accelerometer.
     words = {name: read_name(name).words for name in numbers}

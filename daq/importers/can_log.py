@@ -42,7 +42,7 @@ _HEAD_BYTES = 65536  # bytes in which the dialect is recognised
 
 
 def is_can_log(head: bytes) -> bool:
-    """Return whether a file with these first bytes is a CAN log."""
+    """Return whether a file with these first bytes is a CAN log: a BLF file, or a text in one of the known dialects."""
     return head.startswith(BLF) or bool(dialect_of(head))
 
 
@@ -67,7 +67,10 @@ def read_frames(path: Path) -> list[BusFrame]:
 
 
 def _library_frames(path: Path, name: str) -> Iterator[BusFrame]:
-    """Yield the data frames that the reader `name` of python-can finds; skip error, remote and CAN FD frames."""
+    """Yield the data frames that the reader `name` of python-can ("BLFReader" or "LogReader") finds in a file.
+
+    Error, remote and CAN FD frames are skipped. Raise SeatrialError if python-can cannot read the file.
+    """
     import can
 
     try:
@@ -150,8 +153,9 @@ def _can_frame_bytes(frame: BusFrame) -> bytes:
 def _dbc_tables(path: Path, frames: list[BusFrame], database: Path) -> list[Table]:
     """Return a table for each message of the DBC that the log contains.
 
-    The topic is MESSAGE, or MESSAGE_SENDER if a PGN has several senders. The bus stands in front, can0_MESSAGE, if the
-    messages come from several buses.
+    The topic is MESSAGE, or MESSAGE_SENDER if a PGN has several senders. It begins with the bus, can0_MESSAGE, if the
+    messages come from several buses. Frames that the DBC cannot decode are counted in the remark of their table. Raise
+    SeatrialError if no frame is in the DBC.
     """
     messages = dbc.load_dbc(str(database)).messages
     messages_by_name = {m.name: m for m in messages}

@@ -135,7 +135,11 @@ class _LogState:
 
 
 def dialect_of(head: bytes) -> str:
-    """Return the dialect of a text with these first bytes; "" if the text is not a CAN log."""
+    """Return the name of the dialect of a text with these first bytes; "" if the text is not a CAN log.
+
+    ASC and BusMaster are recognised by their headings. For other dialects at least half of the first 40 lines that are
+    not blank must be frames.
+    """
     lines = [line.strip() for line in head.decode("utf-8", "replace").splitlines() if line.strip()][:LOOKED_AT]
     if any(_BUSMASTER_DATE.match(line) or line.startswith("***BUSMASTER") for line in lines):
         return "BusMaster"
@@ -231,7 +235,10 @@ def _is_heading(log: _LogState, dialect: str, line: str) -> bool:
 
 
 def _is_asc_heading(log: _LogState, line: str) -> bool:
-    """Return whether a line of an ASC file is heading or an event; store its date, number base and time mode."""
+    """Return whether a line of an ASC file is part of the heading, an event, or any text that begins without a digit.
+
+    The date, number base and time mode in a heading are stored in `log`.
+    """
     low = line.lower()
     if (date := _ASC_DATE.match(line)) is not None:
         if not log.start:
@@ -258,7 +265,11 @@ def _asc_date(parts: Fields) -> float:
 
 
 def _candump_frames(log: _LogState, parts: Fields) -> Iterator[BusFrame]:
-    """Yield the frame of a candump line. CAN FD frames, remote requests and error messages yield no frame."""
+    """Yield the frame of a candump line.
+
+    CAN FD frames, remote requests and error messages yield no frame. A line without a time sets `log.has_no_times`.
+    Raise ValueError if the number of bytes is not that in the line.
+    """
     text = parts["data"]
     if not parts["t"]:
         log.has_no_times = True
@@ -275,7 +286,10 @@ def _candump_frames(log: _LogState, parts: Fields) -> Iterator[BusFrame]:
 
 
 def _text_seconds(text: str) -> float:
-    """Return a time [s] from a number, or from a date and a time of day, which are taken as UTC."""
+    """Return a time [s] from a text: a number, or a date and a time of day, which are taken as UTC.
+
+    An empty text gives 0. Raise ValueError for other texts.
+    """
     if "-" not in text:
         return float(text or "0")
     moment = datetime.fromisoformat(text.rstrip("Z"))

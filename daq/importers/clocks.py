@@ -141,7 +141,11 @@ def clock_of(table: Table) -> Clock:
 
 
 def _named_clock(table: Table, name: str, dates: Sequence[str], weeks: Sequence[str]) -> Clock:
-    """Return the clock of a column with the name of a time, with its column of dates or GPS weeks if needed."""
+    """Return the clock of the column `name`, with its column of dates or GPS weeks if it needs one.
+
+    The first of `weeks` is used for times of a GPS week, with a caveat if it counts modulo 1024. The first of `dates`
+    is used for times of day.
+    """
     form, caveat = _time_format(table, name)
     clock = Clock(name, form, caveat)
     if weeks and form in ("s", "ms"):
@@ -189,7 +193,11 @@ def _is_text(table: Table, name: str) -> bool:
 
 
 def row_seconds(table: Table, clock: Clock) -> Column | None:
-    """Return the times of the rows [s], shape (n,); None if the table has no readable time column."""
+    """Return the times of the rows [s], shape (n,); None if the table has no readable time column.
+
+    A row without a time has NaN, and a remark of the table counts these rows. For a clock without a column they are the
+    table's own times, which may be None.
+    """
     if not clock.column:
         return table.t
     try:
@@ -199,7 +207,10 @@ def row_seconds(table: Table, clock: Clock) -> Column | None:
 
 
 def _rises_evenly(values: Column) -> bool:
-    """Return whether all steps of a column (n,) are positive and of about the same size."""
+    """Return whether a column (n,) rises evenly.
+
+    It has more than 10 steps, all positive, which differ by less than half their mean.
+    """
     steps = np.diff(values)
     return bool(len(steps) > 10 and np.all(steps > 0.0) and np.ptp(steps) < 0.5 * np.mean(steps))
 
@@ -245,7 +256,11 @@ def _may_be_time(table: Table, name: str, rising: float = 0.5) -> bool:
 
 
 def _time_format(table: Table, column: str) -> tuple[str, str]:
-    """Return the format of a column of times, as in [time] of a map, and the caveat about it."""
+    """Return the format of a column of times, as in [time] of a map, and the caveat about it.
+
+    A column that the file declares as seconds has the format "s". Texts that are not recognised have the format
+    "%d.%m.%Y %H:%M:%S" with a caveat.
+    """
     if column in table.seconds:
         return "s", ""
     try:
@@ -331,7 +346,7 @@ def _fitting_patterns(texts: Sequence[str], patterns: Sequence[str]) -> list[str
 
 
 def _text_shape(text: str) -> str:
-    """Return the text with each number replaced by 0 and each word by a."""
+    """Return the text with each number replaced by 0 and each word by a: "12 May 2024" becomes "0 a 0"."""
     return re.sub(r"[^\W\d_]+", "a", re.sub(r"\d+", "0", text))
 
 
@@ -350,9 +365,9 @@ def _is_unpadded(pattern: str, texts: Sequence[str]) -> bool:
 
 
 def _typical_texts(texts: Sequence[str]) -> list[str]:
-    """Return up to about `TRIED` different texts, taken evenly over the file, without texts of a rare shape.
+    """Return up to about 400 different texts, taken evenly over the file, without blank texts.
 
-    A text of a rare shape is not a time: ERR, OVERFLOW.
+    Texts of a shape that less than 5 % of them have are left out, because they are not times: ERR, OVERFLOW.
     """
     # Over the whole file a day above 12 is likely; only such a day shows the order of day and month.
     filled = [text.strip() for text in texts if text.strip()]
@@ -379,7 +394,10 @@ def _reads_all(read: Callable[[str], object], texts: Sequence[str]) -> bool:
 
 
 def _format_of_numbers(values: Column, name: Name) -> tuple[str, str]:
-    """Return the format of times that are numbers (n,), by their size and their usual step, and the caveat about it."""
+    """Return the format of times that are numbers (n,), by their size and their usual step, and the caveat about it.
+
+    The default is "s"; the caveat is "" if size and step are clear.
+    """
     top, steps = float(np.max(np.abs(values))), np.diff(values)
     step = float(np.median(steps))
     for unit, size in ((name_of_unit, TIME_UNITS[name_of_unit]) for name_of_unit in ("s", "ms", "us", "ns")):

@@ -108,7 +108,11 @@ def _merged_by_times(path: Path, tables: Sequence[Table]) -> list[Table]:
 
 
 def _vector_columns(vector: Vector) -> Iterator[tuple[str, Column]]:
-    """Yield name and values (n,) of a vector, or of each column of a matrix that has at most `WIDEST` columns."""
+    """Yield name and values (n,) of a vector, or of each column of a matrix.
+
+    The longer side of a matrix is the time. A matrix of more than 16 columns, or an array of more dimensions, yields
+    nothing.
+    """
     array = np.atleast_1d(np.squeeze(vector.values)).astype(np.float64)
     if array.ndim == 1:
         yield vector.name, array
@@ -119,7 +123,10 @@ def _vector_columns(vector: Vector) -> Iterator[tuple[str, Column]]:
 
 
 def _workspace_variables(path: Path) -> Iterator[tuple[str, Any]]:
-    """Yield the variables of a file by name, as Python values."""
+    """Yield the name and the value of each variable of a MATLAB file, as Python values.
+
+    Raise SeatrialError if the package for this version of file is not installed, or if the file refers to other files.
+    """
     with path.open("rb") as file:
         head = file.read(520)
     if b"\x89HDF" in head:

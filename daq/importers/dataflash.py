@@ -91,7 +91,11 @@ class _MessageConverter:
         return []
 
     def joined(self, rows: list[Timed]) -> Iterator[Timed]:
-        """Yield the rows. Attitudes get the nearest IMU, shaft speeds a sign, and fixes the time of their arrival."""
+        """Yield the rows in order, with completed samples.
+
+        An attitude gets rates and specific forces of the IMU message nearest in time. If no shaft speed of the log is
+        negative, each gets the sign of its output. A fix gets the time of its arrival. Other rows are unchanged.
+        """
         times = np.array([row[0] for row in self._imu])
         middle = (times[1:] + times[:-1]) / 2
         for row in rows:
@@ -132,7 +136,11 @@ class _MessageConverter:
         ]
 
     def _on_rcou(self, m: Any) -> Found:
-        """Return the outputs 1 to 14: with a rig those of its thrusters, else those that have had a pulse."""
+        """Return the outputs: with a rig those of its thrusters, else those of 1 to 14 that have had a pulse.
+
+        With a rig, an output of a thruster also has the command (-1 to 1) by the scale of the rig; without a pulse it
+        is 0.
+        """
         found: Found = []
         for node in range(1, 15):
             pwm = float(getattr(m, f"C{node}", 0))
@@ -327,7 +335,10 @@ def firmware_type(texts: Iterable[str]) -> int | None:
 
 
 def _vehicle_of_log(log: Any) -> int:
-    """Return the MAV_TYPE by the texts of a log, `NO_TYPE` if unknown. Rewind the log to its beginning."""
+    """Return the MAV_TYPE by the texts of a log, `NO_TYPE` (0) if unknown.
+
+    Read the log and rewind it to its beginning.
+    """
     texts = (str(getattr(message, "Message", "")) for message in iter(lambda: log.recv_match(type="MSG"), None))
     found = firmware_type(texts)
     log.rewind()
@@ -336,7 +347,10 @@ def _vehicle_of_log(log: Any) -> int:
 
 @contextlib.contextmanager
 def _opened_log(path: Path) -> Iterator[Any]:
-    """Yield pymavlink's reader of a log, silenced, and close its file at the end."""
+    """Yield pymavlink's reader of a log and close its file at the end.
+
+    What the reader prints is discarded. It may raise any error for a damaged file.
+    """
     from pymavlink import DFReader
 
     # The reader prints the contents of a damaged file, also from C code, and never closes the file. Creating and

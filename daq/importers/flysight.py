@@ -114,7 +114,11 @@ class _SensorRows(NamedTuple):
 def _sensor_rows(
     path: Path, name: str, columns: list[str], units: dict[str, str], rows: list[list[str]], n_lost: int
 ) -> _SensorRows:
-    """Return the table of one sensor, without the rows whose time cannot be read."""
+    """Return the rows of one sensor as a table, with the number of their lines.
+
+    Rows whose time cannot be read are left out. The remark of the table counts these and the `n_lost` incomplete rows.
+    A cell that is not a number becomes NaN. `columns` contains the column "time".
+    """
     at = columns.index(_TIME)
     t = np.array([_cell_seconds(row[at + 1]) for row in rows])
     known = np.isfinite(t)
@@ -150,7 +154,11 @@ def _cell_number(cell: str) -> float:
 
 
 def _move_to_utc(sensors: list[_SensorRows]) -> None:
-    """Move the times since power-on to UTC, in place: by the TIME rows, or else by the fixes among the rows."""
+    """Move the times since power-on to UTC, in place.
+
+    The TIME rows give the conversion. Without them the fixes among the rows give an offset, with a remark. Without
+    fixes the times are not changed.
+    """
     clock = next(
         (sensor for sensor in sensors if sensor.table.topic == _CLOCK and {"tow", "week"} <= set(sensor.table.names)),
         None,

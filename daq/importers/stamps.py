@@ -86,7 +86,8 @@ def message_times(topics: Mapping[str, MessageTimes]) -> dict[str, EstimatedTime
     Returns
     -------
     dict
-        Times by topic, all of one clock.
+        Times by topic, all of one clock. Without any stamps they are the receipts. A message without a reliable time
+        has NaN.
     """
     clean = {name: _without_zeros(times) for name, times in topics.items()}
     stamped = {n: times for n, times in clean.items() if np.isfinite(times.stamp + times.receipt).sum() > 1}
@@ -116,9 +117,10 @@ def _without_zeros(times: MessageTimes) -> MessageTimes:
 
 
 def _receipt_rate(times: MessageTimes) -> float:
-    """Return the rate of the receipts by the clock of the stamps [s/s]; exactly 1 if their drift is small.
+    """Return the rate of the receipts by the clock of the stamps [s/s].
 
-    The rate is a median over pieces of a tenth of the recording. A step or wrong stamps do not affect the median.
+    The rate is a median over pieces of a tenth of the recording. A step or wrong stamps do not affect the median. It is
+    exactly 1 if the clocks drift by less than 0.2 s over the recording, or if the rate is not positive.
     """
     known = np.isfinite(times.receipt + times.stamp)
     receipt, stamp = times.receipt[known], times.stamp[known]
@@ -133,7 +135,10 @@ def _receipt_rate(times: MessageTimes) -> float:
 
 
 def _running_median(values: Column) -> Column:
-    """Return the running median over `SMOOTH` values, (n,)."""
+    """Return the running median over 51 values, (n,); over fewer if there are fewer values (the largest odd number).
+
+    The first and the last value are repeated beyond the ends.
+    """
     window = min(SMOOTH, len(values) - 1 + len(values) % 2)
     if window < 3:
         return values
@@ -203,14 +208,18 @@ class _ReferenceClock:
 
     @staticmethod
     def _agrees_with_recorder(times: MessageTimes) -> bool:
-        """Return whether at least the share `SHARE` of the stamps agrees with the recorder's clock."""
+        """Return whether at least 20 % of the stamps are within 1 s of their receipt by the recorder."""
         delay = times.receipt - times.stamp
         delay = delay[np.isfinite(delay)]
         return bool(np.mean(np.abs(delay) < OTHER_CLOCK) >= SHARE)
 
     @staticmethod
     def _shares_clock(first: MessageTimes, second: MessageTimes, rate: float) -> bool:
-        """Return whether two topics have about the same level, so that their stamps share a clock."""
+        """Return whether two topics have about the same median level, so that their stamps share a clock.
+
+        The level is the receipt minus `rate` times the stamp. It may differ by 1 s, or by `rate` seconds if `rate` is
+        above 1.
+        """
         levels = [np.nanmedian(times.receipt - rate * times.stamp) for times in (first, second)]
         return bool(abs(levels[0] - levels[1]) < OTHER_CLOCK * max(rate, 1.0))
 
@@ -242,7 +251,11 @@ class _ReferenceClock:
         return wrong
 
     def level(self, receipt: Column) -> Column:
-        """Return the level at given receipts (n,): receipt minus `rate` times the stamp, of messages received then."""
+        """Return the level at given receipts (n,): receipt minus `rate` times the stamp, of messages received then.
+
+        It is interpolated, but not over a step. If the recorder's clock was set back, it is NaN for receipts at which
+        the level is not unique.
+        """
         if self.set_back:
             pause = [1.5 * float(np.quantile(np.abs(np.diff(own)), 0.99)) for own, _ in self._branches if len(own) > 1]
             edge = max(pause, default=0.0)  # near its end a message may belong to either branch
@@ -301,7 +314,10 @@ class _ReferenceClock:
         return f"its stamps are of another clock: moved by {self.shift:+.3f} s{rate}"
 
     def _times_of_receipts(self, topic_times: MessageTimes) -> EstimatedTimes:
-        """Return the times of a topic without stamps: its receipts, converted to the reference."""
+        """Return the times of a topic without stamps: its receipts, converted to the reference by the level.
+
+        A message whose level is unknown has NaN, and the remark counts these messages.
+        """
         level = self.level(topic_times.receipt)
         offset = -self.shift if self.is_recorder else 0.0
         t = (topic_times.receipt - level - offset) / self.rate + (0.0 if self.is_recorder else self.shift)
@@ -313,7 +329,11 @@ class _ReferenceClock:
         return EstimatedTimes(t, remark)
 
     def _times_of_another_clock(self, topic_times: MessageTimes, rate: float) -> EstimatedTimes:
-        """Return the times of a topic whose stamps are of another clock, moved onto the reference."""
+        """Return the times of a topic whose stamps are of another clock, moved onto the reference.
+
+        The shortest delay of the receipts gives the offset. `rate` is the rate of the receipts by the stamps [s/s]; a
+        drift below 0.2 s is neglected. Wrong stamps become NaN, and the remark counts them.
+        """
         on_reference = self._times_of_receipts(topic_times).t
         known = np.isfinite(on_reference + topic_times.stamp)
         relative = rate / self.rate
@@ -331,7 +351,10 @@ class _ReferenceClock:
 
 
 def _is_set_back(times: MessageTimes) -> bool:
-    """Return whether the stamps of a topic are out of order by receipt, but regular when sorted."""
+    """Return whether the stamps of a topic are out of order by receipt, but regular when sorted.
+
+    This needs at least 3 steps back by more than 0.25 s, and more than 95 % usual intervals of the sorted stamps.
+    """
     known = np.isfinite(times.receipt + times.stamp)
     stamp = times.stamp[known]
     if np.sum(np.diff(stamp) < -STEP_S) < FEWEST_BACK:

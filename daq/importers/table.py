@@ -113,7 +113,11 @@ class Table:
         return self.columns[column]
 
     def text(self, column: str) -> list[str]:
-        """Return a column as text, for times that are not numbers."""
+        """Return a column as text, for times that are not numbers.
+
+        A column of numbers gives the shortest texts with the same values. Raise SeatrialError if the table lacks the
+        column.
+        """
         return list(self.texts.get(column, ())) or [repr(value) for value in self.numbers(column).tolist()]
 
     def error(self, row: int, column: str, problem: str) -> SeatrialError:

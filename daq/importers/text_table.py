@@ -63,7 +63,11 @@ class TextTable(Table):
         self._read_cells()
 
     def _read_numbers(self) -> bool:
-        """Read the table by numpy. Return False if it contains anything but one header and rows of plain numbers."""
+        """Read the table by numpy, and return whether this was possible.
+
+        It is possible only if the file contains one header with unique names, and rows of plain finite numbers without
+        blank lines. Otherwise nothing is stored.
+        """
         style = self._style
         if style.columns or style.decimal != "." or len(style.delimiter) != 1:
             return False
@@ -119,7 +123,11 @@ class TextTable(Table):
             raise SeatrialError(f"{path}: cannot be read: {error.strerror}") from error
 
     def _read(self, file: Iterable[str]) -> None:
-        """Read header and rows. Skip comments, repeated headers, units and subheadings."""
+        """Read header and rows from the lines of a file.
+
+        Comments, repeated headers, units and subheadings are skipped. The units are stored. Lines with a wrong number
+        of cells are noted in the remark or raise SeatrialError (`_note_ragged_lines`).
+        """
         watched = _WatchedLines(file)
         rows = _cells_of_lines(watched, self._style)
         header = list(self._style.columns) or next((cells for _, cells in rows), [])
@@ -163,7 +171,11 @@ class TextTable(Table):
             self._add_remark(f"column '{name}' is {counted(self._header.count(name), 'time')} in the header: {_RENAME}")
 
     def _note_ragged_lines(self, ragged: Sequence[tuple[int, int]], is_cut: bool) -> None:
-        """Note the lines whose number of cells differs from the header. Raise SeatrialError if they may be rows."""
+        """Note the lines whose number of cells differs from the header in the remark.
+
+        `ragged` has line and number of cells of each. Raise SeatrialError if the map does not drop cells without a
+        number, or if these are more than 20 % of the lines. `is_cut`: the file has no line end at its end.
+        """
         line, n_cells = ragged[0]
         width, n = len(self._header), len(ragged)
         if self._style.nan != "drop" or n > MOST_RAGGED * (n + len(self.lines)):
@@ -184,12 +196,17 @@ class TextTable(Table):
 
     @property
     def names(self) -> list[str]:
+        """Names of the columns, in the order of the header. They may repeat or be empty."""
         return self._header
 
     def __len__(self) -> int:
         return len(self.lines)
 
     def text(self, column: str) -> list[str]:
+        """Return the cells of a column as text. The file is read again if only its numbers were kept.
+
+        Raise SeatrialError if the header lacks the column or has it twice.
+        """
         if self._header.count(column) != 1:
             names = ", ".join(name or "(unnamed)" for name in self._header)
             if column in self._header:
@@ -201,6 +218,7 @@ class TextTable(Table):
         return [cells[place] for cells in self._rows]
 
     def error(self, row: int, column: str, problem: str) -> SeatrialError:
+        """Return an error that names the file, line and column of a cell. The caller raises the error."""
         return SeatrialError(f"{self.path}: line {self.lines[row]}, column '{column}': {problem}")
 
     def numbers(self, column: str) -> Column:
@@ -256,7 +274,7 @@ class TextTable(Table):
         return found
 
     def _has_points(self) -> bool:
-        """Return whether the first rows contain numbers with a decimal point."""
+        """Return whether the first 100 rows contain a number with a decimal point."""
         return any(_POINT.fullmatch(cell.strip()) for cells in self._rows[:LOOKED_AT] for cell in cells)
 
     def _without_units(self, column: str, cells: list[str]) -> list[str]:
@@ -288,7 +306,10 @@ class _WatchedLines:
 
 
 def _numbers_of_plain_cells(cells: Sequence[str], decimal: str) -> list[float]:
-    """Return the numbers of a column (n,). Raise ValueError if a cell is not a plain number."""
+    """Return the numbers of a column (n,). `decimal` is the decimal mark.
+
+    Raise ValueError if a cell is not a plain number, also if it is empty.
+    """
     if any("_" in text for text in cells):  # Python's float also reads 1_000, which no instrument writes
         raise ValueError("_")
     return list(map(float, cells if decimal == "." else (text.replace(decimal, ".") for text in cells)))
@@ -370,12 +391,15 @@ def is_subheading(cells: Sequence[str]) -> bool:
 
 
 def without_brackets(cell: str) -> str:
-    """Return the text of a cell of a row of units, without blanks and brackets."""
+    """Return the text of a cell without blanks and brackets around it: "[m/s]" becomes "m/s"."""
     return cell.strip().strip("()[]{}<>").strip()
 
 
 def is_units_row(cells: list[str]) -> bool:
-    """Return whether a row contains the units of the columns: at least half are known units, and none is a number."""
+    """Return whether a row contains the units of the columns.
+
+    At least half of the filled cells are known units, not only "1" and "-". No other cell contains a digit.
+    """
     texts = [text for cell in cells if (text := without_brackets(cell))]
     known = [text for text in texts if unit_of(text)]
     values = [text for text in texts if text not in known and any(character.isdigit() for character in text)]
@@ -458,7 +482,10 @@ def sniff_style(path: Path, head: bytes) -> TextStyle | None:
 
 
 def _joined_quoted_lines(lines: Sequence[str]) -> tuple[list[str], list[int]]:
-    """Return the rows, and the line of the file at which each begins. A cell in quotes may have several lines."""
+    """Return the rows of a text, and the index of the line at which each begins.
+
+    A row is a line, or up to 4 lines if a cell in quotes contains line ends.
+    """
     found: list[str] = []
     places: list[int] = []
     for place, line in enumerate(lines):
@@ -510,7 +537,11 @@ def _score_of_style(lines: list[str], style: TextStyle) -> tuple[float, TextStyl
 
 
 def _header_above(rows: Sequence[list[str]], first: int, width: int, open_rows: bool, style: TextStyle) -> int | None:
-    """Return the index of the header above the first row of data; None without a header."""
+    """Return the index of the header above the first row of data (index `first`); None without a header.
+
+    Rows of units and comments above the data are skipped. A header has `width` cells, or one less if all rows of data
+    end with a separator (`open_rows`), and hardly any numbers.
+    """
     above = [k for k in range(first) if rows[k]]
     while above:
         cells, n = rows[above[-1]], len(rows[above[-1]])
@@ -532,7 +563,10 @@ def _n_filled(cells: Sequence[str]) -> int:
 
 
 def _share_of_numbers(cells: Sequence[str], style: TextStyle, with_times: bool = True) -> float:
-    """Return the share of cells that are numbers, times or empty; 0 if no cell is a number or a time."""
+    """Return the share of cells that are numbers, empty, or (`with_times`) times; 0 if no cell is a number or a time.
+
+    A number may have a known unit behind it.
+    """
     n, empty = 0, 0
     for cell in cells:
         text = cell.strip()

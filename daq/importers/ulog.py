@@ -202,7 +202,10 @@ class _LimitedFile(io.BufferedReader):
 
 
 def _utc_offset(tables: list[Table]) -> float:
-    """Return UTC less the time of the autopilot [s], by the first fix with a UTC; 0 without one."""
+    """Return UTC less the time of the autopilot [s], by the first fix with a UTC.
+
+    The result is 0 if no topic with gps in its name has a UTC.
+    """
     for table in tables:
         utc: Column | None = table.columns.get("time_utc_usec") if "gps" in table.topic else None
         if utc is not None and table.t is not None and (utc > 0).any():

@@ -286,7 +286,10 @@ def clock_steps(samples: Iterable[tuple[str, Frame, float]]) -> list[str]:
 
 
 def _write_frames(writer: LogWriter, rows: Sequence[SignalRow], units: Mapping[str, str]) -> None:
-    """Write samples in the given order, each to the topics of its kind."""
+    """Write samples in the given order, each to the topics of its kind.
+
+    `units` has the unit of each signal; a signal that it lacks gets the unit "".
+    """
     channels: dict[str, int] = {}
     for sequence, (t, device, frame) in enumerate(rows, start=1):
         t_ns = round(t * NANO)

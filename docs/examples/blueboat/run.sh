@@ -3,7 +3,7 @@
 # docs/examples/blueboat/run.sh [OUT]. SEATRIAL_DATA is the folder of the data sets. seatrial and python must be on the
 # PATH. The example takes about twelve minutes of CPU time.
 set -eu
-: "${SEATRIAL_DATA:?says where the measured data sets are}"
+: "${SEATRIAL_DATA:?set it to the folder of the data sets}"
 here=$(CDPATH= cd -- "$(dirname -- "$0")" && pwd)
 out=${1:-out/blueboat}
 mkdir -p "$out"

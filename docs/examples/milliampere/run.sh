@@ -3,7 +3,7 @@
 # docs/examples/milliampere/run.sh [OUT]. SEATRIAL_DATA is the folder of the data sets. seatrial and python must be on
 # the PATH.
 set -eu
-: "${SEATRIAL_DATA:?says where the measured data sets are}"
+: "${SEATRIAL_DATA:?set it to the folder of the data sets}"
 here=$(CDPATH= cd -- "$(dirname -- "$0")" && pwd)
 data="$SEATRIAL_DATA/milliampere/thruster_data_test"
 out=${1:-out/milliampere}
