@@ -153,7 +153,7 @@ def guess_map(path: Path, dbc: Path | None = None, folder: Path | None = None) -
 
 
 def _is_log(path: Path) -> bool:
-    """Return whether a file is a log of seatrial."""
+    """Return whether a file is a log of seatrial. A file that cannot be opened as a log is none."""
     try:
         with open_log(path) as log:
             return log.metadata.get("format") == LOG_FORMAT
@@ -167,7 +167,10 @@ def _toml_text(text: str) -> str:
 
 
 def _style_line(options: SourceOptions, kind: str) -> list[str]:
-    """Return the line of the map for the text style; no line if the source is not text."""
+    """Return the line `csv = ...` of the map with the text style, in a list; an empty list if the source is not text.
+
+    The line also drops cells without a number and rows out of order.
+    """
     if kind != "csv":
         return []
     style = options.style
@@ -218,7 +221,11 @@ def _time_lines(tables: Sequence[Table], candidates: Sequence[Candidate], clocks
 
 
 def _held_lines(candidates: Sequence[Candidate], taken: Sequence[MapSignal], clocks: Clocks) -> Iterator[str]:
-    """Yield a line for each group of signals whose values the table holds from one measurement to the next."""
+    """Yield a comment for each group of chosen signals whose values the table holds between measurements.
+
+    `taken` has the chosen signals. Inputs without a hold in the map are not tested, since their last value holds
+    anyway.
+    """
     tables: dict[tuple[int, bytes], tuple[Column, dict[str, Column]]] = {}
     for candidate in candidates:
         t = row_seconds(candidate.table, clocks[id(candidate.table)])
@@ -244,7 +251,8 @@ def _held_lines(candidates: Sequence[Candidate], taken: Sequence[MapSignal], clo
 def _named_columns(table: Table, clocks: Clocks) -> Iterator[tuple[str, Name, frozenset[str], Column]]:
     """Yield column, parsed name, words of column and topic, and values (n,) for the columns of numbers of a table.
 
-    Tables with messages of a known type, and set-points, yield no columns.
+    Tables with messages of a known type, and set-points, yield no columns. The column of times and columns of text are
+    skipped. A message with a single number is named by its topic.
     """
     message = table.kind.rpartition("/")[2]
     is_scalar = message in SCALARS and not table.kind.startswith("seatrial_msgs/")
@@ -354,7 +362,10 @@ def _with_key(signal: MapSignal, key: str) -> MapSignal:
 
 
 def _with_units(candidate: Candidate) -> Candidate:
-    """Return a candidate with a caveat for each column whose name contains a unit that its signal cannot have."""
+    """Return a candidate with a caveat for each column whose name contains a unit that its signal cannot have.
+
+    The unit is ignored.
+    """
     columns = {column: read_name(column).no_unit for signal in candidate.signals for column in signal.columns}
     units = {signal.unit for signal in candidate.signals}
     caveats = [
@@ -368,9 +379,25 @@ def _with_units(candidate: Candidate) -> Candidate:
 def _motion_candidates(
     table: Table, t: Column | None, names: dict[str, tuple[str, Name]], numbers: dict[str, Column]
 ) -> Iterator[Candidate]:
-    """Yield the candidates of position, velocity, acceleration, heading and yaw rate by the meanings of columns."""
+    """Yield the candidates of position, velocity, acceleration, heading and yaw rate of a table.
+
+    Parameters
+    ----------
+    table
+        The table.
+    t
+        Times of its rows (n,) [s]; None if unknown.
+    names
+        Column and parsed name by meaning, a key of `seatrial.daq.importers.recognise.NAMES`.
+    numbers
+        Values (n,) by column.
+    """
 
     def pair(group: str, rank: int, a: str, b: str, unit: str, caveat: str = "") -> Iterator[Candidate]:
+        """Yield a candidate with two signals `a` and `b` if the table has both.
+
+        `unit` is the default for columns without a unit in their name.
+        """
         if a in names and b in names:
             taken = tuple(MapSignal(n, (names[n][0],), names[n][1].unit or unit) for n in (a, b))
             yield Candidate(group, rank, table, taken, caveat)
@@ -529,14 +556,20 @@ def outputs(tables: Sequence[Table]) -> Iterator[Candidate]:
 
 
 def _servo_functions(tables: Sequence[Table]) -> dict[int, float]:
-    """Return the parameter SERVOn_FUNCTION by the number n of the output, for the outputs whose log has it."""
+    """Return the parameter SERVOn_FUNCTION by the number n of the output.
+
+    Outputs are those with a table of kind "Servo". An output whose parameter is not in the log is left out.
+    """
     p = tables[0].parameters if tables else {}
     nodes = sorted(int(table.topic.rpartition("_")[2]) for table in tables if table.kind == "Servo")
     return {node: p[key] for node in nodes if (key := f"SERVO{node}_FUNCTION") in p}
 
 
 def _node_of(table: Table) -> tuple[int, str]:
-    """Return the number of a controller and its topic. With several buses, the topic begins with the bus."""
+    """Return the number of a controller, which is the end of its topic (esc_1), and the topic.
+
+    Tables are sorted by this pair. With several buses, the topic begins with the bus.
+    """
     return int(table.topic.rpartition("_")[2]), table.topic
 
 
@@ -562,7 +595,11 @@ def _pulse_scale(p: Mapping[str, float], node: int) -> tuple[str, str]:
 
 
 def _chosen_signals(candidates: Sequence[Candidate], clocks: Clocks, main: Clock) -> tuple[list[MapSignal], list[str]]:
-    """Return the chosen signals, and the lines of the map: the best candidates, then the others as comments."""
+    """Return the chosen signals, and the lines of the map: one for each of them, then the other candidates as comments.
+
+    Candidates are tried in the order of their rank, then of the number of their rows. A candidate is chosen if none of
+    its signals has been chosen before, it has times, and its thrusters fit those chosen before.
+    """
 
     sides: dict[frozenset[str], set[str]] = {}
     for c in candidates:
@@ -625,7 +662,11 @@ def _signal_line(table: Table, signal: MapSignal, clock: Clock, main: Clock) -> 
 
 
 def _unrecognised_lines(tables: Sequence[Table], candidates: Sequence[Candidate], clocks: Clocks) -> list[str]:
-    """Return comment lines for the columns that were not recognised, with the range of their values."""
+    """Return comment lines for the columns that were not recognised, with the range of their values.
+
+    At most 12 columns are listed, and a last line has the number of the others. Columns of text are left out. The list
+    is empty if all columns were recognised.
+    """
     used = {(id(c.table), column) for c in candidates for signal in c.signals for column in signal.columns}
     lines = []
     for table in tables:

@@ -92,7 +92,7 @@ def import_files(
 
 
 def _is_too_many(row: RowsLeftOut) -> bool:
-    """Return whether so many rows are left out that the rest does not represent the recording."""
+    """Return whether the rows left out are too many (above 5 %, at least 5) for a useful log."""
     return too_many_rows_missing(row.n, row.n_rows)
 
 
@@ -150,7 +150,11 @@ class _SourceFile(NamedTuple):
 
 
 def _read_source(path: Path, source: Source) -> _SourceFile:
-    """Read one source file by its part of the map, and collect the remarks about it."""
+    """Read one source file by its part of the map, and collect the remarks about it.
+
+    Remarks are about tables with signals of the map, rows left out, held values, unknown inputs, and signals without
+    samples. Raise SeatrialError if the file cannot be read by the map.
+    """
     kind = source_kind(path)
     tables = kind.read(path, source.options)
     signals = read_signals(tables, source)
@@ -211,7 +215,7 @@ def left_out_line(row: RowsLeftOut) -> str:
 
 
 def _files_named_in_map(import_map: ImportMap) -> list[Path]:
-    """Return the DBC and rig files that a map names."""
+    """Return the DBC and rig files that a map names, so that no log replaces them."""
     named = [path for source in import_map.sources for path in (source.options.dbc, source.options.rig)]
     return [path for path in named if path is not None]
 
@@ -219,7 +223,11 @@ def _files_named_in_map(import_map: ImportMap) -> list[Path]:
 def _write_piece(
     import_map: ImportMap, data: Sequence[_SourceFile], piece: Piece, target: Path, force: bool, reads: Sequence[Path]
 ) -> None:
-    """Write one log: the signals and events of the source files within one piece of the map."""
+    """Write one log, `target`: the signals and events of the source files within one piece of the map.
+
+    The metadata contain the digest of map and files and the numbers of rows left out. `reads` are the files that are
+    never replaced, even with `force`.
+    """
     signals: list[SignalData] = []
     events = [(t, event) for source_file in data for t, event in source_file.events if piece.t_from <= t <= piece.t_to]
     kinds = ", ".join(dict.fromkeys(source_file.kind for source_file in data))
@@ -247,8 +255,8 @@ def _write_piece(
 def _within_piece(signal: SignalData, piece: Piece) -> SignalData:
     """Return the samples of a signal within a piece of the map (t_from <= t <= t_to, in s of the file's clock).
 
-    A held command gets a further sample at the begin of the piece with the last value before it, and one at the end
-    with the last value within it.
+    A held command also gets its last value before the piece as a sample at t_from. If it is known after the piece, or
+    has a timeout, its last value within the piece becomes a sample at t_to.
     """
     inside = (signal.t >= piece.t_from) & (signal.t <= piece.t_to)
     t, values = signal.t[inside], signal.values[inside]

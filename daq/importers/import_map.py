@@ -71,7 +71,7 @@ class TimeColumn:
 
     @property
     def is_text(self) -> bool:
-        """Return whether the times are read as text."""
+        """Return whether the times are read as text: dates (iso or a pattern), or numbers whose fraction needs care."""
         return self.format not in FORMATS_OF_TIME or self.format == "iso" or bool(self.fraction)
 
 
@@ -146,7 +146,10 @@ class Signal:
 
     @property
     def log_name(self) -> str:
-        """Name of the signal in the log, after conversion to NED."""
+        """Name of the signal in the log, after conversion to NED.
+
+        In a frame ENU, x and y are exchanged, as are vx and vy.
+        """
         return self.name if self.frame == "NED" else RENAMED.get(self.name, self.name)
 
 
@@ -270,7 +273,8 @@ def _keeping_repeats(source: Source) -> Source:
 def _boat_numbers(table: TomlTable | None, names: Sequence[str]) -> dict[str, float]:
     """Return known numbers of the boat by name, and their standard uncertainties ``NAME_sd`` if given.
 
-    Raise SeatrialError if a number is impossible or a key is unknown.
+    Empty without a table. Raise SeatrialError if a number is impossible or a key is unknown: c1 and length must be
+    positive, y_left must be less than y_right, and both within the length of the hull.
     """
     if table is None:
         return {}
@@ -292,7 +296,11 @@ def _boat_numbers(table: TomlTable | None, names: Sequence[str]) -> dict[str, fl
 
 
 def _source_of_table(table: TomlTable, match: str, near: Path) -> Source:
-    """Return a source from its table; paths in the table are relative to the folder `near`."""
+    """Return a source from its table in the map, [[file]] or the whole map.
+
+    `match` is the pattern of its file name. Paths in the table are relative to the folder `near`. Raise SeatrialError
+    if the table has no signal or a wrong key.
+    """
     options = _reading_options(table, near)
     time_table = table.table("time")
     time = None if time_table is None else _time_column(time_table)
@@ -307,7 +315,10 @@ def _source_of_table(table: TomlTable, match: str, near: Path) -> Source:
 
 
 def _reading_options(parent: TomlTable, near: Path) -> SourceOptions:
-    """Return the reading options of the tables [csv], [can] and [mavlink]."""
+    """Return the reading options of the tables [csv], [can] and [mavlink] of a source.
+
+    Paths are relative to the folder `near`. A missing table gives the defaults. Raise SeatrialError for a wrong key.
+    """
     can, mavlink = parent.table("can"), parent.table("mavlink")
     found = SourceOptions(
         _text_style(parent.table("csv")),
@@ -323,7 +334,7 @@ def _reading_options(parent: TomlTable, near: Path) -> SourceOptions:
 
 
 def _text_style(table: TomlTable | None) -> TextStyle:
-    """Return the text style of the table [csv]."""
+    """Return the text style of the table [csv]; the default style without it. Raise SeatrialError for a wrong key."""
     if table is None:
         return TextStyle()
     delimiter = table.text("delimiter", ",")
@@ -355,7 +366,10 @@ def _text_style(table: TomlTable | None) -> TextStyle:
 
 
 def _time_column(table: TomlTable) -> TimeColumn:
-    """Return the source of the times from the table [time]."""
+    """Return the source of the times from the table [time].
+
+    Raise SeatrialError unless it has either a column or a rate, or if its keys do not fit together.
+    """
     if table.has("column") == table.has("rate_hz"):
         raise table.error("column", f"give either column or rate_hz{table.misspelt('column')}")
     origin = _time_origin(table)
@@ -393,7 +407,10 @@ def _time_format(table: TomlTable, key: str, usual: str) -> str:
 
 
 def _time_origin(table: TomlTable) -> float:
-    """Return the origin [s since 1970] that is added to the times; a time without a zone is UTC."""
+    """Return the origin that is added to the times [s since 1970], from the key `origin`; 0 without it.
+
+    A date and time without a zone is UTC. Raise SeatrialError if it is not in ISO form.
+    """
     text = table.text("origin", "")
     if not text:
         return 0.0
@@ -405,7 +422,10 @@ def _time_origin(table: TomlTable) -> float:
 
 
 def _signal_of_table(table: TomlTable, frame: str) -> Signal:
-    """Return a signal from its table; `frame` is the default frame of its source."""
+    """Return a signal from its table [[signal]]; `frame` is the default frame of its source.
+
+    Raise SeatrialError for a wrong key, or keys that do not fit together.
+    """
     name = table.text("name")
     if not NAME.fullmatch(name):
         raise table.error("name", f"'{name}' is not a valid name; use a letter, then letters, digits or _")
@@ -457,7 +477,11 @@ def _signal_of_table(table: TomlTable, frame: str) -> Signal:
 
 
 def _signal_units(table: TomlTable, make: str, columns: Sequence[str], key: str) -> tuple[str, tuple[str, ...]]:
-    """Return the unit of a signal and, for a signal made of several columns, the units of these columns."""
+    """Return the unit of a signal and, for a signal made of several columns, the units of these columns.
+
+    `key` is the key of the columns, for messages. For a single column the second result is empty. Raise SeatrialError
+    for an unknown unit, a wrong number of columns, or a unit of another quantity.
+    """
     known = f"known: {', '.join(UNITS)}"
     if not make:
         unit = table.text("unit")
@@ -475,7 +499,10 @@ def _signal_units(table: TomlTable, make: str, columns: Sequence[str], key: str)
 
 
 def _piece_of_table(table: TomlTable) -> Piece:
-    """Return a piece from its table [[log]]."""
+    """Return a piece from its table [[log]]. Without t_from or t_to it has no limit on this side.
+
+    Raise SeatrialError for a name that is not safe in a file name, or if t_to is not after t_from.
+    """
     name = table.text("name")
     if not re.fullmatch(r"[A-Za-z0-9_.-]+", name):
         raise table.error("name", f"'{name}' becomes part of a file name; use letters, digits, _, - or .")

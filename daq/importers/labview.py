@@ -79,12 +79,15 @@ def read_lvm(path: Path, options: SourceOptions) -> list[Table]:
 
 
 def _header_cells(lines: Sequence[Sequence[str]]) -> dict[str, Sequence[str]]:
-    """Return the cells of each line of a header after the first, by the first cell. An empty line is skipped."""
+    """Return the cells of each line of a header after its first cell, by the first cell.
+
+    A line without cells is skipped.
+    """
     return {cells[0].strip(): cells[1:] for cells in lines if cells}
 
 
 def _first_filled_cell(head: Mapping[str, Sequence[str]], key: str, usual: str) -> str:
-    """Return the first cell of a header line that is not blank; `usual` if the header has no such cell."""
+    """Return the first cell of the header line `key` that is not blank; `usual` if there is no such line or cell."""
     return next((cell.strip() for cell in head.get(key, ()) if cell.strip()), usual)
 
 

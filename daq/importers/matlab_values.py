@@ -113,7 +113,11 @@ def vectors(name: str, value: Any, left_out: list[str], topic: str = "", depth: 
 
 
 def _object_vectors(name: str, value: MatlabObject, left_out: list[str], topic: str, depth: int) -> Iterator[Vector]:
-    """Yield the numbers of an object: times, the columns of a table, or the properties of another class."""
+    """Yield the numbers of an object: times, the columns of a table, or the properties of another class.
+
+    Parameters are those of `vectors`. An object without readable numbers is added to `left_out`. A single time yields
+    nothing.
+    """
     place = f"{topic}.{name}" if topic else name
     if (seconds := _object_seconds(value)) is not None:
         if seconds.size > 1:
@@ -134,7 +138,10 @@ def _object_vectors(name: str, value: MatlabObject, left_out: list[str], topic: 
 
 
 def _object_seconds(value: Any) -> NDArray[np.float64] | None:
-    """Return a datetime (since 1970, in UTC if it has a zone) or a duration in s; None for other values."""
+    """Return a datetime [s since 1970, in UTC if it has a zone] or a duration [s]; None for other values.
+
+    A datetime without a value in the file is NaN, a duration without one is 0.
+    """
     if not isinstance(value, MatlabObject) or value.kind not in ("datetime", "duration"):
         return None
     milliseconds = value.properties.get("data" if value.kind == "datetime" else "millis")
@@ -147,7 +154,10 @@ def _object_seconds(value: Any) -> NDArray[np.float64] | None:
 
 
 def _table_columns(place: str, value: MatlabObject) -> Iterator[Vector]:
-    """Yield the columns of a table or timetable. The times of a timetable come first."""
+    """Yield the columns of a table or timetable. The times of a timetable come first.
+
+    Columns of text and of other classes are left out. Nothing is yielded if the object has another layout.
+    """
     inner = value.properties.get("any", value.properties)
     if not isinstance(inner, Mapping):
         return
@@ -174,7 +184,10 @@ def _table_columns(place: str, value: MatlabObject) -> Iterator[Vector]:
 
 
 def _row_times(value: Any, n_rows: int) -> NDArray[np.float64] | None:
-    """Return the times of the rows of a timetable, (n_rows,) [s]; None if their kind is unknown."""
+    """Return the times of the rows of a timetable, (n_rows,) [s]; None if their kind is unknown.
+
+    They are stored as a datetime or duration, or as a first time with a step or a rate.
+    """
     if (seconds := _object_seconds(value)) is not None:
         return seconds.ravel()
     if not isinstance(value, Mapping):
@@ -198,7 +211,7 @@ def _single_number(value: Any) -> float | None:
 
 
 def _simulink_signals(value: Mapping[str, Any]) -> list[Mapping[str, Any]] | None:
-    """Return the signals of a Simulink structure with time; None for any other struct."""
+    """Return the signals of a Simulink structure with time, each a struct with "values"; None for any other struct."""
     signals, time = value.get("signals"), value.get("time")
     listed = [signals] if isinstance(signals, Mapping) else signals
     if not isinstance(time, np.ndarray) or time.size < 2 or not isinstance(listed, list) or not listed:
@@ -233,8 +246,8 @@ def _struct_array_vectors(
 ) -> Iterator[Vector]:
     """Yield the numbers of a struct array.
 
-    A field with one number in each struct becomes a column. If the array has no such field, each struct becomes a
-    topic.
+    A field with one number in each struct becomes a column. If the array has no such field, each of the first 16
+    structs becomes a topic, VARIABLE[0]. Parameters are those of `vectors`.
     """
     place = f"{topic}.{name}" if topic else name
     numbers = {field: [_single_number(struct.get(field)) for struct in value] for field in value[0]}
@@ -278,7 +291,13 @@ def scipy_value(value: Any, depth: int = 0) -> Any:
 
 
 class Hdf5Variables:
-    """Reader of the variables of a MATLAB file of version 7.3."""
+    """Reader of the variables of a MATLAB file of version 7.3.
+
+    Parameters
+    ----------
+    file : h5py.File
+        The open file. Its list of objects is read at once, if it has one.
+    """
 
     def __init__(self, file: Any) -> None:
         """Read the list of objects of an open h5py file, if it has one."""
@@ -293,7 +312,10 @@ class Hdf5Variables:
             self._read_objects(np.asarray(file[self._contents[0]][()], np.uint8).tobytes())
 
     def _read_objects(self, data: bytes) -> None:
-        """Read the classes and objects of the file. They are regions of 32-bit words after a header and the names."""
+        """Store the classes, objects and properties of the file from the bytes of its list of objects.
+
+        They are regions of 32-bit words after a header and the names.
+        """
         words = np.frombuffer(data[: len(data) // 4 * 4], "<u4")
         n_names, ends = int(words[1]), [int(end) for end in words[2:7]]
         names = [
@@ -306,13 +328,17 @@ class Hdf5Variables:
         self._objects = region[2].reshape(-1, 6)
 
     def items(self) -> Iterator[tuple[str, Any]]:
-        """Yield each variable with its value."""
+        """Yield the name and the value of each variable. Names that begin with # belong to MATLAB itself."""
         for name, node in self._file.items():
             if not name.startswith("#"):
                 yield name, self._python_value(node, 0)
 
     def _python_value(self, node: Any, depth: int) -> Any:
-        """Return the value of a group or dataset of the file."""
+        """Return the value of a group or dataset of the file.
+
+        A struct becomes a dict or a list of dicts, a cell a list. Other values are text, arrays and objects. `depth` is
+        the number of structs, cells and objects around the value. Raise SeatrialError if it is above 30.
+        """
         if depth > DEEPEST:
             raise SeatrialError(f"structs, cells or objects are nested more than {DEEPEST} deep")
         if hasattr(node, "items"):
@@ -332,7 +358,10 @@ class Hdf5Variables:
         return np.asarray(values).T
 
     def _struct_value(self, group: Any, depth: int) -> Any:
-        """Return a struct as a dict, and a struct array as a list of dicts."""
+        """Return a struct as a dict by field, and a struct array as a list of dicts.
+
+        A group is a struct array if all its fields are arrays of references.
+        """
         is_array = [part.dtype.kind == "O" and "MATLAB_class" not in part.attrs for part in _datasets_of_group(group)]
         if not is_array or not all(is_array) or len(is_array) < len(group):
             return {field: self._python_value(part, depth + 1) for field, part in group.items()}
@@ -353,7 +382,10 @@ class Hdf5Variables:
         return found[0] if len(found) == 1 else found
 
     def _object_of_number(self, number: int, depth: int) -> MatlabObject | None:
-        """Return the object that has this number in the file, or None if the number is out of range."""
+        """Return the object that has this number in the file, from 1 on; None if the number is out of range.
+
+        Only properties that are stored as an entry of the file are read.
+        """
         if not 0 < number < len(self._objects):
             return None
         kind, _, _, saved, plain, _ = (int(word) for word in self._objects[number])

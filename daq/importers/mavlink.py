@@ -104,7 +104,10 @@ def read_autopilot(path: Path, rig: Rig | None, system: int | None) -> tuple[lis
 
 
 def is_tlog(head: bytes) -> bool:
-    """Return whether the first bytes of a file are a time of this century and the begin of a MAVLink frame."""
+    """Return whether the first bytes of a file are those of a tlog.
+
+    A tlog begins with a time in us since 1970 (here 2005 to 2112) and a MAVLink frame.
+    """
     return len(head) > STAMP and head[STAMP] in (0xFD, 0xFE) and 2**50 < struct.unpack_from(">Q", head)[0] < 2**52
 
 
@@ -163,6 +166,7 @@ def read_tlog(
     parameters: dict[str, float] = {}
 
     def listen(message: Any) -> None:
+        """Store the value of a parameter message."""
         if message.get_type() == "PARAM_VALUE":
             parameters[message.param_id] = float(message.param_value)
 
@@ -188,7 +192,11 @@ def read_tlog(
 
 
 def _refuse_two_autopilots(path: Path, rows: Sequence[Timed], system: int) -> None:
-    """Raise SeatrialError if two autopilots have the same system number, which alternating boot times show."""
+    """Raise SeatrialError if two autopilots send with the same system number.
+
+    Then the boot times of attitudes or fixes run back by more than 0.05 s in more than 20 % of the samples, at least
+    ten times.
+    """
     for kind in (Ahrs, Gnss):
         boot = np.array([row.frame.t_device for row in rows if isinstance(row.frame.sample, kind)])
         known = boot[np.isfinite(boot)]
@@ -233,7 +241,10 @@ def _other_systems_text(decoder: MavlinkDecoder) -> str:
 
 
 def _tlog_frames(data: bytes) -> Iterator[tuple[float, int, Head]]:
-    """Yield time [s since 1970], offset and header of each complete frame. Skip bytes between the frames."""
+    """Yield time [s since 1970], offset of the frame [bytes] and header of each complete frame of a tlog.
+
+    Bytes between the frames, and frames with a wrong checksum, are skipped.
+    """
     at = 0
     while at + STAMP < len(data):
         found = head(data, at + STAMP) if data[at + STAMP] in (0xFD, 0xFE) else -1

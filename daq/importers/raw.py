@@ -103,7 +103,11 @@ def _signal_name(frame: Frame) -> str:
 
 
 def _decoded_frames(decoder: Decoder, path: Path) -> tuple[list[Frame], str]:
-    """Return the decoded frames of a capture, and its SHA-256."""
+    """Return the decoded frames of a capture, and its SHA-256.
+
+    A fix gets its UTC as device time, and frames before the first date get the date that follows. Raise SeatrialError
+    if the file cannot be read.
+    """
     frames: list[Frame] = []
     digest = hashlib.sha256()
     try:
@@ -153,7 +157,10 @@ def _with_utc_as_device_time(frame: Frame) -> Frame:
 
 
 def _with_first_dates(frames: list[Frame]) -> list[Frame]:
-    """Return the frames, with those before the first date moved to the day of the frames that follow."""
+    """Return the frames, with those before the first date moved to the day of the frames that follow.
+
+    Without any date they are on 1970-01-01.
+    """
     times = [frame.t_device for frame in frames]
     near = nmea.DAY / 2 if any(t < 0.0 for t in times) else math.nan  # without any date: on 1970-01-01
     for k in reversed(range(len(frames))):
@@ -223,7 +230,10 @@ def _even_times(frames: Sequence[Frame], kinds: Sequence[str], rate: float) -> l
 
 
 def _device_times(path: Path, frames: Sequence[Frame]) -> list[float]:
-    """Return the device times [s]. A sample without a time (a heading between fixes) has that of the sample before."""
+    """Return the device times [s]. A sample without a time (a heading between fixes) has that of the sample before.
+
+    Samples before the first time have the first time. Raise SeatrialError if no sample has a time.
+    """
     times = [frame.t_device for frame in frames]
     last = next((t for t in times if math.isfinite(t)), math.nan)
     if math.isnan(last):

@@ -267,7 +267,7 @@ class Name(NamedTuple):
 
 
 def unit_of(text: str) -> str:
-    """Return the unit of a text, as maps write it; "" if the unit is unknown."""
+    """Return the unit of a text as maps write it, for example "deg/s" for "dps"; "" if the unit is unknown."""
     return text if text in UNITS else _UNITS.get(text.lower(), "")
 
 
@@ -342,7 +342,10 @@ def message_candidates(table: Table) -> list[Candidate]:
 
 
 def _is_pose(table: Table) -> bool:
-    """Return whether a transform is a pose of a vehicle: from a frame of the earth to a frame that moves."""
+    """Return whether a transform is a pose of a vehicle.
+
+    It is one from a frame of the earth (map, odom, world, earth, utm) to another frame.
+    """
     return table.frame_id.strip("/") in _EARTH_FRAMES and table.topic.rpartition(":")[2] not in _EARTH_FRAMES
 
 
@@ -394,7 +397,10 @@ def _is_of_16_bits(values: Column, high: np.typing.NDArray[np.bool_]) -> bool:
 
 
 def quantity(words: frozenset[str]) -> frozenset[str]:
-    """Return the words about a thruster without side and number. They are equal for left and right of one quantity."""
+    """Return the words about a thruster without side and number, for example {"motor", "rpm"} of left_motor_rpm_1.
+
+    They are equal for left and right of one quantity.
+    """
     return frozenset(word.rstrip("0123456789") for word in words - SIDES) - {""}
 
 
@@ -440,6 +446,7 @@ def drive(words: frozenset[str], values: Column, unit: str) -> tuple[str, MapSig
         caveat = "; ".join(part for part in (WRAPPED.format(np.max(good)), caveat) if part)
 
     def found(unit: str, extra: str, *caveats: str) -> tuple[str, MapSignal, str]:
+        """Return a candidate of the group "drive": the signal n of the side, and all caveats in one text."""
         return (
             "drive",
             MapSignal(f"n{side}", (), unit, "", extra),

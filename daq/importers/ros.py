@@ -154,13 +154,19 @@ def _readable_files(path: Path) -> Iterator[tuple[list[Path], str]]:
 
 
 def _sqlite_logs(path: Path) -> list[Path]:
-    """Return the logs that SQLite left beside a database: messages that it must still add or remove."""
+    """Return the logs that SQLite left beside a database, with messages that it must still add or remove.
+
+    An empty log is not returned. A link counts as a log.
+    """
     beside = (path.with_name(path.name + ending) for ending in SQLITE_LOGS)
     return [log for log in beside if os.path.lexists(log) and not (log.is_file() and log.stat().st_size == 0)]
 
 
 def _with_sqlite_logs(path: Path, copy: Path) -> Path:
-    """Copy a database with its logs and let SQLite complete the copy, so that the original stays unchanged."""
+    """Copy a database with its logs, let SQLite complete the copy, and return the copy. The original is not changed.
+
+    Raise SeatrialError if a log is a link or no regular file.
+    """
     shutil.copyfile(path, copy)
     for log in _sqlite_logs(path):
         if log.is_symlink():  # the link could name any file of this computer
@@ -174,7 +180,11 @@ def _with_sqlite_logs(path: Path, copy: Path) -> Path:
 
 
 def _with_sqlite_logs_of_folder(path: Path, folder: Path) -> tuple[list[Path], list[str]]:
-    """Return the folder of a bag with metadata.yaml, or a copy if one of its databases has logs; and remarks."""
+    """Return the folder of a bag with metadata.yaml in a list, and remarks.
+
+    If a database in it has logs of SQLite, a copy in `folder` is returned: completed databases, and links to all other
+    files.
+    """
     logs = {part.name: _sqlite_logs(part) for part in sorted(path.glob("*.db3"))}
     if not any(logs.values()):
         return [path], []
@@ -228,7 +238,10 @@ class _TopicMessages:
         self.columns: dict[str, array[float]] = {}  # arrays take 8 bytes a number; an hour has tens of millions
 
     def add(self, t_log: float, message: Any) -> None:
-        """Add a message that the recorder received at `t_log` [s since 1970]."""
+        """Add a message that the recorder received at `t_log` [s since 1970]: its times, its frame and all its numbers.
+
+        Images and other arrays of more than 16 numbers are left out.
+        """
         header = getattr(message, "header", None)
         stamp = message.clock if self.kind == CLOCK else getattr(header, "stamp", None)
         frame_id = str(getattr(header, "frame_id", ""))
@@ -252,7 +265,11 @@ class _TopicMessages:
         return MessageTimes(np.array(self.t_log), np.array(self.t_stamp))
 
     def table(self, path: Path, topic: str, times: EstimatedTimes) -> Table:
-        """Return the messages that have a time as a table, in the order of time."""
+        """Return the messages that have a time as a table, in the order of time.
+
+        Parts of an Imu that are not measured are left out. The position of a fix without a satellite fix becomes NaN.
+        NaN in commands of stopped motors becomes zero. The remark of the table describes what is unusual.
+        """
         t = times.t
         order = np.argsort(t, kind="stable")[: int(np.sum(np.isfinite(t)))]
         columns = {name: self._column_of_field(name)[order] for name in self.columns}
@@ -268,7 +285,10 @@ class _TopicMessages:
         return Table(path, topic, columns, t[order], self.kind, self.frame_id, remark, clock=clock, n_left_out=n_lost)
 
     def _two_sensors_remark(self) -> str:
-        """Return a remark if messages of several frames alternate, as each sensor has its own frame; "" otherwise."""
+        """Return a remark if messages of several frames alternate, as each sensor has its own frame; "" otherwise.
+
+        Messages of one frame after another, without overlap in time, do not alternate.
+        """
         frames = sorted(self._frames.items())
         if len(frames) < 2 or max(first for _, (_, first, _) in frames) > min(last for _, (_, _, last) in frames):
             return ""
@@ -276,7 +296,7 @@ class _TopicMessages:
         return f"messages of several sensors in one topic ({listed}): record each sensor in its own topic"
 
     def _column_of_field(self, name: str) -> Column:
-        """Return a column (n,), NaN for messages without this field."""
+        """Return the numbers of a field (n,), NaN for messages without this field."""
         found = np.full(len(self.t_log), np.nan)
         found[: len(self.columns[name])] = self.columns[name]
         return found

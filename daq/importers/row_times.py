@@ -78,7 +78,10 @@ def row_times(table: Table, time: TimeColumn | None, *, lenient: bool = False) -
 
 
 def _seconds_of_numbers(raw: Column, weeks: Column, form: str) -> Column:
-    """Return times (n,) [s] from numbers of a format; `weeks` (n,) are the GPS weeks for GPS times."""
+    """Return times (n,) [s] from numbers of a format: a unit of time, days of a spreadsheet, labview, gps or gps_ms.
+
+    `weeks` (n,) are the GPS weeks, which only the formats of GPS times use.
+    """
     if form in TIME_UNITS:
         return raw * TIME_UNITS[form]
     if form in DAY_COUNTS:
@@ -169,7 +172,7 @@ def _continued_after_midnight(t: Column, form: str) -> Column:
 
 
 def _add_remark(table: Table, text: str) -> None:
-    """Add a remark to a table, once."""
+    """Add a remark to a table, unless it has this remark already."""
     if text not in table.remark:
         table.remark = "; ".join(part for part in (table.remark, text) if part)
 
@@ -207,7 +210,11 @@ def _take_out_clock_changes(table: Table, t: Column, time: TimeColumn) -> None:
 
 
 def _may_daylight_time_change(t: float) -> bool:
-    """Return whether daylight saving time may begin or end at a local time [s since 1970]."""
+    """Return whether daylight saving time may begin or end at a local time [s since 1970].
+
+    This is between 0 and 5 o'clock on a Sunday in March, April, September, October or November; on any day if the time
+    has no date.
+    """
     moment = datetime(1970, 1, 1) + timedelta(seconds=float(t))
     is_night = moment.hour <= _LAST_HOUR
     has_date = t > 2 * DAY  # a smaller time is a time of day without a date
@@ -250,6 +257,7 @@ def _cell_parser(time: TimeColumn) -> Callable[[str], float]:
     """Return a function that converts the text of a cell to a time [s]. The function raises ValueError."""
 
     def whole(text: str) -> float:
+        """Return the time of a text without regard to `fraction`. Raise ValueError for another format."""
         if time.format == "s":
             return float(text)
         iso = time.format == "iso"
@@ -259,6 +267,7 @@ def _cell_parser(time: TimeColumn) -> Callable[[str], float]:
         return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
 
     def split(text: str) -> float:
+        """Return the time of the text before the last point, plus the digits behind it as `fraction` reads them."""
         head, point, tail = text.rpartition(".")
         if not point:
             return whole(text)

@@ -99,7 +99,7 @@ class RowsLeftOut:
 
     @property
     def text(self) -> str:
-        """Rows left out and the reason, for the user."""
+        """Topic, number of rows left out and reason in one line, for the user."""
         place = f"{self.topic}: " if self.topic else ""
         reason = "because stamps are wrong" if self.why == "stamps" else "because times repeat or run back"
         return f"{place}{counted(self.n, 'row')} of {self.n_rows} left out, {reason}"
@@ -227,7 +227,15 @@ def read_signals(tables: Sequence[Table], source: Source) -> Signals:
 
 
 class _RowCounter:
-    """Count of the rows of a table that are in the log, over all signals with the same clock."""
+    """Counter of the rows of a table that are in the log, over all signals with the same clock.
+
+    Parameters
+    ----------
+    table
+        The table.
+    t
+        Times of its rows (n,) [s]; NaN for rows without a time, which are not counted.
+    """
 
     def __init__(self, table: Table, t: Column) -> None:
         self._table, self._t = table, t
@@ -236,7 +244,7 @@ class _RowCounter:
         self._has_time = np.isfinite(t)  # a remark of the table counts the rows without a time
 
     def add(self, raw: Column, ordered: NDArray[np.bool_]) -> None:
-        """Add the values (n,) of a signal, and the flags of its rows in order (n,)."""
+        """Add a signal: its values (n,), NaN for none, and the flags (n,) of rows whose times are in order."""
         known = np.isfinite(raw)
         self._kept |= ordered & known
         self._valued |= known
@@ -298,7 +306,11 @@ def _path_text(tables: Sequence[Table]) -> str:
 
 
 def _raw_values(table: Table, signal: Signal) -> Column:
-    """Return the values of a signal before scale and sign, (n,), in `signal.unit`."""
+    """Return the values of a signal before scale and sign, (n,), in `signal.unit`.
+
+    A signal with `make` is computed from its columns. A position is in metres from the first fix; a fix at 0, 0 is NaN.
+    The angles of a quaternion of zeros are NaN.
+    """
     if not signal.make:
         return table.numbers(signal.columns[0])
     parts = [table.numbers(c) * UNITS[unit][1] for c, unit in zip(signal.columns, signal.units, strict=True)]
@@ -344,7 +356,10 @@ def _wrapped_or_unwrapped(values: Column, how: str) -> Column:
 
 
 def _changed_rows(values: Sequence[Column]) -> NDArray[np.bool_]:
-    """Return the flags (n,) of rows in which any of the columns (n,) differs from the row before."""
+    """Return the flags (n,) of rows in which any of the columns (n,) differs from the row before.
+
+    The first row counts as changed. NaN after NaN is no change.
+    """
     new = np.zeros(len(values[0]), bool)
     new[:1] = True
     for column in values:
@@ -353,7 +368,11 @@ def _changed_rows(values: Sequence[Column]) -> NDArray[np.bool_]:
 
 
 def _with_timeouts(t: Column, values: Column, timeout: float) -> tuple[Column, Column]:
-    """Return times and values with a zero `timeout` [s] after each sample that no other sample follows in this time."""
+    """Return times [s] and values with a zero inserted where the input times out.
+
+    This is `timeout` [s] after each sample that no other sample follows within this time, also after the last one. With
+    a timeout of 0 nothing is inserted.
+    """
     if not timeout or not len(t):
         return t, values
     last = np.append(np.flatnonzero(np.diff(t) > timeout), len(t) - 1)
@@ -361,7 +380,7 @@ def _with_timeouts(t: Column, values: Column, timeout: float) -> tuple[Column, C
 
 
 def _rows_in_order(table: Table, t: Column, source: Source) -> NDArray[np.bool_]:
-    """Return the flags (n,) of the largest set of rows whose times rise.
+    """Return the flags (n,) of the largest set of rows whose times rise. Rows without a time (NaN) are not in it.
 
     Raise SeatrialError if rows are out of order and the map does not drop them.
     """
