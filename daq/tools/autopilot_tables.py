@@ -129,7 +129,11 @@ class DiscoveredAutopilot(DiscoveredDevice):
         return list(found.values())
 
     def _undriven_output_lines(self, thrusters: Sequence[Thruster]) -> list[str]:
-        """Return a comment for each output that cannot be driven or that no thruster monitors."""
+        """Return a comment for each output that cannot be driven or that no thruster monitors.
+
+        Such outputs are rudders, throttles of both sides, motors of omni frames, and further outputs of a driven
+        channel. There is one comment if there are no thrusters at all.
+        """
         p = self.parameters
         functions = {node: p.get(f"SERVO{node}_FUNCTION", 0.0) for node in range(1, 17)}
         driven = {thruster.node for thruster in thrusters}
@@ -152,7 +156,11 @@ class DiscoveredAutopilot(DiscoveredDevice):
 
 
 def _pulse_range(p: Mapping[str, float], prefix: str) -> tuple[float, float, float]:
-    """Return the lowest, neutral and highest pulse [us] of a channel or output: 1000, 1500, 2000 if missing."""
+    """Return the lowest, neutral and highest pulse [us] of a channel or output.
+
+    `prefix` is the begin of the names of its parameters in `p`, for example "SERVO1". The pulses are 1000, 1500 and
+    2000 us if the parameters are missing.
+    """
     low, neutral, high = (
         p.get(f"{prefix}_{end}", us) for end, us in zip(PULSE_SUFFIXES, (1000.0, 1500.0, 2000.0), strict=True)
     )
@@ -160,7 +168,7 @@ def _pulse_range(p: Mapping[str, float], prefix: str) -> tuple[float, float, flo
 
 
 def _thruster_lines(thruster: Thruster) -> list[str]:
-    """Return the lines of a [[thruster]] table."""
+    """Return the lines of the [[thruster]] table of a thruster behind an autopilot, after an empty line."""
     assert thruster.output is not None
     out = thruster.output
     return [

@@ -101,7 +101,7 @@ class _ProtocolCandidate:
         self.times: list[float] = []  # time of arrival of each sample [s]
 
     def feed(self, data: bytes, t: float) -> None:
-        """Decode bytes that were read at time t [s]."""
+        """Decode bytes that were read at time t [s of a monotonic clock], and count bytes, samples and fixes."""
         frames = self.decoder.feed(data, t)
         # A transducer beside a receiver does not change the rate of the receiver.
         found = [frame for frame in frames if not (isinstance(frame, Frame) and isinstance(frame.sample, Transducer))]
@@ -127,13 +127,18 @@ class _ProtocolCandidate:
 
     @property
     def checked(self) -> bool:
-        """Return whether the protocol has checksums. A few samples of such a protocol are sufficient."""
+        """Return whether the protocol has checksums, so that a few samples are sufficient to recognise it.
+
+        Protocols of load cells in text lines and slcan have none.
+        """
         return self.protocol not in ("loadcell", "openscale", SLCAN)
 
     def score(self) -> tuple[float, int]:
-        """Return the confidence in this protocol as (share of the bytes in frames, number of frames).
+        """Return the confidence in this protocol as (share of the bytes in frames, number of frames). Larger is better.
 
-        Larger is better. (0, 0) excludes the protocol.
+        The result is (0, 0), which excludes the protocol, without samples, with fewer than 5 samples without checksums,
+        or if the share is below 0.2 (0.8 without checksums). Bytes before the first sample do not count if 20 bytes
+        follow it.
         """
         if self.samples == 0 or (not self.checked and self.samples < MIN_LINES):
             return 0.0, 0
@@ -148,7 +153,7 @@ class _ProtocolCandidate:
 
     @property
     def condition(self) -> str:
-        """Text for the user about a GNSS receiver without a fix; empty for a receiver with a fix and other devices."""
+        """Text for the user about a GNSS receiver whose samples all lack a fix; empty otherwise."""
         return (
             "; it sends data, but has no fix: check view of the sky, antenna and cable"
             if self.gnss and not self.fixes
@@ -156,7 +161,10 @@ class _ProtocolCandidate:
         )
 
     def rate(self) -> float:
-        """Return the rate of the samples [Hz] from their times of arrival; NaN if there is a single time."""
+        """Return the rate of the samples [Hz] from their times of arrival; NaN if there are fewer than two times.
+
+        The samples of the first read are not counted.
+        """
         if not self.times or self.times[-1] == self.times[0]:
             return math.nan
         # The first read is not counted, because it may contain buffered bytes.
@@ -195,7 +203,10 @@ def find(
 
 
 def baud_rates(wanted: Sequence[int] = ()) -> list[int]:
-    """Return the baud rates to try, in the order of their probability, or the wanted ones if there are any."""
+    """Return the baud rates to try.
+
+    They are the `wanted` ones, or else those of all installed protocols, with the commonest ones first.
+    """
     if wanted:
         return list(wanted)
     rows = [row.bauds for row in DEVICES.usable().values() if row.bauds] + [SLCAN_BAUDS]

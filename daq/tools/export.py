@@ -121,7 +121,11 @@ def _as_log_table(table: Resampled, name: str) -> LogTable:
 
 
 def _write_mat(path: Path, table: Resampled) -> None:
-    """Write a resampled table as a MATLAB file."""
+    """Write a resampled table as a MATLAB file.
+
+    It has the vector t [s since 1970], a vector for each column, and the struct units. Raise SeatrialError if scipy is
+    not installed.
+    """
     try:
         from scipy.io import savemat
     except ModuleNotFoundError as error:
@@ -134,7 +138,10 @@ def _write_mat(path: Path, table: Resampled) -> None:
 
 
 def _write_netcdf(path: Path, table: Resampled, metadata: Mapping[str, str]) -> None:
-    """Write a resampled table as a NetCDF file."""
+    """Write a resampled table as a NetCDF file with the dimension time [s since 1970] and a variable for each column.
+
+    Raise SeatrialError if scipy is not installed.
+    """
     try:
         from scipy.io import netcdf_file
     except ModuleNotFoundError as error:
@@ -152,7 +159,11 @@ def _write_netcdf(path: Path, table: Resampled, metadata: Mapping[str, str]) -> 
 
 
 def _variable_names(names: Iterable[str], longest: int) -> dict[str, str]:
-    """Return valid and unique names of variables by name of the column: letters, digits and underscores only."""
+    """Return valid and unique names of variables by name of the column, at most `longest` characters long.
+
+    Characters other than letters, digits and underscores become underscores. A name that begins with another character
+    than a letter gets s_ in front. A name that repeats, or is t, time or units, gets a number at its end.
+    """
     found: dict[str, str] = {}
     for name in names:
         plain = re.sub(r"[^A-Za-z0-9_]", "_", name)
@@ -208,6 +219,7 @@ def _parquet_writer() -> Callable[[Path, LogTable], None]:
         raise SeatrialError("Parquet needs the package pyarrow: pip install 'seatrial[parquet]'") from error
 
     def write(path: Path, part: LogTable) -> None:
+        """Write a table as a Parquet file, with the unit of each column in its metadata."""
         fields = [
             pyarrow.field(
                 name,

@@ -29,7 +29,10 @@ FOLDED = ("skipped", "parameter")  # kinds of events that often repeat; repetiti
 
 
 def escape(text: str) -> str:
-    """Escape the markup in a text of a log, so that the console prints it unchanged. Long texts are shortened."""
+    """Escape the markup in a text of a log, so that the console prints it unchanged.
+
+    A text of more than 2000 characters is cut off, and the number of its characters is added.
+    """
     return markup.escape(
         text if len(text) <= MAX_CHARACTERS else f"{text[:MAX_CHARACTERS]}... ({len(text)} characters)"
     )
@@ -92,7 +95,7 @@ def _topic_table(log: Log) -> Table:
 
 
 def _port_table(log: Log) -> Table:
-    """Return the table of the last port counters of each device."""
+    """Return the table of the last port counters of each device. The delay is "-" for a device without a clock."""
     heads = ("port", "bytes in", "frames", "checksum errors", "unparsed bytes", "dropped", "reconnects", "delay [ms]")
     table = Table("device", *(escape(head) for head in heads))
     for column in table.columns[2:]:
@@ -115,7 +118,10 @@ def _port_table(log: Log) -> Table:
 
 
 def _print_events(log: Log, console: Console) -> None:
-    """Print the first and the last events of a log."""
+    """Print the first 25 and the last 15 events of a log, with their times since its start [s].
+
+    If the events cannot be read, a warning is printed instead.
+    """
     try:
         events = log.events()
     except SeatrialError as error:
@@ -131,7 +137,7 @@ def _print_events(log: Log, console: Console) -> None:
 
 
 def _with_repeats_joined(events: list[tuple[float, str, str]]) -> list[tuple[float, str, str]]:
-    """Replace repeated events of the kinds in `FOLDED` by one event with the number of repetitions.
+    """Return the events, with consecutive events of the kinds in `FOLDED` joined to one that states their number.
 
     Parameters
     ----------

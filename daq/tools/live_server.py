@@ -96,7 +96,7 @@ class LiveServer:
         self._gate.close()
 
     def _publish_until_end(self) -> None:
-        """Publish the status periodically until the end of the block or of the acquisition."""
+        """Publish the status every 0.05 s until the end of the block or of the acquisition."""
         while not self._ending.wait(PERIOD_S):
             try:
                 self.publish(self._status())
@@ -178,18 +178,28 @@ class OriginGate:
         await asyncio.sleep(0)  # asyncio frees closed connections in the next cycle of its loop
 
     def _is_allowed(self, head: bytes) -> bool:
-        """Return whether the head of a request has no origin, or accepted origins only."""
+        """Return whether the head of a request has no origin, or accepted origins only.
+
+        Accepted are pages of this computer, and the origins given to the gate.
+        """
         origins = [origin.decode("latin-1") for origin in _ORIGIN.findall(head)]
         return all(origin in self._origins or _OURS.fullmatch(origin) for origin in origins)
 
     def _start_connection(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Serve a connection in a task of this class. asyncio prints a traceback when it cancels tasks of its own."""
+        """Start a task that serves a connection.
+
+        The task belongs to this class, because asyncio prints a traceback when it cancels tasks of its own.
+        """
         task = self._loop.create_task(self._serve(reader, writer))
         self._tasks[task] = writer
         task.add_done_callback(self._tasks.pop)
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Check the origin of a client, and forward all bytes between client and server, or answer 403."""
+        """Check the origin of a client; forward all bytes between client and server, or answer 403.
+
+        The connection is closed without an answer if the head of the request is larger than 16 kB or takes longer than
+        5 s.
+        """
         try:
             head = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), HEAD_S)
             if self._is_allowed(head):

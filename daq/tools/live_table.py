@@ -88,7 +88,10 @@ def watch(
 
 
 def _wait_seconds(clock: RunClock, deadline: float, until_wall: float) -> float:
-    """Return the wall time [s] until the deadline of the run clock or until a wall time, whichever is earlier."""
+    """Return the wall time [s] until the deadline of the run clock or until a wall time, whichever is earlier.
+
+    `until_wall` is a time of the monotonic clock [s]. The result is at least 1 ms.
+    """
     return max(min(clock.wall(deadline - clock.now()), until_wall - time.monotonic()), 0.001)
 
 
@@ -180,17 +183,26 @@ def _newest_text(source: Source, port: PortStatus, status: Status, rig: Rig) -> 
 
 
 def _is_silent(port: PortStatus, speed: float) -> bool:
-    """Return whether a port has been silent for too long."""
+    """Return whether a port has sent no sample for too long by its expected rate (`_stale_after`).
+
+    `speed` is the number of run seconds per wall second.
+    """
     return port.age > _stale_after(port.expected, speed)
 
 
 def _stale_after(rate: float, speed: float) -> float:
-    """Return the time [s of the run clock] after which a source with this rate [Hz] is stale."""
+    """Return the time [s of the run clock] after which a source with this rate [Hz] is stale.
+
+    It is the longest of 5 periods, 1 s, and 0.25 s of wall time (`speed`: run seconds per wall second).
+    """
     return max(STALE_S, STALE_PERIODS / rate, STALE_WALL_S * speed)
 
 
 def _header_line(status: Status, rig: Rig, answers: bool) -> Text:
-    """Return the header line: state of the recording, duration, speed, size and name of the log."""
+    """Return the header line: state of the recording, duration, speed, size and name of the log.
+
+    The state is REC, NOT RECORDING with the reason, or that the acquisition does not answer (`answers` false).
+    """
     text = Text(no_wrap=True, overflow="ellipsis")
     if not answers:
         text.append(f"! {NO_ANSWER}", style=BAD)
@@ -206,7 +218,11 @@ def _header_line(status: Status, rig: Rig, answers: bool) -> Text:
 
 
 def _device_cells(port: PortStatus, speed: float, wide: bool) -> list[Text]:
-    """Return the cells of the row of a device, except its newest sample."""
+    """Return the cells of the row of a device, except its newest sample.
+
+    A `wide` table has a column for each error counter, a narrow one has a single column for all that are not zero.
+    Faults have a word or mark beside their colour.
+    """
     stale = _is_silent(port, speed)
     off = not abs(port.rate - port.expected) <= RATE_TOLERANCE * port.expected
     age = "never" if math.isinf(port.age) else f"{port.age:.1f}" if stale else f"{port.age:.2f}"
@@ -227,14 +243,14 @@ def _device_cells(port: PortStatus, speed: float, wide: bool) -> list[Text]:
 
 
 def describe(sample: Sample, rig: Rig, device: str) -> str:
-    """Return a short text about a sample for the user. Angles are in degrees; unknown values are left out.
+    """Return a short text about a sample for the user. Angles are in degrees; unknown values (NaN) are left out.
 
     Parameters
     ----------
     sample
         The sample.
     rig
-        Rig with the names of the thrusters.
+        Rig with the names of the thrusters. A controller without a thruster is named by its number.
     device
         Name of the device of the sample.
     """
@@ -272,7 +288,10 @@ def describe(sample: Sample, rig: Rig, device: str) -> str:
 
 
 def _joined_values(*parts: tuple[str, float, str, str]) -> str:
-    """Return values as one text, from (name, value, format, unit). NaN is left out."""
+    """Return values as one text, from (name, value, format, unit): "yaw 12.3° r 0.5°/s".
+
+    NaN is left out; the text is empty if all values are NaN.
+    """
     texts = []
     for name, value, form, unit in parts:
         if not math.isnan(value):
@@ -299,7 +318,11 @@ def line(status: Status, rig: Rig, now: float) -> str:
 
 
 def log_summary(status: Status, path: Path) -> str:
-    """Return the last line of a recording: file, duration, number of samples, lost samples and silent devices."""
+    """Return the last line of a recording for the user.
+
+    It has file, duration, number of samples and size, and if there are any, the lost samples and the devices without a
+    sample.
+    """
     lost = sum(port.dropped for port in status.ports.values())
     silent = [port.name for port in status.ports.values() if port.samples == 0]
     text = f"{path}: {duration_text(status.duration)}, {counted(status.messages, 'sample')}, {size_text(status.bytes)}"

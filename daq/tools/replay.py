@@ -124,6 +124,7 @@ class ReplayFolder:
         """Write a new file and return its path. Raise SeatrialError if a file or folder has this name already."""
 
         def write() -> None:
+            """Create the file, unless a file or link of this name exists, and write the text."""
             fd = os.open(name, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o644, dir_fd=self._fd)
             with os.fdopen(fd, "w", encoding="utf-8") as file:
                 file.write(text)
@@ -131,7 +132,10 @@ class ReplayFolder:
         return self._create_own_file(name, write)
 
     def _create_own_file(self, name: str, make: Callable[[], None]) -> Path:
-        """Create a file by calling `make`, note its identity, and return its path."""
+        """Create a file by calling `make`, store its identity, and return its path.
+
+        Raise SeatrialError if a file of this name exists or cannot be created.
+        """
         try:
             make()
         except FileExistsError:
@@ -200,6 +204,7 @@ def chunks(log: Log, devices: Sequence[str]) -> Iterator[Chunk]:
     can = {device.name for device in rig.devices if device.port.startswith(("slcan:", "socketcan:"))} if rig else set()
 
     def reads_of(name: str) -> Iterator[Chunk]:
+        """Yield the reads of one device that contain bytes; sent bytes are skipped."""
         for t, direction, data in log.raw(name):
             if direction == "rx" and data:
                 yield t, name, as_slcan(data) if name in can else data
@@ -208,7 +213,10 @@ def chunks(log: Log, devices: Sequence[str]) -> Iterator[Chunk]:
 
 
 def as_slcan(data: bytes) -> bytes:
-    """Convert CAN frames (16 bytes each, the format of the log) to lines of an slcan adapter."""
+    """Convert CAN frames (16 bytes each, the format of the log) to lines of an slcan adapter.
+
+    An incomplete frame at the end is left out.
+    """
     out = []
     for word, length, body in CAN_FRAME.iter_unpack(data[: len(data) // FRAME_BYTES * FRAME_BYTES]):
         head = b"T%08X" % (word & ~EXTENDED) if word & EXTENDED else b"t%03X" % (word & 0x7FF)
@@ -219,7 +227,11 @@ def as_slcan(data: bytes) -> bytes:
 def _send_in_time(
     pieces: Iterator[Chunk], ports: dict[str, ReplayPort], speed: float, stopped: Callable[[], bool]
 ) -> int:
-    """Send the bytes at their times, and return the number of bytes that were passed to the ports."""
+    """Send the bytes at their times, and return the number of bytes that were passed to the ports.
+
+    The first piece is sent at once, and later ones by their time after it, divided by `speed`. Return early when
+    `stopped` returns true. At the end wait until the ports have accepted all bytes.
+    """
     n_sent, start, first = 0, time.monotonic(), 0.0
     for t, name, data in pieces:
         first = first or t
@@ -245,7 +257,15 @@ def _send_in_time(
 
 
 class ReplayPort:
-    """Device end of a pty, with a link to its host end in the folder. Bytes from the host are discarded."""
+    """Device end of a pty, with a link to its host end in the folder. Bytes from the host are discarded.
+
+    Attributes
+    ----------
+    backlog : bytearray
+        Bytes that wait to be sent by `pump`.
+    path : Path
+        The link.
+    """
 
     def __init__(self, folder: ReplayFolder, name: str) -> None:
         self.backlog = bytearray()
@@ -261,7 +281,10 @@ class ReplayPort:
             raise
 
     def has_host(self) -> bool:
-        """Return whether a host has opened the port. After that, this process keeps the host end open, too."""
+        """Return whether a host has opened the port.
+
+        After the first time this process keeps the host end open, too, so the result stays true.
+        """
         if self._slave >= 0:
             return True
         poll = select.poll()
@@ -274,7 +297,10 @@ class ReplayPort:
         return True
 
     def pump(self) -> None:
-        """Send waiting bytes, as many as the buffer of the pty accepts, and discard bytes from the host."""
+        """Send waiting bytes, as many as the buffer of the pty accepts, and discard bytes from the host.
+
+        It never waits, and errors of the pty are ignored.
+        """
         try:
             if self.backlog:
                 del self.backlog[: os.write(self._master, self.backlog)]
@@ -316,7 +342,11 @@ def write_replay_rig(log: Log, devices: Sequence[str], folder: ReplayFolder, spe
 
 
 def _replay_rig_text(log: Log, devices: Sequence[str], speed: float) -> str | None:
-    """Return the text of the rig file of a replay; None if the log has no rig with these devices."""
+    """Return the text of the rig file of a replay; None if the log has no rig with these devices.
+
+    It is the rig of the log with only these devices and their thrusters, the ports of the replay, the clock at `speed`
+    and the folder of the log. Network access (live, ros2) and keys are left out.
+    """
     rig = log.rig
     if rig is None or not {device.name for device in rig.devices}.issuperset(devices):
         return None

@@ -271,9 +271,10 @@ def _ros_vector(frd: Sequence[float] | Array, types: Any) -> Any:
 
 
 def _ros_quaternion(angles: Sequence[float], types: Any) -> Any:
-    """Return the quaternion of the body (forward, left, up) in ENU from yaw, pitch and roll of the body (FRD) in NED.
+    """Return the quaternion of the body (forward, left, up) in ENU, as an object of rosbags.
 
-    Yaw counts from east instead of north. Yaw and pitch change their signs with the axes z and y.
+    `angles` are yaw, pitch and roll [rad] of the body (FRD) in NED. Yaw then counts from east instead of north. Yaw and
+    pitch change their signs with the axes z and y.
     """
     yaw, pitch, roll = angles
     x, y, z, w = quaternion(np.pi / 2 - yaw, -pitch, roll)
@@ -281,7 +282,10 @@ def _ros_quaternion(angles: Sequence[float], types: Any) -> Any:
 
 
 def _rotation_matrix(yaw: float, pitch: float, roll: float) -> Array:
-    """Return the rotation matrix from the body frame to NED, shape (3, 3) (Fossen 2011, eq. 2.18)."""
+    """Return the rotation matrix from the body frame (FRD) to NED, shape (3, 3) (Fossen 2011, eq. 2.18).
+
+    The angles are Euler angles [rad] in the order ZYX.
+    """
     x, y, z, w = quaternion(yaw, pitch, roll)
     return np.array([
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -405,7 +409,11 @@ def _plots_of_log(log: Log) -> list[Plot]:
 
 
 def _foxglove_layout(log: Log, plots: Sequence[Plot], has_frames: bool) -> dict[str, Any]:
-    """Return a layout of Foxglove Studio: the plots below each other, a map of the fixes, and the frames of /tf."""
+    """Return a layout of Foxglove Studio as the content of a JSON file.
+
+    It has the plots below each other. Beside them are a map of the fixes of the first receiver, if there is one, and
+    the frames of /tf if `has_frames`.
+    """
     panels: dict[str, Any] = {}
     for number, plot in enumerate(plots):
         panels[f"Plot!{number}"] = {
@@ -433,7 +441,10 @@ def _foxglove_layout(log: Log, plots: Sequence[Plot], has_frames: bool) -> dict[
 
 
 def _stacked_panels(names: Sequence[str]) -> Any:
-    """Return panels of equal height below each other, as a binary tree, which is the format of a layout."""
+    """Return panels of equal height below each other, as a binary tree, which is the format of a layout.
+
+    One panel is its name; no panel is None.
+    """
     if len(names) < 2:
         return names[0] if names else None
     half = (len(names) + 1) // 2

@@ -83,7 +83,9 @@ class LateCommands:
         self.number = 0  # of late commands
 
     def is_late(self, command: ReceivedCommand, now: float) -> bool:
-        """Return whether a command arrived too late. A command without a time of sending is never late.
+        """Return whether a command arrived too late, and count late commands in `number`.
+
+        A command without a time of sending is never late. The clocks may drift by 0.05 %.
 
         Parameters
         ----------
@@ -251,7 +253,14 @@ class Ros2Node:
     def _declare_token(self, kind: str, entity: int, topic: str = "", type_name: str = "") -> str:
         """Declare a node or an endpoint in the ROS 2 graph, and return its key expression.
 
-        `kind` is NN for a node, MP for a publisher and MS for a subscription.
+        Parameters
+        ----------
+        kind
+            NN for a node, MP for a publisher and MS for a subscription.
+        entity
+            Number of the endpoint in the node; 0 for the node.
+        topic, type_name
+            Topic and message type of an endpoint; empty for a node.
         """
         space = self._ros2.namespace and f"/{self._ros2.namespace}"
         parts = ["@ros2_lv", str(self._ros2.domain), str(self._session.info.zid()), "0", str(entity), kind]
@@ -267,7 +276,10 @@ class Ros2Node:
         return f"/{self._ros2.namespace}{topic}" if self._ros2.namespace else topic
 
     def _publish_all(self) -> None:
-        """Publish queued samples until the end; discard them while there is no router."""
+        """Publish queued samples until the end. Every 0.5 s check whether there is a router.
+
+        While there is no router, queued samples are discarded and counted as lost.
+        """
         check_at = 0.0
         while not self._ending.is_set():
             if (now := time.monotonic()) >= check_at:
@@ -280,7 +292,7 @@ class Ros2Node:
             self._filled.clear()
 
     def _discard_queue(self) -> None:
-        """Discard the queued samples, because they would be old when a router is connected."""
+        """Discard the queued samples and count them as lost, because they would be old when a router is connected."""
         with contextlib.suppress(IndexError):
             while True:
                 self._queue.popleft()
@@ -298,7 +310,7 @@ class Ros2Node:
             self.published += 1
 
     def _publisher_of_topic(self, topic: str, type_name: str) -> _Publisher:
-        """Declare a publisher for a topic of the log."""
+        """Declare a publisher for a topic of the log, and return it."""
         name = self._namespaced_topic(ros_topic(topic))
         token = self._declare_token("MP", next(self._entities), name, type_name)
         key = f"{self._ros2.domain}{name}/{_dds_type_name(type_name)}/{self._types.hash_rihs01(type_name)}"
@@ -321,13 +333,20 @@ class _Publisher:
 
 
 def _dds_type_name(type_name: str) -> str:
-    """Return the DDS name of a message type, by the rule of rosidl."""
+    """Return the DDS name of a message type, by the rule of rosidl.
+
+    The name of "std_msgs/msg/Float64" is "std_msgs::msg::dds_::Float64_".
+    """
     package, _, name = type_name.split("/")
     return f"{package}::msg::dds_::{name}_"
 
 
 def _decoded_command(sample: Any) -> ReceivedCommand:
-    """Decode a received command: a Float64 in CDR, with the attachment of rmw_zenoh."""
+    """Decode a received command: a Float64 in CDR, with the attachment of rmw_zenoh.
+
+    A message of another form gives the value NaN. Without a whole attachment the sender is empty, the time of sending
+    NaN and the number 0.
+    """
     data = sample.payload.to_bytes()
     attachment = b"" if sample.attachment is None else sample.attachment.to_bytes()
     sender, sent, number = b"", NAN, 0
