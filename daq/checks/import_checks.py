@@ -94,6 +94,7 @@ def too_many_rows_missing(n: int, n_rows: int) -> bool:
 
 _ADVICE = {
     "repeats": "stamps that are coarser than the rows, as whole seconds are: time = {{ rate_hz = {rate} }} of the map",
+    "pairs": "two receivers or sensors of unequal rate write into one table: import each from its own file or topic",
     "back": "sort the rows by their time; where a clock was set, or two clocks are mixed, import each part by itself; "
     "`fraction` of the map mends lost zeros",
     "stamps": "the driver's clock, or a simulation that was set back: the log lacks these measurements",

@@ -82,6 +82,8 @@ def import_files(
         advice = "sort the rows; if a clock was set, import the parts before and after it separately"
         if spoiled[0][1].why == "repeats":
             advice = f"its stamps are too coarse: {coarse_advice(spoiled[0][1].rate)}"
+        elif spoiled[0][1].why == "pairs":
+            advice = "two receivers or sensors write into one table: import each from its own file or topic"
         elif spoiled[0][1].why == "stamps":
             advice = "repair the clock of the driver, or cut the log where it failed: [[log]] t_from, t_to of the map"
         rest = f" ({counted(len(spoiled) - 1, 'more source')})" if len(spoiled) > 1 else ""

@@ -21,6 +21,8 @@ from seatrial.daq.log import local_ned, schema
 # Signals whose sign differs between ENU and FLU (east, north, up; forward, left, up) and NED and FRD
 _TURNED = {"v", "w", "q", "r", "ay", "az", "theta", "N", "Y"}
 COARSE = 0.3  # share of rows with a repeated time; with more, the stamps are coarser than the rows
+# Times with two rows at least, and standard deviation of their intervals over the mean, of two sources in one table
+FEWEST_PAIRS, REGULAR = 5, 0.4
 _ATTITUDE = ("roll", "pitch", "yaw")
 
 
@@ -84,8 +86,8 @@ class RowsLeftOut:
     n_rows : int
         Number of rows of the table.
     why : str
-        "repeats" if times repeat; "back" if times run back, and some may repeat; "stamps" if the reader found wrong
-        stamps.
+        "repeats" if times repeat; "pairs" if times repeat regularly, as with a second source in the table; "back" if
+        times run back, and some may repeat; "stamps" if the reader found wrong stamps.
     rate : float
         Mean rate of the rows of the table [Hz]; 0 for "stamps".
     """
@@ -93,7 +95,8 @@ class RowsLeftOut:
     topic: str
     n: int  # rows left out
     n_rows: int  # rows of the table
-    # repeats: times repeat; back: times run back, and some may repeat; stamps: the reader found wrong stamps
+    # repeats: times repeat; pairs: times repeat because of a second source; back: times run back, and some may repeat;
+    # stamps: the reader found wrong stamps
     why: str
     rate: float  # Hz; rows per second of the whole table
 
@@ -256,8 +259,22 @@ class _RowCounter:
         if table.n_left_out:
             yield RowsLeftOut(table.topic, table.n_left_out, len(t) + table.n_left_out, "stamps", 0.0)
         if n := int(np.sum(self._valued & ~self._kept & ~self._again & self._has_time)):
-            why = "back" if np.any(np.diff(t) < 0.0) else "repeats"
+            why = "back" if np.any(np.diff(t) < 0.0) else "pairs" if _is_of_two_sources(t) else "repeats"
             yield RowsLeftOut(table.topic, n, len(t), why, (len(t) - 1) / max(float(np.ptp(t)), 1e-9))
+
+
+def _is_of_two_sources(t: Column) -> bool:
+    """Return whether times (n,) [s] that repeat look like those of two sources of unequal rate in one table.
+
+    Then some of the times, at regular intervals, have two rows, and most times have one. Stamps that are coarser than
+    the rows have several rows at nearly every time.
+    """
+    times, number = np.unique(t, return_counts=True)
+    twice = times[number == 2]
+    if np.max(number) > 2 or len(twice) < FEWEST_PAIRS or len(twice) > 0.5 * len(times):
+        return False
+    steps = np.diff(twice)
+    return bool(np.std(steps) <= REGULAR * np.mean(steps))
 
 
 def _without_held(table: Sequence[SignalData], places: Sequence[int]) -> Iterator[tuple[int, SignalData, Held]]:
