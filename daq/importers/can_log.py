@@ -19,7 +19,7 @@ from seatrial.daq.importers.can_text import BusFrame, dialect_of, read_text_fram
 from seatrial.daq.importers.import_map import CAN_PROTOCOLS
 from seatrial.daq.importers.samples import sample_tables
 from seatrial.daq.importers.table import SourceOptions, Table
-from seatrial.daq.importers.write_log import replacing
+from seatrial.daq.importers.write_log import replacing, warn_of_early_dates
 from seatrial.daq.log import Recorder
 from seatrial.daq.protocol import (
     CAN,
@@ -269,6 +269,8 @@ def import_can(path: Path, rig_path: Path, *, out: Path | None = None, force: bo
         recorder = Recorder(part, rig=rig, clock=_FixedClock(frames[0].t), metadata={"import": "can"})
         try:
             recorder.event(frames[0].t, "import", path.name)
+            if early := warn_of_early_dates(target, frames[0].t, frames[-1].t, [path]):
+                recorder.event(frames[0].t, "clock", early)
             for device, bus_frame, frame in _samples_of_rig(frames, rig):
                 if frame is None:
                     recorder.write_raw(device.name, "rx", _can_frame_bytes(bus_frame), bus_frame.t)

@@ -15,7 +15,7 @@ from seatrial.daq.clock import ClockMap
 from seatrial.daq.drivers import ParameterMismatch, check_parameters
 from seatrial.daq.errors import SeatrialError, SeatrialWarning, counted
 from seatrial.daq.importers.dataflash import firmware_type, read_dataflash
-from seatrial.daq.importers.write_log import Timed, clock_steps, replacing, sha256_of
+from seatrial.daq.importers.write_log import Timed, clock_steps, replacing, sha256_of, warn_of_early_dates
 from seatrial.daq.log import LOG_FORMAT, NANO, LogWriter, cdr_layout, collect, schema
 from seatrial.daq.protocol import Head, MavlinkDecoder, Samples, head, is_whole, make_samples
 from seatrial.daq.rig import Device, Rig
@@ -68,7 +68,7 @@ def import_mavlink(
     name = device.name if device is not None else DEVICE
     reads = [path] if rig is None else [path, rig.path]
     with replacing(target, force, reads) as part:
-        _write_log_file(target, part, name, rows, about, rig, f"{path.name}: {summary}")
+        _write_log_file(target, part, name, rows, about, rig, f"{path.name}: {summary}", path)
     return target, summary
 
 
@@ -304,11 +304,19 @@ def vehicle_type(path: Path, rows: Sequence[Timed], system: int | None) -> int |
 
 
 def _write_log_file(
-    out: Path, part: Path, device: str, rows: Sequence[Timed], about: dict[str, str], rig: Rig | None, note: str
+    out: Path,
+    part: Path,
+    device: str,
+    rows: Sequence[Timed],
+    about: dict[str, str],
+    rig: Rig | None,
+    note: str,
+    source: Path,
 ) -> None:
     """Write the samples in the order of receipt to `part`, the temporary file of the log `out`.
 
-    Warn of clocks that run back, and add these lines as events. Raise SeatrialError if a time is not between 1970 and
+    Warn of clocks that run back and of dates that are 1024 weeks too early by the date of the file `source`, and add
+    these lines as events. Raise SeatrialError if a time is not between 1970 and
     2038.
     """
     in_file_order = rows
@@ -319,6 +327,8 @@ def _write_log_file(
         )
     samples = ((device, row.frame, row.frame.t_rx) for row in in_file_order if not isinstance(row.frame.sample, Event))
     steps = clock_steps(samples)
+    if early := warn_of_early_dates(out, rows[0].frame.t_rx, rows[-1].frame.t_rx, [source]):
+        steps.append(early)
     first = round(rows[0].frame.t_rx * NANO)
     metadata = {**collect(), "format": LOG_FORMAT, "speed": "1.0", **about}
     attachments = {} if rig is None else {"rig.toml": rig.text.encode()}

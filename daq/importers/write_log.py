@@ -101,7 +101,7 @@ def write_signals(
         raise SeatrialError(f"{out}: times must be between 1970 and 2038; check time format and origin in the map")
     t_ns = [np.rint(data.t * NANO).astype(np.int64) for data in signals]
     first = min(int(t[0]) for t in t_ns if len(t))
-    if early := _warn_of_early_dates(out, min(t[0] for t in times), max(t[-1] for t in times), reads):
+    if early := warn_of_early_dates(out, min(t[0] for t in times), max(t[-1] for t in times), reads):
         events = [*events, (first / NANO, Event("clock", early))]
     about = {**collect(), "format": LOG_FORMAT, "speed": "1.0", **metadata}
     with replacing(out, force, reads) as part:
@@ -185,7 +185,7 @@ def write_frames(
     if ordered[0].t < 0.0 or ordered[-1].t >= 2**31:
         raise SeatrialError(f"{out}: the times of the source are not between 1970 and 2038")
     steps = clock_steps((row.device, row.frame, row.t) for row in rows)
-    if early := _warn_of_early_dates(out, ordered[0].t, ordered[-1].t, reads):
+    if early := warn_of_early_dates(out, ordered[0].t, ordered[-1].t, reads):
         steps.append(early)
     first = round(ordered[0].t * NANO)
     about = {**collect(), "format": LOG_FORMAT, "speed": "1.0", **metadata}
@@ -231,7 +231,7 @@ def early_dates(first: float, last: float, written: Sequence[float]) -> str:
     )
 
 
-def _warn_of_early_dates(out: Path, first: float, last: float, reads: Sequence[Path]) -> str:
+def warn_of_early_dates(out: Path, first: float, last: float, reads: Sequence[Path]) -> str:
     """Warn of dates that are probably 1024 weeks too early (`early_dates`), and return the line; empty without one.
 
     Parameters
