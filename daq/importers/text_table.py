@@ -47,6 +47,15 @@ class TextTable(Table):
 
     A table that contains numbers alone is read by numpy, which is several times faster and does not keep the cells. Any
     other table is read cell by cell, which also finds the line of an error.
+
+    Attributes
+    ----------
+    lines : list of int
+        Number of the line in the file, counted from 1, of each row.
+    units : dict
+        Units by column, from a row of units below the header or from the cells.
+    remark : str
+        What was left out, for the user.
     """
 
     strict = True
@@ -293,7 +302,13 @@ _RENAME = 'name the columns in the map: csv.columns = ["...", ...], and csv.skip
 
 
 class _WatchedLines:
-    """Iterator over the lines of a file. `is_cut` is True if the last line has no line end."""
+    """Iterator over the lines of a file. `is_cut` is True if the last line has no line end.
+
+    Attributes
+    ----------
+    is_cut : bool
+        Whether the last line so far has no line end.
+    """
 
     def __init__(self, lines: Iterable[str]) -> None:
         self._lines = lines

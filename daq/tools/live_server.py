@@ -145,6 +145,11 @@ class OriginGate:
     ------
     OSError
         If the address is not available.
+
+    Attributes
+    ----------
+    port : int
+        Port of the gate.
     """
 
     def __init__(self, host: str, port: int, behind: tuple[str, int], origins: Sequence[str]) -> None:

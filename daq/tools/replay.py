@@ -102,6 +102,11 @@ class ReplayFolder:
     ------
     SeatrialError
         If the folder cannot be created or opened.
+
+    Attributes
+    ----------
+    path : Path
+        The folder.
     """
 
     def __init__(self, folder: Path) -> None:

@@ -73,6 +73,11 @@ class LateCommands:
     ----------
     allowed_s
         Largest allowed delay after the fastest command [s].
+
+    Attributes
+    ----------
+    number : int
+        Number of late commands so far.
     """
 
     def __init__(self, allowed_s: float) -> None:
