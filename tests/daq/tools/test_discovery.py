@@ -99,6 +99,15 @@ def test_the_rate_is_that_of_the_samples(name: str, each: int) -> None:
     assert ear.rate() == pytest.approx(5.0 * each)
 
 
+def test_transducers_do_not_change_the_rate_of_a_receiver() -> None:
+    candidate = _ProtocolCandidate("nmea")
+    for k in range(6):
+        candidate.feed(nmea.encode(fix(k)) + sentence("IIXDR,C,40.5,C,OIL,P,1.5,B,FUEL"), 0.2 * k)
+    candidate.close()
+    assert candidate.samples == candidate.gnss == 6
+    assert candidate.rate() == pytest.approx(5.0)
+
+
 def test_a_rate_that_the_user_names_is_tried_with_every_protocol() -> None:
     baud = 9600  # no VectorNav has this rate by default
     assert baud not in DEVICES["vectornav"].bauds
