@@ -23,6 +23,7 @@ APART = 5.5
 LEAST_OFFSET = 0.1  # m, least distance of the curves
 STEPS_OF_RESOLUTION = 3.0  # least distance of the curves in steps of the resolution
 REGULAR = 0.4  # largest standard deviation of the intervals of one receiver over their mean; random intervals have 1
+ALONE = 0.8  # least share of the rarer fixes that follow a fix of the other receiver
 ON_CHORDS = 0.3  # of the distance of the curves; fixes nearer to the chords of the others are interpolated
 SIDEWAYS = 0.3  # share of the offset across the track, below which a wrong time may explain it
 LEAST_SHARE = 0.5  # of the windows that show two receivers
@@ -111,6 +112,10 @@ def _in_window(t: Array, place: Array, resolution: float) -> SecondReceiver | No
     around = place - rows @ fitted
     sigma = float(np.sqrt(np.sum(around**2) / (2 * (t.size - rows.shape[1]))))
     if size < max(LEAST_OFFSET, APART * sigma, STEPS_OF_RESOLUTION * resolution):
+        return None
+    # The fixes of the rarer receiver stand alone among those of the other one, and all over the window.
+    n_groups = int(np.sum(rarer[1:] & ~rarer[:-1])) + int(rarer[0])
+    if n_groups < ALONE * rarer.sum() or np.ptp(t[rarer]) < 0.5 * (t[-1] - t[0]):
         return None
     if not (_is_regular(t[rarer]) and _is_regular(t[~rarer])):
         return None

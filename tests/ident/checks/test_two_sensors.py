@@ -90,3 +90,9 @@ def test_a_coarse_position_is_not_two_receivers(noise: float) -> None:
     c = track(noise=noise)
     coarse = {name: Channel(T, np.round(0.02 * T + x.value / 15.0), "m") for name, x in c.items()}
     assert not list(check_alternating(coarse))
+
+
+def test_a_track_that_leaves_its_place_for_some_seconds_is_not_two_receivers() -> None:
+    """The displaced fixes have regular times, but they follow each other."""
+    away = np.where(np.arange(T.size) % 96 >= 81, 9.0, 0.0)
+    assert not list(check_alternating(track(offset=away, noise=0.02)))
