@@ -344,8 +344,10 @@ def check_alternating(c: Channels) -> Iterator[Finding]:
         elif group == ("x", "y") and len(shares) == 2 and np.array_equal(c["x"].t, c["y"].t):
             x, y = c["x"], c["y"]
             if x.t.size >= FEWEST and (other := second_receiver(x.t, x.value, y.value)) is not None:
-                text = f"{100 * other.share:.0f} % of its fixes, at regular times, lie {other.offset:.1f} m beside the "
-                text += "others: two receivers of unequal rate are in one signal"
+                text = (
+                    f"{100 * other.share:.0f} % of its fixes, at regular times, lie {other.offset:.1f} m beside the "
+                    "others: two receivers of unequal rate are in one signal"
+                )
                 advice = "give each receiver its own topic, column or port, and import only one"
                 yield Finding("fault", "two-sensors", "alike", "x, y", text, advice)
 
