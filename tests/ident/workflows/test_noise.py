@@ -187,7 +187,7 @@ def test_a_log_is_cut_at_its_gap(tmp_path: Path) -> None:
     clock = 'format = "seatrial-import-csv 1"\n[time]\ncolumn = "t"\n'
     (tmp_path / "map.toml").write_text(clock + SIGNAL.format("r", "rad/s"))
     run("import", tmp_path / "map.toml", tmp_path / "still.csv", "-o", tmp_path / "still.mcap")
-    run("ident", "noise", tmp_path / "still.mcap", "-o", tmp_path / "noise")
+    run("ident", "noise", tmp_path / "still.mcap", "--out", tmp_path / "noise")
     result, noise = read(tmp_path / "noise")
     assert noise["r"]["accepted"]
     assert noise["r"]["n"] == 4000
