@@ -263,6 +263,17 @@ class Scalar:
 
 
 @dataclass(frozen=True, slots=True)
+class Transducer(Scalar):
+    """Value of a named transducer of a device, for example of the NMEA sentence XDR.
+
+    A log stores it as the `Scalar` signal `name`, not under the name of the device.
+    """
+
+    name: str  # of the signal in the log, for example xdr_ENGINE_0: letters, digits and _
+    unit: str  # of `value`
+
+
+@dataclass(frozen=True, slots=True)
 class Event:
     """Event of a run, for example the start of a segment, a tare, or a stop with its reason.
 

@@ -17,7 +17,7 @@ from seatrial.daq.clock import ClockMap, RunClock, SuspendDetector
 from seatrial.daq.drivers import DeviceDriver, Due, LinkStatus, Setpoints
 from seatrial.daq.protocol import Decoder
 from seatrial.daq.rig import Device
-from seatrial.daq.samples import NAN, Ahrs, Command, Esc, Event, Frame, Gnss, PortHealth, Sample, Servo
+from seatrial.daq.samples import NAN, Ahrs, Command, Esc, Event, Frame, Gnss, PortHealth, Sample, Servo, Transducer
 from seatrial.daq.transport import Port, PortError, decode_read
 
 IDLE_S = 0.5  # wall s, longest wait for bytes
@@ -285,7 +285,8 @@ class DeviceLoop(threading.Thread):
             (frame, self._estimate_run_time(frame)) for frame in decode_read(self._port, self._decoder, data, t_rx)
         ]
         for frame, t in frames:
-            if not isinstance(frame.sample, Event):
+            # A transducer that still reports does not prove that the receiver or the compass does.
+            if not isinstance(frame.sample, (Event, Transducer)):
                 self._latest[source_of(self.device, frame.sample)] = Latest(frame.sample, t)
                 self._t_last = frame.t_rx
                 self._rated += self._is_rated(frame.sample)

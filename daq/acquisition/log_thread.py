@@ -14,7 +14,7 @@ from seatrial.daq.clock import RunClock
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.log import Recorder
 from seatrial.daq.realtime_priority import set_realtime_priority
-from seatrial.daq.samples import Event, Frame, PortHealth
+from seatrial.daq.samples import Event, Frame, PortHealth, Transducer
 
 QUEUE_ITEMS = 20_000  # reads and writes in the queue, at most
 WRITE_S = 0.01  # wall s between writes to the log
@@ -191,7 +191,10 @@ class LogThread(threading.Thread):
         self._ending.set()
 
     def _write_queue(self) -> None:
-        """Write all items of the queue to the log, and put their samples into the stream."""
+        """Write all items of the queue to the log, and put their samples into the stream.
+
+        Samples of transducers, which no receiver of the stream uses, are only written to the log.
+        """
         for item in self._sink.take():
             if item.direction:
                 self._recorder.write_raw(item.device, item.direction, item.raw, item.t)
@@ -201,7 +204,7 @@ class LogThread(threading.Thread):
                 else:
                     self._recorder.write(item.device, frame, t)
                     self.messages += 1
-                    if self.stream is not None:
+                    if self.stream is not None and not isinstance(frame.sample, Transducer):
                         self.stream.put(StreamedSample(item.device, frame.sample, t))
 
     def _write_counters(self) -> None:

@@ -95,6 +95,7 @@ def too_many_rows_missing(n: int, n_rows: int) -> bool:
 _ADVICE = {
     "repeats": "the stamps are coarser than the rows, as whole seconds are: "
     "write time = {{ rate_hz = {rate} }} into the map",
+    "pairs": "two receivers or sensors of unequal rate write into one table: import each from its own file or topic",
     "back": "sort the rows by their time; if a clock was set, or two clocks are mixed, import each part by itself; "
     "`fraction` of the map mends lost zeros",
     "stamps": "check the clock of the driver; a simulation may have been set back. The log lacks these measurements",

@@ -21,8 +21,18 @@ SLOWEST_SHAFT_S = 0.2  # s between rows; a longer step does not resolve the time
 USUAL_REST_US = (1000.0, 1500.0)  # us; rest of an ESC for one direction, and of an ESC for both directions
 
 
-class _Columns(NamedTuple):
-    """Names of the columns of a thrust stand."""
+class _StandColumns(NamedTuple):
+    """Names of the columns of a thrust stand.
+
+    Attributes
+    ----------
+    thrust : str
+        Column of the thrust.
+    command : str
+        Column of the command of the motor, for example a pulse width.
+    speed : str
+        Column of the shaft speed; "" if the table has none.
+    """
 
     thrust: str
     command: str
@@ -45,13 +55,13 @@ def bench_candidates(table: Table, t: Column | None) -> list[Candidate]:
         ``force``, ``n_cmd_thruster`` and, if the table has a shaft speed, ``n_thruster``. The shaft speed gets a low
         rank if its sign is missing or its rows are too far apart. The list is empty for any other table.
     """
-    numbers = dict(_numbers(table))
-    found = _columns(table, numbers)
+    numbers = dict(_number_columns(table))
+    found = _stand_columns(table, numbers)
     if found is None:
         return []
     thrust, command = numbers[found.thrust], numbers[found.command]
     unit = _force_unit(table, found.thrust) or "N"
-    caveats = [] if _unit(table, found.thrust) else [f"{found.thrust!r} has no unit; newtons are assumed"]
+    caveats = [] if _column_unit(table, found.thrust) else [f"{found.thrust!r} has no unit; newtons are assumed"]
     threshold = REVERSE_SHARE * float(np.nanmax(np.abs(thrust)))
     is_forward, is_reverse = bool(np.nanmax(thrust) > threshold), bool(np.nanmin(thrust) < -threshold)
     caveats += ["the thrust is negative throughout: its sign is changed"] * (not is_forward)
@@ -59,7 +69,7 @@ def bench_candidates(table: Table, t: Column | None) -> list[Candidate]:
     signals = [Candidate("force", 0, table, (force,), "; ".join(caveats))]
     is_reversed = is_forward and is_reverse
     speed = numbers.get(found.speed)
-    extra, caveat = _scale(command, thrust if speed is None else speed, is_reversed)
+    extra, caveat = _command_scale(command, thrust if speed is None else speed, is_reversed)
     signals.append(Candidate("command", 0, table, (MapSignal(COMMAND, (found.command,), "1", "", extra),), caveat))
     if speed is None:
         return signals
@@ -75,8 +85,11 @@ def bench_candidates(table: Table, t: Column | None) -> list[Candidate]:
     return [*signals, Candidate("shaft", rank, table, (shaft,), caveat)]
 
 
-def _numbers(table: Table) -> Iterator[tuple[str, Column]]:
-    """Yield the name and the values (n,) of each column of numbers. A name that appears twice is skipped."""
+def _number_columns(table: Table) -> Iterator[tuple[str, Column]]:
+    """Yield the name and the values (n,) of each column of numbers.
+
+    Columns without a name, of text, without any finite number, or with a name that appears twice are skipped.
+    """
     for name in table.names:
         if name and table.names.count(name) == 1:
             try:
@@ -87,10 +100,11 @@ def _numbers(table: Table) -> Iterator[tuple[str, Column]]:
                 yield name, values
 
 
-def _columns(table: Table, numbers: Mapping[str, Column]) -> _Columns | None:
+def _stand_columns(table: Table, numbers: Mapping[str, Column]) -> _StandColumns | None:
     """Return the columns of thrust, command and speed.
 
-    The result is None if the table is from a boat or lacks the thrust or the command.
+    The result is None if the table is from a boat, has no command that changes, or has no thrust or more than one. Of
+    several speeds the one with the most values other than zero is taken; of several commands the first.
     """
     # A name of a side or of a signal of motion means that the table is from a boat. A stand may have an accelerometer.
     words = {name: read_name(name).words for name in numbers}
@@ -98,32 +112,37 @@ def _columns(table: Table, numbers: Mapping[str, Column]) -> _Columns | None:
         return None
     usable = [name for name in numbers if not words[name] & _NOT]
     thrusts = [n for n in usable if words[n] & {"thrust", "force"} and _force_unit(table, n)]
-    commands = [n for n in usable if words[n] & _COMMANDS and _unit(table, n) in ("us", "%", "", "1")]
+    commands = [n for n in usable if words[n] & _COMMANDS and _column_unit(table, n) in ("us", "%", "", "1")]
     commands = [n for n in commands if np.nanmax(numbers[n]) > np.nanmin(numbers[n])]
-    speeds = [n for n in usable if _unit(table, n) == "rev/min" or "rpm" in words[n]]
+    speeds = [n for n in usable if _column_unit(table, n) == "rev/min" or "rpm" in words[n]]
     speeds = [n for n in speeds if np.nanmax(np.abs(numbers[n])) > 0.0]
     if len(thrusts) != 1 or not commands:
         return None
     # A stand may have an electrical and an optical speed sensor: take the sensor with more values other than zero.
     best = max(speeds, key=lambda n: int(np.count_nonzero(np.nan_to_num(numbers[n]))), default="")
-    return _Columns(thrusts[0], commands[0], best)
+    return _StandColumns(thrusts[0], commands[0], best)
 
 
-def _unit(table: Table, column: str) -> str:
+def _column_unit(table: Table, column: str) -> str:
     """Return the unit of a column as a map writes it, or, for an unknown unit, as the column writes it."""
     name = read_name(f"{column} [{table.units[column]}]" if column in table.units else column)
     return name.unit or name.no_unit
 
 
 def _force_unit(table: Table, column: str) -> str:
-    """Return the unit of a thrust; "" if the column has no unit of force. Grams count as a force on a thrust stand."""
-    return _FORCE.get(_unit(table, column), "")
+    """Return the unit of a thrust column as a map writes it; "" if it is not a unit of force.
+
+    Grams and kilograms count as forces on a thrust stand ("gf", "kgf"). A column without a unit gets "N".
+    """
+    return _FORCE.get(_column_unit(table, column), "")
 
 
-def _scale(command: Column, response: Column, is_reversed: bool) -> tuple[str, str]:
-    """Return the map keys that scale a command to -1 .. 1, and the caveat about this scale.
+def _command_scale(command: Column, response: Column, is_reversed: bool) -> tuple[str, str]:
+    """Return the map keys that scale a command (n,) to -1 .. 1, and the caveat about this scale.
 
-    Rest is the most frequent command at which the response (n,), a speed or a thrust, is about zero.
+    Rest is the most frequent command at which the response (n,), a speed or a thrust, is about zero. Without such a row
+    it is the usual rest of an ESC, 1000 us, or 1500 us if `is_reversed` (both directions); 0 if the command is no
+    pulse.
     """
     known = np.isfinite(command) & np.isfinite(response)
     at_rest = known & (np.abs(response) <= REST_SHARE * np.nanmax(np.abs(response)))

@@ -19,7 +19,7 @@ from seatrial.daq.importers.can_text import BusFrame, dialect_of, read_text_fram
 from seatrial.daq.importers.import_map import CAN_PROTOCOLS
 from seatrial.daq.importers.samples import sample_tables
 from seatrial.daq.importers.table import SourceOptions, Table
-from seatrial.daq.importers.write_log import replacing
+from seatrial.daq.importers.write_log import replacing, warn_of_early_dates
 from seatrial.daq.log import Recorder
 from seatrial.daq.protocol import (
     CAN,
@@ -42,7 +42,7 @@ _HEAD_BYTES = 65536  # bytes in which the dialect is recognised
 
 
 def is_can_log(head: bytes) -> bool:
-    """Return whether a file with these first bytes is a CAN log."""
+    """Return whether a file with these first bytes is a CAN log: a BLF file, or a text in one of the known dialects."""
     return head.startswith(BLF) or bool(dialect_of(head))
 
 
@@ -67,7 +67,10 @@ def read_frames(path: Path) -> list[BusFrame]:
 
 
 def _library_frames(path: Path, name: str) -> Iterator[BusFrame]:
-    """Yield the data frames that the reader `name` of python-can finds; skip error, remote and CAN FD frames."""
+    """Yield the data frames that the reader `name` of python-can ("BLFReader" or "LogReader") finds in a file.
+
+    Error, remote and CAN FD frames are skipped. Raise SeatrialError if python-can cannot read the file.
+    """
     import can
 
     try:
@@ -104,12 +107,14 @@ def read_can(path: Path, options: SourceOptions) -> list[Table]:
     """
     frames = read_frames(path)
     if options.dbc is not None:
-        return _by_dbc(path, frames, options.dbc)
+        return _dbc_tables(path, frames, options.dbc)
     if options.rig is not None:
         rig = load_rig(options.rig)
-        rows = [(device.name, frame) for device, _, frame in _decoded(frames, rig) if frame is not None]
+        rows = [(device.name, frame) for device, _, frame in _samples_of_rig(frames, rig) if frame is not None]
     else:
-        tried = [_bare(frames, name) for name in ([options.protocol] if options.protocol else CAN_PROTOCOLS)]
+        tried = [
+            _samples_without_rig(frames, name) for name in ([options.protocol] if options.protocol else CAN_PROTOCOLS)
+        ]
         rows = max(tried, key=len)
     if not rows:
         raise SeatrialError(
@@ -119,35 +124,38 @@ def read_can(path: Path, options: SourceOptions) -> list[Table]:
     return sample_tables(path, [(name, frame.t_rx, frame) for name, frame in rows])
 
 
-def _bare(frames: list[BusFrame], protocol: str) -> list[tuple[str, Frame]]:
-    """Return the samples that a protocol decodes without a rig, each with its bus.
+def _samples_without_rig(frames: list[BusFrame], protocol: str) -> list[tuple[str, Frame]]:
+    """Return the samples that a CAN protocol decodes without a rig, each after the name of its bus.
 
-    The speed of a VESC is then electrical: the number of pole pairs is unknown.
+    The list is empty if the log has no frame of the protocol. The speed of a VESC is electrical: the number of pole
+    pairs is unknown, so it is taken as one.
     """
-    decoders = {bus: _bare_decoder(protocol) for bus in {bus_frame.bus for bus_frame in frames}}
+    decoders = {bus: _decoder_without_rig(protocol) for bus in {bus_frame.bus for bus_frame in frames}}
     return [
         (bus_frame.bus, frame)
         for bus_frame in frames
-        for frame in decoders[bus_frame.bus].feed(_wire(bus_frame), bus_frame.t)
+        for frame in decoders[bus_frame.bus].feed(_can_frame_bytes(bus_frame), bus_frame.t)
     ]
 
 
-def _bare_decoder(protocol: str) -> Decoder:
-    """Return the decoder of a CAN protocol for all nodes of a bus."""
+def _decoder_without_rig(protocol: str) -> Decoder:
+    """Return the decoder of a CAN protocol ("vesc", "dronecan" or "nmea2000") for all nodes of a bus."""
     if protocol == "vesc":
         return vesc.Decoder(dict.fromkeys(range(256), 1))  # one pole pair for every possible node
     return dronecan.Decoder(frozenset()) if protocol == "dronecan" else nmea2000.Decoder(0.0)
 
 
-def _wire(frame: BusFrame) -> bytes:
+def _can_frame_bytes(frame: BusFrame) -> bytes:
+    """Return the 16 bytes of a frame as `struct can_frame` of Linux, which the decoders read."""
     return CAN_FRAME.pack(frame.word, len(frame.data), frame.data)
 
 
-def _by_dbc(path: Path, frames: list[BusFrame], database: Path) -> list[Table]:
+def _dbc_tables(path: Path, frames: list[BusFrame], database: Path) -> list[Table]:
     """Return a table for each message of the DBC that the log contains.
 
-    The topic is MESSAGE, or MESSAGE_SENDER if a PGN has several senders. The bus stands in front, can0_MESSAGE, if the
-    messages come from several buses.
+    The topic is MESSAGE, or MESSAGE_SENDER if a PGN has several senders. It begins with the bus, can0_MESSAGE, if the
+    messages come from several buses. Frames that the DBC cannot decode are counted in the remark of their table. Raise
+    SeatrialError if no frame is in the DBC.
     """
     messages = dbc.load_dbc(str(database)).messages
     messages_by_name = {m.name: m for m in messages}
@@ -185,8 +193,11 @@ def _by_dbc(path: Path, frames: list[BusFrame], database: Path) -> list[Table]:
     return tables
 
 
-def _decoded(frames: list[BusFrame], rig: Rig) -> Iterator[tuple[Device, BusFrame, Frame | None]]:
-    """Yield each frame for each CAN device of the rig, first with None, then with each sample that it completes."""
+def _samples_of_rig(frames: list[BusFrame], rig: Rig) -> Iterator[tuple[Device, BusFrame, Frame | None]]:
+    """Yield each frame for each CAN device of the rig: first with None, then once for each sample that it completes.
+
+    Raise SeatrialError if the rig has no CAN device.
+    """
     devices = [device for device in rig.devices if DEVICES[device.protocol].bus == CAN]
     if not devices:
         raise SeatrialError(f"{rig.path}: the rig has no device on a CAN bus")
@@ -199,18 +210,29 @@ def _decoded(frames: list[BusFrame], rig: Rig) -> Iterator[tuple[Device, BusFram
             if bus in buses and bus_frame.bus != bus:
                 continue
             yield device, bus_frame, None
-            for frame in decoders[device.name].feed(_wire(bus_frame), bus_frame.t):
+            for frame in decoders[device.name].feed(_can_frame_bytes(bus_frame), bus_frame.t):
                 yield device, bus_frame, frame
 
 
 class _FixedClock(NamedTuple):
-    """Clock of a recorder that writes an old log: its time [s] is that of the first frame."""
+    """Clock of a recorder that writes an old log: its time [s] is that of the first frame.
+
+    Attributes
+    ----------
+    t : float
+        Time of the first frame [s since 1970].
+    speed : float
+        Rate of the clock, always 1.
+    origin : object
+        Always None.
+    """
 
     t: float
     speed: float = 1.0
     origin: object = None
 
     def now(self) -> float:
+        """Return the time of the first frame [s since 1970]."""
         return self.t
 
 
@@ -247,9 +269,11 @@ def import_can(path: Path, rig_path: Path, *, out: Path | None = None, force: bo
         recorder = Recorder(part, rig=rig, clock=_FixedClock(frames[0].t), metadata={"import": "can"})
         try:
             recorder.event(frames[0].t, "import", path.name)
-            for device, bus_frame, frame in _decoded(frames, rig):
+            if early := warn_of_early_dates(target, frames[0].t, frames[-1].t, [path]):
+                recorder.event(frames[0].t, "clock", early)
+            for device, bus_frame, frame in _samples_of_rig(frames, rig):
                 if frame is None:
-                    recorder.write_raw(device.name, "rx", _wire(bus_frame), bus_frame.t)
+                    recorder.write_raw(device.name, "rx", _can_frame_bytes(bus_frame), bus_frame.t)
                 else:
                     recorder.write(device.name, frame, bus_frame.t)
                     n_samples += 1

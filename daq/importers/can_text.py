@@ -32,7 +32,19 @@ _MONTHS = ("jan", "feb", "m.r", "apr", "ma[iy]", "jun", "jul", "aug", "sep", "o[
 
 
 class BusFrame(NamedTuple):
-    """Data frame of a CAN bus."""
+    """Data frame of a CAN bus.
+
+    Attributes
+    ----------
+    t : float
+        Time of the frame [s since 1970], or since the start of the log.
+    bus : str
+        Name or number of the bus, as the log writes it.
+    word : int
+        Identifier. The flag EXTENDED is set for identifiers of 29 bits.
+    data : bytes
+        Data of the frame, at most 8 bytes.
+    """
 
     t: float  # s since 1970, or since the start of the log
     bus: str
@@ -77,15 +89,41 @@ _CANBOAT = re.compile(
 
 
 class _Dialect(NamedTuple):
-    """Dialect of a text log."""
+    """Dialect of a text log.
+
+    Attributes
+    ----------
+    name : str
+        Name of the dialect.
+    form : re.Pattern
+        Pattern of a line with a frame.
+    frames : callable
+        Function that converts the groups of a matching line to frames. It may change the state of the log.
+    """
 
     name: str
     form: re.Pattern[str]  # of a line with a frame
-    frames: Callable[[_Log, Fields], Iterator[BusFrame]]  # converts the groups of a matching line to frames
+    frames: Callable[[_LogState, Fields], Iterator[BusFrame]]  # converts the groups of a matching line to frames
 
 
-class _Log:
-    """State of the reader of one log: the values of its heading, and a counter of fast packets."""
+class _LogState:
+    """State of the reader of one log: the values of its heading, and a counter of fast packets.
+
+    Attributes
+    ----------
+    start : float
+        Time that is added to the times of the frames [s since 1970].
+    since_midnight : float
+        Time of day of the start [s].
+    base : int
+        Number base of identifiers and data, 10 or 16.
+    is_delta : bool
+        Whether each time counts from the previous frame.
+    sequence : int
+        Sequence number of the next fast packet, 0 to 7.
+    has_no_times : bool
+        Whether a frame without a time was found.
+    """
 
     def __init__(self) -> None:
         self.start = 0.0  # s since 1970
@@ -97,7 +135,11 @@ class _Log:
 
 
 def dialect_of(head: bytes) -> str:
-    """Return the dialect of a text with these first bytes; "" if the text is not a CAN log."""
+    """Return the name of the dialect of a text with these first bytes; "" if the text is not a CAN log.
+
+    ASC and BusMaster are recognised by their headings. For other dialects at least half of the first 40 lines that are
+    not blank must be frames.
+    """
     lines = [line.strip() for line in head.decode("utf-8", "replace").splitlines() if line.strip()][:LOOKED_AT]
     if any(_BUSMASTER_DATE.match(line) or line.startswith("***BUSMASTER") for line in lines):
         return "BusMaster"
@@ -120,7 +162,7 @@ def read_text_frames(path: Path, dialect: str) -> list[BusFrame]:
         If the file cannot be read, its frames have no times, or most of its lines are not frames.
     """
     dialect_of_log = next(known for known in _DIALECTS if known.name == dialect)
-    log = _Log()
+    log = _LogState()
     frames: list[BusFrame] = []
     strange: list[int] = []  # numbers of lines
     try:
@@ -146,10 +188,10 @@ def read_text_frames(path: Path, dialect: str) -> list[BusFrame]:
     if strange:
         text = f"{path}: {counted(len(strange), 'line')} left out, not CAN frames; the first is line {strange[0]}"
         warnings.warn(text, SeatrialWarning, stacklevel=2)
-    return _with_times(log, dialect_of_log.name, frames)
+    return _with_continuous_times(log, dialect_of_log.name, frames)
 
 
-def _with_times(log: _Log, dialect: str, frames: list[BusFrame]) -> list[BusFrame]:
+def _with_continuous_times(log: _LogState, dialect: str, frames: list[BusFrame]) -> list[BusFrame]:
     """Return the frames with continuous times [s].
 
     Times that count from the previous frame are summed. In dialects with times of day, a day is added after midnight.
@@ -171,8 +213,11 @@ def _with_times(log: _Log, dialect: str, frames: list[BusFrame]) -> list[BusFram
     return [frame._replace(t=log.start + time) for frame, time in zip(frames, t, strict=True)]
 
 
-def _is_heading(log: _Log, dialect: str, line: str) -> bool:
-    """Return whether a line is part of the heading or an event without data; store its settings in `log`."""
+def _is_heading(log: _LogState, dialect: str, line: str) -> bool:
+    """Return whether a line is part of the heading of the log, a comment, or an event without data.
+
+    The date, number base and time mode in a heading are stored in `log`.
+    """
     if dialect == "ASC":
         return _is_asc_heading(log, line)
     if dialect == "BusMaster":
@@ -189,8 +234,11 @@ def _is_heading(log: _Log, dialect: str, line: str) -> bool:
     return line.startswith(("#", "//", ";")) or "ERRORFRAME" in line or (dialect == "canboat" and "," not in line)
 
 
-def _is_asc_heading(log: _Log, line: str) -> bool:
-    """Return whether a line of an ASC file is heading or an event; store its date, number base and time mode."""
+def _is_asc_heading(log: _LogState, line: str) -> bool:
+    """Return whether a line of an ASC file is part of the heading, an event, or any text that begins without a digit.
+
+    The date, number base and time mode in a heading are stored in `log`.
+    """
     low = line.lower()
     if (date := _ASC_DATE.match(line)) is not None:
         if not log.start:
@@ -216,8 +264,12 @@ def _asc_date(parts: Fields) -> float:
     return day + 3600.0 * hours + 60.0 * int(parts["m"]) + float(parts["s"])
 
 
-def _candump(log: _Log, parts: Fields) -> Iterator[BusFrame]:
-    """Yield the frame of a candump line. CAN FD frames, remote requests and error messages yield no frame."""
+def _candump_frames(log: _LogState, parts: Fields) -> Iterator[BusFrame]:
+    """Yield the frame of a candump line.
+
+    CAN FD frames, remote requests and error messages yield no frame. A line without a time sets `log.has_no_times`.
+    Raise ValueError if the number of bytes is not that in the line.
+    """
     text = parts["data"]
     if not parts["t"]:
         log.has_no_times = True
@@ -228,20 +280,23 @@ def _candump(log: _Log, parts: Fields) -> Iterator[BusFrame]:
         return
     data = bytes.fromhex(text.replace(".", ""))
     if len(data) <= LONGEST_FRAME and int(parts.get("n") or len(data)) == len(data):
-        yield BusFrame(_moment(parts["t"]), parts["bus"], word | (EXTENDED if is_long else 0), data)
+        yield BusFrame(_text_seconds(parts["t"]), parts["bus"], word | (EXTENDED if is_long else 0), data)
     elif len(data) <= LONGEST_FRAME:
         raise ValueError(text)
 
 
-def _moment(text: str) -> float:
-    """Return a time [s] from a number, or from a date and a time of day, which are taken as UTC."""
+def _text_seconds(text: str) -> float:
+    """Return a time [s] from a text: a number, or a date and a time of day, which are taken as UTC.
+
+    An empty text gives 0. Raise ValueError for other texts.
+    """
     if "-" not in text:
         return float(text or "0")
     moment = datetime.fromisoformat(text.rstrip("Z"))
     return moment.replace(tzinfo=UTC).timestamp()
 
 
-def _asc(log: _Log, parts: Fields) -> Iterator[BusFrame]:
+def _asc_frames(log: _LogState, parts: Fields) -> Iterator[BusFrame]:
     """Yield the frame of an ASC line; no frame for a remote request."""
     data = bytes(int(part, log.base) for part in parts["data"].split())
     if parts["kind"] in "dD":
@@ -249,7 +304,7 @@ def _asc(log: _Log, parts: Fields) -> Iterator[BusFrame]:
         yield BusFrame(float(parts["t"]), parts["bus"], word, data[:LONGEST_FRAME])
 
 
-def _busmaster(log: _Log, parts: Fields) -> Iterator[BusFrame]:
+def _busmaster_frames(log: _LogState, parts: Fields) -> Iterator[BusFrame]:
     """Yield the frame of a BusMaster line, with the time since midnight [s]; no frame for a remote request."""
     data = bytes(int(part, log.base) for part in parts["data"].split())
     word = int(parts["id"], 16 if parts["id"].startswith("0x") else log.base)
@@ -259,34 +314,41 @@ def _busmaster(log: _Log, parts: Fields) -> Iterator[BusFrame]:
         yield BusFrame(t, parts["bus"], word | (EXTENDED if parts["kind"] == "x" else 0), data)
 
 
-def _yacht(log: _Log, parts: Fields) -> Iterator[BusFrame]:
-    """Yield the frame of a Yacht Devices line, with the time since midnight [s]."""
+def _yacht_frames(log: _LogState, parts: Fields) -> Iterator[BusFrame]:
+    """Yield the frame of a Yacht Devices line, with the time since midnight [s].
+
+    Data beyond 8 bytes are cut off.
+    """
     hours, minutes, seconds = parts["t"].split(":")
     t = 3600.0 * int(hours) + 60.0 * int(minutes) + float(seconds)
     yield BusFrame(t, "1", int(parts["id"], 16) | EXTENDED, bytes.fromhex(parts["data"])[:LONGEST_FRAME])
 
 
-def _n2k(log: _Log, parts: Fields) -> Iterator[BusFrame]:
+def _n2k_frames(log: _LogState, parts: Fields) -> Iterator[BusFrame]:
     """Yield the frames of an N2K ASCII message, with the time since midnight [s]."""
     clock = parts["t"]
     t = 3600.0 * int(clock[:2]) + 60.0 * int(clock[2:4]) + float(clock[4:])
     numbers = [int(parts[name], 16) for name in ("priority", "pgn", "source", "to")]
-    yield from _message(log, t, numbers, bytes.fromhex(parts["data"]))
+    yield from _message_frames(log, t, numbers, bytes.fromhex(parts["data"]))
 
 
-def _canboat(log: _Log, parts: Fields) -> Iterator[BusFrame]:
+def _canboat_frames(log: _LogState, parts: Fields) -> Iterator[BusFrame]:
     """Yield the frames of a canboat message, with the time since 1970 [s]. Raise ValueError if its length is wrong."""
     text = parts["t"]
-    t = _moment(text[:10] + "T" + text[11:])
+    t = _text_seconds(text[:10] + "T" + text[11:])
     numbers = [int(parts[name]) for name in ("priority", "pgn", "source", "to")]
     data = bytes.fromhex(parts["data"].replace(",", ""))
     if len(data) != int(parts["n"]):
         raise ValueError(text)
-    yield from _message(log, t, numbers, data)
+    yield from _message_frames(log, t, numbers, data)
 
 
-def _message(log: _Log, t: float, numbers: Sequence[int], data: bytes) -> Iterator[BusFrame]:
-    """Yield the frames of a complete NMEA 2000 message. Split a message above 8 bytes into a fast packet."""
+def _message_frames(log: _LogState, t: float, numbers: Sequence[int], data: bytes) -> Iterator[BusFrame]:
+    """Yield the frames of a complete NMEA 2000 message. Split a message above 8 bytes into a fast packet.
+
+    `numbers` are priority, PGN, source and destination address. A message with an impossible number gives no frame. The
+    sequence number of `log` is increased by each fast packet.
+    """
     priority, pgn, source, to = numbers
     if pgn > LARGEST_PGN or source > 255 or to > 255:
         return
@@ -303,11 +365,11 @@ def _message(log: _Log, t: float, numbers: Sequence[int], data: bytes) -> Iterat
 
 
 _DIALECTS = (
-    _Dialect("candump -L", _COMPACT, _candump),
-    _Dialect("candump", _SPACED, _candump),
-    _Dialect("ASC", _ASC, _asc),
-    _Dialect("BusMaster", _BUSMASTER, _busmaster),
-    _Dialect("Yacht Devices", _YACHT, _yacht),
-    _Dialect("N2K", _N2K, _n2k),
-    _Dialect("canboat", _CANBOAT, _canboat),
+    _Dialect("candump -L", _COMPACT, _candump_frames),
+    _Dialect("candump", _SPACED, _candump_frames),
+    _Dialect("ASC", _ASC, _asc_frames),
+    _Dialect("BusMaster", _BUSMASTER, _busmaster_frames),
+    _Dialect("Yacht Devices", _YACHT, _yacht_frames),
+    _Dialect("N2K", _N2K, _n2k_frames),
+    _Dialect("canboat", _CANBOAT, _canboat_frames),
 )

@@ -72,7 +72,23 @@ _ZONES = {"utc", "gmt", "local"}  # words that stand in the place of the unit of
 
 
 class Clock(NamedTuple):
-    """Source of the times of a table."""
+    """Source of the times of a table.
+
+    Attributes
+    ----------
+    column : str
+        Column of the times; "" if the table has its own times, or no times.
+    form : str
+        Format of the times, as in [time] of a map: a unit, "iso", "gps", ... or a strptime pattern.
+    caveat : str
+        Doubt about the format, for a comment in the map; "" if there is none.
+    rate : float
+        Rate of the rows [Hz] if several rows share each stamp, else 0.
+    start : float
+        Time of the first row [s] if `rate` is not 0.
+    date : str
+        Column of the dates or of the GPS weeks; "" if the times need none.
+    """
 
     column: str = ""  # "" if the table has its own times, or no times
     form: str = "s"  # format as in [time] of a map
@@ -117,16 +133,20 @@ def clock_of(table: Table) -> Clock:
             if form := format_of_text(table.text(name))[0]:
                 return Clock(name, form, f"{name!r} has dates and is assumed to be the time")
             continue
-        if _may_be_time(table, name) and _is_even(values):
-            form, _ = _format(table, name)
+        if _may_be_time(table, name) and _rises_evenly(values):
+            form, _ = _time_format(table, name)
             place = "first" if name == table.names[0] else "second"
             return Clock(name, form, f"its {place} column rises evenly and is assumed to be the time")
     return Clock()
 
 
 def _named_clock(table: Table, name: str, dates: Sequence[str], weeks: Sequence[str]) -> Clock:
-    """Return the clock of a column with the name of a time, with its column of dates or GPS weeks if needed."""
-    form, caveat = _format(table, name)
+    """Return the clock of the column `name`, with its column of dates or GPS weeks if it needs one.
+
+    The first of `weeks` is used for times of a GPS week, with a caveat if it counts modulo 1024. The first of `dates`
+    is used for times of day.
+    """
+    form, caveat = _time_format(table, name)
     clock = Clock(name, form, caveat)
     if weeks and form in ("s", "ms"):
         clock = Clock(name, "gps" if form == "s" else "gps_ms", date=weeks[0])
@@ -147,18 +167,18 @@ def _compact_date(table: Table, name: str) -> Clock | None:
 
     The result is None if the times are not of this form, or no column of dates fits.
     """
-    times = _typical(table.text(name))
+    times = _typical_texts(table.text(name))
     if not times or not all(re.fullmatch(r"([01]\d|2[0-3])([0-5]\d){2}(\.\d+)?", text) for text in times):
         return None
     clock = "%H%M%S.%f" if any("." in text for text in times) else "%H%M%S"
     for date in (
         column for column in table.names if column and read_name(column).words & {"date", "datum", "day", "utcdate"}
     ):
-        days = _typical(table.text(date)) if table.names.count(date) == 1 else []
+        days = _typical_texts(table.text(date)) if table.names.count(date) == 1 else []
         pattern = _COMPACT.get(len(days[0]) if days else 0)
         if pattern is None or any(len(day) != len(days[0]) for day in days):
             continue
-        if _fits(partial(read_date, pattern=pattern), days):
+        if _reads_all(partial(read_date, pattern=pattern), days):
             return Clock(name, f"{pattern} {clock}", "", date=date)
     return None
 
@@ -173,7 +193,11 @@ def _is_text(table: Table, name: str) -> bool:
 
 
 def row_seconds(table: Table, clock: Clock) -> Column | None:
-    """Return the times of the rows [s], shape (n,); None if the table has no readable time column."""
+    """Return the times of the rows [s], shape (n,); None if the table has no readable time column.
+
+    A row without a time has NaN, and a remark of the table counts these rows. For a clock without a column they are the
+    table's own times, which may be None.
+    """
     if not clock.column:
         return table.t
     try:
@@ -182,8 +206,11 @@ def row_seconds(table: Table, clock: Clock) -> Column | None:
         return None
 
 
-def _is_even(values: Column) -> bool:
-    """Return whether all steps of a column (n,) are positive and of about the same size."""
+def _rises_evenly(values: Column) -> bool:
+    """Return whether a column (n,) rises evenly.
+
+    It has more than 10 steps, all positive, which differ by less than half their mean.
+    """
     steps = np.diff(values)
     return bool(len(steps) > 10 and np.all(steps > 0.0) and np.ptp(steps) < 0.5 * np.mean(steps))
 
@@ -214,10 +241,10 @@ def _even_clock(table: Table, clock: Clock) -> Clock:
 
 
 def _may_be_time(table: Table, name: str, rising: float = 0.5) -> bool:
-    """Return whether a column may be the time.
+    """Return whether a column may be the time, by its values.
 
-    More than the share `rising` of the steps of numbers must be positive. Texts must contain digits and differ from
-    row to row.
+    More than the share `rising` (0 to 1) of the steps of numbers must be positive. Texts must contain digits and differ
+    from row to row.
     """
     try:
         values = table.numbers(name)
@@ -228,8 +255,12 @@ def _may_be_time(table: Table, name: str, rising: float = 0.5) -> bool:
     return len(good) > 1 and float(np.mean(np.diff(good) > 0.0)) > rising
 
 
-def _format(table: Table, column: str) -> tuple[str, str]:
-    """Return the format of a column of times, as in [time] of a map, and the caveat about it."""
+def _time_format(table: Table, column: str) -> tuple[str, str]:
+    """Return the format of a column of times, as in [time] of a map, and the caveat about it.
+
+    A column that the file declares as seconds has the format "s". Texts that are not recognised have the format
+    "%d.%m.%Y %H:%M:%S" with a caveat.
+    """
     if column in table.seconds:
         return "s", ""
     try:
@@ -243,7 +274,9 @@ def _format(table: Table, column: str) -> tuple[str, str]:
     if _DIGITS.fullmatch(next((text.strip() for text in table.text(column) if text.strip()), "")):
         patterns = ("%Y%m%d%H%M%S", "%Y%m%d%H%M%S.%f", "%Y%m%d%H%M%S%f")
         if fitting := [
-            pattern for pattern in patterns if _fits(partial(read_date, pattern=pattern), _typical(table.text(column)))
+            pattern
+            for pattern in patterns
+            if _reads_all(partial(read_date, pattern=pattern), _typical_texts(table.text(column)))
         ]:
             return fitting[0], ""
     name = read_name(f"{column} [{table.units[column]}]" if column in table.units else column)
@@ -274,10 +307,10 @@ def format_of_text(texts: Sequence[str]) -> tuple[str, str]:
     tuple of str
         ``iso`` or a strptime pattern, "" if no pattern fits; and the caveat, "" if the format is certain.
     """
-    tried = _typical(texts)
+    tried = _typical_texts(texts)
     if not tried:
         return "", ""
-    if not tried[0].replace(".", "").isdigit() and _fits(datetime.fromisoformat, tried):
+    if not tried[0].replace(".", "").isdigit() and _reads_all(datetime.fromisoformat, tried):
         return "iso", ""
     fitting = [
         pattern for pattern in _fitting_patterns(tried, (*_CLOCKS, *_WHOLE, *_BOTH)) if not _is_unpadded(pattern, tried)
@@ -305,15 +338,15 @@ def _fitting_patterns(texts: Sequence[str], patterns: Sequence[str]) -> list[str
     fitting = []
     zone = _ZONE.search(texts[0])
     for end in ("", zone[1] + (zone[2] or "%z")) if zone else ("",):
-        shapes = {_shape(_ZONE.sub("", text) if end else text) for text in texts}
+        shapes = {_text_shape(_ZONE.sub("", text) if end else text) for text in texts}
         for pattern in patterns:
-            if shapes <= _pattern_shapes(pattern) and _fits(partial(read_date, pattern=pattern + end), texts):
+            if shapes <= _pattern_shapes(pattern) and _reads_all(partial(read_date, pattern=pattern + end), texts):
                 fitting.append(pattern + end)
     return fitting
 
 
-def _shape(text: str) -> str:
-    """Return the text with each number replaced by 0 and each word by a."""
+def _text_shape(text: str) -> str:
+    """Return the text with each number replaced by 0 and each word by a: "12 May 2024" becomes "0 a 0"."""
     return re.sub(r"[^\W\d_]+", "a", re.sub(r"\d+", "0", text))
 
 
@@ -323,7 +356,7 @@ def _pattern_shapes(pattern: str) -> frozenset[str]:
     shapes = [
         re.sub("%[bBpa]", "a", re.sub("%[dmYyHIMSfj]", "0", p)) for p in (pattern, re.sub("[.,:]%f", "", pattern))
     ]
-    return frozenset(_shape(shape) for shape in shapes)
+    return frozenset(_text_shape(shape) for shape in shapes)
 
 
 def _is_unpadded(pattern: str, texts: Sequence[str]) -> bool:
@@ -331,26 +364,26 @@ def _is_unpadded(pattern: str, texts: Sequence[str]) -> bool:
     return ":%f" in pattern and not all(re.search(r":\d{3}(\D|$)", text) for text in texts)
 
 
-def _typical(texts: Sequence[str]) -> list[str]:
-    """Return up to about `TRIED` different texts, taken evenly over the file, without texts of a rare shape.
+def _typical_texts(texts: Sequence[str]) -> list[str]:
+    """Return up to about 400 different texts, taken evenly over the file, without blank texts.
 
-    A text of a rare shape is not a time: ERR, OVERFLOW.
+    Texts of a shape that less than 5 % of them have are left out, because they are not times: ERR, OVERFLOW.
     """
     # Over the whole file a day above 12 is likely; only such a day shows the order of day and month.
     filled = [text.strip() for text in texts if text.strip()]
     tried = list(dict.fromkeys(filled[:: max(1, len(filled) // TRIED)] + filled[-1:]))
-    shapes = [_shape(text) for text in tried]
+    shapes = [_text_shape(text) for text in tried]
     number = Counter(shapes)
     return [text for text, shape in zip(tried, shapes, strict=True) if number[shape] > FEW * len(tried)]
 
 
 def _day_format(texts: Sequence[str]) -> str:
     """Return the pattern of dates without a time of day; "" if the texts are not such dates."""
-    tried = _typical(texts)
+    tried = _typical_texts(texts)
     return next(iter(_fitting_patterns(tried, _DAYS)), "") if tried else ""
 
 
-def _fits(read: Callable[[str], object], texts: Sequence[str]) -> bool:
+def _reads_all(read: Callable[[str], object], texts: Sequence[str]) -> bool:
     """Return whether a function reads all texts without a ValueError."""
     try:
         for text in texts:
@@ -361,7 +394,10 @@ def _fits(read: Callable[[str], object], texts: Sequence[str]) -> bool:
 
 
 def _format_of_numbers(values: Column, name: Name) -> tuple[str, str]:
-    """Return the format of times that are numbers (n,), by their size and their usual step, and the caveat about it."""
+    """Return the format of times that are numbers (n,), by their size and their usual step, and the caveat about it.
+
+    The default is "s"; the caveat is "" if size and step are clear.
+    """
     top, steps = float(np.max(np.abs(values))), np.diff(values)
     step = float(np.median(steps))
     for unit, size in ((name_of_unit, TIME_UNITS[name_of_unit]) for name_of_unit in ("s", "ms", "us", "ns")):

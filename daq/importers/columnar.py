@@ -51,9 +51,9 @@ def read_matlab(path: Path, options: SourceOptions) -> list[Table]:
     units: dict[str, dict[str, str]] = {}
     seconds: dict[str, set[str]] = {}
     try:
-        for name, value in _workspace(path):
+        for name, value in _workspace_variables(path):
             for vector in vectors(name, value, left_out):
-                for column_name, column in _columns(vector):
+                for column_name, column in _vector_columns(vector):
                     groups.setdefault((vector.topic, len(column)), {})[column_name] = column
                     if vector.unit:
                         units.setdefault(vector.topic, {})[column_name] = vector.unit
@@ -80,14 +80,14 @@ def read_matlab(path: Path, options: SourceOptions) -> list[Table]:
             "files of version 7.3: save('run.mat', 'TT', '-v7.3'); or save their columns as vectors, e.g. "
             "t = seconds(TT.Time); x = TT.x; save('run.mat', 't', 'x')"
         )
-    tables = _together(path, tables)
+    tables = _merged_by_times(path, tables)
     if left_out:
         tables[0].remark = f"left out, of a class that cannot be read: {', '.join(left_out)}"
     return tables
 
 
-def _together(path: Path, tables: Sequence[Table]) -> list[Table]:
-    """Merge tables of one signal each into one table if their times are equal.
+def _merged_by_times(path: Path, tables: Sequence[Table]) -> list[Table]:
+    """Return the tables, with the tables of one signal each merged into one if their times are equal.
 
     Simulink's To Workspace blocks write one variable for each signal. Only signals of one table, as x and y, are
     recognised as a position.
@@ -107,8 +107,12 @@ def _together(path: Path, tables: Sequence[Table]) -> list[Table]:
     return found
 
 
-def _columns(vector: Vector) -> Iterator[tuple[str, Column]]:
-    """Yield name and values (n,) of a vector, or of each column of a matrix that has at most `WIDEST` columns."""
+def _vector_columns(vector: Vector) -> Iterator[tuple[str, Column]]:
+    """Yield name and values (n,) of a vector, or of each column of a matrix.
+
+    The longer side of a matrix is the time. A matrix of more than 16 columns, or an array of more dimensions, yields
+    nothing.
+    """
     array = np.atleast_1d(np.squeeze(vector.values)).astype(np.float64)
     if array.ndim == 1:
         yield vector.name, array
@@ -118,8 +122,11 @@ def _columns(vector: Vector) -> Iterator[tuple[str, Column]]:
             yield f"{vector.name}[{k}]", long[:, k]
 
 
-def _workspace(path: Path) -> Iterator[tuple[str, Any]]:
-    """Yield the variables of a file by name, as Python values."""
+def _workspace_variables(path: Path) -> Iterator[tuple[str, Any]]:
+    """Yield the name and the value of each variable of a MATLAB file, as Python values.
+
+    Raise SeatrialError if the package for this version of file is not installed, or if the file refers to other files.
+    """
     with path.open("rb") as file:
         head = file.read(520)
     if b"\x89HDF" in head:
@@ -186,7 +193,7 @@ def read_parquet(path: Path, options: SourceOptions) -> list[Table]:
             if types.is_string(kind) or types.is_large_string(kind):
                 texts[name] = [text or "" for text in column.to_pylist()]
             elif types.is_temporal(kind) and not types.is_interval(kind):
-                columns[name] = _seconds(pyarrow, column)
+                columns[name] = _seconds_of_column(pyarrow, column)
                 seconds.add(name)
             # safe=False: whole numbers above 2^53, as ns since 1970, are rounded (to 256 ns) instead of refused.
             elif types.is_floating(kind) or types.is_integer(kind) or types.is_boolean(kind) or types.is_decimal(kind):
@@ -199,7 +206,7 @@ def read_parquet(path: Path, options: SourceOptions) -> list[Table]:
     return [Table(path, "", columns, remark=remark, texts=texts, seconds=frozenset(seconds))]
 
 
-def _seconds(pyarrow: Any, column: Any) -> Column:
+def _seconds_of_column(pyarrow: Any, column: Any) -> Column:
     """Return a column of dates, times or durations in s, (n,); NaN for an empty cell."""
     kind, types = column.type, pyarrow.types
     if types.is_date(kind):

@@ -40,11 +40,20 @@ TIME_OFF_US = 1_000_000  # us from the median of the neighbouring times; a large
 NO_TYPE = 0  # MAV_TYPE of an unknown vehicle, whose modes have no names
 
 
-class _Reader:
+class _MessageConverter:
     """Converter of DataFlash messages to samples, with one method for each type of message.
 
     `joined` completes the samples after the whole log has been read. If no shaft speed of the log is negative, the
     speeds are magnitudes, and each gets the sign of its output.
+
+    Attributes
+    ----------
+    vehicle : int
+        MAV_TYPE of the vehicle, `NO_TYPE` (0) if unknown. The caller sets it before the first message.
+    take : dict
+        Method for each type of message: it takes a message of DFReader and returns the samples in it.
+    parameters : dict
+        Parameters of the autopilot so far, by name.
     """
 
     def __init__(self, rig: Rig | None, device: Device | None) -> None:
@@ -57,27 +66,36 @@ class _Reader:
         self._n: dict[int, float] = {}  # last command of each output, -1 to 1
         self._is_signed = False  # whether the shaft speeds of the log have a sign
         self.take: dict[str, Callable[[Any], Found]] = {
-            "IMU": self._on_imu, "ATT": self._att, "GPS": self._gps, "RCOU": self._rcou, "ESC": self._esc,
-            "BAT": self._bat, "MSG": self._msg, "MODE": self._mode, "ARM": self._arm, "EV": self._ev, "ERR": self._err,
-            "PARM": self._parm, "GPA": self._gpa,
+            "IMU": self._on_imu, "ATT": self._on_att, "GPS": self._on_gps, "RCOU": self._on_rcou, "ESC": self._on_esc,
+            "BAT": self._on_bat, "MSG": self._on_msg, "MODE": self._on_mode, "ARM": self._on_arm,
+            "EV": self._on_ev, "ERR": self._on_err,
+            "PARM": self._on_parm, "GPA": self._on_gpa,
         }  # fmt: skip
         self.parameters: dict[str, float] = {}
         self._pilot = Autopilot(0, 0, 3)
 
     def _on_imu(self, m: Any) -> Found:
+        """Store angular rates and specific forces of the first IMU, for `joined`. Return no sample."""
         if getattr(m, "I", 0) == 0:
             self._imu.append((m._timestamp, m.GyrX, m.GyrY, m.GyrZ, m.AccX, m.AccY, m.AccZ))
         return []
 
-    def _gpa(self, m: Any) -> Found:
-        """Store the age of the fix of the first receiver: the time of its message less its arrival."""
+    def _on_gpa(self, m: Any) -> Found:
+        """Store the age [s] of the fix of the first receiver: time of its message less its arrival.
+
+        Return no sample.
+        """
         age = getattr(m, "TimeUS", NAN) * 1e-6 - getattr(m, "SMS", NAN) * 1e-3
         if getattr(m, "I", 0) == 0 and 0.0 <= age < OLDEST_FIX_S:
             self._ages[m._timestamp] = max(age - HALF_MS, 0.0)
         return []
 
     def joined(self, rows: list[Timed]) -> Iterator[Timed]:
-        """Yield the rows. Attitudes get the nearest IMU, shaft speeds a sign, and fixes the time of their arrival."""
+        """Yield the rows in order, with completed samples.
+
+        An attitude gets rates and specific forces of the IMU message nearest in time. If no shaft speed of the log is
+        negative, each gets the sign of its output. A fix gets the time of its arrival. Other rows are unchanged.
+        """
         times = np.array([row[0] for row in self._imu])
         middle = (times[1:] + times[:-1]) / 2
         for row in rows:
@@ -90,11 +108,12 @@ class _Reader:
             age = self._ages.get(row.t, 0.0) if isinstance(sample, Gnss) else 0.0
             yield Timed(Frame(sample, t_rx, t_device - age), row.t - age)
 
-    def _att(self, m: Any) -> Found:
+    def _on_att(self, m: Any) -> Found:
+        """Return the attitude [rad] as an AHRS sample without rates and accelerations, which `joined` adds."""
         yaw, pitch, roll = (math.radians(angle) for angle in (m.Yaw, m.Pitch, m.Roll))
         return [Ahrs(wrap_angle(yaw), pitch, roll, *[NAN] * 6)]
 
-    def _gps(self, m: Any) -> Found:
+    def _on_gps(self, m: Any) -> Found:
         """Return the fix of the first receiver. Values that its kind of fix does not determine are NaN."""
         if getattr(m, "I", 0) != 0:
             return []
@@ -116,8 +135,12 @@ class _Reader:
             )
         ]
 
-    def _rcou(self, m: Any) -> Found:
-        """Return the outputs: with a rig those of its thrusters, else those that have had a pulse."""
+    def _on_rcou(self, m: Any) -> Found:
+        """Return the outputs: with a rig those of its thrusters, else those of 1 to 14 that have had a pulse.
+
+        With a rig, an output of a thruster also has the command (-1 to 1) by the scale of the rig; without a pulse it
+        is 0.
+        """
         found: Found = []
         for node in range(1, 15):
             pwm = float(getattr(m, f"C{node}", 0))
@@ -130,34 +153,42 @@ class _Reader:
                 found.append(Servo(node, pwm))
         return found
 
-    def _esc(self, m: Any) -> Found:
+    def _on_esc(self, m: Any) -> Found:
+        """Return speed, current, voltage and temperature of a motor controller. Store whether a speed was negative."""
         node = m.Instance + 1
         self._is_signed = self._is_signed or m.RPM < 0.0
         return [Esc(node, m.RPM, m.Curr, self._n.get(node, NAN), m.Volt, m.Temp)]
 
-    def _bat(self, m: Any) -> Found:
+    def _on_bat(self, m: Any) -> Found:
+        """Return voltage, current and charge (0 to 1, NaN if unknown) of the first battery."""
         if getattr(m, "Inst", getattr(m, "I", 0)) != 0:
             return []
         return [Battery(m.Volt, m.Curr, getattr(m, "RemPct", NAN) * 0.01)]
 
-    def _msg(self, m: Any) -> Found:
+    def _on_msg(self, m: Any) -> Found:
+        """Return a text of the autopilot as an event."""
         return [Event("statustext", str(m.Message))]
 
-    def _mode(self, m: Any) -> Found:
+    def _on_mode(self, m: Any) -> Found:
+        """Return the state of the autopilot with its new mode, and an event with the name of the mode."""
         self._pilot = replace(self._pilot, mode=m.ModeNum if hasattr(m, "ModeNum") else int(m.Mode))
         return [self._pilot, Event("autopilot", mode_name(self._pilot.mode, self.vehicle))]
 
-    def _arm(self, m: Any) -> Found:
+    def _on_arm(self, m: Any) -> Found:
+        """Return the state of the autopilot after arming or disarming, and an event."""
         self._pilot = replace(self._pilot, armed=int(bool(m.ArmState)), state=3 + bool(m.ArmState))
         return [self._pilot, Event("autopilot", "armed" if self._pilot.armed else "disarmed")]
 
-    def _ev(self, m: Any) -> Found:
+    def _on_ev(self, m: Any) -> Found:
+        """Return an event with the number of the autopilot's event."""
         return [Event("autopilot", f"event {m.Id} (LogEvent)")]
 
-    def _err(self, m: Any) -> Found:
+    def _on_err(self, m: Any) -> Found:
+        """Return an event with the code of an error and the number of the subsystem."""
         return [Event("autopilot", f"error {m.ECode} of subsystem {m.Subsys} (LogErrorSubsystem)")]
 
-    def _parm(self, m: Any) -> Found:
+    def _on_parm(self, m: Any) -> Found:
+        """Store a parameter of the autopilot. Return no sample."""
         self.parameters[str(m.Name)] = float(m.Value)
         return []
 
@@ -184,7 +215,7 @@ def read_dataflash(path: Path, rig: Rig | None, device: Device | None) -> tuple[
     SeatrialError
         If the log cannot be read or contains no samples.
     """
-    reader = _Reader(rig, device)
+    reader = _MessageConverter(rig, device)
     rows: list[Timed] = []
     n_messages, skipped, stopped = 0, 0, ""
     n_torn, n_wrong_times, n_taken_out = 0, 0, 0
@@ -194,8 +225,8 @@ def read_dataflash(path: Path, rig: Rig | None, device: Device | None) -> tuple[
         whole, n_torn, n_wrong_times = whole_messages(raw)
         n_taken_out = 0 if whole is None else len(raw) - len(whole)
         del raw
-        with _repaired(path, whole) as readable, _opened(readable) as log:
-            reader.vehicle = _vehicle(log)
+        with _file_of_whole_messages(path, whole) as readable, _opened_log(readable) as log:
+            reader.vehicle = _vehicle_of_log(log)
             skipped = log.data_len - sum(len(log.offsets[kind]) * form.len for kind, form in log.formats.items())
             while (message := log.recv_match(type=list(reader.take))) is not None:
                 n_messages += 1
@@ -287,7 +318,7 @@ def whole_messages(raw: bytes) -> tuple[bytes | None, int, int]:
 
 
 @contextlib.contextmanager
-def _repaired(path: Path, whole: bytes | None) -> Iterator[Path]:
+def _file_of_whole_messages(path: Path, whole: bytes | None) -> Iterator[Path]:
     """Yield the file to read: a temporary file with the bytes `whole`, or the log itself if `whole` is None."""
     if whole is None:
         yield path
@@ -303,8 +334,11 @@ def firmware_type(texts: Iterable[str]) -> int | None:
     return next((number for text in texts for name, number in FIRMWARE.items() if text.startswith(name)), None)
 
 
-def _vehicle(log: Any) -> int:
-    """Return the MAV_TYPE by the texts of a log, `NO_TYPE` if unknown. Rewind the log to its beginning."""
+def _vehicle_of_log(log: Any) -> int:
+    """Return the MAV_TYPE by the texts of a log, `NO_TYPE` (0) if unknown.
+
+    Read the log and rewind it to its beginning.
+    """
     texts = (str(getattr(message, "Message", "")) for message in iter(lambda: log.recv_match(type="MSG"), None))
     found = firmware_type(texts)
     log.rewind()
@@ -312,8 +346,11 @@ def _vehicle(log: Any) -> int:
 
 
 @contextlib.contextmanager
-def _opened(path: Path) -> Iterator[Any]:
-    """Yield pymavlink's reader of a log, silenced, and close its file at the end."""
+def _opened_log(path: Path) -> Iterator[Any]:
+    """Yield pymavlink's reader of a log and close its file at the end.
+
+    What the reader prints is discarded. It may raise any error for a damaged file.
+    """
     from pymavlink import DFReader
 
     # The reader prints the contents of a damaged file, also from C code, and never closes the file. Creating and
@@ -322,7 +359,7 @@ def _opened(path: Path) -> Iterator[Any]:
     log = DFReader.DFReader_binary.__new__(DFReader.DFReader_binary)
     try:
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
-            with _quiet():
+            with _without_error_output():
                 log.__init__(str(path))
             yield log
     finally:
@@ -333,7 +370,7 @@ def _opened(path: Path) -> Iterator[Any]:
 
 
 @contextlib.contextmanager
-def _quiet() -> Iterator[None]:
+def _without_error_output() -> Iterator[None]:
     """Discard what the block writes to standard error. C code writes to the descriptor, so sys.stderr is not enough."""
     before = os.dup(2)
     try:

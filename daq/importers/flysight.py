@@ -68,7 +68,7 @@ def read_flysight(path: Path, options: SourceOptions) -> list[Table]:
     except (OSError, csv.Error) as error:
         raise SeatrialError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
     sensors = [
-        _sensor(
+        _sensor_rows(
             path,
             name,
             columns[name],
@@ -85,8 +85,16 @@ def read_flysight(path: Path, options: SourceOptions) -> list[Table]:
     return [sensor.table for sensor in sensors if sensor.table.topic != _CLOCK] or [sensor.table for sensor in sensors]
 
 
-class _Sensor(NamedTuple):
-    """Rows of one sensor of a file."""
+class _SensorRows(NamedTuple):
+    """Rows of one sensor of a file.
+
+    Attributes
+    ----------
+    table : Table
+        The rows, with times in s since 1970 or since power-on.
+    lines : Array (n,)
+        Number of the line in the file, for each row.
+    """
 
     table: Table
     lines: Column  # (n,); number of the line of each row
@@ -103,22 +111,28 @@ class _Sensor(NamedTuple):
         return bool(len(self.t) and self.t[0] > _UTC)
 
 
-def _sensor(
+def _sensor_rows(
     path: Path, name: str, columns: list[str], units: dict[str, str], rows: list[list[str]], n_lost: int
-) -> _Sensor:
-    """Return the table of one sensor, without the rows whose time cannot be read."""
+) -> _SensorRows:
+    """Return the rows of one sensor as a table, with the number of their lines.
+
+    Rows whose time cannot be read are left out. The remark of the table counts these and the `n_lost` incomplete rows.
+    A cell that is not a number becomes NaN. `columns` contains the column "time".
+    """
     at = columns.index(_TIME)
-    t = np.array([_seconds(row[at + 1]) for row in rows])
+    t = np.array([_cell_seconds(row[at + 1]) for row in rows])
     known = np.isfinite(t)
     lines = np.array([float(row[0]) for row in rows])[known]
-    values = {c: np.array([_number(row[k + 1]) for row in rows])[known] for k, c in enumerate(columns) if c and k != at}
+    values = {
+        c: np.array([_cell_number(row[k + 1]) for row in rows])[known] for k, c in enumerate(columns) if c and k != at
+    }
     n_lost += int(np.sum(~known))
     remark = f"{counted(n_lost, 'row')} left out, incomplete or without a time" if n_lost else ""
     stated = {column: unit for column, unit in units.items() if unit and column in values}
-    return _Sensor(Table(path, name, values, t[known], remark=remark, units=stated), lines)
+    return _SensorRows(Table(path, name, values, t[known], remark=remark, units=stated), lines)
 
 
-def _seconds(cell: str) -> float:
+def _cell_seconds(cell: str) -> float:
     """Return a time in UTC [s since 1970] or since power-on [s]; NaN if the cell is not a time."""
     try:
         return float(cell)
@@ -131,15 +145,20 @@ def _seconds(cell: str) -> float:
     return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
 
 
-def _number(cell: str) -> float:
+def _cell_number(cell: str) -> float:
+    """Return the number in a cell; NaN if the cell is not a number."""
     try:
         return float(cell)
     except ValueError:
         return math.nan
 
 
-def _move_to_utc(sensors: list[_Sensor]) -> None:
-    """Move the times since power-on to UTC, in place: by the TIME rows, or else by the fixes among the rows."""
+def _move_to_utc(sensors: list[_SensorRows]) -> None:
+    """Move the times since power-on to UTC, in place.
+
+    The TIME rows give the conversion. Without them the fixes among the rows give an offset, with a remark. Without
+    fixes the times are not changed.
+    """
     clock = next(
         (sensor for sensor in sensors if sensor.table.topic == _CLOCK and {"tow", "week"} <= set(sensor.table.names)),
         None,
@@ -153,7 +172,7 @@ def _move_to_utc(sensors: list[_Sensor]) -> None:
         good = np.isfinite(delay) & (np.abs(delay - np.nanmedian(delay)) < 1.0 + _LARGEST_DRIFT * np.ptp(clock.t))
         if good.any():
             for sensor in on_device_clock:
-                sensor.table.t = _moved(sensor.t, clock.t[good], delay[good])
+                sensor.table.t = _on_other_clock(sensor.t, clock.t[good], delay[good])
             return
     if fixes is None:
         return
@@ -167,7 +186,7 @@ def _move_to_utc(sensors: list[_Sensor]) -> None:
         sensor.table.remark = "; ".join(part for part in (sensor.table.remark, moved) if part)
 
 
-def _moved(t: Column, known: Column, delay: Column) -> Column:
+def _on_other_clock(t: Column, known: Column, delay: Column) -> Column:
     """Return times (n,) converted by a straight line through the differences `delay` (m,) of two clocks.
 
     The differences were measured at the times `known` (m,). The median is added if there are fewer than three of them,

@@ -69,7 +69,15 @@ BOATS = {10, 11, 12}  # MAV_TYPE: rover (ArduPilot's boats too), boat, submarine
 
 
 class Guess(NamedTuple):
-    """Guessed map."""
+    """Guessed map.
+
+    Attributes
+    ----------
+    text : str
+        Text of the map.
+    problem : str
+        Reason why no fit is possible with the map; "" if a fit should be possible.
+    """
 
     text: str  # of the map
     problem: str  # why no fit is possible with the map; "" if a fit should be possible
@@ -116,17 +124,17 @@ def guess_map(path: Path, dbc: Path | None = None, folder: Path | None = None) -
     head = [
         f"# From `seatrial import --guess {path.name}`. Check each caveat, then run `seatrial import MAP {path.name}`.",
         'format = "seatrial-import 1"',
-        f"name = {_quoted(path.stem)}",
+        f"name = {_toml_text(path.stem)}",
     ]
     if kind.name == "ros":
         head.append('frame = "ENU"  # REP-103: east, north, up; forward, left, up; or else "NED"')
     if dbc is not None:
         place = os.path.relpath(dbc, folder or Path())
-        head.append(f"can = {{ dbc = {_quoted(Path(place).as_posix())} }}")
+        head.append(f"can = {{ dbc = {_toml_text(Path(place).as_posix())} }}")
     clocks = {id(table): clock_of(table) for table in tables}
     drives: dict[frozenset[str], list[Column]] = {}  # by quantity: left and right get the same scale
     for table in tables:
-        for column, _, words, values in _columns(table, clocks):
+        for column, _, words, values in _named_columns(table, clocks):
             if words & DRIVES and without_unit(column) not in FORCES:  # N may be north and must not affect the scale
                 drives.setdefault(quantity(words), []).append(values)
     together = {words: np.concatenate(values) for words, values in drives.items()}
@@ -135,17 +143,17 @@ def guess_map(path: Path, dbc: Path | None = None, folder: Path | None = None) -
     candidates = benches or [*candidates, *outputs(tables)]
     candidates = [_with_units(_in_frame(c) if kind.name == "ros" else c) for c in candidates]
     main = _main_clock(candidates, clocks)
-    taken, lines = _choose(candidates, clocks, main)
-    problem = _problem(taken, tables)
-    head += _style_line(options, kind.name) + _clock_lines(tables, candidates, clocks, main)
+    taken, lines = _chosen_signals(candidates, clocks, main)
+    problem = _missing_for_fit(taken, tables)
+    head += _style_line(options, kind.name) + _time_lines(tables, candidates, clocks, main)
     remarks = [f"# caveat: {table.full_remark}" for table in tables if table.full_remark]
     remarks += [f"# caveat: {line}" for line in _held_lines(candidates, taken, clocks)]
-    text = "\n".join([*head, *remarks, "signal = [", *lines, *_unknown(tables, candidates, clocks), "]"])
+    text = "\n".join([*head, *remarks, "signal = [", *lines, *_unrecognised_lines(tables, candidates, clocks), "]"])
     return Guess(text + (f"\n# no fit: {problem}" if problem else "") + "\n", problem)
 
 
 def _is_log(path: Path) -> bool:
-    """Return whether a file is a log of seatrial."""
+    """Return whether a file is a log of seatrial. A file that cannot be opened as a log is none."""
     try:
         with open_log(path) as log:
             return log.metadata.get("format") == LOG_FORMAT
@@ -153,22 +161,26 @@ def _is_log(path: Path) -> bool:
         return False
 
 
-def _quoted(text: str) -> str:
+def _toml_text(text: str) -> str:
+    """Return a text in quotes, with the escapes of TOML."""
     return json.dumps(text, ensure_ascii=False)
 
 
 def _style_line(options: SourceOptions, kind: str) -> list[str]:
-    """Return the line of the map for the text style; no line if the source is not text."""
+    """Return the line `csv = ...` of the map with the text style, in a list; an empty list if the source is not text.
+
+    The line also drops cells without a number and rows out of order.
+    """
     if kind != "csv":
         return []
     style = options.style
-    keys = [f"delimiter = {_quoted(style.delimiter)}", f"decimal = {_quoted(style.decimal)}"]
+    keys = [f"delimiter = {_toml_text(style.delimiter)}", f"decimal = {_toml_text(style.decimal)}"]
     if style.encoding != "utf-8-sig":
-        keys.append(f"encoding = {_quoted(style.encoding)}")
+        keys.append(f"encoding = {_toml_text(style.encoding)}")
     if style.skip_rows:
         keys.append(f"skip_rows = {style.skip_rows}")
     if style.columns:
-        keys.append(f"columns = [{', '.join(_quoted(name) for name in style.columns)}]")
+        keys.append(f"columns = [{', '.join(_toml_text(name) for name in style.columns)}]")
     return [f'csv = {{ {", ".join(keys)}, nan = "drop", time_order = "drop" }}']
 
 
@@ -176,13 +188,19 @@ def _style_line(options: SourceOptions, kind: str) -> list[str]:
 
 
 def _main_clock(candidates: Sequence[Candidate], clocks: Clocks) -> Clock:
-    """Return the clock for [time] of the map: that of the first candidate with a column of times."""
+    """Return the clock for [time] of the map: that of the first candidate whose table has a column of times.
+
+    Without such a candidate it is the clock of any table with a column of times, else an empty clock.
+    """
     found = [clocks[id(candidate.table)] for candidate in candidates]
     return next((clock for clock in (*found, *clocks.values()) if clock.column), Clock())
 
 
-def _clock_lines(tables: Sequence[Table], candidates: Sequence[Candidate], clocks: Clocks, main: Clock) -> list[str]:
-    """Return the line of the map for the time, after the caveats of all clocks."""
+def _time_lines(tables: Sequence[Table], candidates: Sequence[Candidate], clocks: Clocks, main: Clock) -> list[str]:
+    """Return the line `time = ...` of the map, after comments with the caveats of all clocks.
+
+    Empty if all tables have their own times. Without a column of times, the line is a guessed rate of 10 Hz.
+    """
     if not tables or all(table.t is not None for table in tables):
         return []
     if not main.column:
@@ -193,17 +211,21 @@ def _clock_lines(tables: Sequence[Table], candidates: Sequence[Candidate], clock
         if clock.caveat and clock != main:
             place = f"{table.topic}, {clock.column!r}" if table.topic else repr(clock.column)
             caveats.append(f"{place}: {clock.caveat}")
-    date = f", date = {_quoted(main.date)}" if main.date else ""
-    line = f"time = {{ column = {_quoted(main.column)}, format = {_quoted(main.form)}{date} }}"
+    date = f", date = {_toml_text(main.date)}" if main.date else ""
+    line = f"time = {{ column = {_toml_text(main.column)}, format = {_toml_text(main.form)}{date} }}"
     if main.rate:
         day = datetime.fromtimestamp(main.start, UTC).isoformat() if main.start > DATES[0] else ""
         origin = f', origin = "{day}"' if day else ""
-        line = f"time = {{ rate_hz = {main.rate:.6g}{origin} }}  # instead of column = {_quoted(main.column)}"
+        line = f"time = {{ rate_hz = {main.rate:.6g}{origin} }}  # instead of column = {_toml_text(main.column)}"
     return [*(f"# caveat: {caveat}" for caveat in dict.fromkeys(caveats)), line]
 
 
 def _held_lines(candidates: Sequence[Candidate], taken: Sequence[MapSignal], clocks: Clocks) -> Iterator[str]:
-    """Yield a line for each group of signals whose values the table holds from one measurement to the next."""
+    """Yield a comment for each group of chosen signals whose values the table holds between measurements.
+
+    `taken` has the chosen signals. Inputs without a hold in the map are not tested, since their last value holds
+    anyway.
+    """
     tables: dict[tuple[int, bytes], tuple[Column, dict[str, Column]]] = {}
     for candidate in candidates:
         t = row_seconds(candidate.table, clocks[id(candidate.table)])
@@ -226,10 +248,11 @@ def _held_lines(candidates: Sequence[Candidate], taken: Sequence[MapSignal], clo
 # Columns by their names
 
 
-def _columns(table: Table, clocks: Clocks) -> Iterator[tuple[str, Name, frozenset[str], Column]]:
+def _named_columns(table: Table, clocks: Clocks) -> Iterator[tuple[str, Name, frozenset[str], Column]]:
     """Yield column, parsed name, words of column and topic, and values (n,) for the columns of numbers of a table.
 
-    Tables with messages of a known type, and set-points, yield no columns.
+    Tables with messages of a known type, and set-points, yield no columns. The column of times and columns of text are
+    skipped. A message with a single number is named by its topic.
     """
     message = table.kind.rpartition("/")[2]
     is_scalar = message in SCALARS and not table.kind.startswith("seatrial_msgs/")
@@ -258,12 +281,12 @@ def _column_candidates(table: Table, clocks: Clocks, together: Mapping[frozenset
     names: dict[str, tuple[str, Name]] = {}
     numbers: dict[str, Column] = {}
     letters = {without_unit(column) for column in table.names}
-    for column, name, words, values in _columns(table, clocks):
+    for column, name, words, values in _named_columns(table, clocks):
         numbers[column] = values
         letter = without_unit(column)
         if letter in FORCES or (letter == "E" and "N" in letters):
             stated = name.unit or name.no_unit
-            if axis := _axis(letter, letters, stated):
+            if axis := _position_axis(letter, letters, stated):
                 names.setdefault(axis, (column, name._replace(meaning=axis)))
             elif letter in FORCES:
                 unit = stated if UNITS.get(stated, ("",))[0] == FORCES[letter] else FORCES[letter]
@@ -284,22 +307,26 @@ def _column_candidates(table: Table, clocks: Clocks, together: Mapping[frozenset
             yield Candidate(group, behind, table, signals, caveat, quantity(words))
         elif name.meaning and name.meaning not in names:
             names[name.meaning] = column, name
-    yield from _motion(table, row_seconds(table, clocks[id(table)]), names, numbers)
+    yield from _motion_candidates(table, row_seconds(table, clocks[id(table)]), names, numbers)
 
 
 def _with_hold(taken: MapSignal, t: Column | None, values: Column, words: frozenset[str]) -> tuple[MapSignal, str]:
-    """Return an input with the hold that its values (n,) show, and a caveat about the hold."""
+    """Return an input with the hold that its values (n,) show, and a caveat about the hold.
+
+    The input is unchanged, without a caveat, if its times `t` (n,) [s] are None or it has a hold already.
+    """
     if t is None or "hold = " in taken.extra:
         return taken, ""
     known = np.isfinite(values) & np.isfinite(t)
     found = input_hold(t[known], values[known], may_be_shaft="n" in words and not words & SET_POINTS)
-    return _also(taken, f'hold = "{found.hold}"') if found.hold else taken, found.caveat
+    return _with_key(taken, f'hold = "{found.hold}"') if found.hold else taken, found.caveat
 
 
-def _axis(letter: str, letters: Collection[str], stated: str) -> str:
-    """Return x or y if a column with this capital letter is a position, "" if it is not.
+def _position_axis(letter: str, letters: Collection[str], stated: str) -> str:
+    """Return "x" or "y" if a column named by a capital letter is a position, "" if it is not.
 
-    A position has a unit of length, or columns with matching letters beside it: X and Y, or N and E.
+    A position has a unit of length (`stated`), or no unit and a matching letter among all `letters` of the table: X and
+    Y, or N and E.
     """
     beside = (letter == "X" and "Y" in letters and "N" not in letters) or (letter != "X" and {"N", "E"} <= set(letters))
     is_length = UNITS.get(stated, ("",))[0] == "m"
@@ -325,17 +352,20 @@ def _in_frame(candidate: Candidate) -> Candidate:
         caveat = "; ".join(part for part in (caveat, also) if part)
     if candidate.group in ("drive", "force") or not is_ned:
         return candidate._replace(caveat=caveat)
-    ned = [s if s.make in GEOGRAPHIC else _also(s, 'frame = "NED"') for s in candidate.signals]
+    ned = [s if s.make in GEOGRAPHIC else _with_key(s, 'frame = "NED"') for s in candidate.signals]
     return candidate._replace(signals=tuple(ned), caveat=caveat)
 
 
-def _also(signal: MapSignal, key: str) -> MapSignal:
-    """Return a signal with a further key."""
+def _with_key(signal: MapSignal, key: str) -> MapSignal:
+    """Return a signal with a further key of the map, as TOML text, for example 'frame = "NED"'."""
     return signal._replace(extra=", ".join(part for part in (signal.extra, key) if part))
 
 
 def _with_units(candidate: Candidate) -> Candidate:
-    """Return a candidate with a caveat for each column whose name contains a unit that its signal cannot have."""
+    """Return a candidate with a caveat for each column whose name contains a unit that its signal cannot have.
+
+    The unit is ignored.
+    """
     columns = {column: read_name(column).no_unit for signal in candidate.signals for column in signal.columns}
     units = {signal.unit for signal in candidate.signals}
     caveats = [
@@ -346,12 +376,28 @@ def _with_units(candidate: Candidate) -> Candidate:
     return candidate._replace(caveat="; ".join(part for part in (candidate.caveat, *caveats) if part))
 
 
-def _motion(
+def _motion_candidates(
     table: Table, t: Column | None, names: dict[str, tuple[str, Name]], numbers: dict[str, Column]
 ) -> Iterator[Candidate]:
-    """Yield the candidates of position, velocity, acceleration, heading and yaw rate by the meanings of columns."""
+    """Yield the candidates of position, velocity, acceleration, heading and yaw rate of a table.
+
+    Parameters
+    ----------
+    table
+        The table.
+    t
+        Times of its rows (n,) [s]; None if unknown.
+    names
+        Column and parsed name by meaning, a key of `seatrial.daq.importers.recognise.NAMES`.
+    numbers
+        Values (n,) by column.
+    """
 
     def pair(group: str, rank: int, a: str, b: str, unit: str, caveat: str = "") -> Iterator[Candidate]:
+        """Yield a candidate with two signals `a` and `b` if the table has both.
+
+        `unit` is the default for columns without a unit in their name.
+        """
         if a in names and b in names:
             taken = tuple(MapSignal(n, (names[n][0],), names[n][1].unit or unit) for n in (a, b))
             yield Candidate(group, rank, table, taken, caveat)
@@ -414,7 +460,11 @@ def _motion(
 
 
 def _angle_unit(name: Name, values: Column) -> tuple[str, str]:
-    """Return the unit of a heading or course (n,), and the caveat about it."""
+    """Return the unit of a heading or course (n,), "rad", "deg" or "cdeg", and the caveat about it.
+
+    The unit in the name of the column has priority. The size of the values and their jumps by a whole turn decide
+    otherwise. Without a value it is "rad".
+    """
     # Unwrapped radians can be as large as degrees. Only a jump by a whole turn, or a first value above one, is clear.
     good = values[np.isfinite(values)]
     if name.unit or not len(good):
@@ -480,7 +530,7 @@ def outputs(tables: Sequence[Table]) -> Iterator[Candidate]:
     """
     nodes = {int(table.topic.rpartition("_")[2]): table for table in tables if table.kind == "Servo"}
     p = tables[0].parameters if tables else {}
-    functions = _functions(tables)
+    functions = _servo_functions(tables)
     node_of_function = {function: node for node, function in functions.items()}
     # The default outputs are used only if the log has no other function for them, and the boat has no steering output.
     is_default = not {STEERING, THROTTLE} & set(functions.values())
@@ -490,7 +540,7 @@ def outputs(tables: Sequence[Table]) -> Iterator[Candidate]:
         assert node is not None
         known = "n" in nodes[node].columns  # a rig has scaled the output
         by_parameters = bool(functions) and f"SERVO{node}_TRIM" in p
-        extra, caveat = _pulses(p, node) if by_parameters else (OUTPUT, CAVEATS["RCOut"])
+        extra, caveat = _pulse_scale(p, node) if by_parameters else (OUTPUT, CAVEATS["RCOut"])
         extra = 'role = "input", hold = "sampled"' if known else extra
         taken = MapSignal(name, ("n" if known else "pwm",), "1", "", extra)
         yield Candidate("drive", 0, nodes[node], (taken,), "" if known else caveat)
@@ -505,20 +555,30 @@ def outputs(tables: Sequence[Table]) -> Iterator[Candidate]:
         yield Candidate("drive", 1, table, (taken,), caveat)
 
 
-def _functions(tables: Sequence[Table]) -> dict[int, float]:
-    """Return the parameter SERVOn_FUNCTION by the number n of the output, for the outputs whose log has it."""
+def _servo_functions(tables: Sequence[Table]) -> dict[int, float]:
+    """Return the parameter SERVOn_FUNCTION by the number n of the output.
+
+    Outputs are those with a table of kind "Servo". An output whose parameter is not in the log is left out.
+    """
     p = tables[0].parameters if tables else {}
     nodes = sorted(int(table.topic.rpartition("_")[2]) for table in tables if table.kind == "Servo")
     return {node: p[key] for node in nodes if (key := f"SERVO{node}_FUNCTION") in p}
 
 
 def _node_of(table: Table) -> tuple[int, str]:
-    """Return the number of a controller and its topic. With several buses, the topic begins with the bus."""
+    """Return the number of a controller, which is the end of its topic (esc_1), and the topic.
+
+    Tables are sorted by this pair. With several buses, the topic begins with the bus.
+    """
     return int(table.topic.rpartition("_")[2]), table.topic
 
 
-def _pulses(p: Mapping[str, float], node: int) -> tuple[str, str]:
-    """Return the map keys that scale an output by its parameters, and the caveat about this scale."""
+def _pulse_scale(p: Mapping[str, float], node: int) -> tuple[str, str]:
+    """Return the map keys that scale the pulses of an output to -1 .. 1, and the caveat about this scale.
+
+    The parameters `p` of the autopilot give the scale: SERVOn_MIN, SERVOn_TRIM and SERVOn_MAX of the output `node`. The
+    default scale is used, with a caveat, if MIN is not below MAX.
+    """
     low, rest, high = (p.get(f"SERVO{node}_{word}", usual) for word, usual in PULSE_US)
     if not low < high:
         return OUTPUT, f"SERVO{node}_MIN is not below SERVO{node}_MAX and is ignored; {CAVEATS['RCOut']}"
@@ -534,8 +594,12 @@ def _pulses(p: Mapping[str, float], node: int) -> tuple[str, str]:
 # The choice
 
 
-def _choose(candidates: Sequence[Candidate], clocks: Clocks, main: Clock) -> tuple[list[MapSignal], list[str]]:
-    """Return the chosen signals, and the lines of the map: the best candidates, then the others as comments."""
+def _chosen_signals(candidates: Sequence[Candidate], clocks: Clocks, main: Clock) -> tuple[list[MapSignal], list[str]]:
+    """Return the chosen signals, and the lines of the map: one for each of them, then the other candidates as comments.
+
+    Candidates are tried in the order of their rank, then of the number of their rows. A candidate is chosen if none of
+    its signals has been chosen before, it has times, and its thrusters fit those chosen before.
+    """
 
     sides: dict[frozenset[str], set[str]] = {}
     for c in candidates:
@@ -563,7 +627,7 @@ def _choose(candidates: Sequence[Candidate], clocks: Clocks, main: Clock) -> tup
         if free and candidate.quantity:
             quantities[candidate.group] = candidate.quantity
         for signal in candidate.signals:
-            line = _line(candidate.table, signal, clock, main)
+            line = _signal_line(candidate.table, signal, clock, main)
             if free:
                 taken[signal.name], found[signal.name] = signal, (line, candidate.caveat)
             else:
@@ -578,24 +642,31 @@ def _choose(candidates: Sequence[Candidate], clocks: Clocks, main: Clock) -> tup
     return list(taken.values()), lines + (["  # also in the source:", *others] if others else [])
 
 
-def _line(table: Table, signal: MapSignal, clock: Clock, main: Clock) -> str:
-    """Return one signal of the map as an inline table of TOML."""
-    keys = [f"name = {_quoted(signal.name)}"]
+def _signal_line(table: Table, signal: MapSignal, clock: Clock, main: Clock) -> str:
+    """Return one signal of the map as an inline table of TOML.
+
+    The line names the signal's own column of times if the clock of its table is not `main`, the clock in [time].
+    """
+    keys = [f"name = {_toml_text(signal.name)}"]
     if table.topic:
-        keys.append(f"topic = {_quoted(table.topic)}")
+        keys.append(f"topic = {_toml_text(table.topic)}")
     word = "field" if table.topic else "column"
     if signal.make:
-        keys += [f"make = {_quoted(signal.make)}", f"{word}s = [{', '.join(_quoted(c) for c in signal.columns)}]"]
+        keys += [f"make = {_toml_text(signal.make)}", f"{word}s = [{', '.join(_toml_text(c) for c in signal.columns)}]"]
     else:
-        keys += [f"{word} = {_quoted(signal.columns[0])}", f"unit = {_quoted(signal.unit)}"]
+        keys += [f"{word} = {_toml_text(signal.columns[0])}", f"unit = {_toml_text(signal.unit)}"]
     if clock.column and (clock.column, clock.form) != (main.column, main.form):
-        keys.append(f"time = {_quoted(clock.column)}")
-        keys += [f"time_format = {_quoted(clock.form)}"] * (clock.form != main.form)
+        keys.append(f"time = {_toml_text(clock.column)}")
+        keys += [f"time_format = {_toml_text(clock.form)}"] * (clock.form != main.form)
     return f"{{ {', '.join([*keys, *([signal.extra] if signal.extra else [])])} }}"
 
 
-def _unknown(tables: Sequence[Table], candidates: Sequence[Candidate], clocks: Clocks) -> list[str]:
-    """Return comment lines for the columns that were not recognised, with the range of their values."""
+def _unrecognised_lines(tables: Sequence[Table], candidates: Sequence[Candidate], clocks: Clocks) -> list[str]:
+    """Return comment lines for the columns that were not recognised, with the range of their values.
+
+    At most 12 columns are listed, and a last line has the number of the others. Columns of text are left out. The list
+    is empty if all columns were recognised.
+    """
     used = {(id(c.table), column) for c in candidates for signal in c.signals for column in signal.columns}
     lines = []
     for table in tables:
@@ -609,7 +680,7 @@ def _unknown(tables: Sequence[Table], candidates: Sequence[Candidate], clocks: C
             except SeatrialError:
                 continue
             if np.isfinite(values).any():
-                line = _line(table, MapSignal("NAME", (column,), "1"), Clock(), Clock())
+                line = _signal_line(table, MapSignal("NAME", (column,), "1"), Clock(), Clock())
                 lines.append(f"  # {line},  # {np.nanmin(values):.4g} .. {np.nanmax(values):.4g}")
     if not lines:
         return []
@@ -617,8 +688,11 @@ def _unknown(tables: Sequence[Table], candidates: Sequence[Candidate], clocks: C
     return ["  # not recognised:", *lines[:MOST_LISTED], *more]
 
 
-def _problem(taken: Sequence[MapSignal], tables: Sequence[Table]) -> str:
-    """Return the reason why no fit is possible; "" if a fit should be possible."""
+def _missing_for_fit(taken: Sequence[MapSignal], tables: Sequence[Table]) -> str:
+    """Return the reason why no fit is possible with the chosen signals; "" if a fit should be possible.
+
+    Reasons are another vehicle than a boat, no motion, no thrusters, one side alone, or a recording shorter than 1 s.
+    """
     if any(table.vehicle not in (None, *BOATS) for table in tables):
         vehicle = next(table.vehicle for table in tables if table.vehicle not in (None, *BOATS))
         return f"the vehicle of this log is not a boat (MAV_TYPE {vehicle}), so its outputs are not thrusters of a boat"
@@ -628,7 +702,7 @@ def _problem(taken: Sequence[MapSignal], tables: Sequence[Table]) -> str:
     if not names & set(MOTION):
         return "no position, velocity, heading or yaw rate was recognised"
     if not ({"n_left", "n_right"} <= names or {"f_left", "f_right"} <= names or names & {"n", "X", "N"}):
-        functions = _functions(tables)
+        functions = _servo_functions(tables)
         if functions and not {LEFT_THROTTLE, RIGHT_THROTTLE} <= set(functions.values()):
             listed = (
                 f"SERVO{n}_FUNCTION {f:g}{f' ({FUNCTIONS[f]})' if f in FUNCTIONS else ''}" for n, f in functions.items()

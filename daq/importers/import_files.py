@@ -56,7 +56,7 @@ def import_files(
         or has a wrong stamp.
     """
     import_map = load_import_map(map_path)
-    groups = _groups(import_map, files)
+    groups = _files_of_logs(import_map, files)
     pieces = import_map.pieces or (_WHOLE,)
     if out is not None and len(groups) * len(pieces) > 1:
         raise SeatrialError(
@@ -65,23 +65,25 @@ def import_files(
     written: list[Path] = []
     spoiled: list[tuple[Path, RowsLeftOut]] = []
     for stem, group in groups:
-        data = [_read(path, source) for path, source in group]
+        data = [_read_source(path, source) for path, source in group]
         for piece in pieces:
             name = f"{stem}_{piece.name}" if piece.name else stem
             target = out or (out_dir or Path()) / f"{name}.mcap"
             if target in written:
                 raise SeatrialError(f"{target}: two of the files would become this log; rename one of them")
-            _write_piece(import_map, data, piece, target, force, [map_path, *files, *_beside(import_map)])
+            _write_piece(import_map, data, piece, target, force, [map_path, *files, *_files_named_in_map(import_map)])
             written.append(target)
         for remark in (remark for source_file in data for remark in source_file.remarks):
             warnings.warn(remark, SeatrialWarning, stacklevel=2)
         spoiled += [
-            (source_file.path, row) for source_file in data for row in source_file.signals.left_out if _spoils(row)
+            (source_file.path, row) for source_file in data for row in source_file.signals.left_out if _is_too_many(row)
         ]
     if spoiled:
         advice = "sort the rows; if a clock was set, import the parts before and after it separately"
         if spoiled[0][1].why == "repeats":
             advice = f"its stamps are too coarse: {coarse_advice(spoiled[0][1].rate)}"
+        elif spoiled[0][1].why == "pairs":
+            advice = "two receivers or sensors write into one table: import each from its own file or topic"
         elif spoiled[0][1].why == "stamps":
             advice = "repair the clock of the driver, or cut the log where it failed: [[log]] t_from, t_to of the map"
         rest = f" ({counted(len(spoiled) - 1, 'more source')})" if len(spoiled) > 1 else ""
@@ -91,13 +93,16 @@ def import_files(
     return written
 
 
-def _spoils(row: RowsLeftOut) -> bool:
-    """Return whether so many rows are left out that the rest does not represent the recording."""
+def _is_too_many(row: RowsLeftOut) -> bool:
+    """Return whether the rows left out are too many (above 5 %, at least 5) for a useful log."""
     return too_many_rows_missing(row.n, row.n_rows)
 
 
-def _groups(import_map: ImportMap, files: Sequence[Path]) -> list[tuple[str, list[tuple[Path, Source]]]]:
-    """Return for each log its name without ending, and its files, each with its part of the map."""
+def _files_of_logs(import_map: ImportMap, files: Sequence[Path]) -> list[tuple[str, list[tuple[Path, Source]]]]:
+    """Return for each log its name without ending, and its files, each with its part of the map.
+
+    Raise SeatrialError if the map merges files and a [[file]] does not match exactly one file, or a file is left over.
+    """
     if not import_map.merge:
         return [(path.stem, [(path, import_map.sources[0])]) for path in files]
     group = []
@@ -116,8 +121,26 @@ def _groups(import_map: ImportMap, files: Sequence[Path]) -> list[tuple[str, lis
     return [(import_map.path.stem, group)]
 
 
-class _File(NamedTuple):
-    """Contents of one source file."""
+class _SourceFile(NamedTuple):
+    """Contents of one source file.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    kind : str
+        Name of the kind of source, for example "csv" or "ros".
+    sha256 : str
+        Digest of the file, or of all files of a folder.
+    signals : Signals
+        Signals of the file, and the rows that were left out.
+    origin : float
+        Time that is added to the times of the file [s since 1970].
+    remarks : tuple of str
+        Remarks for the user, which become warnings.
+    events : tuple
+        Events of the source, each with its time [s since 1970].
+    """
 
     path: Path
     kind: str  # name of the kind of source, as csv or ros
@@ -128,17 +151,21 @@ class _File(NamedTuple):
     events: tuple[tuple[float, Event], ...] = ()  # with their times, s since 1970
 
 
-def _read(path: Path, source: Source) -> _File:
-    """Read one source file by its part of the map, and collect the remarks about it."""
+def _read_source(path: Path, source: Source) -> _SourceFile:
+    """Read one source file by its part of the map, and collect the remarks about it.
+
+    Remarks are about tables with signals of the map, rows left out, held values, unknown inputs, and signals without
+    samples. Raise SeatrialError if the file cannot be read by the map.
+    """
     kind = source_kind(path)
     tables = kind.read(path, source.options)
     signals = read_signals(tables, source)
     used = {signal.topic for signal in source.signals}
     remarks = [
         f"{path}: {line}"
-        for line in _together([table for table in tables if table.full_remark and table.topic in used])
+        for line in _remarks_by_topic([table for table in tables if table.full_remark and table.topic in used])
     ]
-    remarks += [f"{path}: {rows.text}" for rows in signals.left_out if rows.why != "stamps" and not _spoils(rows)]
+    remarks += [f"{path}: {rows.text}" for rows in signals.left_out if rows.why != "stamps" and not _is_too_many(rows)]
     remarks += [f"{path}: {line}" for line in held_lines(signals.held)]
     gaps = {data.signal.name: unknown_times(data.t, data.values) for data in signals.signals if data.has_gaps}
     remarks += [f"{path}: {line}" for line in gap_lines(gaps)]
@@ -150,10 +177,10 @@ def _read(path: Path, source: Source) -> _File:
     for table in tables:
         if table.clock and table.topic in used and table.t is not None and len(table.t):
             events += ((float(table.t[0]), Event("clock", f"{table.topic or path.name}: {table.clock}")),)
-    return _File(path, kind.name, sha256_of(path), signals, origin, tuple(remarks), events)
+    return _SourceFile(path, kind.name, sha256_of(path), signals, origin, tuple(remarks), events)
 
 
-def _together(tables: Sequence[Table]) -> list[str]:
+def _remarks_by_topic(tables: Sequence[Table]) -> list[str]:
     """Return the remarks of tables. A remark of several tables becomes one line with all their topics."""
     topics: dict[str, list[str]] = {}
     for table in tables:
@@ -189,16 +216,20 @@ def left_out_line(row: RowsLeftOut) -> str:
     return f"{row.n} {row.n_rows} {row.why} {row.rate:.6g} {row.topic}"
 
 
-def _beside(import_map: ImportMap) -> list[Path]:
-    """Return the DBC and rig files that a map names."""
+def _files_named_in_map(import_map: ImportMap) -> list[Path]:
+    """Return the DBC and rig files that a map names, so that no log replaces them."""
     named = [path for source in import_map.sources for path in (source.options.dbc, source.options.rig)]
     return [path for path in named if path is not None]
 
 
 def _write_piece(
-    import_map: ImportMap, data: Sequence[_File], piece: Piece, target: Path, force: bool, reads: Sequence[Path]
+    import_map: ImportMap, data: Sequence[_SourceFile], piece: Piece, target: Path, force: bool, reads: Sequence[Path]
 ) -> None:
-    """Write one log: the signals and events of the source files within one piece of the map."""
+    """Write one log, `target`: the signals and events of the source files within one piece of the map.
+
+    The metadata contain the digest of map and files and the numbers of rows left out. `reads` are the files that are
+    never replaced, even with `force`.
+    """
     signals: list[SignalData] = []
     events = [(t, event) for source_file in data for t, event in source_file.events if piece.t_from <= t <= piece.t_to]
     kinds = ", ".join(dict.fromkeys(source_file.kind for source_file in data))
@@ -211,7 +242,7 @@ def _write_piece(
         metadata[f"source.{i}.left_out"] = "\n".join(left_out_line(row) for row in source_file.signals.left_out)
         metadata[f"source.{i}.held"] = "; ".join(held_lines(source_file.signals.held))
         for signal in source_file.signals.signals:
-            cut = _cut(signal, piece)
+            cut = _within_piece(signal, piece)
             signals.append(replace(cut, t=cut.t + source_file.origin))
     names = ", ".join(source_file.path.name for source_file in data)
     note = f"{names} by {import_map.path.name}" + (f", {piece.name}" if piece.name else "")
@@ -223,8 +254,12 @@ def _write_piece(
     )
 
 
-def _cut(signal: SignalData, piece: Piece) -> SignalData:
-    """Return the samples of a signal within a piece. A held command also gets samples at the ends of the piece."""
+def _within_piece(signal: SignalData, piece: Piece) -> SignalData:
+    """Return the samples of a signal within a piece of the map (t_from <= t <= t_to, in s of the file's clock).
+
+    A held command also gets its last value before the piece as a sample at t_from. If it is known after the piece, or
+    has a timeout, its last value within the piece becomes a sample at t_to.
+    """
     inside = (signal.t >= piece.t_from) & (signal.t <= piece.t_to)
     t, values = signal.t[inside], signal.values[inside]
     before = np.flatnonzero(signal.t < piece.t_from)
@@ -239,4 +274,5 @@ def _cut(signal: SignalData, piece: Piece) -> SignalData:
 
 
 def _sha256(text: str) -> str:
+    """Return the SHA-256 of a text in UTF-8, as hexadecimal digits."""
     return hashlib.sha256(text.encode()).hexdigest()

@@ -41,7 +41,24 @@ SCALE = ("c1", "c2")  # thrust of one thruster at n = 1 and -1: c1 + c2 and -(c1
 
 @dataclass(frozen=True)
 class TimeColumn:
-    """Source of the times: a column, or a rate if the file has no times."""
+    """Source of the times: a column, or a rate if the file has no times.
+
+    Attributes
+    ----------
+    column : str
+        Name of the column; "" for times by `rate_hz`.
+    format : str
+        s, ms, us, ns, min, h, day, iso, datenum (days of MATLAB), excel, excel1904, labview (s since 1904), gps or
+        gps_ms (in the GPS week of `date`), or a strptime pattern.
+    date : str
+        Column of the dates if `column` has times of day, or of the GPS weeks; "" if not needed.
+    fraction : str
+        How the text behind the last point is read: "decimal" or "unpadded-ns"; "" for the usual way.
+    rate_hz : float
+        Rate of the rows [Hz]; 0 for times of a column.
+    origin : float
+        Time that is added to the times [s since 1970].
+    """
 
     column: str = ""
     # s | ms | us | ns | iso | datenum (days of MATLAB) | excel | excel1904 | labview (s since 1904) | gps | gps_ms (in
@@ -54,7 +71,7 @@ class TimeColumn:
 
     @property
     def is_text(self) -> bool:
-        """Return whether the times are read as text."""
+        """Return whether the times are read as text: dates (iso or a pattern), or numbers whose fraction needs care."""
         return self.format not in FORMATS_OF_TIME or self.format == "iso" or bool(self.fraction)
 
 
@@ -64,6 +81,44 @@ class Signal:
 
     With `make`, the signal is computed from several columns with the units `units`. Scale, offset and sign then apply
     to the computed signal.
+
+    Attributes
+    ----------
+    name : str
+        Name in the map, before conversion to NED.
+    columns : tuple of str
+        Column of the signal, or columns of a signal with `make`.
+    unit : str
+        Unit of the cells, a key of `seatrial.daq.importers.units.UNITS`.
+    scale, offset, sign : float
+        Numbers of the conversion above; `sign` is 1 or -1.
+    angle : str
+        "keep", "wrap" to -pi .. pi, or "unwrap" to a continuous angle.
+    role : str
+        "input" or "output" of the system.
+    hold : str
+        Value between two samples: "zero" (the last value), "linear" or "sampled" (a held output, sampled at a rate).
+    nan : str
+        Treatment of a cell without a number: "error", "drop", "keep" or "zero" (the cell means zero, in `unit`); "" for
+        the default of the source.
+    timeout : float
+        Time after which an input that is not repeated becomes zero [s]; 0 for never.
+    missing : float or None
+        Number in a cell that marks a missing measurement; None if there is no such number.
+    missing_is : float or None
+        Value of a cell with the number `missing`, in `unit`; None to leave the cell out.
+    topic : str
+        Topic of the table; "" for a file with a single table.
+    time, time_format : str
+        Column of the signal's own times, and their format; "" to use [time].
+    frame : str
+        "NED" (north, east, down; forward, starboard, down) or "ENU" (east, north, up; forward, left, up).
+    make : str
+        Quantity that is computed from several columns, a key of `MAKES`; "" for a single column.
+    units : tuple of str
+        Units of the columns with `make`.
+    repeats : str
+        "keep" or "drop" values that repeat the previous one; "" for the default of the source.
     """
 
     name: str
@@ -91,13 +146,28 @@ class Signal:
 
     @property
     def log_name(self) -> str:
-        """Name of the signal in the log, after conversion to NED."""
+        """Name of the signal in the log, after conversion to NED.
+
+        In a frame ENU, x and y are exchanged, as are vx and vy.
+        """
         return self.name if self.frame == "NED" else RENAMED.get(self.name, self.name)
 
 
 @dataclass(frozen=True)
 class Source:
-    """Kind of source file: how it is read, its clock and its signals."""
+    """Kind of source file: how it is read, its clock and its signals.
+
+    Attributes
+    ----------
+    match : str
+        Glob pattern of the file's name.
+    options : SourceOptions
+        Options of the reader.
+    time : TimeColumn or None
+        Source of the times; None if the source has its own times.
+    signals : tuple of Signal
+        Signals to import.
+    """
 
     match: str  # glob pattern of the file's name
     options: SourceOptions
@@ -107,7 +177,15 @@ class Source:
 
 @dataclass(frozen=True)
 class Piece:
-    """Interval of time that becomes a log of its own."""
+    """Interval of time that becomes a log of its own.
+
+    Attributes
+    ----------
+    name : str
+        Name of the piece, which ends the name of its log.
+    t_from, t_to : float
+        First and last time, both included [s of the file's clock, before `TimeColumn.origin` is added].
+    """
 
     name: str
     t_from: float  # s of the file's clock, before `origin` is added
@@ -116,7 +194,25 @@ class Piece:
 
 @dataclass(frozen=True)
 class ImportMap:
-    """Map of an import."""
+    """Map of an import.
+
+    Attributes
+    ----------
+    name : str
+        Name of the map.
+    path : Path
+        File of the map.
+    text : str
+        Text of the file.
+    merge : bool
+        Whether all files together make one log; otherwise each file makes its own log.
+    sources : tuple of Source
+        Kinds of source files; a map without [[file]] has one.
+    pieces : tuple of Piece
+        Intervals of time that become logs; empty for one log of the whole time.
+    vehicle : dict
+        Known numbers of the boat by name, as `y_left` [m] or `c1` [N], and their standard uncertainties (`NAME_sd`).
+    """
 
     name: str
     path: Path
@@ -150,34 +246,35 @@ def load_import_map(path: Path) -> ImportMap:
     form = root.text("format", choices=FORMATS)
     name = root.text("name", path.stem)
     files = root.tables("file")
-    whole = () if files else (_source(root, "*", path.parent),)
-    sources = whole or tuple(_source(table, table.text("match"), path.parent) for table in files)
+    whole = () if files else (_source_of_table(root, "*", path.parent),)
+    sources = whole or tuple(_source_of_table(table, table.text("match"), path.parent) for table in files)
     if form == FORMATS[1]:
-        sources = tuple(_as_it_was(source) for source in sources)
+        sources = tuple(_keeping_repeats(source) for source in sources)
     names = [signal.log_name for source in sources for signal in source.signals]
     for signal_name in names:
         if names.count(signal_name) > 1:
             raise root.error(
                 "signal", f"'{signal_name}' appears twice (after conversion to NED); give each signal its own name"
             )
-    pieces = tuple(_piece(table) for table in root.tables("log"))
+    pieces = tuple(_piece_of_table(table) for table in root.tables("log"))
     if len({piece.name for piece in pieces}) < len(pieces):
         raise root.error("log", "two [[log]] tables have the same name; rename one")
-    vehicle = _known(root.table("geometry"), GEOMETRY) | _known(root.table("scale"), SCALE)
+    vehicle = _boat_numbers(root.table("geometry"), GEOMETRY) | _boat_numbers(root.table("scale"), SCALE)
     root.done()
     return ImportMap(name, path, text, bool(files), sources, pieces, vehicle)
 
 
-def _as_it_was(source: Source) -> Source:
-    """Return a source that keeps repeats by default, as in the older format, so that its logs stay the same."""
+def _keeping_repeats(source: Source) -> Source:
+    """Return a source that keeps repeated values by default, as maps of the older format do."""
     style = source.options.style
     return replace(source, options=replace(source.options, style=replace(style, repeats=style.repeats or "keep")))
 
 
-def _known(table: TomlTable | None, names: Sequence[str]) -> dict[str, float]:
+def _boat_numbers(table: TomlTable | None, names: Sequence[str]) -> dict[str, float]:
     """Return known numbers of the boat by name, and their standard uncertainties ``NAME_sd`` if given.
 
-    Raise SeatrialError if a number is impossible or a key is unknown.
+    Empty without a table. Raise SeatrialError if a number is impossible or a key is unknown: c1 and length must be
+    positive, y_left must be less than y_right, and both within the length of the hull.
     """
     if table is None:
         return {}
@@ -198,13 +295,17 @@ def _known(table: TomlTable | None, names: Sequence[str]) -> dict[str, float]:
     return found
 
 
-def _source(table: TomlTable, match: str, near: Path) -> Source:
-    """Return a source from its table; paths in the table are relative to the folder `near`."""
-    options = _options(table, near)
+def _source_of_table(table: TomlTable, match: str, near: Path) -> Source:
+    """Return a source from its table in the map, [[file]] or the whole map.
+
+    `match` is the pattern of its file name. Paths in the table are relative to the folder `near`. Raise SeatrialError
+    if the table has no signal or a wrong key.
+    """
+    options = _reading_options(table, near)
     time_table = table.table("time")
-    time = None if time_table is None else _time(time_table)
+    time = None if time_table is None else _time_column(time_table)
     frame = table.text("frame", "NED", choices=tuple(FRAMES))
-    signals = tuple(_signal(signal, frame) for signal in table.tables("signal"))
+    signals = tuple(_signal_of_table(signal, frame) for signal in table.tables("signal"))
     if not signals:
         raise table.error("signal", "missing; a map needs at least one signal")
     topics = frozenset(signal.topic for signal in signals) - {""}
@@ -213,11 +314,14 @@ def _source(table: TomlTable, match: str, near: Path) -> Source:
     return Source(match, replace(options, topics=topics), time, signals)
 
 
-def _options(parent: TomlTable, near: Path) -> SourceOptions:
-    """Return the reading options of the tables [csv], [can] and [mavlink]."""
+def _reading_options(parent: TomlTable, near: Path) -> SourceOptions:
+    """Return the reading options of the tables [csv], [can] and [mavlink] of a source.
+
+    Paths are relative to the folder `near`. A missing table gives the defaults. Raise SeatrialError for a wrong key.
+    """
     can, mavlink = parent.table("can"), parent.table("mavlink")
     found = SourceOptions(
-        _style(parent.table("csv")),
+        _text_style(parent.table("csv")),
         None if can is None or not can.has("dbc") else near / can.text("dbc"),
         "" if can is None else can.text("protocol", "", choices=("", *CAN_PROTOCOLS)),
         None if mavlink is None or not mavlink.has("rig") else near / mavlink.text("rig"),
@@ -229,8 +333,8 @@ def _options(parent: TomlTable, near: Path) -> SourceOptions:
     return found
 
 
-def _style(table: TomlTable | None) -> TextStyle:
-    """Return the text style of the table [csv]."""
+def _text_style(table: TomlTable | None) -> TextStyle:
+    """Return the text style of the table [csv]; the default style without it. Raise SeatrialError for a wrong key."""
     if table is None:
         return TextStyle()
     delimiter = table.text("delimiter", ",")
@@ -261,11 +365,14 @@ def _style(table: TomlTable | None) -> TextStyle:
     return found
 
 
-def _time(table: TomlTable) -> TimeColumn:
-    """Return the source of the times from the table [time]."""
+def _time_column(table: TomlTable) -> TimeColumn:
+    """Return the source of the times from the table [time].
+
+    Raise SeatrialError unless it has either a column or a rate, or if its keys do not fit together.
+    """
     if table.has("column") == table.has("rate_hz"):
         raise table.error("column", f"give either column or rate_hz{table.misspelling_hint('column')}")
-    origin = _origin(table)
+    origin = _time_origin(table)
     if table.has("rate_hz"):
         found = TimeColumn(rate_hz=table.number("rate_hz", positive=True), origin=origin)
     else:
@@ -299,8 +406,11 @@ def _time_format(table: TomlTable, key: str, usual: str) -> str:
     return pattern
 
 
-def _origin(table: TomlTable) -> float:
-    """Return the origin [s since 1970] that is added to the times; a time without a zone is UTC."""
+def _time_origin(table: TomlTable) -> float:
+    """Return the origin that is added to the times [s since 1970], from the key `origin`; 0 without it.
+
+    A date and time without a zone is UTC. Raise SeatrialError if it is not in ISO form.
+    """
     text = table.text("origin", "")
     if not text:
         return 0.0
@@ -311,15 +421,18 @@ def _origin(table: TomlTable) -> float:
     return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
 
 
-def _signal(table: TomlTable, frame: str) -> Signal:
-    """Return a signal from its table; `frame` is the default frame of its source."""
+def _signal_of_table(table: TomlTable, frame: str) -> Signal:
+    """Return a signal from its table [[signal]]; `frame` is the default frame of its source.
+
+    Raise SeatrialError for a wrong key, or keys that do not fit together.
+    """
     name = table.text("name")
     if not NAME.fullmatch(name):
         raise table.error("name", f"'{name}' is not a valid name; use a letter, then letters, digits or _")
     topic, make = table.text("topic", ""), table.text("make", "", choices=("", *MAKES))
     key = ("fields" if make else "field") if topic else ("columns" if make else "column")
     columns = table.texts(key) if make else (table.text(key),)
-    unit, units = _units(table, make, columns, key)
+    unit, units = _signal_units(table, make, columns, key)
     role = table.text("role", "output", choices=("input", "output"))
     sign = table.integer("sign", 1)
     if sign not in (1, -1):
@@ -363,8 +476,12 @@ def _signal(table: TomlTable, frame: str) -> Signal:
     return found
 
 
-def _units(table: TomlTable, make: str, columns: Sequence[str], key: str) -> tuple[str, tuple[str, ...]]:
-    """Return the unit of a signal and, for a signal made of several columns, the units of these columns."""
+def _signal_units(table: TomlTable, make: str, columns: Sequence[str], key: str) -> tuple[str, tuple[str, ...]]:
+    """Return the unit of a signal and, for a signal made of several columns, the units of these columns.
+
+    `key` is the key of the columns, for messages. For a single column the second result is empty. Raise SeatrialError
+    for an unknown unit, a wrong number of columns, or a unit of another quantity.
+    """
     known = f"known: {', '.join(UNITS)}"
     if not make:
         unit = table.text("unit")
@@ -381,8 +498,11 @@ def _units(table: TomlTable, make: str, columns: Sequence[str], key: str) -> tup
     return unit, units
 
 
-def _piece(table: TomlTable) -> Piece:
-    """Return a piece from its table [[log]]."""
+def _piece_of_table(table: TomlTable) -> Piece:
+    """Return a piece from its table [[log]]. Without t_from or t_to it has no limit on this side.
+
+    Raise SeatrialError for a name that is not safe in a file name, or if t_to is not after t_from.
+    """
     name = table.text("name")
     if not re.fullmatch(r"[A-Za-z0-9_.-]+", name):
         raise table.error("name", f"'{name}' becomes part of a file name; use letters, digits, _, - or .")

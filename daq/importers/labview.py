@@ -56,9 +56,9 @@ def read_lvm(path: Path, options: SourceOptions) -> list[Table]:
     named = next((line[len("Separator") :] for line in lines[:end] if line.startswith("Separator")), "")
     separator = named.strip("\t,; ").lower()
     mark = _SEPARATORS.get(separator, "\t")
-    head = _header([line.split(mark) for line in lines[:end]])
-    decimal = _first(head, "Decimal_Separator", ".")
-    found = _Rows(path, decimal, _first(head, "X_Columns", "One"), _moment(head, decimal))
+    head = _header_cells([line.split(mark) for line in lines[:end]])
+    decimal = _first_filled_cell(head, "Decimal_Separator", ".")
+    found = _SegmentRows(path, decimal, _first_filled_cell(head, "X_Columns", "One"), _header_seconds(head, decimal))
     segment: list[list[str]] = []
     is_header = True  # whether the line is before the end of the header of a segment
     rows: list[list[str]] = []
@@ -68,7 +68,7 @@ def read_lvm(path: Path, options: SourceOptions) -> list[Table]:
             found.add(rows)
             rows, segment, is_header = [], [cells], True
         elif line.startswith(_END):
-            found.begin(_header(segment))
+            found.begin(_header_cells(segment))
             is_header = False
         elif is_header:
             segment.append(cells)
@@ -78,17 +78,22 @@ def read_lvm(path: Path, options: SourceOptions) -> list[Table]:
     return [found.table()]
 
 
-def _header(lines: Sequence[Sequence[str]]) -> dict[str, Sequence[str]]:
+def _header_cells(lines: Sequence[Sequence[str]]) -> dict[str, Sequence[str]]:
+    """Return the cells of each line of a header after its first cell, by the first cell.
+
+    A line without cells is skipped.
+    """
     return {cells[0].strip(): cells[1:] for cells in lines if cells}
 
 
-def _first(head: Mapping[str, Sequence[str]], key: str, usual: str) -> str:
+def _first_filled_cell(head: Mapping[str, Sequence[str]], key: str, usual: str) -> str:
+    """Return the first cell of the header line `key` that is not blank; `usual` if there is no such line or cell."""
     return next((cell.strip() for cell in head.get(key, ()) if cell.strip()), usual)
 
 
-def _moment(head: Mapping[str, Sequence[str]], decimal: str) -> float:
+def _header_seconds(head: Mapping[str, Sequence[str]], decimal: str) -> float:
     """Return date and time of a header [s since 1970]; NaN if the header has no date."""
-    text = f"{_first(head, 'Date', '')} {_first(head, 'Time', '').replace(decimal, '.')}"
+    text = f"{_first_filled_cell(head, 'Date', '')} {_first_filled_cell(head, 'Time', '').replace(decimal, '.')}"
     for pattern in ("%Y/%m/%d %H:%M:%S.%f", "%Y-%m-%d %H:%M:%S.%f"):
         try:
             moment: datetime = read_date(text, pattern)
@@ -98,8 +103,20 @@ def _moment(head: Mapping[str, Sequence[str]], decimal: str) -> float:
     return math.nan
 
 
-class _Rows:
-    """Collector of the rows of all segments."""
+class _SegmentRows:
+    """Collector of the rows of all segments of one LabVIEW file.
+
+    Parameters
+    ----------
+    path
+        The file, for messages.
+    decimal
+        Decimal mark.
+    x_columns
+        Entry X_Columns of the file's header: "No" if the rows have no X, else "One" or "Multi".
+    start
+        Date and time of the start of the file [s since 1970]; NaN without a date.
+    """
 
     def __init__(self, path: Path, decimal: str, x_columns: str, start: float) -> None:
         self._path, self._decimal, self._x_columns, self._start = path, decimal, x_columns.lower(), start
@@ -112,7 +129,7 @@ class _Rows:
         self._segment: Mapping[str, Sequence[str]] = {}
 
     def begin(self, segment: Mapping[str, Sequence[str]]) -> None:
-        """Begin a segment with the given header."""
+        """Begin a segment with the cells of its header, by name. `add` then adds its rows."""
         self._segment = segment
 
     def add(self, rows: Sequence[Sequence[str]]) -> None:
@@ -139,32 +156,39 @@ class _Rows:
         width = max(self._places, default=0) + 1
         whole = [row for row in rows[1:] if len(row) >= width]
         self._n_short += len(rows) - 1 - len(whole)
-        values = np.array([[self._number(row[k]) for k in self._places] for row in whole]).reshape(-1, len(columns))
+        values = np.array([[self._cell_number(row[k]) for k in self._places] for row in whole]).reshape(
+            -1, len(columns)
+        )
         x = [k for k, name in enumerate(names) if name == "X_Value"]
         if len(x) > 1 and any(row[k].strip() != row[x[0]].strip() for row in whole for k in x):
             raise SeatrialError(f"{self._path}: each channel has its own times; export it with one X column")
         self._t.append(self._times(whole, x[0] if x and self._x_columns != "no" else None))
         self._values.append(values)
 
-    def _number(self, cell: str) -> float:
+    def _cell_number(self, cell: str) -> float:
+        """Return the number in a cell; NaN if the cell is not a number."""
         try:
             return to_number(cell.strip(), self._decimal)
         except ValueError:
             return math.nan
 
     def _times(self, rows: Sequence[Sequence[str]], place: int | None) -> Column:
-        """Return times of the rows of the segment [s since 1970, or since the start if the file has no date], (n,)."""
-        x0 = self._number(_first(self._segment, "X0", "0"))
-        dx = self._number(_first(self._segment, "Delta_X", "nan"))
+        """Return the times of the rows of the segment, (n,).
+
+        They are in s since 1970, or since the start if the file has no date. `place` is the index of the column X; None
+        if the rows have no X and are Delta_X apart. Raise SeatrialError if they have neither.
+        """
+        x0 = self._cell_number(_first_filled_cell(self._segment, "X0", "0"))
+        dx = self._cell_number(_first_filled_cell(self._segment, "Delta_X", "nan"))
         if place is None:
             if not dx > 0.0:
                 raise SeatrialError(f"{self._path}: it has neither times (X_Value) nor a Delta_X; export it with one")
             x = x0 + dx * np.arange(len(rows))
         else:
-            x = np.array([self._number(row[place]) for row in rows])
+            x = np.array([self._cell_number(row[place]) for row in rows])
         if len(x) and x[0] > _SINCE_1904:
             return np.asarray(x + LABVIEW_EPOCH, np.float64)
-        begin = _moment(self._segment, self._decimal)
+        begin = _header_seconds(self._segment, self._decimal)
         begin, start = (moment if math.isfinite(moment) else 0.0 for moment in (begin, self._start))
         # If the first X is not X0, X continues from the segment before: it counts from the start of the file.
         is_continued = len(x) > 0 and abs(x[0] - x0) > 2.0 * abs(dx)

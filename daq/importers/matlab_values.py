@@ -29,14 +29,36 @@ TABLES = ("table", "timetable")
 
 @dataclass(frozen=True)
 class MatlabObject:
-    """Object of MATLAB."""
+    """Object of MATLAB.
+
+    Attributes
+    ----------
+    kind : str
+        Name of its class, for example "datetime" or "timetable".
+    properties : dict
+        Properties of the object, by name.
+    """
 
     kind: str  # name of its class
     properties: Mapping[str, Any]  # by name
 
 
 class Vector(NamedTuple):
-    """Numbers of a variable, with the topic and the name of their table and column."""
+    """Numbers of a variable, with the topic and the name of their table and column.
+
+    Attributes
+    ----------
+    topic : str
+        Topic of the table: the name of the variable, "" for a variable of the workspace itself.
+    name : str
+        Name of the column.
+    values : Array (n,) or (n, m)
+        The numbers.
+    unit : str
+        Unit that the file states; "" if none.
+    is_time : bool
+        Whether the values are times [s]; a datetime counts since 1970.
+    """
 
     topic: str
     name: str
@@ -91,9 +113,13 @@ def vectors(name: str, value: Any, left_out: list[str], topic: str = "", depth: 
 
 
 def _object_vectors(name: str, value: MatlabObject, left_out: list[str], topic: str, depth: int) -> Iterator[Vector]:
-    """Yield the numbers of an object: times, the columns of a table, or the properties of another class."""
+    """Yield the numbers of an object: times, the columns of a table, or the properties of another class.
+
+    Parameters are those of `vectors`. An object without readable numbers is added to `left_out`. A single time yields
+    nothing.
+    """
     place = f"{topic}.{name}" if topic else name
-    if (seconds := _seconds(value)) is not None:
+    if (seconds := _object_seconds(value)) is not None:
         if seconds.size > 1:
             yield Vector(topic, name, seconds, is_time=True)
     elif value.kind in TABLES and (columns := list(_table_columns(place, value))):
@@ -111,8 +137,11 @@ def _object_vectors(name: str, value: MatlabObject, left_out: list[str], topic: 
             left_out.append(f"{place} ({value.kind})")
 
 
-def _seconds(value: Any) -> NDArray[np.float64] | None:
-    """Return a datetime (since 1970, in UTC if it has a zone) or a duration in s; None for other values."""
+def _object_seconds(value: Any) -> NDArray[np.float64] | None:
+    """Return a datetime [s since 1970, in UTC if it has a zone] or a duration [s]; None for other values.
+
+    A datetime without a value in the file is NaN, a duration without one is 0.
+    """
     if not isinstance(value, MatlabObject) or value.kind not in ("datetime", "duration"):
         return None
     milliseconds = value.properties.get("data" if value.kind == "datetime" else "millis")
@@ -125,7 +154,10 @@ def _seconds(value: Any) -> NDArray[np.float64] | None:
 
 
 def _table_columns(place: str, value: MatlabObject) -> Iterator[Vector]:
-    """Yield the columns of a table or timetable. The times of a timetable come first."""
+    """Yield the columns of a table or timetable. The times of a timetable come first.
+
+    Columns of text and of other classes are left out. Nothing is yielded if the object has another layout.
+    """
     inner = value.properties.get("any", value.properties)
     if not isinstance(inner, Mapping):
         return
@@ -133,7 +165,7 @@ def _table_columns(place: str, value: MatlabObject) -> Iterator[Vector]:
     names = inner.get("varNames", inner.get("varnames"))
     if not isinstance(data, list) or not isinstance(names, list) or len(names) != len(data):
         return
-    n_rows = int(_scalar(inner.get("numRows", inner.get("nrows"))) or 0)
+    n_rows = int(_single_number(inner.get("numRows", inner.get("nrows"))) or 0)
     if value.kind == "timetable":
         dimensions = inner.get("dimNames")
         time_name = dimensions[0] if isinstance(dimensions, list) and dimensions else "Time"
@@ -144,7 +176,7 @@ def _table_columns(place: str, value: MatlabObject) -> Iterator[Vector]:
     units = inner.get("varUnits", properties.get("VariableUnits") if isinstance(properties, Mapping) else None)
     units = units if isinstance(units, list) and len(units) == len(names) else [""] * len(names)
     for name, column, unit in zip(names, data, units, strict=True):
-        seconds = _seconds(column)
+        seconds = _object_seconds(column)
         values = column if seconds is None else seconds
         if isinstance(values, np.ndarray) and values.dtype.kind in "biuf" and values.size > 1:
             unit = unit if isinstance(unit, str) else ""
@@ -152,16 +184,19 @@ def _table_columns(place: str, value: MatlabObject) -> Iterator[Vector]:
 
 
 def _row_times(value: Any, n_rows: int) -> NDArray[np.float64] | None:
-    """Return the times of the rows of a timetable, (n_rows,) [s]; None if their kind is unknown."""
-    if (seconds := _seconds(value)) is not None:
+    """Return the times of the rows of a timetable, (n_rows,) [s]; None if their kind is unknown.
+
+    They are stored as a datetime or duration, or as a first time with a step or a rate.
+    """
+    if (seconds := _object_seconds(value)) is not None:
         return seconds.ravel()
     if not isinstance(value, Mapping):
         return None
-    origin, step = _seconds(value.get("origin")), _seconds(value.get("stepSize"))
-    rate = _scalar(value.get("sampleRate"))
+    origin, step = _object_seconds(value.get("origin")), _object_seconds(value.get("stepSize"))
+    rate = _single_number(value.get("sampleRate"))
     if origin is None or not origin.size:
         return None
-    is_rate = _scalar(value.get("specifiedAsRate"))
+    is_rate = _single_number(value.get("specifiedAsRate"))
     if step is not None and step.size and step.flat[0] > 0.0 and not is_rate:
         return np.asarray(origin.flat[0] + step.flat[0] * np.arange(n_rows), np.float64)
     if rate and is_rate:
@@ -169,13 +204,14 @@ def _row_times(value: Any, n_rows: int) -> NDArray[np.float64] | None:
     return None
 
 
-def _scalar(value: Any) -> float | None:
+def _single_number(value: Any) -> float | None:
+    """Return the number in an array of one element; None for any other value."""
     ok = isinstance(value, np.ndarray) and value.size == 1 and value.dtype.kind in "biuf"
     return float(value.flat[0]) if ok else None
 
 
 def _simulink_signals(value: Mapping[str, Any]) -> list[Mapping[str, Any]] | None:
-    """Return the signals of a Simulink structure with time; None for any other struct."""
+    """Return the signals of a Simulink structure with time, each a struct with "values"; None for any other struct."""
     signals, time = value.get("signals"), value.get("time")
     listed = [signals] if isinstance(signals, Mapping) else signals
     if not isinstance(time, np.ndarray) or time.size < 2 or not isinstance(listed, list) or not listed:
@@ -210,11 +246,11 @@ def _struct_array_vectors(
 ) -> Iterator[Vector]:
     """Yield the numbers of a struct array.
 
-    A field with one number in each struct becomes a column. If the array has no such field, each struct becomes a
-    topic.
+    A field with one number in each struct becomes a column. If the array has no such field, each of the first 16
+    structs becomes a topic, VARIABLE[0]. Parameters are those of `vectors`.
     """
     place = f"{topic}.{name}" if topic else name
-    numbers = {field: [_scalar(struct.get(field)) for struct in value] for field in value[0]}
+    numbers = {field: [_single_number(struct.get(field)) for struct in value] for field in value[0]}
     columns = {field: found for field, found in numbers.items() if not any(number is None for number in found)}
     for field, found in columns.items():
         if len(value) > 1:
@@ -255,7 +291,13 @@ def scipy_value(value: Any, depth: int = 0) -> Any:
 
 
 class Hdf5Variables:
-    """Reader of the variables of a MATLAB file of version 7.3."""
+    """Reader of the variables of a MATLAB file of version 7.3.
+
+    Parameters
+    ----------
+    file : h5py.File
+        The open file. Its list of objects is read at once, if it has one.
+    """
 
     def __init__(self, file: Any) -> None:
         """Read the list of objects of an open h5py file, if it has one."""
@@ -270,7 +312,10 @@ class Hdf5Variables:
             self._read_objects(np.asarray(file[self._contents[0]][()], np.uint8).tobytes())
 
     def _read_objects(self, data: bytes) -> None:
-        """Read the classes and objects of the file. They are regions of 32-bit words after a header and the names."""
+        """Store the classes, objects and properties of the file from the bytes of its list of objects.
+
+        They are regions of 32-bit words after a header and the names.
+        """
         words = np.frombuffer(data[: len(data) // 4 * 4], "<u4")
         n_names, ends = int(words[1]), [int(end) for end in words[2:7]]
         names = [
@@ -283,41 +328,48 @@ class Hdf5Variables:
         self._objects = region[2].reshape(-1, 6)
 
     def items(self) -> Iterator[tuple[str, Any]]:
-        """Yield each variable with its value."""
+        """Yield the name and the value of each variable. Names that begin with # belong to MATLAB itself."""
         for name, node in self._file.items():
             if not name.startswith("#"):
-                yield name, self._value(node, 0)
+                yield name, self._python_value(node, 0)
 
-    def _value(self, node: Any, depth: int) -> Any:
-        """Return the value of a group or dataset of the file."""
+    def _python_value(self, node: Any, depth: int) -> Any:
+        """Return the value of a group or dataset of the file.
+
+        A struct becomes a dict or a list of dicts, a cell a list. Other values are text, arrays and objects. `depth` is
+        the number of structs, cells and objects around the value. Raise SeatrialError if it is above 30.
+        """
         if depth > DEEPEST:
             raise SeatrialError(f"structs, cells or objects are nested more than {DEEPEST} deep")
         if hasattr(node, "items"):
-            return self._struct(node, depth)
+            return self._struct_value(node, depth)
         kind = node.attrs.get("MATLAB_class", b"")
         if "MATLAB_empty" in node.attrs:
             return "" if kind == b"char" else np.zeros(0)
         if node.dtype.kind == "O":
-            return [self._value(self._file[ref], depth + 1) for ref in node[()].T.ravel()]
+            return [self._python_value(self._file[ref], depth + 1) for ref in node[()].T.ravel()]
         values = node[()]
         if "MATLAB_object_decode" in node.attrs or (kind not in _NUMERIC and _is_reference(values)):
-            return self._object(values, depth)
+            return self._referenced_objects(values, depth)
         if values.dtype.names == ("real", "imag"):
             return (values["real"] + 1j * values["imag"]).T
         if kind == b"char":
             return "".join(chr(code) for code in values.T.ravel())
         return np.asarray(values).T
 
-    def _struct(self, group: Any, depth: int) -> Any:
-        """Return a struct as a dict, and a struct array as a list of dicts."""
-        is_array = [part.dtype.kind == "O" and "MATLAB_class" not in part.attrs for part in _datasets(group)]
+    def _struct_value(self, group: Any, depth: int) -> Any:
+        """Return a struct as a dict by field, and a struct array as a list of dicts.
+
+        A group is a struct array if all its fields are arrays of references.
+        """
+        is_array = [part.dtype.kind == "O" and "MATLAB_class" not in part.attrs for part in _datasets_of_group(group)]
         if not is_array or not all(is_array) or len(is_array) < len(group):
-            return {field: self._value(part, depth + 1) for field, part in group.items()}
-        columns = {field: self._value(part, depth + 1) for field, part in group.items()}
+            return {field: self._python_value(part, depth + 1) for field, part in group.items()}
+        columns = {field: self._python_value(part, depth + 1) for field, part in group.items()}
         n = min(len(column) for column in columns.values())
         return [{field: column[k] for field, column in columns.items()} for k in range(n)]
 
-    def _object(self, reference: NDArray[Any], depth: int) -> Any:
+    def _referenced_objects(self, reference: NDArray[Any], depth: int) -> Any:
         """Return the object of a reference, or a list of objects; None if the reference is invalid.
 
         The words of a reference: `OBJECT`, number of dimensions, the dimensions, the indices of the objects, the class.
@@ -326,11 +378,14 @@ class Hdf5Variables:
         if len(words) < 2 or words[0] != OBJECT or words[1] != len(words[2 : 2 + words[1]]):
             return None
         numbers = words[2 + words[1] : -1]
-        found = [self._one_object(number, depth) for number in numbers[:MOST_STRUCTS]]
+        found = [self._object_of_number(number, depth) for number in numbers[:MOST_STRUCTS]]
         return found[0] if len(found) == 1 else found
 
-    def _one_object(self, number: int, depth: int) -> MatlabObject | None:
-        """Return the object that has this number in the file, or None if the number is out of range."""
+    def _object_of_number(self, number: int, depth: int) -> MatlabObject | None:
+        """Return the object that has this number in the file, from 1 on; None if the number is out of range.
+
+        Only properties that are stored as an entry of the file are read.
+        """
         if not 0 < number < len(self._objects):
             return None
         kind, _, _, saved, plain, _ = (int(word) for word in self._objects[number])
@@ -340,7 +395,7 @@ class Hdf5Variables:
             if how == 1 and _CONTENTS + value < len(
                 self._contents
             ):  # 1: an entry; 0: an enumeration; 2: a number or bool
-                properties[name] = self._value(self._file[self._contents[_CONTENTS + value]], depth + 1)
+                properties[name] = self._python_value(self._file[self._contents[_CONTENTS + value]], depth + 1)
         return MatlabObject(self._classes[kind], properties)
 
 
@@ -348,10 +403,12 @@ _NUMERIC = {b"double", b"single", b"logical", b"int8", b"uint8", b"int16", b"uin
 
 
 def _is_reference(values: Any) -> bool:
+    """Return whether the values of a dataset are the 32-bit words of a reference to an object."""
     return bool(values.dtype == np.uint32 and values.size >= 5 and values.ravel()[0] == OBJECT)
 
 
-def _datasets(group: Any) -> list[Any]:
+def _datasets_of_group(group: Any) -> list[Any]:
+    """Return the datasets in a group of the file, without the groups in it."""
     return [part for part in group.values() if not hasattr(part, "items")]
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import math
-import re
 import warnings
 from collections import Counter
 from collections.abc import Sequence
@@ -18,10 +17,9 @@ from seatrial.daq.config import default_decoder
 from seatrial.daq.errors import SeatrialError, SeatrialWarning, counted
 from seatrial.daq.importers.write_log import SignalRow, write_frames
 from seatrial.daq.protocol import Decoder, nmea, ubx, vectornav
-from seatrial.daq.samples import Ahrs, Frame, Gnss, LoadCell, Scalar
+from seatrial.daq.samples import Ahrs, Frame, Gnss, LoadCell, Transducer
 
 _NAMES: dict[type, str] = {Ahrs: "ahrs", Gnss: "gnss", LoadCell: "load_cell"}
-XDR = "xdr_"  # prefix of the name of a transducer
 _CHUNK_BYTES = 1 << 16
 OTHER_CALENDAR_S = 300 * nmea.DAY  # s; a larger jump of the date cannot happen within a run
 LONGEST_PAUSE_S = 600.0  # s; longest pause between two parts of the same run
@@ -64,22 +62,22 @@ def import_raw(
     samples before the first date get the date that follows, or 1970-01-01 if no date follows.
     """
     decoder = default_decoder(protocol)
-    if isinstance(decoder, nmea.Decoder):
-        decoder.transducers = []
-    frames, sha256 = _decode(decoder, path)
+    frames, sha256 = _decoded_frames(decoder, path)
     wrong = f"{counted(decoder.checksum_errors, 'checksum error')}, {counted(decoder.unparsed_bytes, 'byte')} unparsed"
     if not frames:
         raise SeatrialError(f"{path}: no {protocol} samples in {decoder.frames} complete frames ({wrong})")
     if isinstance(decoder, vectornav.Decoder):
         frames, n_left_out = _without_doubles(frames)
         wrong += f"; {counted(n_left_out, 'ASCII sample')} left out, contained in binary samples" * bool(n_left_out)
+    if isinstance(decoder, nmea.Decoder) and decoder.two_receivers:
+        advice = "record each receiver by itself, since only one position per time is kept"
+        warnings.warn(f"{path}: {decoder.two_receivers}; {advice}", SeatrialWarning, stacklevel=2)
     if not rate and isinstance(decoder, (nmea.Decoder, ubx.Decoder)):
         frames = _one_calendar(path, frames)
-    transducers = list(decoder.transducers or ()) if isinstance(decoder, nmea.Decoder) else []
-    names = _names(frames, transducers)
-    if all(name.startswith(XDR) for name in names):
+    names = [_signal_name(frame) for frame in frames]
+    device = next((name for name in names if not name.startswith(nmea.XDR)), None)
+    if device is None:
         raise SeatrialError(f"{path}: contains only transducers (XDR), which have no times; log a receiver too")
-    device = next(name for name in names if not name.startswith(XDR))
     times = _even_times(frames, names, rate) if rate else _device_times(path, frames)
     summary = f"{counted(len(frames), 'sample')} of {counted(decoder.frames, f'{protocol} frame')}; {wrong}"
     target = out or Path(f"{path.stem}.mcap")
@@ -87,13 +85,11 @@ def import_raw(
     if rate:
         metadata["import.rate_hz"] = repr(rate)
     rows = [
-        SignalRow(t, name if name.startswith(XDR) else device, frame._replace(t_rx=t))
+        SignalRow(t, name if name.startswith(nmea.XDR) else device, frame._replace(t_rx=t))
         for t, name, frame in zip(times, names, frames, strict=True)
     ]
-    units = {
-        name: transducer.unit
-        for name, transducer in zip((n for n in names if n.startswith(XDR)), transducers, strict=True)
-    }
+    samples = (frame.sample for frame in frames)
+    units = {sample.name: sample.unit for sample in samples if isinstance(sample, Transducer)}
     if min(times) < 0.0 or max(times) >= 2**31:
         raise SeatrialError(f"{target}: the device's times do not lie between 1970 and 2038; give --rate instead")
     note = f"{path.name} as {protocol}: {summary}"
@@ -101,19 +97,17 @@ def import_raw(
     return target, summary
 
 
-def _names(frames: Sequence[Frame], transducers: Sequence[nmea.Transducer]) -> list[str]:
-    """Return a name for each frame: the name of its kind, or of its transducer, converted to a valid signal name."""
-    left = iter(transducers)
-    return [
-        f"{XDR}{re.sub('[^A-Za-z0-9_]+', '_', next(left).name).strip('_')}"
-        if isinstance(frame.sample, Scalar)
-        else _NAMES[type(frame.sample)]
-        for frame in frames
-    ]
+def _signal_name(frame: Frame) -> str:
+    """Return the signal name of a transducer (`xdr_ENGINE_0`), or the name of the kind of another sample (`gnss`)."""
+    return frame.sample.name if isinstance(frame.sample, Transducer) else _NAMES[type(frame.sample)]
 
 
-def _decode(decoder: Decoder, path: Path) -> tuple[list[Frame], str]:
-    """Return the decoded frames of a capture, and its SHA-256."""
+def _decoded_frames(decoder: Decoder, path: Path) -> tuple[list[Frame], str]:
+    """Return the decoded frames of a capture, and its SHA-256.
+
+    A fix gets its UTC as device time, and frames before the first date get the date that follows. Raise SeatrialError
+    if the file cannot be read.
+    """
     frames: list[Frame] = []
     digest = hashlib.sha256()
     try:
@@ -125,7 +119,7 @@ def _decode(decoder: Decoder, path: Path) -> tuple[list[Frame], str]:
         raise SeatrialError(f"{path}: cannot be read: {error.strerror}") from error
     if isinstance(decoder, (nmea.Decoder, ubx.Decoder)):
         frames += decoder.flush()
-        frames = _dated([_timed(frame) for frame in frames])
+        frames = _with_first_dates([_with_utc_as_device_time(frame) for frame in frames])
     decoder.reset()  # an incomplete frame counts as unparsed
     return frames, digest.hexdigest()
 
@@ -156,21 +150,24 @@ def _without_doubles(frames: Sequence[Frame]) -> tuple[list[Frame], int]:
     return kept, len(frames) - len(kept)
 
 
-def _timed(frame: Frame) -> Frame:
+def _with_utc_as_device_time(frame: Frame) -> Frame:
     """Return a fix with the receiver's UTC as its device time, even if the receiver marks this UTC as uncertain."""
     sample = frame.sample
     return frame._replace(t_device=sample.utc) if isinstance(sample, Gnss) else frame
 
 
-def _dated(frames: list[Frame]) -> list[Frame]:
-    """Return the frames, with those before the first date moved to the day of the frames that follow."""
+def _with_first_dates(frames: list[Frame]) -> list[Frame]:
+    """Return the frames, with those before the first date moved to the day of the frames that follow.
+
+    Without any date they are on 1970-01-01.
+    """
     times = [frame.t_device for frame in frames]
     near = nmea.DAY / 2 if any(t < 0.0 for t in times) else math.nan  # without any date: on 1970-01-01
     for k in reversed(range(len(frames))):
         if times[k] < UNDATED and math.isfinite(near):
             times[k] = nmea.nearest_day(times[k], near)
         near = times[k] if math.isfinite(times[k]) else near
-    return [_at(frame, t) if t != frame.t_device else frame for frame, t in zip(frames, times, strict=True)]
+    return [_at_device_time(frame, t) if t != frame.t_device else frame for frame, t in zip(frames, times, strict=True)]
 
 
 def _one_calendar(path: Path, frames: list[Frame]) -> list[Frame]:
@@ -203,10 +200,10 @@ def _one_calendar(path: Path, frames: list[Frame]) -> list[Frame]:
     text = "wrong dates: the receiver had not received the date yet, or its week number started again (1024 weeks)"
     warnings.warn(f"{path}: {text}; {' and '.join(places)}", SeatrialWarning, stacklevel=3)
     rows = zip(frames, moved.tolist(), left_out.tolist(), strict=True)
-    return [_at(frame, frame.t_device + days) if days else frame for frame, days, out in rows if not out]
+    return [_at_device_time(frame, frame.t_device + days) if days else frame for frame, days, out in rows if not out]
 
 
-def _at(frame: Frame, t: float) -> Frame:
+def _at_device_time(frame: Frame, t: float) -> Frame:
     """Return a frame with another device time [s since 1970]; the UTC of a fix changes with it."""
     sample = frame.sample
     return frame._replace(t_device=t, sample=replace(sample, utc=t) if isinstance(sample, Gnss) else sample)
@@ -219,7 +216,9 @@ def _even_times(frames: Sequence[Frame], kinds: Sequence[str], rate: float) -> l
     it.
     """
     numbers = Counter(kinds)
-    most, n_most = max(((kind, n) for kind, n in numbers.items() if not kind.startswith(XDR)), key=lambda pair: pair[1])
+    most, n_most = max(
+        ((kind, n) for kind, n in numbers.items() if not kind.startswith(nmea.XDR)), key=lambda pair: pair[1]
+    )
     so_far: Counter[str] = Counter()
     times = []
     for kind in kinds:
@@ -231,7 +230,10 @@ def _even_times(frames: Sequence[Frame], kinds: Sequence[str], rate: float) -> l
 
 
 def _device_times(path: Path, frames: Sequence[Frame]) -> list[float]:
-    """Return the device times [s]. A sample without a time (a heading between fixes) has that of the sample before."""
+    """Return the device times [s]. A sample without a time (a heading between fixes) has that of the sample before.
+
+    Samples before the first time have the first time. Raise SeatrialError if no sample has a time.
+    """
     times = [frame.t_device for frame in frames]
     last = next((t for t in times if math.isfinite(t)), math.nan)
     if math.isnan(last):

@@ -16,7 +16,25 @@ UNCHOSEN_RANK = (
 
 
 class Candidate(NamedTuple):
-    """Signals of one topic that a guessed map could contain together."""
+    """Signals of one topic that a guessed map could contain together.
+
+    Attributes
+    ----------
+    group : str
+        Quantity: position, velocity, body, heading, rate, acceleration, drive, force, ... Only the best candidate of a
+        group is chosen for each signal.
+    rank : int
+        Preference, the lowest first: a sensor, then an estimate, then the truth of a simulator (`UNCHOSEN_RANK` or
+        more, which is never chosen).
+    table : Table
+        Table of the columns.
+    signals : tuple of MapSignal
+        Signals of the map.
+    caveat : str
+        Doubt about the signals, for a comment in the map; "" if there is none.
+    quantity : frozenset of str
+        Words of the quantity of a thruster. Left and right must have the same; empty for no condition.
+    """
 
     group: str  # position, velocity, body, heading, ...; only the best candidate of a group is chosen
     rank: int  # lower is better: a sensor before an estimate, an estimate before the truth of a simulator
@@ -27,7 +45,21 @@ class Candidate(NamedTuple):
 
 
 class MapSignal(NamedTuple):
-    """Signal of a candidate, as in a map."""
+    """Signal of a candidate, as in a map.
+
+    Attributes
+    ----------
+    name : str
+        Name of the signal in models.
+    columns : tuple of str
+        Its columns.
+    unit : str
+        Unit of the column; "" for a signal that is computed from several columns.
+    make : str
+        Quantity that is computed from several columns, as in a map; "" for a single column.
+    extra : str
+        Further keys of the map, as TOML.
+    """
 
     name: str  # in models
     columns: tuple[str, ...]
@@ -39,7 +71,7 @@ class MapSignal(NamedTuple):
 Row = tuple[str, int, tuple[MapSignal, ...]]  # group, rank and signals of a candidate
 
 
-def _vector(group: str, names: str, fields: str, unit: str, rank: int, extra: str = "") -> Row:
+def _vector_row(group: str, names: str, fields: str, unit: str, rank: int, extra: str = "") -> Row:
     """Return a row whose signals `names` are the fields `fields`, both separated by blanks."""
     return (
         group,
@@ -48,13 +80,13 @@ def _vector(group: str, names: str, fields: str, unit: str, rank: int, extra: st
     )
 
 
-def _heading(prefix: str, rank: int, names: str = "x y z w") -> Row:
+def _heading_row(prefix: str, rank: int, names: str = "x y z w") -> Row:
     """Return a row with the heading of a quaternion; `names` are its fields x, y, z and w behind `prefix`."""
     fields = tuple(f"{prefix}{axis}" for axis in names.split())
     return "heading", rank, (MapSignal("psi", fields, "", "yaw", 'angle = "unwrap"'),)
 
 
-def _fix(lat: str, lon: str, unit: str, rank: int) -> Row:
+def _fix_row(lat: str, lon: str, unit: str, rank: int) -> Row:
     """Return a row with the position of a fix from the fields of latitude and longitude."""
     extra = "" if unit == "deg" else f'units = ["{unit}", "{unit}"]'
     signals = (MapSignal("x", (lat, lon), "", "north", extra), MapSignal("y", (lat, lon), "", "east", extra))
@@ -67,69 +99,72 @@ OUTPUT = f'{PULSES}, hold = "sampled"'  # an output that an autopilot reports at
 _UNWRAP = 'angle = "unwrap"'
 # Types of messages -> (group, rank, signals). For ROS the type without its package, for PX4 the name of the topic.
 KNOWN: dict[str, tuple[Row, ...]] = {
-    "NavSatFix": (_fix("latitude", "longitude", "deg", 0),),
+    "NavSatFix": (_fix_row("latitude", "longitude", "deg", 0),),
     "Imu": (
-        _heading("orientation.", 0),
-        _vector("rate", "r", "angular_velocity.z", "rad/s", 0),
-        _vector("acceleration", "ax ay", "linear_acceleration.x linear_acceleration.y", "m/s2", 0),
+        _heading_row("orientation.", 0),
+        _vector_row("rate", "r", "angular_velocity.z", "rad/s", 0),
+        _vector_row("acceleration", "ax ay", "linear_acceleration.x linear_acceleration.y", "m/s2", 0),
     ),
     "Odometry": (
-        _vector("position", "x y", "pose.pose.position.x pose.pose.position.y", "m", 1),
-        _heading("pose.pose.orientation.", 1),
-        _vector("body", "u v", "twist.twist.linear.x twist.twist.linear.y", "m/s", 1),
-        _vector("rate", "r", "twist.twist.angular.z", "rad/s", 1),
+        _vector_row("position", "x y", "pose.pose.position.x pose.pose.position.y", "m", 1),
+        _heading_row("pose.pose.orientation.", 1),
+        _vector_row("body", "u v", "twist.twist.linear.x twist.twist.linear.y", "m/s", 1),
+        _vector_row("rate", "r", "twist.twist.angular.z", "rad/s", 1),
     ),
     "PoseStamped": (
-        _vector("position", "x y", "pose.position.x pose.position.y", "m", 1),
-        _heading("pose.orientation.", 1),
+        _vector_row("position", "x y", "pose.position.x pose.position.y", "m", 1),
+        _heading_row("pose.orientation.", 1),
     ),
     "PoseWithCovarianceStamped": (
-        _vector("position", "x y", "pose.pose.position.x pose.pose.position.y", "m", 1),
-        _heading("pose.pose.orientation.", 1),
+        _vector_row("position", "x y", "pose.pose.position.x pose.pose.position.y", "m", 1),
+        _heading_row("pose.pose.orientation.", 1),
     ),
     "TransformStamped": (
-        _vector("position", "x y", "transform.translation.x transform.translation.y", "m", 2),
-        _heading("transform.rotation.", 2),
+        _vector_row("position", "x y", "transform.translation.x transform.translation.y", "m", 2),
+        _heading_row("transform.rotation.", 2),
     ),
-    "Pose": (_vector("position", "x y", "position.x position.y", "m", 1), _heading("orientation.", 1)),
-    "Pose2D": (_vector("position", "x y", "x y", "m", 1), _vector("heading", "psi", "theta", "rad", 1, _UNWRAP)),
+    "Pose": (_vector_row("position", "x y", "position.x position.y", "m", 1), _heading_row("orientation.", 1)),
+    "Pose2D": (
+        _vector_row("position", "x y", "x y", "m", 1),
+        _vector_row("heading", "psi", "theta", "rad", 1, _UNWRAP),
+    ),
     "vehicle_local_position": (
-        _vector("position", "x y", "x y", "m", 1),
-        _vector("velocity", "vx vy", "vx vy", "m/s", 1),
-        _vector("heading", "psi", "heading", "rad", 2, _UNWRAP),
+        _vector_row("position", "x y", "x y", "m", 1),
+        _vector_row("velocity", "vx vy", "vx vy", "m/s", 1),
+        _vector_row("heading", "psi", "heading", "rad", 2, _UNWRAP),
     ),
     "vehicle_odometry": (
-        _vector("position", "x y", "position[0] position[1]", "m", 2),
-        _heading("", 2, _Q),
-        _vector("velocity", "vx vy", "velocity[0] velocity[1]", "m/s", 2),
+        _vector_row("position", "x y", "position[0] position[1]", "m", 2),
+        _heading_row("", 2, _Q),
+        _vector_row("velocity", "vx vy", "velocity[0] velocity[1]", "m/s", 2),
     ),
-    "vehicle_attitude": (_heading("", 0, _Q),),
-    "vehicle_angular_velocity": (_vector("rate", "r", "xyz[2]", "rad/s", 0),),
-    "vehicle_acceleration": (_vector("acceleration", "ax ay", "xyz[0] xyz[1]", "m/s2", 0),),
+    "vehicle_attitude": (_heading_row("", 0, _Q),),
+    "vehicle_angular_velocity": (_vector_row("rate", "r", "xyz[2]", "rad/s", 0),),
+    "vehicle_acceleration": (_vector_row("acceleration", "ax ay", "xyz[0] xyz[1]", "m/s2", 0),),
     "sensor_combined": (
-        _vector("rate", "r", "gyro_rad[2]", "rad/s", 1),
-        _vector("acceleration", "ax ay", "accelerometer_m_s2[0] accelerometer_m_s2[1]", "m/s2", 1),
+        _vector_row("rate", "r", "gyro_rad[2]", "rad/s", 1),
+        _vector_row("acceleration", "ax ay", "accelerometer_m_s2[0] accelerometer_m_s2[1]", "m/s2", 1),
     ),
     "sensor_gps": (
-        _fix("latitude_deg", "longitude_deg", "deg", 0),
-        _fix("lat", "lon", "degE7", 0),
-        _vector("velocity", "vx vy", "vel_n_m_s vel_e_m_s", "m/s", 0),
+        _fix_row("latitude_deg", "longitude_deg", "deg", 0),
+        _fix_row("lat", "lon", "degE7", 0),
+        _vector_row("velocity", "vx vy", "vel_n_m_s vel_e_m_s", "m/s", 0),
     ),
     "actuator_motors": (
-        _vector("drive", "n_left n_right", "control[1] control[0]", "1", 0, 'role = "input", hold = "sampled"'),
+        _vector_row("drive", "n_left n_right", "control[1] control[0]", "1", 0, 'role = "input", hold = "sampled"'),
     ),
     "actuator_outputs": (
-        _vector("drive", "n_left n_right", "output[1] output[0]", "1", 2, OUTPUT),
+        _vector_row("drive", "n_left n_right", "output[1] output[0]", "1", 2, OUTPUT),
     ),
     "RCOut": (
-        _vector("drive", "n_left n_right", "channels[0] channels[2]", "1", 2, OUTPUT),
+        _vector_row("drive", "n_left n_right", "channels[0] channels[2]", "1", 2, OUTPUT),
     ),
     "Ahrs": (
-        _vector("heading", "psi", "yaw", "rad", 0, _UNWRAP),
-        _vector("rate", "r", "r", "rad/s", 0),
-        _vector("acceleration", "ax ay", "ax ay", "m/s2", 0),
+        _vector_row("heading", "psi", "yaw", "rad", 0, _UNWRAP),
+        _vector_row("rate", "r", "r", "rad/s", 0),
+        _vector_row("acceleration", "ax ay", "ax ay", "m/s2", 0),
     ),
-    "Gnss": (_fix("lat", "lon", "deg", 0), _vector("velocity", "vx vy", "vel_n vel_e", "m/s", 0)),
+    "Gnss": (_fix_row("lat", "lon", "deg", 0), _vector_row("velocity", "vx vy", "vel_n vel_e", "m/s", 0)),
 }  # fmt: skip
 BODY_FRD = 3  # velocity_frame of PX4's vehicle_odometry; NED is 1
 KNOWN["vehicle_gps_position"] = KNOWN["sensor_gps"]
@@ -208,7 +243,21 @@ _DRIVE_UNITS = {"", "1", "%", "us"} | _SPEED_UNITS | _FORCE_UNITS  # a power or 
 
 
 class Name(NamedTuple):
-    """Parts of the name of a column."""
+    """Parts of the name of a column.
+
+    Attributes
+    ----------
+    meaning : str
+        Meaning in models, a key of `NAMES` such as "psi"; "" if unknown.
+    unit : str
+        Unit as in a map; "" if the name has no unit that fits its meaning.
+    words : frozenset of str
+        Words of the name, in small letters.
+    plain : str
+        Words joined by _, without the unit.
+    no_unit : str
+        Text in the place of a unit that is not a unit of this meaning; "" if there is none.
+    """
 
     meaning: str  # a key of NAMES, "" if unknown
     unit: str  # as in a map, "" if the name has no unit that fits its meaning
@@ -218,7 +267,7 @@ class Name(NamedTuple):
 
 
 def unit_of(text: str) -> str:
-    """Return the unit of a text, as maps write it; "" if the unit is unknown."""
+    """Return the unit of a text as maps write it, for example "deg/s" for "dps"; "" if the unit is unknown."""
     return text if text in UNITS else _UNITS.get(text.lower(), "")
 
 
@@ -276,13 +325,13 @@ def message_candidates(table: Table) -> list[Candidate]:
         kind = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", kind).lower()
     rows = KNOWN.get(kind, ())
     if kind in ("TwistStamped", "Twist", "TwistWithCovarianceStamped"):
-        rows = _twist(table, {"Twist": "", "TwistStamped": "twist."}.get(kind, "twist.twist."))
+        rows = _twist_rows(table, {"Twist": "", "TwistStamped": "twist."}.get(kind, "twist.twist."))
     if kind == "vehicle_odometry" and np.all(table.columns.get("velocity_frame", np.zeros(1)) == BODY_FRD):
-        rows = (*rows[:-1], _vector("body", "u v", "velocity[0] velocity[1]", "m/s", 2))
+        rows = (*rows[:-1], _vector_row("body", "u v", "velocity[0] velocity[1]", "m/s", 2))
     if kind == "TransformStamped" and not _is_pose(table):
         rows = ()
     if kind == "Vector3Stamped" and re.search("(?i)vel", table.topic):
-        rows = (_vector("velocity", "vx vy", "vector.x vector.y", "m/s", 0),)
+        rows = (_vector_row("velocity", "vx vy", "vector.x vector.y", "m/s", 0),)
     found = []
     for group, rank, signals in rows:
         known = [np.isfinite(table.columns[c]).any() for s in signals for c in s.columns if c in table.columns]
@@ -293,18 +342,21 @@ def message_candidates(table: Table) -> list[Candidate]:
 
 
 def _is_pose(table: Table) -> bool:
-    """Return whether a transform is a pose of a vehicle: from a frame of the earth to a frame that moves."""
+    """Return whether a transform is a pose of a vehicle.
+
+    It is one from a frame of the earth (map, odom, world, earth, utm) to another frame.
+    """
     return table.frame_id.strip("/") in _EARTH_FRAMES and table.topic.rpartition(":")[2] not in _EARTH_FRAMES
 
 
-def _twist(table: Table, prefix: str) -> tuple[Row, ...]:
+def _twist_rows(table: Table, prefix: str) -> tuple[Row, ...]:
     """Return the rows of a twist: velocities over ground for a topic or frame of the earth, else in body axes."""
     linear = f"{prefix}linear.x {prefix}linear.y"
     if _EARTH.search(table.topic) or table.frame_id.strip("/") in _EARTH_FRAMES:
-        return (_vector("velocity", "vx vy", linear, "m/s", 0),)
+        return (_vector_row("velocity", "vx vy", linear, "m/s", 0),)
     return (
-        _vector("body", "u v", linear, "m/s", 1),
-        _vector("rate", "r", f"{prefix}angular.z", "rad/s", 1),
+        _vector_row("body", "u v", linear, "m/s", 1),
+        _vector_row("rate", "r", f"{prefix}angular.z", "rad/s", 1),
     )
 
 
@@ -345,7 +397,10 @@ def _is_of_16_bits(values: Column, high: np.typing.NDArray[np.bool_]) -> bool:
 
 
 def quantity(words: frozenset[str]) -> frozenset[str]:
-    """Return the words about a thruster without side and number. They are equal for left and right of one quantity."""
+    """Return the words about a thruster without side and number, for example {"motor", "rpm"} of left_motor_rpm_1.
+
+    They are equal for left and right of one quantity.
+    """
     return frozenset(word.rstrip("0123456789") for word in words - SIDES) - {""}
 
 
@@ -391,6 +446,7 @@ def drive(words: frozenset[str], values: Column, unit: str) -> tuple[str, MapSig
         caveat = "; ".join(part for part in (WRAPPED.format(np.max(good)), caveat) if part)
 
     def found(unit: str, extra: str, *caveats: str) -> tuple[str, MapSignal, str]:
+        """Return a candidate of the group "drive": the signal n of the side, and all caveats in one text."""
         return (
             "drive",
             MapSignal(f"n{side}", (), unit, "", extra),

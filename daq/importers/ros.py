@@ -68,10 +68,10 @@ def read_bag(path: Path, options: SourceOptions) -> list[Table]:
         from rosbags.typesys import Stores, get_typestore
     except ModuleNotFoundError as error:
         raise SeatrialError(_ROSBAGS) from error
-    topics: dict[str, _Topic] = {}
+    topics: dict[str, _TopicMessages] = {}
     try:
         with (
-            _readable(path) as (parts, remark),
+            _readable_files(path) as (parts, remark),
             AnyReader(parts, default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader,
         ):
             in_bag = {connection.topic for connection in reader.connections}
@@ -88,9 +88,9 @@ def read_bag(path: Path, options: SourceOptions) -> list[Table]:
                     for transform in transforms:
                         frames = transform.header.frame_id.strip("/"), transform.child_frame_id.strip("/")
                         name = ":".join((connection.topic, *frames))
-                        topics.setdefault(name, _Topic(TRANSFORM)).add(1e-9 * log_ns, transform)
+                        topics.setdefault(name, _TopicMessages(TRANSFORM)).add(1e-9 * log_ns, transform)
                 else:
-                    topics.setdefault(connection.topic, _Topic(connection.msgtype)).add(1e-9 * log_ns, message)
+                    topics.setdefault(connection.topic, _TopicMessages(connection.msgtype)).add(1e-9 * log_ns, message)
             for topic in sorted(name for name in options.topics - topics.keys() if ":" in name):
                 names = ", ".join(sorted(topics)) or "none"
                 raise SeatrialError(f"{path}: no transform {topic}; the topics are: {names}")
@@ -107,7 +107,7 @@ def read_bag(path: Path, options: SourceOptions) -> list[Table]:
 
 
 @contextlib.contextmanager
-def _readable(path: Path) -> Iterator[tuple[list[Path], str]]:
+def _readable_files(path: Path) -> Iterator[tuple[list[Path], str]]:
     """Yield the readable files of a bag, and a remark about repairs.
 
     A folder without metadata.yaml is read file by file. A .mcap that was cut off is recovered to a temporary file. A
@@ -154,13 +154,19 @@ def _readable(path: Path) -> Iterator[tuple[list[Path], str]]:
 
 
 def _sqlite_logs(path: Path) -> list[Path]:
-    """Return the logs that SQLite left beside a database: messages that it must still add or remove."""
+    """Return the logs that SQLite left beside a database, with messages that it must still add or remove.
+
+    An empty log is not returned. A link counts as a log.
+    """
     beside = (path.with_name(path.name + ending) for ending in SQLITE_LOGS)
     return [log for log in beside if os.path.lexists(log) and not (log.is_file() and log.stat().st_size == 0)]
 
 
 def _with_sqlite_logs(path: Path, copy: Path) -> Path:
-    """Copy a database with its logs and let SQLite complete the copy, so that the original stays unchanged."""
+    """Copy a database with its logs, let SQLite complete the copy, and return the copy. The original is not changed.
+
+    Raise SeatrialError if a log is a link or no regular file.
+    """
     shutil.copyfile(path, copy)
     for log in _sqlite_logs(path):
         if log.is_symlink():  # the link could name any file of this computer
@@ -174,7 +180,11 @@ def _with_sqlite_logs(path: Path, copy: Path) -> Path:
 
 
 def _with_sqlite_logs_of_folder(path: Path, folder: Path) -> tuple[list[Path], list[str]]:
-    """Return the folder of a bag with metadata.yaml, or a copy if one of its databases has logs; and remarks."""
+    """Return the folder of a bag with metadata.yaml in a list, and remarks.
+
+    If a database in it has logs of SQLite, a copy in `folder` is returned: completed databases, and links to all other
+    files.
+    """
     logs = {part.name: _sqlite_logs(part) for part in sorted(path.glob("*.db3"))}
     if not any(logs.values()):
         return [path], []
@@ -205,8 +215,21 @@ def _has_end(path: Path) -> bool:
         return file.read() == MCAP_MAGIC
 
 
-class _Topic:
-    """Collector of the messages of a topic."""
+class _TopicMessages:
+    """Collector of the messages of a topic.
+
+    Attributes
+    ----------
+    kind : str
+        Type of the messages, for example "sensor_msgs/msg/Imu".
+    frame_id : str
+        First frame in the headers that is not empty; "" without one.
+    t_log, t_stamp : array
+        Receipt by the recorder and stamp of each message [s since 1970]; the stamp is NaN for messages without a
+        header.
+    columns : dict
+        Numbers by the name of their field. A column may be shorter than the times if the last messages lack the field.
+    """
 
     def __init__(self, kind: str) -> None:
         self.kind, self.frame_id = kind, ""
@@ -215,7 +238,10 @@ class _Topic:
         self.columns: dict[str, array[float]] = {}  # arrays take 8 bytes a number; an hour has tens of millions
 
     def add(self, t_log: float, message: Any) -> None:
-        """Add a message that the recorder received at `t_log` [s since 1970]."""
+        """Add a message that the recorder received at `t_log` [s since 1970]: its times, its frame and all its numbers.
+
+        Images and other arrays of more than 16 numbers are left out.
+        """
         header = getattr(message, "header", None)
         stamp = message.clock if self.kind == CLOCK else getattr(header, "stamp", None)
         frame_id = str(getattr(header, "frame_id", ""))
@@ -225,7 +251,7 @@ class _Topic:
         self.t_log.append(t_log)
         self.t_stamp.append(np.nan if stamp is None else stamp.sec + 1e-9 * stamp.nanosec)
         rows = len(self.t_log)
-        for name, value in _numbers(message):
+        for name, value in _message_numbers(message):
             column = self.columns.get(name)
             if column is None:
                 column = self.columns[name] = array("d")
@@ -239,31 +265,38 @@ class _Topic:
         return MessageTimes(np.array(self.t_log), np.array(self.t_stamp))
 
     def table(self, path: Path, topic: str, times: EstimatedTimes) -> Table:
-        """Return the messages that have a time as a table, in the order of time."""
+        """Return the messages that have a time as a table, in the order of time.
+
+        Parts of an Imu that are not measured are left out. The position of a fix without a satellite fix becomes NaN.
+        NaN in commands of stopped motors becomes zero. The remark of the table describes what is unusual.
+        """
         t = times.t
         order = np.argsort(t, kind="stable")[: int(np.sum(np.isfinite(t)))]
-        columns = {name: self._column(name)[order] for name in self.columns}
+        columns = {name: self._column_of_field(name)[order] for name in self.columns}
         if self.kind == IMU:
             _leave_out_unmeasured(columns)
         if self.kind == FIX:
             for name in ("latitude", "longitude"):
                 columns[name] = np.where(columns["status.status"] < 0, np.nan, columns[name])
         n_lost = len(t) - len(order)
-        parts = (times.remark, stopped_motors(self.kind, columns), self._two_sensors())
+        parts = (times.remark, stopped_motors(self.kind, columns), self._two_sensors_remark())
         remark = "; ".join(part for part in parts if part)
         clock = "" if times.mixed else clock_remark(t[np.isfinite(t)])
         return Table(path, topic, columns, t[order], self.kind, self.frame_id, remark, clock=clock, n_left_out=n_lost)
 
-    def _two_sensors(self) -> str:
-        """Return a remark if messages of several frames alternate, as each sensor has its own frame; "" otherwise."""
+    def _two_sensors_remark(self) -> str:
+        """Return a remark if messages of several frames alternate, as each sensor has its own frame; "" otherwise.
+
+        Messages of one frame after another, without overlap in time, do not alternate.
+        """
         frames = sorted(self._frames.items())
         if len(frames) < 2 or max(first for _, (_, first, _) in frames) > min(last for _, (_, _, last) in frames):
             return ""
         listed = " and ".join(f"{n:.0f} of frame {name!r}" for name, (n, _, _) in frames)
         return f"messages of several sensors in one topic ({listed}): record each sensor in its own topic"
 
-    def _column(self, name: str) -> Column:
-        """Return a column (n,), NaN for messages without this field."""
+    def _column_of_field(self, name: str) -> Column:
+        """Return the numbers of a field (n,), NaN for messages without this field."""
         found = np.full(len(self.t_log), np.nan)
         found[: len(self.columns[name])] = self.columns[name]
         return found
@@ -283,7 +316,7 @@ def _leave_out_unmeasured(columns: dict[str, Column]) -> None:
                 del columns[name]
 
 
-def _numbers(message: Any, prefix: str = "") -> Iterator[tuple[str, float]]:
+def _message_numbers(message: Any, prefix: str = "") -> Iterator[tuple[str, float]]:
     """Yield name and value of each number of a message, in order. Skip header and text.
 
     The name is that of the field. An array with the same length as the list `name` of the message, as in a JointState,
@@ -295,11 +328,11 @@ def _numbers(message: Any, prefix: str = "") -> Iterator[tuple[str, float]]:
             continue
         value, name = getattr(message, field.name), f"{prefix}{field.name}"
         if is_dataclass(value):
-            yield from _numbers(value, f"{name}.")
+            yield from _message_numbers(value, f"{name}.")
         elif isinstance(value, list) and len(value) <= LONGEST:
             for k, element in enumerate(value):
                 if is_dataclass(element):
-                    yield from _numbers(element, f"{name}[{k}].")
+                    yield from _message_numbers(element, f"{name}[{k}].")
         elif isinstance(value, (bool, int, float, np.number)):
             yield name, float(value)
         elif isinstance(value, np.ndarray) and value.ndim == 1 and len(value) <= LONGEST and value.dtype.kind in "biuf":

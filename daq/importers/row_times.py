@@ -56,19 +56,19 @@ def row_times(table: Table, time: TimeColumn | None, *, lenient: bool = False) -
         )
     if not time.is_text:
         raw = table.numbers(time.column)
-        t = _of_numbers(raw, table.numbers(time.date) if time.date else np.zeros(len(raw)), time.format)
+        t = _seconds_of_numbers(raw, table.numbers(time.date) if time.date else np.zeros(len(raw)), time.format)
         untimed = np.flatnonzero(np.isnan(t))
-        if len(untimed) and not _may_lack(untimed, t, lenient):
+        if len(untimed) and not _may_leave_out(untimed, t, lenient):
             raise table.error(int(untimed[0]), time.column, "the cell has no time; remove the line")
     else:
-        t = _of_text(table, time, lenient)
+        t = _seconds_of_text(table, time, lenient)
         untimed = np.flatnonzero(np.isnan(t))
         known = np.isfinite(t)
         if "%" in time.format:
-            t[known] = _continued(t[known], time.format)
+            t[known] = _continued_after_midnight(t[known], time.format)
     if len(untimed):
         row = int(untimed[0])
-        _remark(table, f"{counted(len(untimed), 'row')} without a time left out, the first is row {row + 1}")
+        _add_remark(table, f"{counted(len(untimed), 'row')} without a time left out, the first is row {row + 1}")
     is_zoned = "%z" in time.format or time.format.endswith(("UTC", "GMT"))
     if time.format == "iso":
         is_zoned = bool(_ZONE.search(next(iter(table.text(time.column)), "").strip()))
@@ -77,8 +77,11 @@ def row_times(table: Table, time: TimeColumn | None, *, lenient: bool = False) -
     return t
 
 
-def _of_numbers(raw: Column, weeks: Column, form: str) -> Column:
-    """Return times (n,) [s] from numbers of a format; `weeks` (n,) are the GPS weeks for GPS times."""
+def _seconds_of_numbers(raw: Column, weeks: Column, form: str) -> Column:
+    """Return times (n,) [s] from numbers of a format: a unit of time, days of a spreadsheet, labview, gps or gps_ms.
+
+    `weeks` (n,) are the GPS weeks, which only the formats of GPS times use.
+    """
     if form in TIME_UNITS:
         return raw * TIME_UNITS[form]
     if form in DAY_COUNTS:
@@ -105,9 +108,9 @@ def gps_seconds(weeks: Column, seconds: Column) -> Column:
     return np.array([ubx.gps_to_utc(t) for t in gps.tolist()])
 
 
-def _of_text(table: Table, time: TimeColumn, lenient: bool) -> Column:
+def _seconds_of_text(table: Table, time: TimeColumn, lenient: bool) -> Column:
     """Return times (n,) [s] from text, NaN for a cell of another format. Raise SeatrialError if NaN is not allowed."""
-    parse = _parser(time)
+    parse = _cell_parser(time)
     text = dated(table, time.date, time.column) if time.date else [cell.strip() for cell in table.text(time.column)]
     found = np.full(len(text), np.nan)
     first: ValueError | None = None
@@ -119,7 +122,7 @@ def _of_text(table: Table, time: TimeColumn, lenient: bool) -> Column:
             if not lenient:
                 break
     wrong = np.flatnonzero(np.isnan(found))
-    if len(wrong) and not _may_lack(wrong, found, lenient):
+    if len(wrong) and not _may_leave_out(wrong, found, lenient):
         row = int(wrong[0])
         problem = f"'{text[row][:40]}' is not a time of format {time.format}"
         advice = "; give its strptime pattern as format in [time]" if "%" in time.format else ""
@@ -149,21 +152,27 @@ def dated(table: Table, date: str, time: str) -> list[str]:
     return texts
 
 
-def _may_lack(untimed: NDArray[np.intp], t: Column, lenient: bool) -> bool:
-    """Return whether so few rows are without a time that they may be left out; with more, the format is wrong."""
+def _may_leave_out(untimed: NDArray[np.intp], t: Column, lenient: bool) -> bool:
+    """Return whether the rows without a time (indices `untimed`) may be left out of all rows (`t`, shape (n,)).
+
+    This needs `lenient`, some row with a time, and few rows without one. With more of them the format is wrong.
+    """
     return lenient and len(untimed) < len(t) and not too_many_rows_missing(len(untimed), len(t))
 
 
-def _continued(t: Column, form: str) -> Column:
-    """Return times of day (n,) [s] that continue after midnight; for a format without hours, after the full hour."""
+def _continued_after_midnight(t: Column, form: str) -> Column:
+    """Return times of day (n,) [s] that continue after midnight; for a format without hours, after the full hour.
+
+    `t` is changed in place. Times that are not all within one day (or hour) are not changed.
+    """
     period = DAY if any(part in form for part in ("%H", "%I", "%c", "%X", "%T", "%s")) else HOUR
     if len(t) and np.all(t < period):
         t[1:] += period * np.cumsum(np.diff(t) < -period / 2)
     return t
 
 
-def _remark(table: Table, text: str) -> None:
-    """Add a remark to a table, once."""
+def _add_remark(table: Table, text: str) -> None:
+    """Add a remark to a table, unless it has this remark already."""
     if text not in table.remark:
         table.remark = "; ".join(part for part in (table.remark, text) if part)
 
@@ -189,19 +198,23 @@ def _take_out_clock_changes(table: Table, t: Column, time: TimeColumn) -> None:
             continue
         before, row = int(known[rows[0]]), int(known[rows[0] + 1])
         is_full_hour = t[row] % HOUR <= max(2.0 * usual, 1.0)
-        if not (is_full_hour and all(_are_clocks_set(t[k] + time.origin) for k in (before, row))):
-            _remark(
+        if not (is_full_hour and all(_may_daylight_time_change(t[k] + time.origin) for k in (before, row))):
+            _add_remark(
                 table,
                 f"times step by {sign:+.0f} h at row {row + 1}, which is not a change of daylight saving time: the "
                 "times are kept",
             )
             continue
         t[row:] -= sign * HOUR
-        _remark(table, f"daylight saving time {change} at row {row + 1}: later times are moved by {-sign:+.0f} h")
+        _add_remark(table, f"daylight saving time {change} at row {row + 1}: later times are moved by {-sign:+.0f} h")
 
 
-def _are_clocks_set(t: float) -> bool:
-    """Return whether daylight saving time may begin or end at a local time [s since 1970]."""
+def _may_daylight_time_change(t: float) -> bool:
+    """Return whether daylight saving time may begin or end at a local time [s since 1970].
+
+    This is between 0 and 5 o'clock on a Sunday in March, April, September, October or November; on any day if the time
+    has no date.
+    """
     moment = datetime(1970, 1, 1) + timedelta(seconds=float(t))
     is_night = moment.hour <= _LAST_HOUR
     has_date = t > 2 * DAY  # a smaller time is a time of day without a date
@@ -240,10 +253,11 @@ def read_date(text: str, pattern: str) -> datetime:
     return datetime.strptime(text, re.sub(r"[.,:]%f", "", pattern))
 
 
-def _parser(time: TimeColumn) -> Callable[[str], float]:
+def _cell_parser(time: TimeColumn) -> Callable[[str], float]:
     """Return a function that converts the text of a cell to a time [s]. The function raises ValueError."""
 
     def whole(text: str) -> float:
+        """Return the time of a text without regard to `fraction`. Raise ValueError for another format."""
         if time.format == "s":
             return float(text)
         iso = time.format == "iso"
@@ -253,6 +267,7 @@ def _parser(time: TimeColumn) -> Callable[[str], float]:
         return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
 
     def split(text: str) -> float:
+        """Return the time of the text before the last point, plus the digits behind it as `fraction` reads them."""
         head, point, tail = text.rpartition(".")
         if not point:
             return whole(text)

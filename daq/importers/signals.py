@@ -21,12 +21,28 @@ from seatrial.daq.importers.units import UNITS
 # Signals whose sign differs between ENU and FLU (east, north, up; forward, left, up) and NED and FRD
 _TURNED = {"v", "w", "q", "r", "ay", "az", "theta", "N", "Y"}
 COARSE = 0.3  # share of rows with a repeated time; with more, the stamps are coarser than the rows
+# Times with two rows at least, and standard deviation of their intervals over the mean, of two sources in one table
+FEWEST_PAIRS, REGULAR = 5, 0.4
 _ATTITUDE = ("roll", "pitch", "yaw")
 
 
 @dataclass(frozen=True)
 class SignalData:
-    """Samples of one signal in SI units."""
+    """Samples of one signal in SI units.
+
+    Attributes
+    ----------
+    signal : Signal
+        The signal of the map.
+    unit : str
+        SI unit of the values.
+    t : Array (n,)
+        Times [s of the file's clock], or [s since 1970] after the origin of the map was added.
+    values : Array (n,)
+        The values.
+    has_gaps : bool
+        Whether it is an input with unknown intervals; a NaN sample begins each.
+    """
 
     signal: Signal
     unit: str
@@ -37,7 +53,19 @@ class SignalData:
 
 @dataclass(frozen=True)
 class Held:
-    """Signal whose last value the source repeats until the next measurement."""
+    """Signal whose last value the source repeats until the next measurement.
+
+    Attributes
+    ----------
+    name : str
+        Name of the signal.
+    n : int
+        Number of samples.
+    n_left_out : int
+        Number of samples that repeat the previous one and are left out.
+    interval : float
+        Time from one measurement to the next [s].
+    """
 
     name: str
     n: int  # samples
@@ -47,18 +75,34 @@ class Held:
 
 @dataclass(frozen=True)
 class RowsLeftOut:
-    """Rows of one table that are not in the log because of their times."""
+    """Rows of one table that are not in the log because of their times.
+
+    Attributes
+    ----------
+    topic : str
+        Topic of the table; "" for a file with a single table.
+    n : int
+        Number of rows left out.
+    n_rows : int
+        Number of rows of the table.
+    why : str
+        "repeats" if times repeat; "pairs" if times repeat regularly, as with a second source in the table; "back" if
+        times run back, and some may repeat; "stamps" if the reader found wrong stamps.
+    rate : float
+        Mean rate of the rows of the table [Hz]; 0 for "stamps".
+    """
 
     topic: str
     n: int  # rows left out
     n_rows: int  # rows of the table
-    # repeats: times repeat; back: times run back, and some may repeat; stamps: the reader found wrong stamps
+    # repeats: times repeat; pairs: times repeat because of a second source; back: times run back, and some may repeat;
+    # stamps: the reader found wrong stamps
     why: str
     rate: float  # Hz; rows per second of the whole table
 
     @property
     def text(self) -> str:
-        """Rows left out and the reason, for the user."""
+        """Topic, number of rows left out and reason in one line, for the user."""
         place = f"{self.topic}: " if self.topic else ""
         reason = "because stamps are wrong" if self.why == "stamps" else "because times repeat or run back"
         return f"{place}{counted(self.n, 'row')} of {self.n_rows} left out, {reason}"
@@ -66,7 +110,21 @@ class RowsLeftOut:
 
 @dataclass(frozen=True)
 class Signals:
-    """Signals of one source file."""
+    """Signals of one source file.
+
+    Attributes
+    ----------
+    signals : tuple of SignalData
+        The signals, in the order of the map.
+    held : tuple of Held
+        Signals whose repeats were left out.
+    n_dropped : int
+        Number of rows out of order and of cells without a number that the map drops.
+    n_disordered : int
+        Number of rows among them whose times run back or repeat.
+    left_out : tuple of RowsLeftOut
+        The same rows by table, and the rows with wrong stamps.
+    """
 
     signals: tuple[SignalData, ...]
     held: tuple[Held, ...]  # signals whose repeats were left out
@@ -98,13 +156,13 @@ def read_signals(tables: Sequence[Table], source: Source) -> Signals:
     """
     signals: list[SignalData] = []
     n_dropped = 0
-    uses: dict[tuple[int, str, str], _RowUse] = {}
+    uses: dict[tuple[int, str, str], _RowCounter] = {}
     held: list[Held] = []
     of_table: dict[tuple[object, ...], list[int]] = {}  # indices in `signals` of the signals with the same rows
     # Times, rows in order, and rows in order that do not repeat the row before; each (n,)
     clocks: dict[tuple[int, str, str], tuple[Column, NDArray[np.bool_], NDArray[np.bool_]]] = {}
     for signal in source.signals:
-        table = _table(tables, signal)
+        table = _table_of_signal(tables, signal)
         time = source.time
         if signal.time:
             time = replace(time or TimeColumn(), column=signal.time, rate_hz=0.0)
@@ -113,17 +171,17 @@ def read_signals(tables: Sequence[Table], source: Source) -> Signals:
         clock = (id(table), signal.time, signal.time_format)
         if clock not in clocks:
             t = row_times(table, time, lenient=source.options.style.time_order == "drop")
-            ordered = _order(table, t, source)
-            uses[clock] = _RowUse(table, t)
-            shared = [s for s in source.signals if (id(_table(tables, s)), s.time, s.time_format) == clock]
+            ordered = _rows_in_order(table, t, source)
+            uses[clock] = _RowCounter(table, t)
+            shared = [s for s in source.signals if (id(_table_of_signal(tables, s)), s.time, s.time_format) == clock]
             columns = [column for s in shared if not s.timeout for column in s.columns]
             new = ordered
             if source.options.style.repeats == "drop" and columns:
-                new = ordered & _news([table.numbers(column) for column in columns])
+                new = ordered & _changed_rows([table.numbers(column) for column in columns])
             n_dropped += len(t) - int(new.sum())
             clocks[clock] = t, ordered, new
         t, ordered, new = clocks[clock]
-        raw = _raw(table, signal)
+        raw = _raw_values(table, signal)
         policy = signal.nan or source.options.style.nan or ("error" if table.strict else "drop")
         if policy == "zero":
             raw = np.where(np.isnan(raw), (0.0 - signal.offset) / signal.scale, raw)
@@ -132,7 +190,7 @@ def read_signals(tables: Sequence[Table], source: Source) -> Signals:
             # a value, so the order of times is judged by the rows with values alone.
             known = np.isfinite(raw) & np.isfinite(t)
             rises = np.zeros(len(raw), bool)
-            rises[known] = _rising(t[known])
+            rises[known] = _longest_rising(t[known])
             new, ordered = new | rises if source.options.style.repeats != "drop" else new, ordered | rises
             new, ordered = new & (rises | ~known), ordered & (rises | ~known)
         uses[clock].add(raw, ordered)
@@ -157,10 +215,10 @@ def read_signals(tables: Sequence[Table], source: Source) -> Signals:
         if repeats == "" and not holds and not np.isnan(raw[rows]).any():
             of_table.setdefault((clock, rows.tobytes()), []).append(len(signals))
         elif signal.repeats == "drop":
-            rows[np.flatnonzero(rows)] &= _news([raw[rows]])
+            rows[np.flatnonzero(rows)] &= _changed_rows([raw[rows]])
         unit, factor = UNITS[signal.unit]
-        signal, values = _turned(signal, values[rows] * factor)
-        t_signal, values = _expire(t[rows], _angle(values, signal.angle), signal.timeout)
+        signal, values = _in_ned(signal, values[rows] * factor)
+        t_signal, values = _with_timeouts(t[rows], _wrapped_or_unwrapped(values, signal.angle), signal.timeout)
         signals.append(SignalData(signal, unit, t_signal, values, bool(gaps.any())))
     for places in of_table.values():
         for k, data, held_signal in _without_held([signals[k] for k in places], places):
@@ -171,8 +229,16 @@ def read_signals(tables: Sequence[Table], source: Source) -> Signals:
     return Signals(tuple(signals), tuple(held), n_dropped, n_disordered, tuple(left_out.values()))
 
 
-class _RowUse:
-    """Count of the rows of a table that are in the log, over all signals with the same clock."""
+class _RowCounter:
+    """Counter of the rows of a table that are in the log, over all signals with the same clock.
+
+    Parameters
+    ----------
+    table
+        The table.
+    t
+        Times of its rows (n,) [s]; NaN for rows without a time, which are not counted.
+    """
 
     def __init__(self, table: Table, t: Column) -> None:
         self._table, self._t = table, t
@@ -181,7 +247,7 @@ class _RowUse:
         self._has_time = np.isfinite(t)  # a remark of the table counts the rows without a time
 
     def add(self, raw: Column, ordered: NDArray[np.bool_]) -> None:
-        """Add the values (n,) of a signal, and the flags of its rows in order (n,)."""
+        """Add a signal: its values (n,), NaN for none, and the flags (n,) of rows whose times are in order."""
         known = np.isfinite(raw)
         self._kept |= ordered & known
         self._valued |= known
@@ -193,12 +259,29 @@ class _RowUse:
         if table.n_left_out:
             yield RowsLeftOut(table.topic, table.n_left_out, len(t) + table.n_left_out, "stamps", 0.0)
         if n := int(np.sum(self._valued & ~self._kept & ~self._again & self._has_time)):
-            why = "back" if np.any(np.diff(t) < 0.0) else "repeats"
+            why = "back" if np.any(np.diff(t) < 0.0) else "pairs" if _is_of_two_sources(t) else "repeats"
             yield RowsLeftOut(table.topic, n, len(t), why, (len(t) - 1) / max(float(np.ptp(t)), 1e-9))
 
 
+def _is_of_two_sources(t: Column) -> bool:
+    """Return whether times (n,) [s] that repeat look like those of two sources of unequal rate in one table.
+
+    Then some of the times, at regular intervals, have two rows, and most times have one. Stamps that are coarser than
+    the rows have several rows at nearly every time.
+    """
+    times, number = np.unique(t, return_counts=True)
+    twice = times[number == 2]
+    if np.max(number) > 2 or len(twice) < FEWEST_PAIRS or len(twice) > 0.5 * len(times):
+        return False
+    steps = np.diff(twice)
+    return bool(np.std(steps) <= REGULAR * np.mean(steps))
+
+
 def _without_held(table: Sequence[SignalData], places: Sequence[int]) -> Iterator[tuple[int, SignalData, Held]]:
-    """Yield for each held signal of one table its place, the signal without repeats, and the count of repeats."""
+    """Yield each held signal of one table: its index in `places`, the signal without repeats, and their number.
+
+    Signals that are not held are not yielded, nor inputs whose values look like commands instead of measurements.
+    """
     t = table[0].t
     found = held_signals(t, {data.signal.name: data.values for data in table})
     for k, data in zip(places, table, strict=True):
@@ -212,7 +295,7 @@ def _without_held(table: Sequence[SignalData], places: Sequence[int]) -> Iterato
         yield k, data, Held(data.signal.name, len(t), n_left_out, interval)
 
 
-def _table(tables: Sequence[Table], signal: Signal) -> Table:
+def _table_of_signal(tables: Sequence[Table], signal: Signal) -> Table:
     """Return the table of a signal: the table of its topic, or, for a signal without a topic, the only table.
 
     If several tables have the topic, the table with the columns of the signal is returned.
@@ -227,18 +310,24 @@ def _table(tables: Sequence[Table], signal: Signal) -> Table:
         return of_topic[0]  # reading the missing column raises an error that lists the columns
     if signal.topic or not tables:
         topics = ", ".join(sorted({table.topic for table in tables if table.topic})) or "none"
-        raise SeatrialError(f"{_path(tables)}: no topic {signal.topic}; the topics are: {topics}")
+        raise SeatrialError(f"{_path_text(tables)}: no topic {signal.topic}; the topics are: {topics}")
     raise SeatrialError(
-        f"{_path(tables)}: signal {signal.name}: the source has {len(tables)} topics; give the signal topic and field"
+        f"{_path_text(tables)}: signal {signal.name}: the source has {len(tables)} topics; give the signal topic and "
+        "field"
     )
 
 
-def _path(tables: Sequence[Table]) -> str:
+def _path_text(tables: Sequence[Table]) -> str:
+    """Return the path of the source file, for messages; "the source" without a table."""
     return str(tables[0].path) if tables else "the source"
 
 
-def _raw(table: Table, signal: Signal) -> Column:
-    """Return the values of a signal before scale and sign, (n,), in `signal.unit`."""
+def _raw_values(table: Table, signal: Signal) -> Column:
+    """Return the values of a signal before scale and sign, (n,), in `signal.unit`.
+
+    A signal with `make` is computed from its columns. A position is in metres from the first fix; a fix at 0, 0 is NaN.
+    The angles of a quaternion of zeros are NaN.
+    """
     if not signal.make:
         return table.numbers(signal.columns[0])
     parts = [table.numbers(c) * UNITS[unit][1] for c, unit in zip(signal.columns, signal.units, strict=True)]
@@ -258,8 +347,8 @@ def _raw(table: Table, signal: Signal) -> Column:
     return found
 
 
-def _turned(signal: Signal, values: Column) -> tuple[Signal, Column]:
-    """Return a signal and its values (n,) in NED, from the frame of the signal."""
+def _in_ned(signal: Signal, values: Column) -> tuple[Signal, Column]:
+    """Return a signal and its values (n,) converted to NED axes. A signal of frame "NED" is unchanged."""
     if signal.frame == "NED":
         return signal, values
     if signal.name == "psi":
@@ -268,8 +357,11 @@ def _turned(signal: Signal, values: Column) -> tuple[Signal, Column]:
     return replace(signal, name=signal.log_name), sign * values
 
 
-def _angle(values: Column, how: str) -> Column:
-    """Return angles (n,) [rad], wrapped, unwrapped or unchanged."""
+def _wrapped_or_unwrapped(values: Column, how: str) -> Column:
+    """Return angles (n,) [rad]: wrapped to -pi < angle <= pi for "wrap", continuous for "unwrap", else unchanged.
+
+    NaN stays NaN; a continuous angle goes on after it.
+    """
     if how == "wrap":
         return np.asarray(np.pi - np.mod(np.pi - values, 2.0 * np.pi))  # -pi < angle <= pi
     if how == "unwrap":
@@ -280,8 +372,11 @@ def _angle(values: Column, how: str) -> Column:
     return values
 
 
-def _news(values: Sequence[Column]) -> NDArray[np.bool_]:
-    """Return the flags (n,) of rows in which any of the columns (n,) differs from the row before."""
+def _changed_rows(values: Sequence[Column]) -> NDArray[np.bool_]:
+    """Return the flags (n,) of rows in which any of the columns (n,) differs from the row before.
+
+    The first row counts as changed. NaN after NaN is no change.
+    """
     new = np.zeros(len(values[0]), bool)
     new[:1] = True
     for column in values:
@@ -289,16 +384,20 @@ def _news(values: Sequence[Column]) -> NDArray[np.bool_]:
     return new
 
 
-def _expire(t: Column, values: Column, timeout: float) -> tuple[Column, Column]:
-    """Return times and values with a zero `timeout` [s] after each sample that no other sample follows in this time."""
+def _with_timeouts(t: Column, values: Column, timeout: float) -> tuple[Column, Column]:
+    """Return times [s] and values with a zero inserted where the input times out.
+
+    This is `timeout` [s] after each sample that no other sample follows within this time, also after the last one. With
+    a timeout of 0 nothing is inserted.
+    """
     if not timeout or not len(t):
         return t, values
     last = np.append(np.flatnonzero(np.diff(t) > timeout), len(t) - 1)
     return np.insert(t, last + 1, t[last] + timeout), np.insert(values, last + 1, 0.0)
 
 
-def _order(table: Table, t: Column, source: Source) -> NDArray[np.bool_]:
-    """Return the flags (n,) of the largest set of rows whose times rise.
+def _rows_in_order(table: Table, t: Column, source: Source) -> NDArray[np.bool_]:
+    """Return the flags (n,) of the largest set of rows whose times rise. Rows without a time (NaN) are not in it.
 
     Raise SeatrialError if rows are out of order and the map does not drop them.
     """
@@ -315,7 +414,7 @@ def _order(table: Table, t: Column, source: Source) -> NDArray[np.bool_]:
             advice = f"its stamps are too coarse: {coarse_advice((len(t) - 1) / max(float(np.ptp(t)), 1e-9))}"
         raise table.error(row, column, f"time {fault}; {advice}")
     ordered = np.zeros(len(t), bool)
-    ordered[has_time] = _rising(t[has_time])
+    ordered[has_time] = _longest_rising(t[has_time])
     return ordered
 
 
@@ -335,7 +434,7 @@ def coarse_advice(rate: float) -> str:
     return f"time = {{ rate_hz = {rate:.4g} }} in the map replaces them by even times"
 
 
-def _rising(t: Column) -> NDArray[np.bool_]:
+def _longest_rising(t: Column) -> NDArray[np.bool_]:
     """Return the flags (n,) of a longest rising subsequence of times (n,); of equal times, only the first.
 
     A single time that is too large then costs only its own row (Fredman, Discrete Mathematics 11, 1975).

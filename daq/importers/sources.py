@@ -17,7 +17,16 @@ LABVIEW, FLYSIGHT = b"LabVIEW Measurement", b"$FLYS"
 
 
 class SourceKind(NamedTuple):
-    """Kind of source."""
+    """Kind of source.
+
+    Attributes
+    ----------
+    name : str
+        Name of the kind, as in the metadata of logs: csv, ros, ulog, matlab, parquet, mavlink, can, labview or
+        flysight.
+    read : callable
+        Reader of its tables, from the path and the options of the map.
+    """
 
     name: str  # in the metadata of logs
     read: Callable[[Path, SourceOptions], list[Table]]  # reader of its tables
@@ -42,10 +51,10 @@ def source_kind(path: Path) -> SourceKind:
         If the file cannot be read or its kind is unknown.
     """
     if path.is_dir():
-        return _bag()
-    head = _head(path)
+        return _bag_kind()
+    head = _first_bytes(path)
     if head.startswith((b"#ROSBAG V2.0", b"\x89MCAP0\r\n", b"SQLite format 3\0")):
-        return _bag()
+        return _bag_kind()
     if head.startswith(b"ULog\x01\x12\x35"):
         from seatrial.daq.importers.ulog import read_ulog
 
@@ -84,21 +93,23 @@ def source_kind(path: Path) -> SourceKind:
             f"{path}: unknown kind of file; import reads text, bags of ROS 1 and 2, PX4 (.ulg), ArduPilot (tlog, BIN), "
             "MATLAB (.mat), LabVIEW (.lvm), FlySight 2, Parquet, CAN (candump, .asc, .blf, BusMaster, NMEA 2000 text)"
         )
-    return SourceKind("csv", _read_text)
+    return SourceKind("csv", _read_text_table)
 
 
-def _bag() -> SourceKind:
+def _bag_kind() -> SourceKind:
     """Return the kind of ROS bags."""
     from seatrial.daq.importers.ros import read_bag
 
     return SourceKind("ros", read_bag)
 
 
-def _read_text(path: Path, options: SourceOptions) -> list[Table]:
+def _read_text_table(path: Path, options: SourceOptions) -> list[Table]:
+    """Return the only table of a text file, in the style of the map."""
     return [TextTable(path, options.style)]
 
 
-def _head(path: Path) -> bytes:
+def _first_bytes(path: Path) -> bytes:
+    """Return the first 65536 bytes of a file. Raise SeatrialError if the file cannot be read."""
     try:
         with path.open("rb") as file:
             return file.read(_HEAD_BYTES)
@@ -124,4 +135,4 @@ def text_head(path: Path) -> bytes:
     SeatrialError
         If the file cannot be read.
     """
-    return _UNWRITTEN.sub(b"", _head(path))
+    return _UNWRITTEN.sub(b"", _first_bytes(path))

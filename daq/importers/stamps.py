@@ -43,14 +43,32 @@ SHARE = 0.2  # share of a topic's stamps that must agree with a clock
 
 
 class MessageTimes(NamedTuple):
-    """Times of the messages of one topic in the order of receipt."""
+    """Times of the messages of one topic in the order of receipt.
+
+    Attributes
+    ----------
+    receipt : Array (n,)
+        Receipts by the recorder [s since 1970].
+    stamp : Array (n,)
+        Stamps of the source [s since 1970]; NaN for messages without a header, 0 for empty stamps.
+    """
 
     receipt: Column  # s since 1970, (n,)
     stamp: Column  # s since 1970, (n,); NaN for messages without a header, 0 for empty stamps
 
 
 class EstimatedTimes(NamedTuple):
-    """Estimated times of the messages of one topic."""
+    """Estimated times of the messages of one topic.
+
+    Attributes
+    ----------
+    t : Array (n,)
+        Times [s since 1970]; NaN for a message without a reliable time.
+    remark : str
+        What is unusual about the times, for the user; "" if nothing is.
+    mixed : bool
+        Whether the receipts are out of order, but the times are not.
+    """
 
     t: Column  # s since 1970, (n,); NaN for a message without a reliable time
     remark: str  # for the user, "" if all is normal
@@ -68,7 +86,8 @@ def message_times(topics: Mapping[str, MessageTimes]) -> dict[str, EstimatedTime
     Returns
     -------
     dict
-        Times by topic, all of one clock.
+        Times by topic, all of one clock. Without any stamps they are the receipts. A message without a reliable time
+        has NaN.
     """
     clean = {name: _without_zeros(times) for name, times in topics.items()}
     stamped = {n: times for n, times in clean.items() if np.isfinite(times.stamp + times.receipt).sum() > 1}
@@ -77,7 +96,7 @@ def message_times(topics: Mapping[str, MessageTimes]) -> dict[str, EstimatedTime
             n: EstimatedTimes(np.where(np.isfinite(times.stamp), times.stamp, times.receipt), "")
             for n, times in clean.items()
         }
-    reference = _Reference(stamped)
+    reference = _ReferenceClock(stamped)
     return {name: reference.times(times, name in stamped) for name, times in clean.items()}
 
 
@@ -97,10 +116,11 @@ def _without_zeros(times: MessageTimes) -> MessageTimes:
     return MessageTimes(receipt, stamp)
 
 
-def _rate(times: MessageTimes) -> float:
-    """Return the rate of the receipts by the clock of the stamps [s/s]; exactly 1 if their drift is small.
+def _receipt_rate(times: MessageTimes) -> float:
+    """Return the rate of the receipts by the clock of the stamps [s/s].
 
-    The rate is a median over pieces of a tenth of the recording. A step or wrong stamps do not affect the median.
+    The rate is a median over pieces of a tenth of the recording. A step or wrong stamps do not affect the median. It is
+    exactly 1 if the clocks drift by less than 0.2 s over the recording, or if the rate is not positive.
     """
     known = np.isfinite(times.receipt + times.stamp)
     receipt, stamp = times.receipt[known], times.stamp[known]
@@ -114,8 +134,11 @@ def _rate(times: MessageTimes) -> float:
     return rate if rate > 0.0 and drift > DRIFT_S else 1.0
 
 
-def _smoothed(values: Column) -> Column:
-    """Return the running median over `SMOOTH` values, (n,)."""
+def _running_median(values: Column) -> Column:
+    """Return the running median over 51 values, (n,); over fewer if there are fewer values (the largest odd number).
+
+    The first and the last value are repeated beyond the ends.
+    """
     window = min(SMOOTH, len(values) - 1 + len(values) % 2)
     if window < 3:
         return values
@@ -123,17 +146,32 @@ def _smoothed(values: Column) -> Column:
     return np.asarray(np.median(np.lib.stride_tricks.sliding_window_view(padded, window), axis=1))
 
 
-class _Reference:
-    """The clock that most stamps share, and its level against the clock of the recorder."""
+class _ReferenceClock:
+    """The clock that most stamps share, and its level against the clock of the recorder.
+
+    The level is the receipt minus `rate` times the stamp [s].
+
+    Attributes
+    ----------
+    is_recorder : bool
+        Whether the reference is the recorder's own clock.
+    rate : float
+        Rate of the receipts by the reference [s/s]; 1 for clocks of equal rate.
+    set_back : bool
+        Whether the recorder's clock was set back during the recording.
+    shift : float
+        Usual level [s] if the reference is the recorder's clock. Otherwise the time that is added to the stamps [s], so
+        that the recording keeps its date.
+    """
 
     def __init__(self, stamped: Mapping[str, MessageTimes]) -> None:
         """Choose the reference among the topics with stamps, and measure its level without wrong stamps."""
-        rates = {name: _rate(times) for name, times in stamped.items()}
-        sharing = [n for n, times in stamped.items() if rates[n] == 1.0 and self._near(times)]
+        rates = {name: _receipt_rate(times) for name, times in stamped.items()}
+        sharing = [n for n, times in stamped.items() if rates[n] == 1.0 and self._agrees_with_recorder(times)]
         self.is_recorder = bool(sharing)
         if not sharing:
             first = max(stamped, key=lambda n: len(stamped[n].stamp))
-            sharing = [n for n in stamped if self._alike(stamped[first], stamped[n], rates[first])]
+            sharing = [n for n in stamped if self._shares_clock(stamped[first], stamped[n], rates[first])]
             self.rate = rates[first]
         else:
             self.rate = 1.0
@@ -144,9 +182,9 @@ class _Reference:
         self.set_back = all(_is_set_back(stamped[n]) for n in sharing)
         order = np.flatnonzero(known)[np.argsort((stamp if self.set_back else receipt)[known], kind="stable")]
         receipt, stamp, topic = receipt[order], stamp[order], topic[order]
-        level = _smoothed(receipt - self.rate * stamp)
+        level = _running_median(receipt - self.rate * stamp)
         if self.set_back:
-            self._set_branches(receipt, level)
+            self._store_branches(receipt, level)
             return
         wrong = self._stamp_steps(receipt, stamp, topic, level)
         self._receipt, self._level = receipt[~wrong], level[~wrong]
@@ -159,7 +197,7 @@ class _Reference:
             delay = receipt - stamp
             self.shift = float(delay[~wrong].min()) if self.rate == 1.0 else float(delay[~wrong][0])
 
-    def _set_branches(self, receipt: Column, level: Column) -> None:
+    def _store_branches(self, receipt: Column, level: Column) -> None:
         """Store receipts and levels by branches, which begin each time that the recorder's clock was set back."""
         steps = np.flatnonzero(np.diff(level) < -STEP_S) + 1
         edges = [0, *steps.tolist(), len(level)]
@@ -169,15 +207,19 @@ class _Reference:
         self.shift = float(np.median(first)) if self.is_recorder else float(first[0])
 
     @staticmethod
-    def _near(times: MessageTimes) -> bool:
-        """Return whether at least the share `SHARE` of the stamps agrees with the recorder's clock."""
+    def _agrees_with_recorder(times: MessageTimes) -> bool:
+        """Return whether at least 20 % of the stamps are within 1 s of their receipt by the recorder."""
         delay = times.receipt - times.stamp
         delay = delay[np.isfinite(delay)]
         return bool(np.mean(np.abs(delay) < OTHER_CLOCK) >= SHARE)
 
     @staticmethod
-    def _alike(first: MessageTimes, second: MessageTimes, rate: float) -> bool:
-        """Return whether two topics have about the same level, so that their stamps share a clock."""
+    def _shares_clock(first: MessageTimes, second: MessageTimes, rate: float) -> bool:
+        """Return whether two topics have about the same median level, so that their stamps share a clock.
+
+        The level is the receipt minus `rate` times the stamp. It may differ by 1 s, or by `rate` seconds if `rate` is
+        above 1.
+        """
         levels = [np.nanmedian(times.receipt - rate * times.stamp) for times in (first, second)]
         return bool(abs(levels[0] - levels[1]) < OTHER_CLOCK * max(rate, 1.0))
 
@@ -209,7 +251,11 @@ class _Reference:
         return wrong
 
     def level(self, receipt: Column) -> Column:
-        """Return the level at given receipts (n,): receipt minus `rate` times the stamp, of messages received then."""
+        """Return the level at given receipts (n,): receipt minus `rate` times the stamp, of messages received then.
+
+        It is interpolated, but not over a step. If the recorder's clock was set back, it is NaN for receipts at which
+        the level is not unique.
+        """
         if self.set_back:
             pause = [1.5 * float(np.quantile(np.abs(np.diff(own)), 0.99)) for own, _ in self._branches if len(own) > 1]
             edge = max(pause, default=0.0)  # near its end a message may belong to either branch
@@ -245,17 +291,17 @@ class _Reference:
             The times, with a remark if they differ from the stamps.
         """
         if not is_stamped:
-            return self._of_receipts(topic_times)
+            return self._times_of_receipts(topic_times)
         if self.set_back and _is_set_back(topic_times):
             remark = "the recorder's clock was set back; the stamps are in order and are used"
             return EstimatedTimes(topic_times.stamp + (0.0 if self.is_recorder else self.shift), remark, mixed=True)
         misfit = topic_times.receipt - self.rate * topic_times.stamp - self.level(topic_times.receipt)
         known = np.isfinite(misfit)
         near = np.abs(misfit) < OTHER_CLOCK * max(self.rate, 1.0)
-        rate = _rate(topic_times)
+        rate = _receipt_rate(topic_times)
         same = np.sum(near) >= SHARE * max(np.sum(known), 1) and (abs(rate - self.rate) < 0.01 or np.mean(near) > 0.5)
         if not same:
-            return self._of_another_clock(topic_times, rate)
+            return self._times_of_another_clock(topic_times, rate)
         usual = float(np.median(misfit[near]))
         wrong = ~known | _wrong_stamps(topic_times, misfit - usual, self.rate)
         t = np.where(wrong, np.nan, topic_times.stamp + (0.0 if self.is_recorder else self.shift))
@@ -267,8 +313,11 @@ class _Reference:
         rate = "" if self.rate == 1.0 else f", at {1.0 / self.rate:.3g} times the rate of the recording"
         return f"its stamps are of another clock: moved by {self.shift:+.3f} s{rate}"
 
-    def _of_receipts(self, topic_times: MessageTimes) -> EstimatedTimes:
-        """Return the times of a topic without stamps: its receipts, converted to the reference."""
+    def _times_of_receipts(self, topic_times: MessageTimes) -> EstimatedTimes:
+        """Return the times of a topic without stamps: its receipts, converted to the reference by the level.
+
+        A message whose level is unknown has NaN, and the remark counts these messages.
+        """
         level = self.level(topic_times.receipt)
         offset = -self.shift if self.is_recorder else 0.0
         t = (topic_times.receipt - level - offset) / self.rate + (0.0 if self.is_recorder else self.shift)
@@ -279,9 +328,13 @@ class _Reference:
             remark = "; ".join(part for part in (remark, f"{counted(lost, 'message')} without a time left out") if part)
         return EstimatedTimes(t, remark)
 
-    def _of_another_clock(self, topic_times: MessageTimes, rate: float) -> EstimatedTimes:
-        """Return the times of a topic whose stamps are of another clock, moved onto the reference."""
-        on_reference = self._of_receipts(topic_times).t
+    def _times_of_another_clock(self, topic_times: MessageTimes, rate: float) -> EstimatedTimes:
+        """Return the times of a topic whose stamps are of another clock, moved onto the reference.
+
+        The shortest delay of the receipts gives the offset. `rate` is the rate of the receipts by the stamps [s/s]; a
+        drift below 0.2 s is neglected. Wrong stamps become NaN, and the remark counts them.
+        """
+        on_reference = self._times_of_receipts(topic_times).t
         known = np.isfinite(on_reference + topic_times.stamp)
         relative = rate / self.rate
         if abs(relative - 1.0) * float(np.ptp(topic_times.stamp[known])) < DRIFT_S:
@@ -298,7 +351,10 @@ class _Reference:
 
 
 def _is_set_back(times: MessageTimes) -> bool:
-    """Return whether the stamps of a topic are out of order by receipt, but regular when sorted."""
+    """Return whether the stamps of a topic are out of order by receipt, but regular when sorted.
+
+    This needs at least 3 steps back by more than 0.25 s, and more than 95 % usual intervals of the sorted stamps.
+    """
     known = np.isfinite(times.receipt + times.stamp)
     stamp = times.stamp[known]
     if np.sum(np.diff(stamp) < -STEP_S) < FEWEST_BACK:
@@ -361,7 +417,7 @@ def _wrong_stamps(times: MessageTimes, misfit: Column, rate: float) -> Mask:
 
 
 def _wrong_remarks(times: MessageTimes, wrong: Mask, misfit: Column) -> list[str]:
-    """Return the remark about wrong stamps of a topic in a list, which is empty without wrong stamps."""
+    """Return a list with the remark about wrong stamps of a topic; empty without wrong stamps."""
     if not np.any(wrong):
         return []
     start = float(np.nanmin(times.receipt)) if np.isfinite(times.receipt).any() else 0.0

@@ -18,7 +18,43 @@ Column = NDArray[np.float64]
 
 @dataclass
 class Table:
-    """Rows of one topic."""
+    """Rows of one topic.
+
+    Attributes
+    ----------
+    path : Path
+        Source file.
+    topic : str
+        Topic of the rows; "" for a file that is a single table.
+    columns : dict
+        Columns of numbers by name, each (n,); NaN for a row without a value.
+    t : Array (n,) or None
+        Times in order [s since 1970 or since the start]; None if the map names the source of the times.
+    kind : str
+        Type of the messages, for example "sensor_msgs/msg/Imu" or "vehicle_attitude" (PX4); "" for other tables.
+    frame_id : str
+        Frame in the header of ROS messages.
+    remark : str
+        What is unusual about the rows, for the user.
+    clock : str
+        What is unusual about the times, for the user. It is also stored in the log.
+    vehicle : int or None
+        MAV_TYPE in the log of an autopilot; None if unknown.
+    parameters : dict
+        Parameters of the autopilot by name, if its log has them.
+    events : sequence
+        Events of the whole source with their times [s since 1970]; only its first table has them.
+    units : dict
+        Units by column, as far as the source has them.
+    texts : dict
+        Columns of text by name.
+    seconds : frozenset of str
+        Columns with times or durations [s], by their type in the source.
+    n_left_out : int
+        Number of rows of the source that are not in the table because their times are wrong.
+    strict : bool
+        Whether rows out of order and cells without a number are errors unless the map allows them, as for text.
+    """
 
     path: Path
     topic: str  # "" for a file that is a single table
@@ -77,7 +113,11 @@ class Table:
         return self.columns[column]
 
     def text(self, column: str) -> list[str]:
-        """Return a column as text, for times that are not numbers."""
+        """Return a column as text, for times that are not numbers.
+
+        A column of numbers gives the shortest texts with the same values. Raise SeatrialError if the table lacks the
+        column.
+        """
         return list(self.texts.get(column, ())) or [repr(value) for value in self.numbers(column).tolist()]
 
     def error(self, row: int, column: str, problem: str) -> SeatrialError:
@@ -106,7 +146,27 @@ def clock_remark(t: Column) -> str:
 
 @dataclass(frozen=True)
 class TextStyle:
-    """Style of a text table, and the handling of missing numbers, times and repeats for all kinds of sources."""
+    """Style of a text table, and the handling of missing numbers, times and repeats for all kinds of sources.
+
+    Attributes
+    ----------
+    delimiter : str
+        One character between the cells, or "blank" for any number of blanks and tabs.
+    decimal : str
+        Decimal mark, "." or ",".
+    encoding : str
+        Encoding of the text.
+    skip_rows : int
+        Number of lines before the header.
+    columns : tuple of str
+        Names of the columns of a file without a header; empty if it has one.
+    nan : str
+        Treatment of a cell without a number: "error" (default for text), "drop" (default for other sources) or "keep".
+    time_order : str
+        Treatment of a row out of order: "error" (default for text) or "drop" (default for other sources).
+    repeats : str
+        "keep" or "drop" rows whose signals all repeat the row before; "" to drop held values, signal by signal.
+    """
 
     delimiter: str = ","  # one character, or "blank": any number of blanks and tabs
     decimal: str = "."
@@ -120,7 +180,23 @@ class TextStyle:
 
 @dataclass(frozen=True)
 class SourceOptions:
-    """Options of a map for reading a source."""
+    """Options of a map for reading a source.
+
+    Attributes
+    ----------
+    style : TextStyle
+        Style of a text table.
+    dbc : Path or None
+        Database of the messages of a CAN log; None without one.
+    protocol : str
+        Protocol of a CAN log: "vesc", "dronecan" or "nmea2000"; "" to try all.
+    rig : Path or None
+        Rig that names and scales the outputs of an autopilot; None without one.
+    system : int or None
+        MAVLink system number, for a tlog of several systems; None for the first autopilot.
+    topics : frozenset of str
+        Topics to read; empty for all.
+    """
 
     style: TextStyle = field(default_factory=TextStyle)
     dbc: Path | None = None  # database of the messages of a CAN log

@@ -47,6 +47,15 @@ class TextTable(Table):
 
     A table that contains numbers alone is read by numpy, which is several times faster and does not keep the cells. Any
     other table is read cell by cell, which also finds the line of an error.
+
+    Attributes
+    ----------
+    lines : list of int
+        Number of the line in the file, counted from 1, of each row.
+    units : dict
+        Units by column, from a row of units below the header or from the cells.
+    remark : str
+        What was left out, for the user.
     """
 
     strict = True
@@ -63,7 +72,11 @@ class TextTable(Table):
         self._read_cells()
 
     def _read_numbers(self) -> bool:
-        """Read the table by numpy. Return False if it contains anything but one header and rows of plain numbers."""
+        """Read the table by numpy, and return whether this was possible.
+
+        It is possible only if the file contains one header with unique names, and rows of plain finite numbers without
+        blank lines. Otherwise nothing is stored.
+        """
         style = self._style
         if style.columns or style.decimal != "." or len(style.delimiter) != 1:
             return False
@@ -119,9 +132,13 @@ class TextTable(Table):
             raise SeatrialError(f"{path}: cannot be read: {error.strerror}") from error
 
     def _read(self, file: Iterable[str]) -> None:
-        """Read header and rows. Skip comments, repeated headers, units and subheadings."""
+        """Read header and rows from the lines of a file.
+
+        Comments, repeated headers, units and subheadings are skipped. The units are stored. Lines with a wrong number
+        of cells are noted in the remark or raise SeatrialError (`_note_ragged_lines`).
+        """
         watched = _WatchedLines(file)
-        rows = _split(watched, self._style)
+        rows = _cells_of_lines(watched, self._style)
         header = list(self._style.columns) or next((cells for _, cells in rows), [])
         if not header:
             raise SeatrialError(f"{self.path}: the file is empty")
@@ -139,7 +156,9 @@ class TextTable(Table):
                 continue
             if not self.lines and is_units_row(cells):
                 self.units = self.units or {
-                    name: found for name, cell in zip(self._header, cells, strict=False) if (found := bare(cell))
+                    name: found
+                    for name, cell in zip(self._header, cells, strict=False)
+                    if (found := without_brackets(cell))
                 }
                 continue
             if not self.lines and self._style.nan and is_subheading(cells):
@@ -154,14 +173,18 @@ class TextTable(Table):
             self.lines.append(line + self._style.skip_rows)
             self._rows.append(cells)
         if ragged:
-            self._leave_out(ragged, watched.is_cut)
+            self._note_ragged_lines(ragged, watched.is_cut)
         if not self.lines:
             raise SeatrialError(f"{self.path}: no rows below the header")
         for name in {name for name in self._header if name and self._header.count(name) > 1}:
-            self._note(f"column '{name}' is {counted(self._header.count(name), 'time')} in the header: {_RENAME}")
+            self._add_remark(f"column '{name}' is {counted(self._header.count(name), 'time')} in the header: {_RENAME}")
 
-    def _leave_out(self, ragged: Sequence[tuple[int, int]], is_cut: bool) -> None:
-        """Note the lines whose number of cells differs from the header. Raise SeatrialError if they may be rows."""
+    def _note_ragged_lines(self, ragged: Sequence[tuple[int, int]], is_cut: bool) -> None:
+        """Note the lines whose number of cells differs from the header in the remark.
+
+        `ragged` has line and number of cells of each. Raise SeatrialError if the map does not drop cells without a
+        number, or if these are more than 20 % of the lines. `is_cut`: the file has no line end at its end.
+        """
         line, n_cells = ragged[0]
         width, n = len(self._header), len(ragged)
         if self._style.nan != "drop" or n > MOST_RAGGED * (n + len(self.lines)):
@@ -170,24 +193,29 @@ class TextTable(Table):
                 "delimiter, and whether the last line is cut off"
             )
         if n == 1 and is_cut and (not self.lines or line > self.lines[-1]):
-            self._note(f"line {line}, the last, is cut off and left out")
+            self._add_remark(f"line {line}, the last, is cut off and left out")
         else:
             fault = f"{counted(n_cells, 'cell')}, but the header has {width}"
-            self._note(f"{counted(n, 'line')} left out; the first, line {line}, has {fault}")
+            self._add_remark(f"{counted(n, 'line')} left out; the first, line {line}, has {fault}")
 
-    def _note(self, text: str) -> None:
+    def _add_remark(self, text: str) -> None:
         """Add a remark, once."""
         if text not in self.remark:
             self.remark = "; ".join(part for part in (self.remark, text) if part)
 
     @property
     def names(self) -> list[str]:
+        """Names of the columns, in the order of the header. They may repeat or be empty."""
         return self._header
 
     def __len__(self) -> int:
         return len(self.lines)
 
     def text(self, column: str) -> list[str]:
+        """Return the cells of a column as text. The file is read again if only its numbers were kept.
+
+        Raise SeatrialError if the header lacks the column or has it twice.
+        """
         if self._header.count(column) != 1:
             names = ", ".join(name or "(unnamed)" for name in self._header)
             if column in self._header:
@@ -199,6 +227,7 @@ class TextTable(Table):
         return [cells[place] for cells in self._rows]
 
     def error(self, row: int, column: str, problem: str) -> SeatrialError:
+        """Return an error that names the file, line and column of a cell. The caller raises the error."""
         return SeatrialError(f"{self.path}: line {self.lines[row]}, column '{column}': {problem}")
 
     def numbers(self, column: str) -> Column:
@@ -231,7 +260,7 @@ class TextTable(Table):
         has_thousands = decimal == "." and (self._style.delimiter == "," or self._has_points())
         found, wrong = np.full(len(cells), math.nan), list[int]()
         try:
-            found[:] = _plain_numbers(cells, decimal)
+            found[:] = _numbers_of_plain_cells(cells, decimal)
         except ValueError:  # some cell is not a plain number: convert each cell separately
             for row, text in enumerate(cells):
                 try:
@@ -248,11 +277,13 @@ class TextTable(Table):
         if self._style.nan not in ("drop", "keep") or len(wrong) > MOST_TEXT * (len(wrong) + n_numbers):
             raise self.error(row, column, problem)
         found[np.isinf(found)] = math.nan
-        self._note(f"line {self.lines[row]}, column '{column}': {problem}; {counted(len(wrong), 'such cell')} left out")
+        self._add_remark(
+            f"line {self.lines[row]}, column '{column}': {problem}; {counted(len(wrong), 'such cell')} left out"
+        )
         return found
 
     def _has_points(self) -> bool:
-        """Return whether the first rows contain numbers with a decimal point."""
+        """Return whether the first 100 rows contain a number with a decimal point."""
         return any(_POINT.fullmatch(cell.strip()) for cells in self._rows[:LOOKED_AT] for cell in cells)
 
     def _without_units(self, column: str, cells: list[str]) -> list[str]:
@@ -271,7 +302,13 @@ _RENAME = 'name the columns in the map: csv.columns = ["...", ...], and csv.skip
 
 
 class _WatchedLines:
-    """Iterator over the lines of a file. `is_cut` is True if the last line has no line end."""
+    """Iterator over the lines of a file. `is_cut` is True if the last line has no line end.
+
+    Attributes
+    ----------
+    is_cut : bool
+        Whether the last line so far has no line end.
+    """
 
     def __init__(self, lines: Iterable[str]) -> None:
         self._lines = lines
@@ -283,8 +320,11 @@ class _WatchedLines:
             yield line.replace("\0", "")  # zero bytes come from blocks of a card that were never written
 
 
-def _plain_numbers(cells: Sequence[str], decimal: str) -> list[float]:
-    """Return the numbers of a column (n,). Raise ValueError if a cell is not a plain number."""
+def _numbers_of_plain_cells(cells: Sequence[str], decimal: str) -> list[float]:
+    """Return the numbers of a column (n,). `decimal` is the decimal mark.
+
+    Raise ValueError if a cell is not a plain number, also if it is empty.
+    """
     if any("_" in text for text in cells):  # Python's float also reads 1_000, which no instrument writes
         raise ValueError("_")
     return list(map(float, cells if decimal == "." else (text.replace(decimal, ".") for text in cells)))
@@ -327,8 +367,8 @@ def to_number(text: str, decimal: str, has_thousands: bool = False) -> float:
         return float(text if decimal == "." else text.replace(decimal, "."))
 
 
-def _split(file: Iterable[str], style: TextStyle) -> Iterator[tuple[int, list[str]]]:
-    """Yield number and cells of each line that is not blank."""
+def _cells_of_lines(file: Iterable[str], style: TextStyle) -> Iterator[tuple[int, list[str]]]:
+    """Yield the number, counted from 1, and the cells of each line that is not blank."""
     if style.delimiter == BLANK:
         for number, line in enumerate(file, start=1):
             if cells := line.split():
@@ -365,14 +405,17 @@ def is_subheading(cells: Sequence[str]) -> bool:
     return not any(c.isdigit() for text in texts for c in text) and any(text.lower() not in _EMPTY for text in texts)
 
 
-def bare(cell: str) -> str:
-    """Return the text of a cell of a row of units, without blanks and brackets."""
+def without_brackets(cell: str) -> str:
+    """Return the text of a cell without blanks and brackets around it: "[m/s]" becomes "m/s"."""
     return cell.strip().strip("()[]{}<>").strip()
 
 
 def is_units_row(cells: list[str]) -> bool:
-    """Return whether a row contains the units of the columns: at least half are known units, and none is a number."""
-    texts = [text for cell in cells if (text := bare(cell))]
+    """Return whether a row contains the units of the columns.
+
+    At least half of the filled cells are known units, not only "1" and "-". No other cell contains a digit.
+    """
+    texts = [text for cell in cells if (text := without_brackets(cell))]
     known = [text for text in texts if unit_of(text)]
     values = [text for text in texts if text not in known and any(character.isdigit() for character in text)]
     return not values and 2 * len(known) >= len(texts) and any(text not in ("1", "-") for text in known)
@@ -443,18 +486,21 @@ def sniff_style(path: Path, head: bytes) -> TextStyle | None:
     except UnicodeDecodeError as error:
         encoding = encoding if error.start > len(head) - 4 else "latin-1"
         text = head.decode(encoding, "ignore")
-    lines, places = _whole_lines(text.splitlines()[:-1] or text.splitlines())
+    lines, places = _joined_quoted_lines(text.splitlines()[:-1] or text.splitlines())
     best: tuple[float, TextStyle] | None = None
     for delimiter in DELIMITERS:
         for decimal in (".", ","):
-            found = _table_in(lines, TextStyle(delimiter, decimal, encoding))
+            found = _score_of_style(lines, TextStyle(delimiter, decimal, encoding))
             if found is not None and (best is None or found[0] > best[0]):
                 best = found
     return None if best is None else replace(best[1], skip_rows=places[best[1].skip_rows])
 
 
-def _whole_lines(lines: Sequence[str]) -> tuple[list[str], list[int]]:
-    """Return the rows, and the line of the file at which each begins. A cell in quotes may have several lines."""
+def _joined_quoted_lines(lines: Sequence[str]) -> tuple[list[str], list[int]]:
+    """Return the rows of a text, and the index of the line at which each begins.
+
+    A row is a line, or up to 4 lines if a cell in quotes contains line ends.
+    """
     found: list[str] = []
     places: list[int] = []
     for place, line in enumerate(lines):
@@ -466,12 +512,12 @@ def _whole_lines(lines: Sequence[str]) -> tuple[list[str], list[int]]:
     return found, places
 
 
-def _table_in(lines: list[str], style: TextStyle) -> tuple[float, TextStyle] | None:
+def _score_of_style(lines: list[str], style: TextStyle) -> tuple[float, TextStyle] | None:
     """Return a score and the style with the place of the header; None if the lines are not a table in this style.
 
     The score is the sum over the rows of the squared share of numbers times the number of cells.
     """
-    rows = [next((cells for _, cells in _split(line.splitlines(keepends=True), style)), []) for line in lines]
+    rows = [next((cells for _, cells in _cells_of_lines(line.splitlines(keepends=True), style)), []) for line in lines]
     widths = Counter(len(cells) for cells in rows if cells).most_common(1)
     if not widths:
         return None
@@ -479,12 +525,14 @@ def _table_in(lines: list[str], style: TextStyle) -> tuple[float, TextStyle] | N
     # A spreadsheet fills up the line of a title with separators; it has fewer filled cells than a row of data.
     last = [cells for cells in rows if len(cells) == width][-20:]
     least = min(_n_filled(cells) for cells in last) / 2
-    least_share = max(LEAST_NUMERIC, LEAST_OF_USUAL * float(np.median([_share(cells, style) for cells in last])))
+    least_share = max(
+        LEAST_NUMERIC, LEAST_OF_USUAL * float(np.median([_share_of_numbers(cells, style) for cells in last]))
+    )
     first = next(
         (
             k
             for k, cells in enumerate(rows)
-            if len(cells) == width and _share(cells, style) >= least_share and _n_filled(cells) >= least
+            if len(cells) == width and _share_of_numbers(cells, style) >= least_share and _n_filled(cells) >= least
         ),
         None,
     )
@@ -493,7 +541,7 @@ def _table_in(lines: list[str], style: TextStyle) -> tuple[float, TextStyle] | N
     body = [cells for cells in rows[first:] if cells and not is_comment(cells, width)]
     if sum(len(cells) == width for cells in body) < LEAST_SAME * len(body):
         return None
-    shares = [_share(cells, style, with_times=False) for cells in body]
+    shares = [_share_of_numbers(cells, style, with_times=False) for cells in body]
     score = sum(share**2 * len(cells) for share, cells in zip(shares, body, strict=True))
     open_rows = all(not cells[-1].strip() for cells in body if len(cells) == width)  # rows end with a separator
     above = _header_above(rows, first, width, open_rows, style)
@@ -504,7 +552,11 @@ def _table_in(lines: list[str], style: TextStyle) -> tuple[float, TextStyle] | N
 
 
 def _header_above(rows: Sequence[list[str]], first: int, width: int, open_rows: bool, style: TextStyle) -> int | None:
-    """Return the index of the header above the first row of data; None without a header."""
+    """Return the index of the header above the first row of data (index `first`); None without a header.
+
+    Rows of units and comments above the data are skipped. A header has `width` cells, or one less if all rows of data
+    end with a separator (`open_rows`), and hardly any numbers.
+    """
     above = [k for k in range(first) if rows[k]]
     while above:
         cells, n = rows[above[-1]], len(rows[above[-1]])
@@ -515,7 +567,7 @@ def _header_above(rows: Sequence[list[str]], first: int, width: int, open_rows: 
             is_units_row(cells) or len(set(texts)) <= len(texts) / 2
         )  # units or kinds of values; the header is above them
         if not (is_below or (is_comment(cells, width) and not is_named)):
-            return above[-1] if is_named and _share(cells, style) < LEAST_NUMERIC else None
+            return above[-1] if is_named and _share_of_numbers(cells, style) < LEAST_NUMERIC else None
         above.pop()
     return None
 
@@ -525,8 +577,11 @@ def _n_filled(cells: Sequence[str]) -> int:
     return sum(bool(cell.strip()) for cell in cells)
 
 
-def _share(cells: Sequence[str], style: TextStyle, with_times: bool = True) -> float:
-    """Return the share of cells that are numbers, times or empty; 0 if no cell is a number or a time."""
+def _share_of_numbers(cells: Sequence[str], style: TextStyle, with_times: bool = True) -> float:
+    """Return the share of cells that are numbers, empty, or (`with_times`) times; 0 if no cell is a number or a time.
+
+    A number may have a known unit behind it.
+    """
     n, empty = 0, 0
     for cell in cells:
         text = cell.strip()

@@ -55,7 +55,7 @@ def read_ulog(path: Path, options: SourceOptions) -> list[Table]:
         raw, n_torn = whole_records(whole)
         _require_few_columns(whole if raw is None else raw)
         with (
-            _Bounded(path) if raw is None else io.BytesIO(raw) as file
+            _LimitedFile(path) if raw is None else io.BytesIO(raw) as file
         ):  # pyulog does not close a file that it cannot read
             data = ULog(file).data_list
     except Exception as error:  # pyulog raises many kinds of errors for a damaged file or another format
@@ -158,7 +158,7 @@ def whole_records(raw: bytes) -> tuple[bytes | None, int]:
     while place < len(raw):
         end = end_of(place)
         # In a log that was cut off, the last record has no end. The record before it is still complete.
-        cut_off = end > 0 and len(raw) - end < MOST_RECORD and _is_cut(raw, end)
+        cut_off = end > 0 and len(raw) - end < MOST_RECORD and _continues_beyond_end(raw, end)
         if end > 0 and (end == len(raw) or end_of(end) > 0 or cut_off):
             if raw[place + 2] == ord("D"):
                 sizes.setdefault(int.from_bytes(raw[place + 3 : place + 5], "little"), end - place - RECORD.size)
@@ -174,7 +174,7 @@ def whole_records(raw: bytes) -> tuple[bytes | None, int]:
     return (b"".join(kept), n_torn) if n_torn else (None, 0)
 
 
-def _is_cut(raw: bytes, place: int) -> bool:
+def _continues_beyond_end(raw: bytes, place: int) -> bool:
     """Return whether the record at a place continues beyond the end of the file."""
     if place + RECORD.size > len(raw):
         return True
@@ -182,24 +182,30 @@ def _is_cut(raw: bytes, place: int) -> bool:
     return kind in TYPES and place + RECORD.size + size > len(raw)
 
 
-class _Bounded(io.BufferedReader):
-    """File with a limit on the bytes read. In a damaged file, pyulog may step back by a message again and again."""
+class _LimitedFile(io.BufferedReader):
+    """File with a limit on the bytes read: 100 times its size and 16 MiB.
+
+    In a damaged file, pyulog may step back by a message again and again.
+    """
 
     def __init__(self, path: Path) -> None:
         super().__init__(io.FileIO(path))
-        self._left = 100 * path.stat().st_size + (16 << 20)
+        self._bytes_left = 100 * path.stat().st_size + (16 << 20)
 
     def read(self, size: int | None = -1, /) -> bytes:
         """Read as from any file. Raise SeatrialError beyond the limit."""
         data = super().read(size)
-        self._left -= len(data) + 16
-        if self._left < 0:
+        self._bytes_left -= len(data) + 16
+        if self._bytes_left < 0:
             raise SeatrialError("too much of the file is damaged")
         return data
 
 
 def _utc_offset(tables: list[Table]) -> float:
-    """Return UTC less the time of the autopilot [s], by the first fix with a UTC; 0 without one."""
+    """Return UTC less the time of the autopilot [s], by the first fix with a UTC.
+
+    The result is 0 if no topic with gps in its name has a UTC.
+    """
     for table in tables:
         utc: Column | None = table.columns.get("time_utc_usec") if "gps" in table.topic else None
         if utc is not None and table.t is not None and (utc > 0).any():

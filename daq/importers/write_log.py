@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import time
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,9 +20,24 @@ from seatrial.daq.importers.signals import SignalData
 from seatrial.daq.log import LOG_FORMAT, NANO, LogWriter, cdr_layout, collect_provenance, discard_note, schema
 from seatrial.daq.samples import Event, Frame, Scalar
 
+GPS_ERA_S = 1024 * 604_800.0  # s; the GPS week number of old receivers starts again after this time
+FIRST_GPS_DATE = 9.0e8  # s since 1970, July 1998; earlier times are not dates of a receiver after 2018
+FIRST_PLAUSIBLE_DATE = 1_167_609_600.0  # s since 1970, 2007-01-01; of logs that seatrial can use
+WRITTEN_S = 30 * 86_400.0  # s; longest time from the end of a recording to the date of its file
+
 
 class SignalRow(NamedTuple):
-    """Sample of a log to be written."""
+    """Sample of a log to be written.
+
+    Attributes
+    ----------
+    t : float
+        Time [s since 1970].
+    device : str
+        Name of the device, or of the signal.
+    frame : Frame
+        The sample with its receipt and device time.
+    """
 
     t: float  # s since 1970
     device: str  # or the name of the signal
@@ -28,7 +45,15 @@ class SignalRow(NamedTuple):
 
 
 class Timed(NamedTuple):
-    """Sample with its estimated time."""
+    """Sample with its estimated time.
+
+    Attributes
+    ----------
+    frame : Frame
+        The sample with its receipt and device time.
+    t : float
+        Estimated time of the sample [s since 1970].
+    """
 
     frame: Frame  # the sample, with its receipt and device time
     t: float  # s since 1970, estimated
@@ -76,16 +101,18 @@ def write_signals(
         raise SeatrialError(f"{out}: times must be between 1970 and 2038; check time format and origin in the map")
     t_ns = [np.rint(data.t * NANO).astype(np.int64) for data in signals]
     first = min(int(t[0]) for t in t_ns if len(t))
+    if early := warn_of_early_dates(out, min(t[0] for t in times), max(t[-1] for t in times), reads):
+        events = [*events, (first / NANO, Event("clock", early))]
     about = {**collect_provenance(), "format": LOG_FORMAT, "speed": "1.0", **metadata}
     with replacing(out, force, reads) as part:
         writer = LogWriter(part, metadata=about, attachments=attachments, time_ns=first)
         try:
-            _write(writer, signals, t_ns, note, first, events)
+            _write_in_order(writer, signals, t_ns, note, first, events)
         finally:
             writer.close()
 
 
-def _write(
+def _write_in_order(
     writer: LogWriter,
     signals: Sequence[SignalData],
     t_ns: Sequence[np.typing.NDArray[np.int64]],
@@ -158,6 +185,8 @@ def write_frames(
     if ordered[0].t < 0.0 or ordered[-1].t >= 2**31:
         raise SeatrialError(f"{out}: the times of the source are not between 1970 and 2038")
     steps = clock_steps((row.device, row.frame, row.t) for row in rows)
+    if early := warn_of_early_dates(out, ordered[0].t, ordered[-1].t, reads):
+        steps.append(early)
     first = round(ordered[0].t * NANO)
     about = {**collect_provenance(), "format": LOG_FORMAT, "speed": "1.0", **metadata}
     with replacing(out, force, reads) as part:
@@ -170,6 +199,56 @@ def write_frames(
             _write_frames(writer, ordered, units or {})
         finally:
             writer.close()
+
+
+def early_dates(first: float, last: float, written: Sequence[float]) -> str:
+    """Return a line about dates that are probably 1024 weeks too early; empty if the dates are plausible.
+
+    Parameters
+    ----------
+    first, last
+        First and last time of a log [s since 1970].
+    written
+        Dates of its source files, and the present time [s since 1970].
+
+    Notes
+    -----
+    The dates are suspicious if a file was written within 30 days after them and 1024 weeks, or if they are before 2007
+    and a file was written later than 1024 weeks after them. Times before July 1998, for example since the start of a
+    device, are no dates. The times are not changed, since an old log with right dates looks the same.
+    """
+    true_end = last + GPS_ERA_S
+    if first < FIRST_GPS_DATE or true_end > max(written, default=0.0) + 86_400.0:
+        return ""
+    near = any(-86_400.0 <= t - true_end <= WRITTEN_S for t in written)
+    if not near and last >= FIRST_PLAUSIBLE_DATE:
+        return ""
+    day, right = (f"{datetime.fromtimestamp(t, UTC):%Y-%m-%d}" for t in (first, first + GPS_ERA_S))
+    how_sure = "probably" if near else "perhaps"
+    return (
+        f"its dates are {how_sure} 1024 weeks too early ({day} for {right}): the week number of an old GPS receiver "
+        'starts again; a fit does not use the date; a map corrects dates by origin = "1989-08-17" in [time]'
+    )
+
+
+def warn_of_early_dates(out: Path, first: float, last: float, reads: Sequence[Path]) -> str:
+    """Warn of dates that are probably 1024 weeks too early (`early_dates`), and return the line; empty without one.
+
+    Parameters
+    ----------
+    out
+        The log, for the warning.
+    first, last
+        First and last time of the log [s since 1970].
+    reads
+        Source files and folders. Maps and rigs (.toml) among them are not recordings, so their dates do not count.
+    """
+    files = [file for path in reads for file in (path.rglob("*") if path.is_dir() else [path])]
+    written = [file.stat().st_mtime for file in files if file.is_file() and file.suffix != ".toml"]
+    line = early_dates(first, last, [*written, time.time()])
+    if line:
+        warnings.warn(f"{out}: {line}", SeatrialWarning, stacklevel=3)
+    return line
 
 
 def clock_steps(samples: Iterable[tuple[str, Frame, float]]) -> list[str]:
@@ -207,7 +286,10 @@ def clock_steps(samples: Iterable[tuple[str, Frame, float]]) -> list[str]:
 
 
 def _write_frames(writer: LogWriter, rows: Sequence[SignalRow], units: Mapping[str, str]) -> None:
-    """Write samples in the given order, each to the topics of its kind."""
+    """Write samples in the given order, each to the topics of its kind.
+
+    `units` has the unit of each signal; a signal that it lacks gets the unit "".
+    """
     channels: dict[str, int] = {}
     for sequence, (t, device, frame) in enumerate(rows, start=1):
         t_ns = round(t * NANO)

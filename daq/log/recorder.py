@@ -22,7 +22,7 @@ from seatrial.daq.log.provenance import collect_provenance
 from seatrial.daq.log.segments import segment_path
 from seatrial.daq.log.watchdog_note import discard_note
 from seatrial.daq.rig import Rig
-from seatrial.daq.samples import Event, Frame, PortHealth
+from seatrial.daq.samples import Event, Frame, PortHealth, Transducer
 
 LOG_FORMAT = "seatrial-log 1"
 RETRY_S = 0.25  # s of wall time between two checks of a full disk
@@ -100,6 +100,7 @@ class Recorder:
         self._lost_some = False
         self._sequences: dict[str, int] = {}
         self._packers: dict[str, Callable[..., bytes]] = {}
+        self._units: dict[str, str] = {}  # of the transducers, by topic
         self._size_before = 0
         self._past: deque[_FinishedSegment] = deque()  # finished segments that may be deleted
         self._begin_segment(self.first_path, 0)
@@ -133,7 +134,7 @@ class Recorder:
         Parameters
         ----------
         device
-            Name of the device, or of the signal for `Scalar`.
+            Name of the device, or of the signal for `Scalar`. A `Transducer` contains the name of its signal.
         frame
             The sample with its time of receipt.
         t
@@ -150,6 +151,8 @@ class Recorder:
         messages = schema.messages(device, frame)
         # All messages of one sample have the same sequence number: the reader joins them by this number.
         key = messages[0].topic
+        if isinstance(sample, Transducer):
+            self._units[key] = sample.unit
         sequence = self._sequences[key] = (self._sequences.get(key, 0) + 1) & 0xFFFFFFFF
         for topic, type_name, frame_id, values in messages:
             pack = self._packers.get(topic)  # a topic has one type and one frame_id
@@ -309,7 +312,10 @@ class Recorder:
         try:
             channel = self._channels.get(topic)
             if channel is None:
-                channel = self._channels[topic] = self._writer.channel(topic, type_name)
+                about = (
+                    {"unit": self._units[topic], "hold": "linear", "role": "output"} if topic in self._units else None
+                )
+                channel = self._channels[topic] = self._writer.channel(topic, type_name, about)
             self._writer.add(channel, log_ns, stamp_ns, sequence, data)
         except DiskFull as error:
             if not self._patient:

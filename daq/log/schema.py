@@ -28,6 +28,7 @@ from seatrial.daq.samples import (
     LoadCell,
     Scalar,
     Servo,
+    Transducer,
 )
 
 IMU = "sensor_msgs/msg/Imu"
@@ -128,6 +129,8 @@ def topic(kind: type[Measured], source: str, node: int | None = None) -> str:
 def messages(device: str, frame: Frame) -> list[Message]:
     """Return the messages of one sample. The first of them contains t_rx and t_device.
 
+    A `Transducer` becomes the message of a `Scalar` with the name of the transducer instead of the device.
+
     Raises
     ------
     TypeError
@@ -136,6 +139,8 @@ def messages(device: str, frame: Frame) -> list[Message]:
     sample = frame.sample
     if isinstance(sample, Ahrs):
         return _ahrs_messages(device, sample, (frame.t_rx, frame.t_device))
+    if isinstance(sample, Transducer):
+        device, sample = sample.name, Scalar(sample.value)
     type_name = TYPES.get(type(sample))
     if type_name is None:
         raise TypeError(f"{type(sample).__name__} is not a measurement")

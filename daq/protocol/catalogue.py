@@ -76,14 +76,22 @@ def _make_nmea(device: Device, rig: Rig) -> Decoder:
     """Return a new decoder of NMEA 0183, with the declination of the device."""
     from seatrial.daq.protocol import nmea
 
-    return nmea.Decoder(device.declination)
+    return nmea.Decoder(device.declination, _signal_ending(device, rig))
 
 
 def _make_ubx(device: Device, rig: Rig) -> Decoder:
     """Return a new decoder of a u-blox receiver, with the declination of the device."""
     from seatrial.daq.protocol import ubx
 
-    return ubx.Decoder(device.declination)
+    return ubx.Decoder(device.declination, _signal_ending(device, rig))
+
+
+def _signal_ending(device: Device, rig: Rig) -> str:
+    """Return the ending of the names of a device's transducers in the log.
+
+    It is `_DEVICE` if several devices of the rig send NMEA, since their transducers may have equal names; else empty.
+    """
+    return f"_{device.name}" if sum(other.protocol in ("nmea", "ubx") for other in rig.devices) > 1 else ""
 
 
 def _make_loadcell(device: Device, rig: Rig) -> Decoder:

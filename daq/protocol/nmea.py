@@ -1,7 +1,8 @@
-"""NMEA 0183 of GNSS receivers and compasses: decoder of sentences to `Gnss` and `Ahrs` samples.
+"""NMEA 0183 of GNSS receivers and compasses: decoder of sentences to `Gnss`, `Ahrs` and `Transducer` samples.
 
 The position sentences of one epoch are joined to one `Gnss`. A heading sentence becomes one `Ahrs`. A receiver with two
-antennas sends both. The heading sentences are HDT, THS, HDG, HDM, ROT, XDR, $PASHR and $PSTI,036 of SkyTraq.
+antennas sends both. The heading sentences are HDT, THS, HDG, HDM, ROT, XDR, $PASHR and $PSTI,036 of SkyTraq. The values
+of XDR other than pitch and roll become `Transducer` samples.
 Source: NMEA 0183 version 4.11. The library pynmeagps splits position sentences into fields.
 """
 
@@ -12,12 +13,12 @@ import math
 import re
 from collections import deque
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
 from pynmeagps import NMEAReader
 
 from seatrial.daq.protocol.framing import StreamDecoder, sentence, take_sentence
-from seatrial.daq.samples import NAN, Ahrs, Frame, Gnss, Scalar, wrap_angle
+from seatrial.daq.samples import NAN, Ahrs, Frame, Gnss, Transducer, wrap_angle
 
 _FIX_TO_QUALITY = {0: 0, 1: 6, 2: 1, 3: 1, 4: 2, 5: 4, 6: 5}  # Gnss.fix -> GGA quality
 KNOT = 1852.0 / 3600.0  # m/s
@@ -29,6 +30,9 @@ ORDER_BY = 3
 _TIME = re.compile(rb"(\d\d)(\d\d)(\d\d(?:\.\d*)?)\Z")
 _TIME_FIELD = {"GGA": 1, "RMC": 1, "GST": 1, "ZDA": 1, "GNS": 1, "GLL": 5}  # kind -> index of the field with the time
 _POSITION = ("GGA", "GNS", "RMC", "GLL")  # sentences with a position; the first one in this order is used
+# Epochs with two positions by the same kind of sentence, from which two receivers are assumed; and the least difference
+# of the two positions [deg], about 0.1 m.
+FEWEST_CONFLICTS, CONFLICT_DEG = 5, 1e-6
 # s without a sentence that has a time. Afterwards sentences without a time are from a receiver that never had a fix.
 TIMELESS_S = 1.5
 KINDS = frozenset({*_TIME_FIELD, "VTG", "GSA"})
@@ -49,6 +53,7 @@ _TRANSDUCERS: dict[tuple[bytes, bytes], tuple[str, float]] = {
     (b"F", b"H"): ("Hz", 1.0), (b"H", b"P"): ("1", 0.01), (b"I", b"A"): ("A", 1.0), (b"N", b"N"): ("N", 1.0),
     (b"P", b"B"): ("Pa", 1e5), (b"P", b"P"): ("Pa", 1.0), (b"T", b"R"): ("rev/min", 1.0), (b"U", b"V"): ("V", 1.0),
 }  # fmt: skip
+XDR = "xdr_"  # prefix of the signal name of a transducer
 _LEVEL = {b"PTCH": 0, b"PITCH": 0, b"ROLL": 1}  # names of the transducers of XDR for pitch (0) and roll (1)
 _THS_VALID = (b"A", b"E")  # modes autonomous and estimated; M is manual, S simulated, V invalid
 _FULL_TURN = 360.0  # deg; a larger heading, for example 999.9, means that there is no heading
@@ -61,20 +66,21 @@ class Decoder(StreamDecoder[Frame]):
     ----------
     declination
         True heading minus magnetic heading [rad], positive to the east. None if it is unknown.
-
-    Attributes
-    ----------
-    transducers
-        Other measurements in XDR sentences so far, if it has been set to a list; None by default.
+    signal_ending
+        Ending of the signal names of transducers (XDR): the transducer ENGINE#0 has the name `xdr_ENGINE_0` and this
+        ending. None if transducers are to be left out.
     """
 
     sync = re.compile(rb"\$")
 
-    def __init__(self, declination: float | None = None) -> None:
+    def __init__(self, declination: float | None = None, signal_ending: str | None = None) -> None:
         super().__init__()
-        self._sentences = Sentences(declination)
-        # Set this to a list to collect the transducers of XDR. Each then also gives a `Scalar` sample, in this order.
-        self.transducers: list[Transducer] | None = None
+        self._sentences = Sentences(declination, signal_ending)
+
+    @property
+    def two_receivers(self) -> str:
+        """Note that two receivers send in the stream, in one line; empty if there is one."""
+        return self._sentences.epochs.remark
 
     def flush(self) -> list[Frame]:
         """Return the sample of the last epoch at the end of the stream, if it has not been emitted."""
@@ -95,12 +101,8 @@ class Decoder(StreamDecoder[Frame]):
         if frames is None:
             return -1
         self.frames += 1
-        self.remark = self._sentences.headings.remark
+        self.remark = self._sentences.headings.remark or self._sentences.epochs.remark
         self._out += self._filter_frames(frames)
-        if self.transducers is not None:
-            transducers, self._sentences.headings.transducers = self._sentences.headings.transducers, []
-            self.transducers += transducers
-            self._out += [Frame(Scalar(transducer.value), t_rx, NAN) for transducer in transducers]
         return length
 
     def _filter_frames(self, frames: list[Frame]) -> list[Frame]:
@@ -124,9 +126,9 @@ class Sentences:
         Converter of the heading sentences.
     """
 
-    def __init__(self, declination: float | None = None) -> None:
+    def __init__(self, declination: float | None = None, signal_ending: str | None = None) -> None:
         self.epochs = Epochs()
-        self.headings = Headings(declination)
+        self.headings = Headings(declination, signal_ending)
 
     def take(self, body: bytes, t_rx: float) -> list[Frame] | None:
         """Return the samples that a sentence completes, or None if its fields are invalid.
@@ -263,6 +265,14 @@ class Epochs:
         self._epochs_against_order = ORDER_BY - 1
         # The last sentence if it was VTG: t_rx [s], fields, and time [s] since the sentence before it.
         self._vtg: tuple[float, Message, float] | None = None
+        self.n_conflicts = 0  # sentences whose epoch already had another position by the same kind of sentence
+
+    @property
+    def remark(self) -> str:
+        """Note that two receivers send in the stream, in one line; empty if their epochs have one position each."""
+        if self.n_conflicts < FEWEST_CONFLICTS:
+            return ""
+        return f"two receivers send in one stream: {self.n_conflicts} positions have the time of another position"
 
     def take(self, kind: str, body: bytes, t_rx: float) -> list[Frame] | None:
         """Decode one sentence whose kind is in KINDS. Return the samples that it completes, None if it is invalid."""
@@ -380,7 +390,11 @@ class Epochs:
         if epoch is None:
             return
         epoch.kinds.add(kind)
+        lat, lon = epoch.position.get(kind, (NAN, NAN))
         _READERS[kind](epoch, message)
+        if lat == lat:  # not NaN: the second sentence of this kind
+            other_lat, other_lon = epoch.position[kind]
+            self.n_conflicts += max(abs(other_lat - lat), abs(other_lon - lon)) > CONFLICT_DEG
         if self._expected and epoch.kinds >= self._expected:
             self._emit_epoch()
 
@@ -580,53 +594,25 @@ _READERS = {
 }  # fmt: skip
 
 
-class Transducer(NamedTuple):
-    """Measurement of a transducer in XDR that is not pitch or roll.
-
-    Attributes
-    ----------
-    name
-        Name of the transducer in the sentence.
-    unit
-        SI unit, or "1" if the unit is unknown.
-    value
-        Value in that unit.
-    """
-
-    name: str
-    unit: str
-    value: float
-
-
 class Headings:
-    """Converter of heading sentences to `Ahrs` samples.
+    """Converter of heading sentences to `Ahrs` samples, and of XDR to `Transducer` samples.
 
     The best kind of sentence received so far gives the yaw. Pitch and roll are from the same sentence or from XDR
     before it. The yaw rate is from ROT before it. Missing values are NaN.
 
-    Magnetic headings are corrected by the variation in HDG. If it is missing, they are corrected by `declination`.
-    Without both they give no sample, and `remark` reports this.
+    Magnetic headings are corrected by the variation in HDG. If it is missing, they are corrected by `declination`
+    [rad, positive to the east]. Without both they give no sample, and `remark` reports this.
 
-    Parameters
-    ----------
-    declination
-        True heading minus magnetic heading [rad], positive to the east. None if it is unknown.
-
-    Attributes
-    ----------
-    remark
-        Advice for the user about missing headings, in one line; empty if there is none.
-    transducers
-        Other measurements in the last XDR sentence.
+    The names of transducers end with `signal_ending`. If it is None, transducers give no samples.
     """
 
-    def __init__(self, declination: float | None = None) -> None:
+    def __init__(self, declination: float | None = None, signal_ending: str | None = None) -> None:
         self.remark = ""
+        self._signal_ending = signal_ending
         self._declination = declination
         self._best = 0  # rank of the best kind of sentence so far
         self._rate = NAN  # rad/s
         self._level = [NAN, NAN]  # rad, pitch and roll
-        self.transducers: list[Transducer] = []  # of the last XDR
 
     def forget(self) -> None:
         """Discard all received state, because a reopened port may have another device."""
@@ -645,7 +631,7 @@ class Headings:
         if kind == "ROT":
             return self._store_rate_of_turn(words)
         if kind == "XDR":
-            return self._store_transducers(words)
+            return self._store_transducers(words, t_rx)
         rank = _RANK.get(kind, 0)
         if rank < max(self._best, 1):
             return []
@@ -676,24 +662,26 @@ class Headings:
         self._rate = numbers[0] * _DEG / 60.0  # ROT is in degrees per minute, positive to starboard
         return []
 
-    def _store_transducers(self, words: list[bytes]) -> list[Frame] | None:
-        """Store pitch and roll of XDR for the next heading, and the other transducers in `transducers`.
+    def _store_transducers(self, words: list[bytes], t_rx: float) -> list[Frame] | None:
+        """Store pitch and roll of XDR for the next heading, and return the samples of its other transducers.
 
-        Return no sample; None if pitch or roll is not a number. XDR contains groups of kind, value, unit and name.
-        Pitch and roll are in degrees, positive with the bow up and with starboard down.
+        XDR contains groups of kind, value, unit and name. Pitch and roll are in degrees, positive with the bow up and
+        with starboard down. A transducer without a name or without a number is left out. None if pitch or roll is not
+        a number.
         """
-        self.transducers = []
+        frames = []
         for at in range(1, len(words) - 3, 4):
             if words[at] == b"A" and words[at + 2] == b"D" and words[at + 3] in _LEVEL:
                 numbers = _parse_numbers(words, (at + 1,))
                 if numbers is None:
                     return None
                 self._level[_LEVEL[words[at + 3]]] = numbers[0] * _DEG
-            elif words[at + 3] and (numbers := _parse_numbers(words, (at + 1,))) is not None:
+            elif self._signal_ending is not None and words[at + 3] and (numbers := _parse_numbers(words, (at + 1,))):
                 unit, factor = _TRANSDUCERS.get((words[at], words[at + 2]), ("1", 1.0))
-                name = words[at + 3].decode("ascii", "replace")
-                self.transducers.append(Transducer(name, unit, factor * numbers[0]))
-        return []
+                name = re.sub("[^A-Za-z0-9_]+", "_", words[at + 3].decode("ascii", "replace")).strip("_")
+                sample = Transducer(factor * numbers[0], f"{XDR}{name}{self._signal_ending}", unit)
+                frames.append(Frame(sample, t_rx, NAN))
+        return frames
 
     def _heading_correction(self, kind: str, words: list[bytes]) -> float:
         """Return the true heading minus the heading in a sentence [rad]; NaN if it is unknown.

@@ -78,8 +78,8 @@ class Decoder(nmea.Decoder):
 
     sync = re.compile(rb"[$\xb5]")
 
-    def __init__(self, declination: float | None = None) -> None:
-        super().__init__(declination)
+    def __init__(self, declination: float | None = None, signal_ending: str | None = None) -> None:
+        super().__init__(declination, signal_ending)
         self._epochs = Epochs()
         # Start and end, in the stream, of valid messages found after a doubtful header, and the end of the searched
         # part. With this record a stream with many doubtful headers is searched once, not once per header.

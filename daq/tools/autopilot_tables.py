@@ -34,7 +34,19 @@ PULSE_SUFFIXES = ("MIN", "TRIM", "MAX")
 
 @dataclass(frozen=True)
 class DiscoveredAutopilot(DiscoveredDevice):
-    """Autopilot at a port, with the parameters that it reported."""
+    """Autopilot at a port, with the parameters that it reported.
+
+    Attributes
+    ----------
+    vehicle : str
+        Name of the firmware and vehicle, for example "ArduPilot Rover".
+    system_id : int
+        MAVLink system number.
+    signed : bool
+        Whether it signs its frames.
+    parameters : dict
+        Parameters that it reported, by name; empty if none were read.
+    """
 
     vehicle: str = ""  # such as "ArduPilot Rover"
     system_id: int = 1
@@ -71,7 +83,7 @@ class DiscoveredAutopilot(DiscoveredDevice):
         thrusters = self.thrusters(name, "" if alone else f"{name}_")
         for thruster in thrusters:
             lines += _thruster_lines(thruster)
-        lines += self._without(thrusters)
+        lines += self._undriven_output_lines(thrusters)
         lines += [f"# caveat: {finding}" for finding in check_parameters(p, thrusters, own)]
         if p.get("BATT_LOW_VOLT", 0.0) > 0.0:
             lines += [f"# for [limits]: voltage_min_v = {p['BATT_LOW_VOLT']:.1f}, its BATT_LOW_VOLT"]
@@ -103,7 +115,7 @@ class DiscoveredAutopilot(DiscoveredDevice):
             if channel in found:
                 continue
             name, y = SIDES[function]
-            pulses = [_pulses(p, f"{kind}{k}") for kind, k in (("RC", channel), ("SERVO", node))]
+            pulses = [_pulse_range(p, f"{kind}{k}") for kind, k in (("RC", channel), ("SERVO", node))]
             found[channel] = Thruster(
                 name=prefix + name,
                 device=device,
@@ -116,8 +128,12 @@ class DiscoveredAutopilot(DiscoveredDevice):
             )
         return list(found.values())
 
-    def _without(self, thrusters: Sequence[Thruster]) -> list[str]:
-        """Return a comment for each output that cannot be driven or that no thruster monitors."""
+    def _undriven_output_lines(self, thrusters: Sequence[Thruster]) -> list[str]:
+        """Return a comment for each output that cannot be driven or that no thruster monitors.
+
+        Such outputs are rudders, throttles of both sides, motors of omni frames, and further outputs of a driven
+        channel. There is one comment if there are no thrusters at all.
+        """
         p = self.parameters
         functions = {node: p.get(f"SERVO{node}_FUNCTION", 0.0) for node in range(1, 17)}
         driven = {thruster.node for thruster in thrusters}
@@ -139,8 +155,12 @@ class DiscoveredAutopilot(DiscoveredDevice):
         return lines
 
 
-def _pulses(p: Mapping[str, float], prefix: str) -> tuple[float, float, float]:
-    """Return the lowest, neutral and highest pulse [us] of a channel or output, with defaults for missing ones."""
+def _pulse_range(p: Mapping[str, float], prefix: str) -> tuple[float, float, float]:
+    """Return the lowest, neutral and highest pulse [us] of a channel or output.
+
+    `prefix` is the begin of the names of its parameters in `p`, for example "SERVO1". The pulses are 1000, 1500 and
+    2000 us if the parameters are missing.
+    """
     low, neutral, high = (
         p.get(f"{prefix}_{end}", us) for end, us in zip(PULSE_SUFFIXES, (1000.0, 1500.0, 2000.0), strict=True)
     )
@@ -148,7 +168,7 @@ def _pulses(p: Mapping[str, float], prefix: str) -> tuple[float, float, float]:
 
 
 def _thruster_lines(thruster: Thruster) -> list[str]:
-    """Return the lines of a [[thruster]] table."""
+    """Return the lines of the [[thruster]] table of a thruster behind an autopilot, after an empty line."""
     assert thruster.output is not None
     out = thruster.output
     return [
@@ -159,19 +179,31 @@ def _thruster_lines(thruster: Thruster) -> list[str]:
     ]
 
 
-class _Listener:
-    """Receiver of the messages of an autopilot at one open port."""
+class _AutopilotListener:
+    """Receiver of the messages of an autopilot at one open port.
+
+    Attributes
+    ----------
+    decoder : MavlinkDecoder
+        Decoder of the port.
+    heartbeat : message or None
+        Newest heartbeat of an autopilot; None before the first.
+    parameters : dict
+        Parameters received so far, by name.
+    attitudes : list of float
+        Times of the attitudes received so far [s since the start of the autopilot].
+    """
 
     def __init__(self, port: Port) -> None:
         self._port = port
         self.decoder = MavlinkDecoder(SampleConverter({}), 0, 1)
-        self.decoder.listener = self._receive
+        self.decoder.listener = self._store_message
         self.heartbeat: Any = None  # the newest heartbeat of an autopilot
         self.parameters: dict[str, float] = {}
         self.attitudes: list[float] = []  # times of the attitudes, s since the start of the autopilot
 
-    def _receive(self, m: Any) -> None:
-        """Keep the content of a decoded message."""
+    def _store_message(self, m: Any) -> None:
+        """Store a decoded message: the newest heartbeat, a parameter, or the time of an attitude. Ignore others."""
         if m.get_type() == "HEARTBEAT" and m.autopilot != INVALID:
             self.heartbeat = m
         elif m.get_type() == "PARAM_VALUE":
@@ -180,7 +212,7 @@ class _Listener:
             self.attitudes.append(m.time_boot_ms * 1e-3)
 
     def until(self, condition: Callable[[], bool], seconds: float) -> None:
-        """Receive messages until a condition is true, at most for a time [s]."""
+        """Receive and store messages until a condition is true, at most for `seconds` [s of wall time]."""
         deadline = time.monotonic() + seconds
         while not condition() and (left := deadline - time.monotonic()) > 0.0:
             if select.select([self._port.fileno()], [], [], min(left, 0.1))[0]:
@@ -192,7 +224,17 @@ class _Listener:
     def ask(self, codec: Codec, system: int, names: Sequence[str]) -> None:
         """Request parameters until all have arrived, or until a round of requests brings no answer.
 
-        Autopilots do not answer requests for parameters that they do not have.
+        Autopilots do not answer requests for parameters that they do not have. The answers are stored in `parameters`;
+        missing ones are not an error. The requests end after `ANSWERS_S` (6 s) in any case.
+
+        Parameters
+        ----------
+        codec
+            Encoder of the requests.
+        system
+            MAVLink system number of the autopilot.
+        names
+            Names of the parameters.
         """
         deadline = time.monotonic() + ANSWERS_S
         n_before = -1
@@ -232,7 +274,7 @@ def identify_autopilot(port: str, baud: int, ask: bool) -> DiscoveredDevice:
     opened = make_port(Device("autopilot", "mavlink", port, baud or 115200, 0, RATE_HZ, mavlink=settings))
     try:
         opened.open()
-        listener = _Listener(opened)
+        listener = _AutopilotListener(opened)
         listener.until(lambda: listener.heartbeat is not None, LISTEN_S)
         if listener.heartbeat is None:
             frames = listener.decoder.frames

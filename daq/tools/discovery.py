@@ -14,7 +14,7 @@ from pathlib import Path
 
 from seatrial.daq.config import default_decoder
 from seatrial.daq.protocol import DEVICES, Decoder, nmea, slcan, ubx
-from seatrial.daq.samples import Frame, Gnss
+from seatrial.daq.samples import Frame, Gnss, Transducer
 from seatrial.daq.transport import PortError, SerialPort, list_serial_ports
 
 LISTEN_S = 1.3  # s of wall time at each baud rate; a GNSS receiver sends once a second
@@ -29,7 +29,25 @@ SLCAN_BAUDS = (115200, 1_000_000)
 
 @dataclass(frozen=True)
 class DiscoveredDevice:
-    """Port with the device that was identified at it."""
+    """Port with the device that was identified at it.
+
+    Attributes
+    ----------
+    port : str
+        Path or address of the port.
+    description : str
+        Description of the port by the operating system.
+    protocol : str
+        Name of the protocol as in a rig file, or "slcan" for a CAN adapter; "" if no protocol was recognised.
+    baud : int
+        Baud rate; 0 if unknown or not needed.
+    rate : float
+        Rate of the samples [Hz]; NaN if unknown.
+    says : str
+        Text for the user: the device, or the reason why it was not identified.
+    hint : str
+        Advice on how to improve the settings of the port; "" without one.
+    """
 
     port: str
     description: str  # description of the port by the operating system
@@ -56,8 +74,22 @@ class DiscoveredDevice:
         )
 
 
-class _Listener:
-    """Candidate protocol at one port, with its decoder and the counts of the samples so far."""
+class _ProtocolCandidate:
+    """Candidate protocol at one port, with its decoder and the counts of the samples so far.
+
+    Attributes
+    ----------
+    protocol : str
+        Name of the protocol.
+    decoder : Decoder
+        Decoder of the protocol with default settings.
+    samples, n_bytes : int
+        Numbers of samples and of bytes so far.
+    gnss, fixes : int
+        Numbers of GNSS samples, and of GNSS samples with a fix.
+    times : list of float
+        Time of arrival of each sample [s of a monotonic clock].
+    """
 
     def __init__(self, protocol: str) -> None:
         self.protocol = protocol
@@ -69,8 +101,10 @@ class _Listener:
         self.times: list[float] = []  # time of arrival of each sample [s]
 
     def feed(self, data: bytes, t: float) -> None:
-        """Decode bytes that were read at time t [s]."""
-        found = self.decoder.feed(data, t)
+        """Decode bytes that were read at time t [s of a monotonic clock], and count bytes, samples and fixes."""
+        frames = self.decoder.feed(data, t)
+        # A transducer beside a receiver does not change the rate of the receiver.
+        found = [frame for frame in frames if not (isinstance(frame, Frame) and isinstance(frame.sample, Transducer))]
         self.n_bytes += len(data)
         self.samples += len(found)
         self._count_fixes(found)
@@ -93,13 +127,18 @@ class _Listener:
 
     @property
     def checked(self) -> bool:
-        """Return whether the protocol has checksums. A few samples of such a protocol are sufficient."""
+        """Return whether the protocol has checksums, so that a few samples are sufficient to recognise it.
+
+        Protocols of load cells in text lines and slcan have none.
+        """
         return self.protocol not in ("loadcell", "openscale", SLCAN)
 
     def score(self) -> tuple[float, int]:
-        """Return the confidence in this protocol as (share of the bytes in frames, number of frames).
+        """Return the confidence in this protocol as (share of the bytes in frames, number of frames). Larger is better.
 
-        Larger is better. (0, 0) excludes the protocol.
+        The result is (0, 0), which excludes the protocol, without samples, with fewer than 5 samples without checksums,
+        or if the share is below 0.2 (0.8 without checksums). Bytes before the first sample do not count if 20 bytes
+        follow it.
         """
         if self.samples == 0 or (not self.checked and self.samples < MIN_LINES):
             return 0.0, 0
@@ -114,7 +153,7 @@ class _Listener:
 
     @property
     def condition(self) -> str:
-        """Text for the user about a GNSS receiver without a fix; empty for a receiver with a fix and other devices."""
+        """Text for the user about a GNSS receiver whose samples all lack a fix; empty otherwise."""
         return (
             "; it sends data, but has no fix: check view of the sky, antenna and cable"
             if self.gnss and not self.fixes
@@ -122,7 +161,10 @@ class _Listener:
         )
 
     def rate(self) -> float:
-        """Return the rate of the samples [Hz] from their times of arrival; NaN if there is a single time."""
+        """Return the rate of the samples [Hz] from their times of arrival; NaN if there are fewer than two times.
+
+        The samples of the first read are not counted.
+        """
         if not self.times or self.times[-1] == self.times[0]:
             return math.nan
         # The first read is not counted, because it may contain buffered bytes.
@@ -161,7 +203,10 @@ def discover_devices(
 
 
 def baud_rates(wanted: Sequence[int] = ()) -> list[int]:
-    """Return the baud rates to try, in the order of their probability, or the wanted ones if there are any."""
+    """Return the baud rates to try.
+
+    They are the `wanted` ones, or else those of all installed protocols, with the commonest ones first.
+    """
     if wanted:
         return list(wanted)
     rows = [row.bauds for row in DEVICES.usable().values() if row.bauds] + [SLCAN_BAUDS]
@@ -201,11 +246,13 @@ def identify_protocol(
     hint = ""
     for baud in baud_rates(bauds):
         # A rate from the user is tried with every protocol: a device may be set to a rate that is unusual for it.
-        candidates = [_Listener(name) for name, row in types.items() if baud in row.bauds or (bauds and row.bauds)]
-        candidates += [_Listener(SLCAN)] if baud in SLCAN_BAUDS or bauds else []
+        candidates = [
+            _ProtocolCandidate(name) for name, row in types.items() if baud in row.bauds or (bauds and row.bauds)
+        ]
+        candidates += [_ProtocolCandidate(SLCAN)] if baud in SLCAN_BAUDS or bauds else []
         port = SerialPort(path, baud)
         try:
-            n_bytes = _listen(port, candidates, listen, silent=SILENT_S if not answered_at else listen)
+            n_bytes = _feed_candidates(port, candidates, listen, silent=SILENT_S if not answered_at else listen)
         except PortError as error:
             return DiscoveredDevice(path, description, says=str(error))
         hint = port.hint
@@ -215,7 +262,7 @@ def identify_protocol(
             )
         answered_at.append(baud)
         framed += [f"{c.protocol} at {baud} baud" for c in candidates if c.checked and c.decoder.frames >= MIN_LINES]
-        best = max(candidates, key=_Listener.score, default=None)
+        best = max(candidates, key=_ProtocolCandidate.score, default=None)
         if best is not None and best.score() > (0.0, 0):
             says = (
                 "CAN adapter (slcan) with open channel" if best.protocol == SLCAN else types[best.protocol].description
@@ -229,7 +276,7 @@ def identify_protocol(
     return DiscoveredDevice(path, description, says=f"bytes of no known protocol at {tried} baud", hint=hint)
 
 
-def _listen(port: SerialPort, candidates: Sequence[_Listener], seconds: float, silent: float) -> int:
+def _feed_candidates(port: SerialPort, candidates: Sequence[_ProtocolCandidate], seconds: float, silent: float) -> int:
     """Feed the candidates with the bytes of a port, and return the number of bytes.
 
     Listening ends `seconds` after the first byte, after `silent` seconds without a byte, or earlier if a protocol with

@@ -47,19 +47,19 @@ def export_log(log: Log, form: str, folder: Path, force: bool = False) -> list[P
     """
     if form not in ("csv", "parquet"):
         return [export_resampled(log, form, folder, DEFAULT_RATE_HZ, force)]
-    write = _csv if form == "csv" else _parquet()
+    write = _write_csv_table if form == "csv" else _parquet_writer()
     written: list[Path] = []
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for part in log_tables(log):
-            path = _new(folder, part.name, form, written, force)
+            path = _new_path(folder, part.name, form, written, force)
             with new_file(path, force) as scratch:
                 write(scratch, part)
             written.append(path)
         if events := log.events():
-            path = _new(folder, "events", "csv", written, force)
+            path = _new_path(folder, "events", "csv", written, force)
             with new_file(path, force) as scratch:
-                _write_csv(scratch, ["t [s]", "kind", "text"], ([repr(t), kind, text] for t, kind, text in events))
+                _write_csv_rows(scratch, ["t [s]", "kind", "text"], ([repr(t), kind, text] for t, kind, text in events))
             written.append(path)
     except OSError as error:
         raise SeatrialError(f"{error.filename or folder}: cannot be written: {error.strerror}") from error
@@ -96,20 +96,20 @@ def export_resampled(log: Log, form: str, folder: Path, rate: float, force: bool
     table = resample(log, rate)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        path = _new(folder, log.path.stem, {"netcdf": "nc"}.get(form, form), [], force)
+        path = _new_path(folder, log.path.stem, {"netcdf": "nc"}.get(form, form), [], force)
         with new_file(path, force) as scratch:
             if form in ("csv", "parquet"):
-                (_csv if form == "csv" else _parquet())(scratch, _rows_of(table, path.stem))
+                (_write_csv_table if form == "csv" else _parquet_writer())(scratch, _as_log_table(table, path.stem))
             elif form == "mat":
-                _mat(scratch, table)
+                _write_mat(scratch, table)
             else:
-                _netcdf(scratch, table, log.metadata)
+                _write_netcdf(scratch, table, log.metadata)
     except OSError as error:
         raise SeatrialError(f"{error.filename or folder}: cannot be written: {error.strerror}") from error
     return path
 
 
-def _rows_of(table: Resampled, name: str) -> LogTable:
+def _as_log_table(table: Resampled, name: str) -> LogTable:
     """Return the resampled table with its times as the column ``t``. A signal with the name t becomes ``t_``."""
     names = {name: "t_" if name == "t" else name for name in table.columns}
     columns = {"t": table.t, **{names[name]: values for name, values in table.columns.items()}}
@@ -120,27 +120,34 @@ def _rows_of(table: Resampled, name: str) -> LogTable:
     return LogTable(name, Scalar, rows, units, False)
 
 
-def _mat(path: Path, table: Resampled) -> None:
-    """Write a resampled table as a MATLAB file."""
+def _write_mat(path: Path, table: Resampled) -> None:
+    """Write a resampled table as a MATLAB file.
+
+    It has the vector t [s since 1970], a vector for each column, and the struct units. Raise SeatrialError if scipy is
+    not installed.
+    """
     try:
         from scipy.io import savemat
     except ModuleNotFoundError as error:
         raise SeatrialError("MATLAB files need the package scipy: pip install 'seatrial[matlab]'") from error
 
-    names = _identifiers(table.columns, 63)  # the longest name in MATLAB
+    names = _variable_names(table.columns, 63)  # the longest name in MATLAB
     columns = {names[name]: values for name, values in table.columns.items()}
     units = {names[name]: unit or "1" for name, unit in table.units.items()}
     savemat(path, {"t": table.t, **columns, "units": units}, long_field_names=True, oned_as="column", appendmat=False)
 
 
-def _netcdf(path: Path, table: Resampled, metadata: Mapping[str, str]) -> None:
-    """Write a resampled table as a NetCDF file."""
+def _write_netcdf(path: Path, table: Resampled, metadata: Mapping[str, str]) -> None:
+    """Write a resampled table as a NetCDF file with the dimension time [s since 1970] and a variable for each column.
+
+    Raise SeatrialError if scipy is not installed.
+    """
     try:
         from scipy.io import netcdf_file
     except ModuleNotFoundError as error:
         raise SeatrialError("NetCDF needs the package scipy: pip install 'seatrial[matlab]'") from error
 
-    names = _identifiers(table.columns, 255)
+    names = _variable_names(table.columns, 255)
     with netcdf_file(path, "w") as file:
         file.source = f"seatrial {metadata.get('seatrial', '')}".strip()
         file.createDimension("time", len(table.t))
@@ -151,8 +158,12 @@ def _netcdf(path: Path, table: Resampled, metadata: Mapping[str, str]) -> None:
             variable[:], variable.units = values, table.units[name] or "1"
 
 
-def _identifiers(names: Iterable[str], longest: int) -> dict[str, str]:
-    """Return valid and unique names of variables by name of the column: letters, digits and underscores only."""
+def _variable_names(names: Iterable[str], longest: int) -> dict[str, str]:
+    """Return valid and unique names of variables by name of the column, at most `longest` characters long.
+
+    Characters other than letters, digits and underscores become underscores. A name that begins with another character
+    than a letter gets s_ in front. A name that repeats, or is t, time or units, gets a number at its end.
+    """
     found: dict[str, str] = {}
     for name in names:
         plain = re.sub(r"[^A-Za-z0-9_]", "_", name)
@@ -165,10 +176,11 @@ def _identifiers(names: Iterable[str], longest: int) -> dict[str, str]:
     return found
 
 
-def _new(folder: Path, name: str, ending: str, written: list[Path], force: bool) -> Path:
-    """Return the path of a new file in the folder.
+def _new_path(folder: Path, name: str, ending: str, written: list[Path], force: bool) -> Path:
+    """Return the path of a new file in the folder: NAME.ENDING, or NAME-2.ENDING if `written` contains this path.
 
     Characters that are not safe in a file name are replaced: names in a log from a stranger may contain separators.
+    Raise SeatrialError if the file exists already and `force` is false.
     """
     stem = re.sub(r"[^A-Za-z0-9_-]", "_", name) or "table"
     path = folder / f"{stem}.{ending}"
@@ -180,24 +192,25 @@ def _new(folder: Path, name: str, ending: str, written: list[Path], force: bool)
     return path
 
 
-def _csv(path: Path, part: LogTable) -> None:
+def _write_csv_table(path: Path, part: LogTable) -> None:
     """Write a table as CSV, with units in the heads and empty cells for NaN."""
     names = list(part.rows.dtype.names or ())
     heads = [f"{name} [{part.units[name]}]" if part.units.get(name) else name for name in names]
     rows = (
         row for at in range(0, len(part.rows), CSV_BATCH_ROWS) for row in part.rows[at : at + CSV_BATCH_ROWS].tolist()
     )
-    _write_csv(path, heads, (["" if value != value else repr(value) for value in row] for row in rows))
+    _write_csv_rows(path, heads, (["" if value != value else repr(value) for value in row] for row in rows))
 
 
-def _write_csv(path: Path, heads: list[str], rows: Iterator[list[str]]) -> None:
+def _write_csv_rows(path: Path, heads: list[str], rows: Iterator[list[str]]) -> None:
+    """Write a line of column heads and the rows as a CSV file in UTF-8."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(heads)
         writer.writerows(rows)
 
 
-def _parquet() -> Callable[[Path, LogTable], None]:
+def _parquet_writer() -> Callable[[Path, LogTable], None]:
     """Return a function that writes a table as a Parquet file. Raise SeatrialError if pyarrow is not installed."""
     try:
         import pyarrow
@@ -206,6 +219,7 @@ def _parquet() -> Callable[[Path, LogTable], None]:
         raise SeatrialError("Parquet needs the package pyarrow: pip install 'seatrial[parquet]'") from error
 
     def write(path: Path, part: LogTable) -> None:
+        """Write a table as a Parquet file, with the unit of each column in its metadata."""
         fields = [
             pyarrow.field(
                 name,

@@ -29,7 +29,10 @@ FOLDED = ("skipped", "parameter")  # kinds of events that often repeat; repetiti
 
 
 def escape(text: str) -> str:
-    """Escape the markup in a text of a log, so that the console prints it unchanged. Long texts are shortened."""
+    """Escape the markup in a text of a log, so that the console prints it unchanged.
+
+    A text of more than 2000 characters is cut off, and the number of its characters is added.
+    """
     return markup.escape(
         text if len(text) <= MAX_CHARACTERS else f"{text[:MAX_CHARACTERS]}... ({len(text)} characters)"
     )
@@ -40,7 +43,7 @@ def show_log(log: Log, console: Console) -> None:
     size = sum(path.stat().st_size for path in log.paths)
     pieces = f" in {len(log.paths)} segments" if len(log.paths) > 1 else ""
     state = "complete" if log.complete else "cut off, or still being written"
-    console.print(f"[bold]{escape(str(log.path))}[/]  {_size(size)}{pieces}, {state}")
+    console.print(f"[bold]{escape(str(log.path))}[/]  {_size_text(size)}{pieces}, {state}")
     if log.counts:
         begin = datetime.fromtimestamp(log.start, UTC).isoformat(sep=" ", timespec="milliseconds")
         n_samples = sum(log.counts[topic] for topic, kind in log.types().items() if kind in schema.SAMPLE_TYPES)
@@ -58,10 +61,10 @@ def show_log(log: Log, console: Console) -> None:
     for name, data in log.attachments.items():
         console.print(f"  attached: {escape(name)} ({counted(len(data), 'byte')})")
     if log.counts:
-        console.print(_topics(log))
+        console.print(_topic_table(log))
     if log.sources(PortHealth):
-        console.print(_health(log))
-    _events(log, console)
+        console.print(_port_table(log))
+    _print_events(log, console)
     steps = [
         f"{topic}: its times ran back {counted(n, 'time')}, by up to {longest:.1f} s"
         for topic, (n, longest) in log.clock_steps.items()
@@ -70,7 +73,7 @@ def show_log(log: Log, console: Console) -> None:
         console.print(f"[bold]warning:[/] {escape(warning)}")
 
 
-def _topics(log: Log) -> Table:
+def _topic_table(log: Log) -> Table:
     """Return the table of topics: types, numbers of messages, rates and gaps."""
     signals = {f"/signal/{name}": name for name in log.sources(Scalar)}
     notes = [""] if signals else []
@@ -85,12 +88,14 @@ def _topics(log: Log) -> Table:
             name = signals[topic]
             notes = [f"{log.role(name)} [{log.unit(name)}], hold {log.hold(name)}"]
         count = str(log.counts[topic])
-        table.add_row(escape(topic), escape(type_name), count, _number(rate, 2), _number(gap, 4), *map(escape, notes))
+        table.add_row(
+            escape(topic), escape(type_name), count, _number_text(rate, 2), _number_text(gap, 4), *map(escape, notes)
+        )
     return table
 
 
-def _health(log: Log) -> Table:
-    """Return the table of the last port counters of each device."""
+def _port_table(log: Log) -> Table:
+    """Return the table of the last port counters of each device. The delay is "-" for a device without a clock."""
     heads = ("port", "bytes in", "frames", "checksum errors", "unparsed bytes", "dropped", "reconnects", "delay [ms]")
     table = Table("device", *(escape(head) for head in heads))
     for column in table.columns[2:]:
@@ -107,19 +112,22 @@ def _health(log: Log) -> Table:
         )
         delay = "-"
         if math.isfinite(last.clock_bias):
-            delay = f"{last.clock_bias * 1e3:.2f} ± {_number(last.clock_spread * 1e3, 2)}"
+            delay = f"{last.clock_bias * 1e3:.2f} ± {_number_text(last.clock_spread * 1e3, 2)}"
         table.add_row(escape(device), escape(last.port), *(str(counter) for counter in counters), delay)
     return table
 
 
-def _events(log: Log, console: Console) -> None:
-    """Print the first and the last events of a log."""
+def _print_events(log: Log, console: Console) -> None:
+    """Print the first 25 and the last 15 events of a log, with their times since its start [s].
+
+    If the events cannot be read, a warning is printed instead.
+    """
     try:
         events = log.events()
     except SeatrialError as error:
         console.print(f"[bold]warning:[/] {escape(str(error))}")
         return
-    lines = _folded(events)
+    lines = _with_repeats_joined(events)
     left_out = max(len(lines) - FIRST_EVENTS - LAST_EVENTS, 0)
     for k, (t, kind, text) in enumerate(lines):
         if k == FIRST_EVENTS and left_out:
@@ -128,8 +136,8 @@ def _events(log: Log, console: Console) -> None:
             console.print(f"{t - log.start:10.3f} s  [bold]{escape(kind)}[/]  {escape(text)}")
 
 
-def _folded(events: list[tuple[float, str, str]]) -> list[tuple[float, str, str]]:
-    """Replace repeated events of the kinds in `FOLDED` by one event with the number of repetitions.
+def _with_repeats_joined(events: list[tuple[float, str, str]]) -> list[tuple[float, str, str]]:
+    """Return the events, with consecutive events of the kinds in `FOLDED` joined to one that states their number.
 
     Parameters
     ----------
@@ -147,9 +155,11 @@ def _folded(events: list[tuple[float, str, str]]) -> list[tuple[float, str, str]
     return lines
 
 
-def _size(n_bytes: int) -> str:
+def _size_text(n_bytes: int) -> str:
+    """Return a number of bytes as a text in MB, or in kB below one million."""
     return f"{n_bytes / 1e6:.2f} MB" if n_bytes >= 1e6 else f"{n_bytes / 1e3:.1f} kB"
 
 
-def _number(value: float, digits: int) -> str:
+def _number_text(value: float, digits: int) -> str:
+    """Return a number with `digits` digits behind the point as a text; "-" for NaN."""
     return "-" if math.isnan(value) else f"{value:.{digits}f}"

@@ -54,7 +54,7 @@ class LiveServer:
         self._ending = threading.Event()
         self._channels: dict[str, Any] = {}
         self._sent: dict[Source, float] = {}
-        self._thread = threading.Thread(target=self._run, name="live view", daemon=True)
+        self._thread = threading.Thread(target=self._publish_until_end, name="live view", daemon=True)
 
     @property
     def address(self) -> str:
@@ -95,8 +95,8 @@ class LiveServer:
         self._server.stop()
         self._gate.close()
 
-    def _run(self) -> None:
-        """Publish the status periodically until the end of the block or of the acquisition."""
+    def _publish_until_end(self) -> None:
+        """Publish the status every 0.05 s until the end of the block or of the acquisition."""
         while not self._ending.wait(PERIOD_S):
             try:
                 self.publish(self._status())
@@ -112,9 +112,9 @@ class LiveServer:
             t_ns = round(latest.t * NANO)
             device = source[0].partition("/")[0]  # DEVICE/KIND for a device with several kinds of samples
             for message in schema.messages(device, Frame(latest.sample, latest.t, NAN)):
-                self._channel(message.topic, message.type_name).log(message.pack(t_ns), log_time=t_ns)
+                self._channel_of_topic(message.topic, message.type_name).log(message.pack(t_ns), log_time=t_ns)
 
-    def _channel(self, topic: str, type_name: str) -> Any:
+    def _channel_of_topic(self, topic: str, type_name: str) -> Any:
         """Return the channel of a topic; create it if it does not exist."""
         if topic not in self._channels:
             definition = full_definition(type_name).encode()
@@ -145,6 +145,11 @@ class OriginGate:
     ------
     OSError
         If the address is not available.
+
+    Attributes
+    ----------
+    port : int
+        Port of the gate.
     """
 
     def __init__(self, host: str, port: int, behind: tuple[str, int], origins: Sequence[str]) -> None:
@@ -152,7 +157,7 @@ class OriginGate:
         self._loop = asyncio.new_event_loop()
         self._tasks: dict[asyncio.Task[None], asyncio.StreamWriter] = {}  # task of each connection, and its client
         try:
-            listening = asyncio.start_server(self._accept, host, port, limit=HEAD_BYTES)
+            listening = asyncio.start_server(self._start_connection, host, port, limit=HEAD_BYTES)
             self._server = self._loop.run_until_complete(listening)
         except OSError:
             self._loop.close()
@@ -178,18 +183,28 @@ class OriginGate:
         await asyncio.sleep(0)  # asyncio frees closed connections in the next cycle of its loop
 
     def _is_allowed(self, head: bytes) -> bool:
-        """Return whether the head of a request has no origin, or accepted origins only."""
+        """Return whether the head of a request has no origin, or accepted origins only.
+
+        Accepted are pages of this computer, and the origins given to the gate.
+        """
         origins = [origin.decode("latin-1") for origin in _ORIGIN.findall(head)]
         return all(origin in self._origins or _OURS.fullmatch(origin) for origin in origins)
 
-    def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Serve a connection in a task of this class. asyncio prints a traceback when it cancels tasks of its own."""
+    def _start_connection(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Start a task that serves a connection.
+
+        The task belongs to this class, because asyncio prints a traceback when it cancels tasks of its own.
+        """
         task = self._loop.create_task(self._serve(reader, writer))
         self._tasks[task] = writer
         task.add_done_callback(self._tasks.pop)
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Check the origin of a client, and forward all bytes between client and server, or answer 403."""
+        """Check the origin of a client; forward all bytes between client and server, or answer 403.
+
+        The connection is closed without an answer if the head of the request is larger than 16 kB or takes longer than
+        5 s.
+        """
         try:
             head = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), HEAD_S)
             if self._is_allowed(head):

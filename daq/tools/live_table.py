@@ -73,7 +73,7 @@ def watch(
     """
     if not console.is_terminal:
         line_at, shown = time.monotonic() + FIRST_LINE_S, set[str]()
-        while not stop.wait(_pause(clock, deadline, line_at)) and clock.now() < deadline:
+        while not stop.wait(_wait_seconds(clock, deadline, line_at)) and clock.now() < deadline:
             if time.monotonic() >= line_at:
                 status = acquisition.status()
                 for hint in set(status.hints) - shown:  # lines show a hint only once; the table repeats it
@@ -83,19 +83,23 @@ def watch(
                 line_at += LINE_S
         return
     with Live(console=console, auto_refresh=False, screen=False) as live:
-        while not stop.wait(_pause(clock, deadline, time.monotonic() + TABLE_S)) and clock.now() < deadline:
+        while not stop.wait(_wait_seconds(clock, deadline, time.monotonic() + TABLE_S)) and clock.now() < deadline:
             live.update(table(acquisition.status(), rig, console.width, clock.now()), refresh=True)
 
 
-def _pause(clock: RunClock, deadline: float, until_wall: float) -> float:
-    """Return the wall time [s] until the deadline of the run clock or until a wall time, whichever is earlier."""
+def _wait_seconds(clock: RunClock, deadline: float, until_wall: float) -> float:
+    """Return the wall time [s] until the deadline of the run clock or until a wall time, whichever is earlier.
+
+    `until_wall` is a time of the monotonic clock [s]. The result is at least 1 ms.
+    """
     return max(min(clock.wall(deadline - clock.now()), until_wall - time.monotonic()), 0.001)
 
 
 def _update_ages(status: Status, rig: Rig, now: float) -> tuple[Status, bool]:
-    """Update the ages and rates of a status to the run time `now`. Also return whether the acquisition still answers.
+    """Return a status with the ages and rates at run time `now` [s], and whether the acquisition still answers.
 
-    Without this update a hanging acquisition would seem to work, because it computes the ages in its status itself.
+    Without this update a hanging acquisition would seem to work, because it computes the ages in its status itself. The
+    rates are NaN if it does not answer.
     """
     late = max(now - status.t, 0.0)
     answers = late <= NO_STATUS_S * rig.speed
@@ -151,21 +155,21 @@ def table(status: Status, rig: Rig, width: int, now: float) -> Group:
         )
     for port in status.ports.values():
         values = [
-            _newest(source, port, status, rig)
+            _newest_text(source, port, status, rig)
             for source in sorted(status.latest, key=str)
             if source[0].partition("/")[0] == port.name  # DEVICE/KIND for a device with several kinds of samples
         ] or [Text(port.message or "no sample yet", style=BAD)]
-        rows.add_row(*_cells(port, rig.speed, wide), values[0])
+        rows.add_row(*_device_cells(port, rig.speed, wide), values[0])
         for value in values[1:]:
             rows.add_row(*[""] * (len(columns) - 1), value)
-    parts: list[Table | Text] = [_header(status, rig, answers), Text(), rows, Text()]
+    parts: list[Table | Text] = [_header_line(status, rig, answers), Text(), rows, Text()]
     parts += [Text(f"! {warning}", style=BAD) for warning in status.warnings]
     parts += [Text(f"hint: {hint}", style=DIM) for hint in status.hints]
     parts.append(Text("Ctrl-C ends the log", style=DIM))
     return Group(*parts)
 
 
-def _newest(source: Source, port: PortStatus, status: Status, rig: Rig) -> Text:
+def _newest_text(source: Source, port: PortStatus, status: Status, rig: Rig) -> Text:
     """Return the text of the newest sample of a source. For an old sample the text begins with its age."""
     latest = status.latest[source]
     text, age = describe(latest.sample, rig, port.name), status.t - latest.t
@@ -179,17 +183,26 @@ def _newest(source: Source, port: PortStatus, status: Status, rig: Rig) -> Text:
 
 
 def _is_silent(port: PortStatus, speed: float) -> bool:
-    """Return whether a port has been silent for too long."""
+    """Return whether a port has sent no sample for too long by its expected rate (`_stale_after`).
+
+    `speed` is the number of run seconds per wall second.
+    """
     return port.age > _stale_after(port.expected, speed)
 
 
 def _stale_after(rate: float, speed: float) -> float:
-    """Return the time [s of the run clock] after which a source with this rate [Hz] is stale."""
+    """Return the time [s of the run clock] after which a source with this rate [Hz] is stale.
+
+    It is the longest of 5 periods, 1 s, and 0.25 s of wall time (`speed`: run seconds per wall second).
+    """
     return max(STALE_S, STALE_PERIODS / rate, STALE_WALL_S * speed)
 
 
-def _header(status: Status, rig: Rig, answers: bool) -> Text:
-    """Return the header line: state of the recording, duration, speed, size and name of the log."""
+def _header_line(status: Status, rig: Rig, answers: bool) -> Text:
+    """Return the header line: state of the recording, duration, speed, size and name of the log.
+
+    The state is REC, NOT RECORDING with the reason, or that the acquisition does not answer (`answers` false).
+    """
     text = Text(no_wrap=True, overflow="ellipsis")
     if not answers:
         text.append(f"! {NO_ANSWER}", style=BAD)
@@ -204,8 +217,12 @@ def _header(status: Status, rig: Rig, answers: bool) -> Text:
     return text
 
 
-def _cells(port: PortStatus, speed: float, wide: bool) -> list[Text]:
-    """Return the cells of the row of a device, except its newest sample."""
+def _device_cells(port: PortStatus, speed: float, wide: bool) -> list[Text]:
+    """Return the cells of the row of a device, except its newest sample.
+
+    A `wide` table has a column for each error counter, a narrow one has a single column for all that are not zero.
+    Faults have a word or mark beside their colour.
+    """
     stale = _is_silent(port, speed)
     off = not abs(port.rate - port.expected) <= RATE_TOLERANCE * port.expected
     age = "never" if math.isinf(port.age) else f"{port.age:.1f}" if stale else f"{port.age:.2f}"
@@ -226,19 +243,19 @@ def _cells(port: PortStatus, speed: float, wide: bool) -> list[Text]:
 
 
 def describe(sample: Sample, rig: Rig, device: str) -> str:
-    """Return a short text about a sample for the user. Angles are in degrees; unknown values are left out.
+    """Return a short text about a sample for the user. Angles are in degrees; unknown values (NaN) are left out.
 
     Parameters
     ----------
     sample
         The sample.
     rig
-        Rig with the names of the thrusters.
+        Rig with the names of the thrusters. A controller without a thruster is named by its number.
     device
         Name of the device of the sample.
     """
     if isinstance(sample, Ahrs):
-        return _join(
+        return _joined_values(
             ("yaw", math.degrees(sample.yaw), ".1f", "°"),
             ("r", math.degrees(sample.r), ".1f", "°/s"),
             ("roll", math.degrees(sample.roll), ".1f", "°"),
@@ -248,7 +265,7 @@ def describe(sample: Sample, rig: Rig, device: str) -> str:
         fix = FIX_NAMES[sample.fix] if 0 <= sample.fix < len(FIX_NAMES) else f"fix {sample.fix}"
         fix += " 2D" if sample.fix > 2 and sample.dimensions == 2 else ""
         satellites = f"{sample.n_sat} sat " if sample.n_sat >= 0 else ""
-        velocity_and_position = _join(
+        velocity_and_position = _joined_values(
             ("", sample.speed, ".2f", "m/s"), ("", sample.lat, ".6f", ""), ("", sample.lon, ".6f", "")
         )
         return f"{fix} {satellites}{velocity_and_position}"
@@ -256,22 +273,25 @@ def describe(sample: Sample, rig: Rig, device: str) -> str:
         names = [t.name for t in rig.thrusters if (t.device, t.node) == (device, sample.node)]
         values = (("", sample.rpm, ".0f", "rpm"), ("", sample.current, ".1f", "A"))
         supply = (("", sample.voltage, ".1f", "V"), ("", sample.temperature, ".0f", "°C"))
-        return f"{names[0] if names else sample.node}: " + _join(*values, *supply)
+        return f"{names[0] if names else sample.node}: " + _joined_values(*values, *supply)
     if isinstance(sample, LoadCell):
         flags = " saturated" * (sample.flags & 1) + " spike" * (sample.flags >> 1 & 1)
-        return _join(("", sample.force, ".2f", "N"), ("", sample.counts, ".0f", "counts")) + flags
+        return _joined_values(("", sample.force, ".2f", "N"), ("", sample.counts, ".0f", "counts")) + flags
     if isinstance(sample, Battery):
         level = ("", 100.0 * sample.remaining, ".0f", "%")
-        return "battery " + _join(("", sample.voltage, ".1f", "V"), ("", sample.current, ".1f", "A"), level)
+        return "battery " + _joined_values(("", sample.voltage, ".1f", "V"), ("", sample.current, ".1f", "A"), level)
     if isinstance(sample, Servo):
-        return f"output {sample.node}: " + _join(("", sample.pwm, ".0f", "us"), ("n", sample.n, ".2f", ""))
+        return f"output {sample.node}: " + _joined_values(("", sample.pwm, ".0f", "us"), ("n", sample.n, ".2f", ""))
     if isinstance(sample, Autopilot):
         return f"{'armed' if sample.armed else 'not armed'}, mode {sample.mode}"
     return str(sample)
 
 
-def _join(*parts: tuple[str, float, str, str]) -> str:
-    """Return values as one text, from (name, value, format, unit). NaN is left out."""
+def _joined_values(*parts: tuple[str, float, str, str]) -> str:
+    """Return values as one text, from (name, value, format, unit): "yaw 12.3° r 0.5°/s".
+
+    NaN is left out; the text is empty if all values are NaN.
+    """
     texts = []
     for name, value, form, unit in parts:
         if not math.isnan(value):
@@ -298,7 +318,11 @@ def line(status: Status, rig: Rig, now: float) -> str:
 
 
 def log_summary(status: Status, path: Path) -> str:
-    """Return the last line of a recording: file, duration, number of samples, lost samples and silent devices."""
+    """Return the last line of a recording for the user.
+
+    It has file, duration, number of samples and size, and if there are any, the lost samples and the devices without a
+    sample.
+    """
     lost = sum(port.dropped for port in status.ports.values())
     silent = [port.name for port in status.ports.values() if port.samples == 0]
     text = f"{path}: {duration_text(status.duration)}, {counted(status.messages, 'sample')}, {size_text(status.bytes)}"

@@ -88,7 +88,7 @@ def replay_log(
                 return 0
             time.sleep(WAIT_S)
         said(f"replaying {log.duration:.1f} s at speed {speed:g}")
-        return _send(chunks(log, names), ports, speed, stopped)
+        return _send_in_time(chunks(log, names), ports, speed, stopped)
     finally:
         place.close()
         for port in ports.values():
@@ -102,6 +102,11 @@ class ReplayFolder:
     ------
     SeatrialError
         If the folder cannot be created or opened.
+
+    Attributes
+    ----------
+    path : Path
+        The folder.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -114,21 +119,28 @@ class ReplayFolder:
         self._made: dict[str, tuple[int, int, int]] = {}  # identity of each own file, by name
 
     def link(self, name: str, target: str) -> Path:
-        """Create a symbolic link. Raises SeatrialError if a file or folder has this name already."""
-        return self._make(name, lambda: os.symlink(target, name, dir_fd=self._fd))
+        """Create a symbolic link `name` to `target` and return its path.
+
+        Raise SeatrialError if a file or folder has this name already.
+        """
+        return self._create_own_file(name, lambda: os.symlink(target, name, dir_fd=self._fd))
 
     def write(self, name: str, text: str) -> Path:
-        """Write a new file. Raises SeatrialError where anything has that name."""
+        """Write a new file and return its path. Raise SeatrialError if a file or folder has this name already."""
 
         def write() -> None:
+            """Create the file, unless a file or link of this name exists, and write the text."""
             fd = os.open(name, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o644, dir_fd=self._fd)
             with os.fdopen(fd, "w", encoding="utf-8") as file:
                 file.write(text)
 
-        return self._make(name, write)
+        return self._create_own_file(name, write)
 
-    def _make(self, name: str, make: Callable[[], None]) -> Path:
-        """Create a file by calling `make`, note its identity, and return its path."""
+    def _create_own_file(self, name: str, make: Callable[[], None]) -> Path:
+        """Create a file by calling `make`, store its identity, and return its path.
+
+        Raise SeatrialError if a file of this name exists or cannot be created.
+        """
         try:
             make()
         except FileExistsError:
@@ -138,10 +150,10 @@ class ReplayFolder:
             ) from None
         except OSError as error:
             raise SeatrialError(f"{self.path / name}: {error.strerror}") from error
-        self._made[name] = self._identity(name)
+        self._made[name] = self._file_identity(name)
         return self.path / name
 
-    def _identity(self, name: str) -> tuple[int, int, int]:
+    def _file_identity(self, name: str) -> tuple[int, int, int]:
         """Return numbers that distinguish a file from later files of the same name: device, inode, time [ns]."""
         # The inode alone is not sufficient: the file system reuses the inode of a deleted file.
         status = os.stat(name, dir_fd=self._fd, follow_symlinks=False)
@@ -151,7 +163,7 @@ class ReplayFolder:
         """Delete the own files that another program has not replaced."""
         for name, identity in self._made.items():
             with contextlib.suppress(OSError):
-                if self._identity(name) == identity:
+                if self._file_identity(name) == identity:
                     os.unlink(name, dir_fd=self._fd)
         os.close(self._fd)
 
@@ -197,6 +209,7 @@ def chunks(log: Log, devices: Sequence[str]) -> Iterator[Chunk]:
     can = {device.name for device in rig.devices if device.port.startswith(("slcan:", "socketcan:"))} if rig else set()
 
     def reads_of(name: str) -> Iterator[Chunk]:
+        """Yield the reads of one device that contain bytes; sent bytes are skipped."""
         for t, direction, data in log.raw(name):
             if direction == "rx" and data:
                 yield t, name, as_slcan(data) if name in can else data
@@ -205,7 +218,10 @@ def chunks(log: Log, devices: Sequence[str]) -> Iterator[Chunk]:
 
 
 def as_slcan(data: bytes) -> bytes:
-    """Convert CAN frames (16 bytes each, the format of the log) to lines of an slcan adapter."""
+    """Convert CAN frames (16 bytes each, the format of the log) to lines of an slcan adapter.
+
+    An incomplete frame at the end is left out.
+    """
     out = []
     for word, length, body in CAN_FRAME.iter_unpack(data[: len(data) // FRAME_BYTES * FRAME_BYTES]):
         head = b"T%08X" % (word & ~EXTENDED) if word & EXTENDED else b"t%03X" % (word & 0x7FF)
@@ -213,8 +229,14 @@ def as_slcan(data: bytes) -> bytes:
     return b"".join(out)
 
 
-def _send(pieces: Iterator[Chunk], ports: dict[str, ReplayPort], speed: float, stopped: Callable[[], bool]) -> int:
-    """Send the bytes at their times, and return the number of bytes that were passed to the ports."""
+def _send_in_time(
+    pieces: Iterator[Chunk], ports: dict[str, ReplayPort], speed: float, stopped: Callable[[], bool]
+) -> int:
+    """Send the bytes at their times, and return the number of bytes that were passed to the ports.
+
+    The first piece is sent at once, and later ones by their time after it, divided by `speed`. Return early when
+    `stopped` returns true. At the end wait until the ports have accepted all bytes.
+    """
     n_sent, start, first = 0, time.monotonic(), 0.0
     for t, name, data in pieces:
         first = first or t
@@ -240,7 +262,15 @@ def _send(pieces: Iterator[Chunk], ports: dict[str, ReplayPort], speed: float, s
 
 
 class ReplayPort:
-    """Device end of a pty, with a link to its host end in the folder. Bytes from the host are discarded."""
+    """Device end of a pty, with a link to its host end in the folder. Bytes from the host are discarded.
+
+    Attributes
+    ----------
+    backlog : bytearray
+        Bytes that wait to be sent by `pump`.
+    path : Path
+        The link.
+    """
 
     def __init__(self, folder: ReplayFolder, name: str) -> None:
         self.backlog = bytearray()
@@ -256,7 +286,10 @@ class ReplayPort:
             raise
 
     def has_host(self) -> bool:
-        """Return whether a host has opened the port. After that, this process keeps the host end open, too."""
+        """Return whether a host has opened the port.
+
+        After the first time this process keeps the host end open, too, so the result stays true.
+        """
         if self._slave >= 0:
             return True
         poll = select.poll()
@@ -269,7 +302,10 @@ class ReplayPort:
         return True
 
     def pump(self) -> None:
-        """Send waiting bytes, as many as the buffer of the pty accepts, and discard bytes from the host."""
+        """Send waiting bytes, as many as the buffer of the pty accepts, and discard bytes from the host.
+
+        It never waits, and errors of the pty are ignored.
+        """
         try:
             if self.backlog:
                 del self.backlog[: os.write(self._master, self.backlog)]
@@ -301,7 +337,7 @@ def write_replay_rig(log: Log, devices: Sequence[str], folder: ReplayFolder, spe
         If a file of this name exists already.
     """
     try:
-        text = _text(log, devices, speed)
+        text = _replay_rig_text(log, devices, speed)
         if text is None:
             return None
         parse_rig(text, folder.path / RIG)
@@ -310,8 +346,12 @@ def write_replay_rig(log: Log, devices: Sequence[str], folder: ReplayFolder, spe
     return folder.write(RIG, text)
 
 
-def _text(log: Log, devices: Sequence[str], speed: float) -> str | None:
-    """Return the text of the rig file of a replay; None if the log has no rig with these devices."""
+def _replay_rig_text(log: Log, devices: Sequence[str], speed: float) -> str | None:
+    """Return the text of the rig file of a replay; None if the log has no rig with these devices.
+
+    It is the rig of the log with only these devices and their thrusters, the ports of the replay, the clock at `speed`
+    and the folder of the log. Network access (live, ros2) and keys are left out.
+    """
     rig = log.rig
     if rig is None or not {device.name for device in rig.devices}.issuperset(devices):
         return None

@@ -45,7 +45,17 @@ Array = NDArray[np.float64]
 
 
 class RosMessage(NamedTuple):
-    """One message to write."""
+    """One message to write.
+
+    Attributes
+    ----------
+    stamp_ns : int
+        Time of the run clock [ns since 1970].
+    topic : str
+        Name of the topic.
+    message : object
+        Message of rosbags, or bytes in CDR.
+    """
 
     stamp_ns: int  # time of the run clock, ns since 1970
     topic: str
@@ -86,7 +96,10 @@ def export_ros(log: Log, folder: Path, force: bool = False) -> list[Path]:
             raise SeatrialError(f"{path}: exists already; --force replaces it, --out names another folder")
     store = ros_types()
     ahrs = {source: log.table(Ahrs, source) for source in log.sources(Ahrs)}
-    added = [*(_imus(source, rows) for source, rows in ahrs.items()), _odometry(log, ahrs, store.types)]
+    added = [
+        *(_imu_messages(source, rows) for source, rows in ahrs.items()),
+        _odometry_messages(log, ahrs, store.types),
+    ]
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for path in made[:2]:
@@ -106,9 +119,9 @@ def export_ros(log: Log, folder: Path, force: bool = False) -> list[Path]:
                     data = bytes(store.serialize_cdr(message, kind))
                 bag.write(connections[name], stamp_ns, data)
         _write_package(made[1])
-        plots = _plots(log)
-        write_output(made[2], json.dumps(_foxglove(log, plots, "/tf" in connections), indent=1) + "\n")
-        write_output(made[3], _plotjuggler(plots))
+        plots = _plots_of_log(log)
+        write_output(made[2], json.dumps(_foxglove_layout(log, plots, "/tf" in connections), indent=1) + "\n")
+        write_output(made[3], _plotjuggler_layout(plots))
     except OSError as error:
         raise SeatrialError(f"{error.filename or folder}: cannot be written: {error.strerror}") from error
     return made
@@ -148,22 +161,22 @@ def rep_103_imu(device: str, sample: Ahrs) -> schema.Message:
     return schema.Message(f"/ros/{device}/imu", imu.type_name, "base_link", finite)
 
 
-def _imus(source: str, rows: NDArray[np.void]) -> Iterator[RosMessage]:
+def _imu_messages(source: str, rows: NDArray[np.void]) -> Iterator[RosMessage]:
     """Yield the Imu messages of a table of an AHRS."""
     names = [field.name for field in fields(Ahrs)]
     for row in rows:
         message = rep_103_imu(source, Ahrs(*(float(row[name]) for name in names)))
-        yield RosMessage(_ns(row["t"]), message.topic, message.pack(_ns(row["t"])))
+        yield RosMessage(_nanoseconds(row["t"]), message.topic, message.pack(_nanoseconds(row["t"])))
 
 
-def _odometry(log: Log, ahrs_of: Mapping[str, NDArray[np.void]], types: Any) -> Iterator[RosMessage]:
+def _odometry_messages(log: Log, ahrs_of: Mapping[str, NDArray[np.void]], types: Any) -> Iterator[RosMessage]:
     """Yield odometry and transform of the reference point of the rig at the times of the AHRS.
 
     Position and velocity are interpolated linearly between the fixes before and after each time. The log gives no
     messages without a heading or without two fixes of one receiver.
     """
     headed = [rows for rows in ahrs_of.values() if np.isfinite(rows["yaw"]).any()]
-    fixed = [(name, rows[_fixes(rows)]) for name in log.sources(Gnss) for rows in [log.table(Gnss, name)]]
+    fixed = [(name, rows[_has_position(rows)]) for name in log.sources(Gnss) for rows in [log.table(Gnss, name)]]
     fixed = [(name, rows) for name, rows in fixed if len(rows) > 1]
     if not headed or not fixed:
         return
@@ -182,7 +195,7 @@ def _odometry(log: Log, ahrs_of: Mapping[str, NDArray[np.void]], types: Any) -> 
     for i in np.flatnonzero(good):
         row, k, w = ahrs[i], after[i], share[i]
         angles = [0.0 if np.isnan(row[name]) else float(row[name]) for name in ("yaw", "pitch", "roll")]
-        R = _rotation(*angles)  # body to NED
+        R = _rotation_matrix(*angles)  # body to NED
         measured = np.array([row[name] for name in "pqr"])
         rates = np.nan_to_num(measured)
         position = (1 - w) * fixes[k - 1] + w * fixes[k] - R @ arm
@@ -190,10 +203,10 @@ def _odometry(log: Log, ahrs_of: Mapping[str, NDArray[np.void]], types: Any) -> 
         has_velocity = bool(np.isfinite(v[:2]).all())  # many receivers do not report the vertical velocity
         velocity = R.T @ np.nan_to_num(v) - np.cross(rates, arm) if has_velocity else np.zeros(3)
         known = (has_velocity, has_velocity, has_velocity and bool(np.isfinite(v[2])), *np.isfinite(measured).tolist())
-        yield from _pose(row["t"], position, angles, np.concatenate([velocity, rates]), known, types)
+        yield from _pose_messages(row["t"], position, angles, np.concatenate([velocity, rates]), known, types)
 
 
-def _pose(
+def _pose_messages(
     t: float, position: Array, angles: Sequence[float], twist: Array, known: Sequence[bool], types: Any
 ) -> Iterator[RosMessage]:
     """Yield an odometry message and a transform.
@@ -213,14 +226,16 @@ def _pose(
     types
         Message classes of rosbags by name.
     """
-    header = _header(t, "odom", types)
+    header = _ros_header(t, "odom", types)
     enu = {"x": float(position[1]), "y": float(position[0]), "z": float(-position[2])}
-    turned = _quaternion(angles, types)
+    turned = _ros_quaternion(angles, types)
     pose = types["geometry_msgs/msg/Pose"](position=types["geometry_msgs/msg/Point"](**enu), orientation=turned)
-    moved = types["geometry_msgs/msg/Twist"](linear=_vector(twist[:3], types), angular=_vector(twist[3:], types))
+    moved = types["geometry_msgs/msg/Twist"](
+        linear=_ros_vector(twist[:3], types), angular=_ros_vector(twist[3:], types)
+    )
     unknown = np.zeros(36)
     variances = np.diag(np.where(known, 0.0, NO_MEASUREMENT)).ravel()
-    yield RosMessage(_ns(t), "/odom", types["nav_msgs/msg/Odometry"](
+    yield RosMessage(_nanoseconds(t), "/odom", types["nav_msgs/msg/Odometry"](
         header=header, child_frame_id="base_link",
         pose=types["geometry_msgs/msg/PoseWithCovariance"](pose=pose, covariance=unknown),
         twist=types["geometry_msgs/msg/TwistWithCovariance"](twist=moved, covariance=variances),
@@ -230,41 +245,48 @@ def _pose(
     )
     stamped_type = types["geometry_msgs/msg/TransformStamped"]
     stamped = stamped_type(header=header, child_frame_id="base_link", transform=transform)
-    yield RosMessage(_ns(t), "/tf", types["tf2_msgs/msg/TFMessage"](transforms=[stamped]))
+    yield RosMessage(_nanoseconds(t), "/tf", types["tf2_msgs/msg/TFMessage"](transforms=[stamped]))
 
 
-def _fixes(rows: NDArray[np.void]) -> NDArray[np.bool_]:
+def _has_position(rows: NDArray[np.void]) -> NDArray[np.bool_]:
+    """Return which fixes (rows of a table of `Gnss`) have a position and are at least 2-D, shape (n,)."""
     return np.asarray((rows["fix"] >= 2) & np.isfinite(rows["lat"]) & np.isfinite(rows["lon"]))
 
 
-def _ns(t: float) -> int:
+def _nanoseconds(t: float) -> int:
+    """Return a time [s] as whole nanoseconds."""
     return round(float(t) * NANO)
 
 
-def _header(t: float, frame: str, types: Any) -> Any:
-    sec, nanosec = divmod(_ns(t), NANO)
+def _ros_header(t: float, frame: str, types: Any) -> Any:
+    """Return a ROS header with a time [s since 1970] and a frame, as an object of rosbags."""
+    sec, nanosec = divmod(_nanoseconds(t), NANO)
     stamp = types["builtin_interfaces/msg/Time"](sec=sec, nanosec=nanosec)
     return types["std_msgs/msg/Header"](stamp=stamp, frame_id=frame)
 
 
-def _vector(frd: Sequence[float] | Array, types: Any) -> Any:
+def _ros_vector(frd: Sequence[float] | Array, types: Any) -> Any:
     """Return a vector of rosbags in the axes forward, left, up from forward, starboard, down."""
     x, y, z = map(float, frd)
     return types["geometry_msgs/msg/Vector3"](x=x, y=-y, z=-z)
 
 
-def _quaternion(angles: Sequence[float], types: Any) -> Any:
-    """Return the quaternion of the body (forward, left, up) in ENU from yaw, pitch and roll of the body (FRD) in NED.
+def _ros_quaternion(angles: Sequence[float], types: Any) -> Any:
+    """Return the quaternion of the body (forward, left, up) in ENU, as an object of rosbags.
 
-    Yaw counts from east instead of north. Yaw and pitch change their signs with the axes z and y.
+    `angles` are yaw, pitch and roll [rad] of the body (FRD) in NED. Yaw then counts from east instead of north. Yaw and
+    pitch change their signs with the axes z and y.
     """
     yaw, pitch, roll = angles
     x, y, z, w = quaternion(np.pi / 2 - yaw, -pitch, roll)
     return types["geometry_msgs/msg/Quaternion"](x=x, y=y, z=z, w=w)
 
 
-def _rotation(yaw: float, pitch: float, roll: float) -> Array:
-    """Return the rotation matrix from the body frame to NED, shape (3, 3) (Fossen 2011, eq. 2.18)."""
+def _rotation_matrix(yaw: float, pitch: float, roll: float) -> Array:
+    """Return the rotation matrix from the body frame (FRD) to NED, shape (3, 3) (Fossen 2011, eq. 2.18).
+
+    The angles are Euler angles [rad] in the order ZYX.
+    """
     x, y, z, w = quaternion(yaw, pitch, roll)
     return np.array([
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -287,12 +309,12 @@ def ros_types() -> Any:
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     store = get_typestore(Stores.ROS2_HUMBLE)
-    for definition in _definitions():
+    for definition in _message_definitions():
         store.register(get_types_from_msg(definition.read_text(encoding="utf-8"), f"{PACKAGE}/msg/{definition.stem}"))
     return store
 
 
-def _definitions() -> list[Path]:
+def _message_definitions() -> list[Path]:
     """Return the files with the definitions of the messages of seatrial."""
     with resources.as_file(resources.files("seatrial.daq").joinpath("msg", PACKAGE)) as folder:
         return sorted(folder.glob("*.msg"))
@@ -305,7 +327,7 @@ def _write_package(folder: Path) -> None:
     """
     (folder / "msg").mkdir(parents=True)
     names = []
-    for definition in _definitions():
+    for definition in _message_definitions():
         (folder / "msg" / definition.name).write_bytes(definition.read_bytes())
         names.append(f'"msg/{definition.name}"')
     listed = "\n  ".join(names)
@@ -351,13 +373,21 @@ PACKAGE_XML = """<?xml version="1.0"?>
 
 
 class Plot(NamedTuple):
-    """Plot of a layout."""
+    """Plot of a layout.
+
+    Attributes
+    ----------
+    title : str
+        Title with the unit.
+    curves : list of tuple
+        Topic and field of each curve.
+    """
 
     title: str  # with the unit
     curves: list[tuple[str, str]]  # topic and field
 
 
-def _plots(log: Log) -> list[Plot]:
+def _plots_of_log(log: Log) -> list[Plot]:
     """Return the plots of a layout: the most important signals of each device of the log."""
     found = []
     for source in log.sources(Ahrs):
@@ -379,8 +409,12 @@ def _plots(log: Log) -> list[Plot]:
     return found
 
 
-def _foxglove(log: Log, plots: Sequence[Plot], has_frames: bool) -> dict[str, Any]:
-    """Return a layout of Foxglove Studio: the plots below each other, a map of the fixes, and the frames of /tf."""
+def _foxglove_layout(log: Log, plots: Sequence[Plot], has_frames: bool) -> dict[str, Any]:
+    """Return a layout of Foxglove Studio as the content of a JSON file.
+
+    It has the plots below each other. Beside them are a map of the fixes of the first receiver, if there is one, and
+    the frames of /tf if `has_frames`.
+    """
     panels: dict[str, Any] = {}
     for number, plot in enumerate(plots):
         panels[f"Plot!{number}"] = {
@@ -399,7 +433,7 @@ def _foxglove(log: Log, plots: Sequence[Plot], has_frames: bool) -> dict[str, An
     if has_frames:
         panels["3D!0"] = {"followTf": "base_link", "fixedFrame": "odom"}
         side.append("3D!0")
-    columns = [_stacked([name for name in panels if name not in side]), _stacked(side)]
+    columns = [_stacked_panels([name for name in panels if name not in side]), _stacked_panels(side)]
     left, right = columns
     layout = left if right is None else right if left is None else {
         "direction": "row", "first": left, "second": right, "splitPercentage": 65}  # fmt: skip
@@ -407,16 +441,19 @@ def _foxglove(log: Log, plots: Sequence[Plot], has_frames: bool) -> dict[str, An
             "layout": layout}  # fmt: skip
 
 
-def _stacked(names: Sequence[str]) -> Any:
-    """Return panels of equal height below each other, as a binary tree, which is the format of a layout."""
+def _stacked_panels(names: Sequence[str]) -> Any:
+    """Return panels of equal height below each other, as a binary tree, which is the format of a layout.
+
+    One panel is its name; no panel is None.
+    """
     if len(names) < 2:
         return names[0] if names else None
     half = (len(names) + 1) // 2
-    return {"direction": "column", "first": _stacked(names[:half]), "second": _stacked(names[half:]),
+    return {"direction": "column", "first": _stacked_panels(names[:half]), "second": _stacked_panels(names[half:]),
             "splitPercentage": 100.0 * half / len(names)}  # fmt: skip
 
 
-def _plotjuggler(plots: Sequence[Plot]) -> str:
+def _plotjuggler_layout(plots: Sequence[Plot]) -> str:
     """Return a layout of PlotJuggler as XML. It opens the bag beside it and has one tab with the plots."""
     root = ElementTree.Element("root")
     window = ElementTree.SubElement(root, "tabbed_widget", {"parent": "main_window", "name": "Main Window"})

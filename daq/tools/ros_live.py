@@ -43,7 +43,19 @@ _ROS2 = "live ROS 2 needs the packages eclipse-zenoh and rosbags: pip install 's
 
 
 class ReceivedCommand(NamedTuple):
-    """Received command of a thruster."""
+    """Received command of a thruster.
+
+    Attributes
+    ----------
+    n : float
+        Normalised shaft speed (-1 to 1); NaN if the message was not a Float64.
+    sender : bytes
+        Unique id of the publisher; empty without a whole attachment.
+    sent : float
+        Time of sending by the clock of the sender [s]; NaN without a whole attachment.
+    number : int
+        Sequence number of the publisher, from 1 on; 0 without a whole attachment.
+    """
 
     n: float  # normalised shaft speed; NaN if the message was not a Float64
     sender: bytes  # unique id of the publisher; empty without a whole attachment
@@ -61,6 +73,11 @@ class LateCommands:
     ----------
     allowed_s
         Largest allowed delay after the fastest command [s].
+
+    Attributes
+    ----------
+    number : int
+        Number of late commands so far.
     """
 
     def __init__(self, allowed_s: float) -> None:
@@ -71,7 +88,9 @@ class LateCommands:
         self.number = 0  # of late commands
 
     def is_late(self, command: ReceivedCommand, now: float) -> bool:
-        """Return whether a command arrived too late. A command without a time of sending is never late.
+        """Return whether a command arrived too late, and count late commands in `number`.
+
+        A command without a time of sending is never late. The clocks may drift by 0.05 %.
 
         Parameters
         ----------
@@ -103,13 +122,20 @@ class Ros2Node:
         Rig with the address of the router, the domain and the namespace.
     thrusters
         Names of the thrusters whose commands are received.
+
+    Attributes
+    ----------
+    published : int
+        Number of messages published so far.
+    connected : bool
+        Whether the node is connected to the router.
     """
 
     def __init__(self, rig: Rig, thrusters: Sequence[str] = ()) -> None:
         self._ros2, self._thrusters = rig.ros2, thrusters
         self._queue: deque[StreamedSample] = deque()
         self._filled, self._ending = threading.Event(), threading.Event()
-        self._thread = threading.Thread(target=self._run, name=THREAD_NAME, daemon=True)
+        self._thread = threading.Thread(target=self._connect_and_publish, name=THREAD_NAME, daemon=True)
         self._session: Any = None
         self._entities = itertools.count(1)
         self._tokens: list[Any] = []
@@ -169,7 +195,7 @@ class Ros2Node:
                 for _ in range(FLOOD):
                     if (sample := subscriber.handler.try_recv()) is None:
                         break
-                    received.append(_command(sample))
+                    received.append(_decoded_command(sample))
             now = time.monotonic()
             in_time = [command for command in received if not self._late.is_late(command, now)]
             found[name] = received if len(received) >= FLOOD else in_time
@@ -193,20 +219,22 @@ class Ros2Node:
 
     # Methods of the thread -------------------------------------------------------------------------------------
 
-    def _run(self) -> None:
+    def _connect_and_publish(self) -> None:
         """Connect, declare the node and publish samples until the end. Connect again after an error."""
         while not self._ending.is_set():
             try:
-                with contextlib.closing(self._zenoh.open(self._zenoh.Config.from_json5(self._config()))) as session:
+                with contextlib.closing(
+                    self._zenoh.open(self._zenoh.Config.from_json5(self._zenoh_config()))
+                ) as session:
                     self._session = session
-                    self._declare()
-                    self._discard()
+                    self._declare_node()
+                    self._discard_queue()
                     self._publish_all()
             except self._zenoh.ZError:
                 self.connected = False
                 self._ending.wait(RETRY_S)
 
-    def _config(self) -> str:
+    def _zenoh_config(self) -> str:
         """Return the configuration of Zenoh: a client of one router that does not listen and does not search."""
         return json.dumps({
             "mode": "client",
@@ -216,70 +244,81 @@ class Ros2Node:
             "transport": {"link": {"rx": {"max_message_size": MAX_MESSAGE_BYTES}}},
         })  # fmt: skip
 
-    def _declare(self) -> None:
+    def _declare_node(self) -> None:
         """Declare the node and subscribe to the commands of the thrusters."""
         self._tokens, self._publishers = [], {}
-        self._token("NN", 0)
+        self._declare_token("NN", 0)
         for name in self._thrusters:
-            topic = self._topic(f"/thrusters/{name}/command")
+            topic = self._namespaced_topic(f"/thrusters/{name}/command")
             # ROS 2 Humble has no type hashes: accept any text in the place of the hash.
-            key = f"{self._ros2.domain}{topic}/{_dds(COMMAND_TYPE)}/*"
+            key = f"{self._ros2.domain}{topic}/{_dds_type_name(COMMAND_TYPE)}/*"
             self._subscribers[name] = self._session.declare_subscriber(key, self._zenoh.handlers.RingChannel(FLOOD))
-            self._token("MS", next(self._entities), topic, COMMAND_TYPE)
+            self._declare_token("MS", next(self._entities), topic, COMMAND_TYPE)
 
-    def _token(self, kind: str, entity: int, topic: str = "", type_name: str = "") -> str:
+    def _declare_token(self, kind: str, entity: int, topic: str = "", type_name: str = "") -> str:
         """Declare a node or an endpoint in the ROS 2 graph, and return its key expression.
 
-        `kind` is NN for a node, MP for a publisher and MS for a subscription.
+        Parameters
+        ----------
+        kind
+            NN for a node, MP for a publisher and MS for a subscription.
+        entity
+            Number of the endpoint in the node; 0 for the node.
+        topic, type_name
+            Topic and message type of an endpoint; empty for a node.
         """
         space = self._ros2.namespace and f"/{self._ros2.namespace}"
         parts = ["@ros2_lv", str(self._ros2.domain), str(self._session.info.zid()), "0", str(entity), kind]
         parts += ["%", space.replace("/", "%") or "%", NODE_NAME]
         if topic:
-            parts += [topic.replace("/", "%"), _dds(type_name), self._types.hash_rihs01(type_name), QOS]
+            parts += [topic.replace("/", "%"), _dds_type_name(type_name), self._types.hash_rihs01(type_name), QOS]
         key = "/".join(parts)
         self._tokens.append(self._session.liveliness().declare_token(key))
         return key
 
-    def _topic(self, topic: str) -> str:
+    def _namespaced_topic(self, topic: str) -> str:
+        """Return a topic of the log with the namespace of the rig in front, if the rig has one."""
         return f"/{self._ros2.namespace}{topic}" if self._ros2.namespace else topic
 
     def _publish_all(self) -> None:
-        """Publish queued samples until the end; discard them while there is no router."""
+        """Publish queued samples until the end. Every 0.5 s check whether there is a router.
+
+        While there is no router, queued samples are discarded and counted as lost.
+        """
         check_at = 0.0
         while not self._ending.is_set():
             if (now := time.monotonic()) >= check_at:
                 check_at, self.connected = now + CONNECTED_S, bool(self._session.info.routers_zid())
             if not self.connected:
-                self._discard()
+                self._discard_queue()
             while self._queue and not self._ending.is_set():
-                self._publish(self._queue.popleft())
+                self._publish_sample(self._queue.popleft())
             self._filled.wait(WAIT_S)
             self._filled.clear()
 
-    def _discard(self) -> None:
-        """Discard the queued samples, because they would be old when a router is connected."""
+    def _discard_queue(self) -> None:
+        """Discard the queued samples and count them as lost, because they would be old when a router is connected."""
         with contextlib.suppress(IndexError):
             while True:
                 self._queue.popleft()
                 self._lost += 1
 
-    def _publish(self, streamed: StreamedSample) -> None:
+    def _publish_sample(self, streamed: StreamedSample) -> None:
         """Publish the messages of a sample; for an AHRS also the Imu message in the axes of REP-103."""
         messages = schema.messages(streamed.device, Frame(streamed.sample, streamed.t, NAN))
         if isinstance(streamed.sample, Ahrs):
             messages.append(rep_103_imu(streamed.device, streamed.sample))
         for message in messages:
             if message.topic not in self._publishers:
-                self._publishers[message.topic] = self._publisher(message.topic, message.type_name)
+                self._publishers[message.topic] = self._publisher_of_topic(message.topic, message.type_name)
             self._publishers[message.topic].send(message.pack(round(streamed.t * NANO)))
             self.published += 1
 
-    def _publisher(self, topic: str, type_name: str) -> _Publisher:
-        """Declare a publisher for a topic of the log."""
-        name = self._topic(ros_topic(topic))
-        token = self._token("MP", next(self._entities), name, type_name)
-        key = f"{self._ros2.domain}{name}/{_dds(type_name)}/{self._types.hash_rihs01(type_name)}"
+    def _publisher_of_topic(self, topic: str, type_name: str) -> _Publisher:
+        """Declare a publisher for a topic of the log, and return it."""
+        name = self._namespaced_topic(ros_topic(topic))
+        token = self._declare_token("MP", next(self._entities), name, type_name)
+        key = f"{self._ros2.domain}{name}/{_dds_type_name(type_name)}/{self._types.hash_rihs01(type_name)}"
         # BLOCK: a hanging router blocks only this thread. Samples are then lost in our queue, where they are counted.
         control = self._zenoh.CongestionControl.BLOCK
         return _Publisher(self._session.declare_publisher(key, congestion_control=control), token)
@@ -298,14 +337,21 @@ class _Publisher:
         self._publisher.put(data, attachment=attachment)
 
 
-def _dds(type_name: str) -> str:
-    """Return the DDS name of a message type, by the rule of rosidl."""
+def _dds_type_name(type_name: str) -> str:
+    """Return the DDS name of a message type, by the rule of rosidl.
+
+    The name of "std_msgs/msg/Float64" is "std_msgs::msg::dds_::Float64_".
+    """
     package, _, name = type_name.split("/")
     return f"{package}::msg::dds_::{name}_"
 
 
-def _command(sample: Any) -> ReceivedCommand:
-    """Decode a received command: a Float64 in CDR, with the attachment of rmw_zenoh."""
+def _decoded_command(sample: Any) -> ReceivedCommand:
+    """Decode a received command: a Float64 in CDR, with the attachment of rmw_zenoh.
+
+    A message of another form gives the value NaN. Without a whole attachment the sender is empty, the time of sending
+    NaN and the number 0.
+    """
     data = sample.payload.to_bytes()
     attachment = b"" if sample.attachment is None else sample.attachment.to_bytes()
     sender, sent, number = b"", NAN, 0

@@ -5,20 +5,22 @@ The model is the IMA(1,1) of thesis section 4.1:
     y_k = b(t_k) + w_k,   db = q dW,   var w = r^2,   b(0) unknown
 
 Its innovation form is ``n_k = (1 + c q^-1) / (1 - q^-1) e_k``. The filter is that of
-``seatrial.ident.estimation.likelihood``, so gaps in time do not matter. If the innovations under this model are not
-white (``seatrial.ident.validation.whiteness``), the sensor has other noise, and ``NoiseFit.rejected`` is true. The
-filtered output of a single-point GPS receiver is an example.
+``seatrial.ident.estimation.likelihood``, so that missing samples do not matter. At long gaps the samples are cut. If
+the innovations under this model are not white (``seatrial.ident.validation.whiteness``), the sensor has other noise,
+and ``NoiseFit.rejected`` is true. The filtered output of a single-point GPS receiver is an example.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import pairwise
 
 import numpy as np
 from scipy import signal, special
 
-from seatrial.ident.data import Channel, Record
+from seatrial.ident.data import Channel, Record, silent_times
 from seatrial.ident.estimation import Likelihood, fit
 from seatrial.ident.model import INF, Model, ModelKind, Output, Parameter, Sensor, State, plain_model
 from seatrial.ident.numerics import Array
@@ -144,7 +146,8 @@ def estimate_noise(channel: Channel, name: str = "") -> NoiseFit:
     Parameters
     ----------
     channel
-        Samples of the axis. NaN samples are left out.
+        Samples of the axis. NaN samples are left out. The samples are cut at gaps (`silent_times`: longer than 60 s and
+        than ten usual intervals), and each part has its own unknown offset.
     name
         Name of the axis, by default the source of the channel.
 
@@ -157,6 +160,10 @@ def estimate_noise(channel: Channel, name: str = "") -> NoiseFit:
     ------
     ValueError
         If there are fewer than 50 samples, or if all samples are equal.
+
+    Notes
+    -----
+    A random walk does not describe the change over a gap: the sensor may have been switched off, or have cooled down.
     """
     name = name or channel.source or "channel"
     good = np.isfinite(channel.value) & np.isfinite(channel.t) & np.append(True, np.diff(channel.t) > 0)
@@ -166,17 +173,23 @@ def estimate_noise(channel: Channel, name: str = "") -> NoiseFit:
             f"{name}: {t.size} samples are too few to separate white noise from a random walk; record at least 50"
         )
     dt = float(np.median(np.diff(t)))
-    scale = float(np.std(np.diff(y)))
+    parts = _parts(t, y)
+    scale = float(np.std(_differences(y, parts)))
     if scale == 0:
         raise ValueError(f"{name}: all samples are the same")
     y = (y - y[0]) / scale  # values near one for any unit
-    model = _start(y, dt)
-    record = Record(name, t - t[0], np.empty((t.size, 0)), np.empty((t.size, 0)), y[:, None], (), ("y",))
-    found = fit(model, [record])
-    run = Likelihood(found.model).filter(record, found.record_values[0])
+    model = _start(_differences(y, parts), dt)
+    empty = (np.empty((part.stop - part.start, 0)) for part in parts)
+    records = [
+        Record(name, t[part] - t[part.start], none, none, (y[part] - y[part.start])[:, None], (), ("y",))
+        for part, none in zip(parts, empty, strict=True)
+    ]
+    found = fit(model, records)
+    likelihood = Likelihood(found.model)
+    runs = [likelihood.filter(*pair) for pair in zip(records, found.record_values, strict=True)]
     (white, white_error), (walk, walk_error) = (found.estimate(n) for n in ("white", "walk"))
     c, sd = innovation_form(white, walk, dt)
-    eps = run.standardised[:, 0]
+    eps = np.concatenate([run.standardised[:, 0] for run in runs])
     # Factor of the standard error of a variance for innovations of this kurtosis: a single jump is one event, not n.
     spread = float(np.sqrt((_kurtosis(eps) - 1.0) / 2.0)) if _heavy_tailed(eps) else 1.0
     acf = autocorrelation(eps, N_LAGS)
@@ -201,6 +214,20 @@ def estimate_noise(channel: Channel, name: str = "") -> NoiseFit:
         whiteness_diagnostics(eps),
         flags,
     )
+
+
+def _parts(t: Array, y: Array) -> list[slice]:
+    """Return the indices of the parts of a signal between its gaps: one slice if it has no gap.
+
+    ``t``, ``y``: times [s] and values (n,) of the signal.
+    """
+    edges = [0, *(int(np.searchsorted(t, end)) for _, end in silent_times({"": Channel(t, y)})), t.size]
+    return [slice(a, b) for a, b in pairwise(edges)]
+
+
+def _differences(y: Array, parts: Sequence[slice]) -> Array:
+    """Return the differences of neighbouring samples within each of the parts of y (n,), in one array."""
+    return np.concatenate([np.diff(y[part]) for part in parts])
 
 
 def _kurtosis(e: Array) -> float:
@@ -237,12 +264,12 @@ def innovation_form(white: float, walk: float, dt: float) -> tuple[float, float]
     return float(-r / S), float(np.sqrt(S))
 
 
-def _start(y: Array, dt: float) -> Model:
-    """Return the noise model with initial values from the moments of the differences.
+def _start(d: Array, dt: float) -> Model:
+    """Return the noise model with initial values from the moments of the differences d (n,) of neighbouring samples.
 
-    Their variance is ``q^2 dt + 2 r^2``, and the covariance of neighbours is ``-r^2``.
+    Their variance is ``q^2 dt + 2 r^2`` with the sample interval ``dt`` [s], and the covariance of neighbours is
+    ``-r^2``.
     """
-    d = np.diff(y)
     variance, covariance = float(d @ d) / d.size, float(d[1:] @ d[:-1]) / (d.size - 1)
     white = np.sqrt(np.clip(-covariance, 1e-4 * variance, 0.4999 * variance))
     walk = np.sqrt(max(variance - 2 * white**2, 1e-5 * variance) / dt)
@@ -335,7 +362,7 @@ def welch(channel: Channel, n_segments: int = N_SEGMENTS) -> tuple[Array, Array]
     Parameters
     ----------
     channel
-        Samples of the channel.
+        Samples of the channel. Only the longest part between gaps (`silent_times`) is used.
     n_segments
         Number of half-overlapping segments.
 
@@ -344,9 +371,9 @@ def welch(channel: Channel, n_segments: int = N_SEGMENTS) -> tuple[Array, Array]
     tuple of Array (n,)
         Frequency [Hz] and density [unit^2/Hz], without frequency zero.
     """
-    dt = float(np.median(np.diff(channel.t)))
-    length = max(16, int(2 * channel.value.size / (n_segments + 1)))
-    frequency, density = signal.welch(
-        channel.value, 1.0 / dt, nperseg=min(length, channel.value.size), detrend="linear"
-    )
+    longest = max(_parts(channel.t, channel.value), key=lambda part: part.stop - part.start)
+    t, value = channel.t[longest], channel.value[longest]
+    dt = float(np.median(np.diff(t)))
+    length = max(16, int(2 * value.size / (n_segments + 1)))
+    frequency, density = signal.welch(value, 1.0 / dt, nperseg=min(length, value.size), detrend="linear")
     return frequency[1:], density[1:]

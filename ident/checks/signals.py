@@ -9,6 +9,7 @@ import numpy as np
 
 from seatrial.daq.checks import Finding
 from seatrial.ident.checks.sensors import Channels
+from seatrial.ident.checks.two_receivers import second_receiver
 from seatrial.ident.data import Channel
 from seatrial.ident.numerics import NORMAL_MAD, Array
 
@@ -323,9 +324,10 @@ def _part(channel: Channel, begin: float, end: float) -> tuple[Array, Array]:
 
 
 def check_alternating(c: Channels) -> Iterator[Finding]:
-    """Yield a fault for signals in which the samples of two sensors alternate.
+    """Yield a fault for signals in which the samples of two sensors alternate, or of two receivers of unequal rate.
 
-    Each value of such a signal is off the line between its neighbours, to alternating sides.
+    Each value of alternating sensors is off the line between its neighbours, to alternating sides. Receivers of unequal
+    rate are found only in positions (`second_receiver`).
 
     Parameters
     ----------
@@ -339,6 +341,15 @@ def check_alternating(c: Channels) -> Iterator[Finding]:
             text = "its values alternate from sample to sample: two sensors, or two receivers, are in one signal"
             advice = "give each sensor its own topic, column or port, and import only one"
             yield Finding("fault", "two-sensors", "alike", ", ".join(found), text, advice)
+        elif group == ("x", "y") and len(shares) == 2 and np.array_equal(c["x"].t, c["y"].t):
+            x, y = c["x"], c["y"]
+            if x.t.size >= FEWEST and (other := second_receiver(x.t, x.value, y.value)) is not None:
+                text = (
+                    f"{100 * other.share:.0f} % of its fixes, at regular times, lie {other.offset:.1f} m beside the "
+                    "others: two receivers of unequal rate are in one signal"
+                )
+                advice = "give each receiver its own topic, column or port, and import only one"
+                yield Finding("fault", "two-sensors", "alike", "x, y", text, advice)
 
 
 def _alternating(channel: Channel) -> float:

@@ -17,7 +17,8 @@ from seatrial.ident.numerics import Array
 LONGEST_GAP_S = 60.0  # without a sample of any sensor; the log is cut at longer gaps
 USUAL_INTERVALS = 10.0  # a gap must also be longer than so many median intervals, for logs of slow sensors
 SHORTEST_PIECE_S = 10.0  # s; a shorter part of a log gives too little information
-DRIVES = ("n_", "servo_", "voltage_")  # signals of the thrusters, which may continue while the sensors are off
+# Signals of the thrusters and of other transducers (NMEA XDR), which may continue while the sensors are off.
+DRIVES = ("n_", "servo_", "voltage_", "xdr_")
 COMMAND = "n_cmd_"
 
 
@@ -50,8 +51,8 @@ def silent_times(channels: Mapping[str, Channel]) -> list[tuple[float, float]]:
 
     Notes
     -----
-    Shaft speeds count only in a log without other sensors, for example of a bench. Commands never count, since inputs
-    without measurements give no information.
+    Shaft speeds and transducers count only in a log without other sensors, for example of a bench. Commands never
+    count, since inputs without measurements give no information.
     """
     outputs = {name: c for name, c in channels.items() if not is_held(name, c)}
     sensors = {name: c for name, c in outputs.items() if not name.startswith(DRIVES) and not c.hold}

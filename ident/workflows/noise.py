@@ -13,12 +13,12 @@ from pathlib import Path
 import numpy as np
 import tomlkit
 
-from seatrial.daq.errors import SeatrialError
+from seatrial.daq.errors import SeatrialError, counted
 from seatrial.daq.files import write_output
 from seatrial.daq.log import open_log
 from seatrial.daq.samples import Ahrs
 from seatrial.ident.characterisation import NoiseFit, band_spectrum, estimate_noise, welch
-from seatrial.ident.data import Channel, LoadedLog, ahrs_channels, load_runs
+from seatrial.ident.data import Channel, LoadedLog, ahrs_channels, load_runs, silent_times
 from seatrial.ident.report import write_report
 from seatrial.ident.reporter import Reporter
 from seatrial.ident.results import ChannelNoise, NoiseResult, SpectrumBands, finite, provenance, write_result
@@ -113,7 +113,7 @@ def noise(logs: Sequence[Path], out: Path, *, signals: Sequence[str], command: s
     SeatrialError
         If no channel can be estimated, or if a log lacks one of the signals.
     """
-    loaded = load_runs(logs, "estimation", cut=False)
+    loaded = load_runs(logs, "estimation", cut=False)  # `estimate_noise` cuts each channel at its gaps
     notes: list[str] = []
     found: list[NoiseEstimate] = []
     for path, log in zip(logs, loaded, strict=True):
@@ -126,6 +126,8 @@ def noise(logs: Sequence[Path], out: Path, *, signals: Sequence[str], command: s
             except ValueError as problem:
                 notes.append(f"Left out: {problem}")
                 continue
+            if gaps := silent_times({name: channel}):
+                notes.append(f"{label}: cut at {counted(len(gaps), 'gap')}; each part has its own unknown offset")
             found.append(NoiseEstimate(log.run.name, name, label, channel, fit))
     if not found:
         raise SeatrialError(f"{logs[0]}: no channel whose noise could be estimated; {'; '.join(notes)}")

@@ -27,7 +27,7 @@ from seatrial.ident.effects import catalogue
 from seatrial.ident.model import INF, Effect, Model, Output, Parameter, Sensor, Signals, State
 from seatrial.ident.models import SIDES, horizontal_model
 
-SMALL = 1e-3  # share of full speed; makes powers smooth at rest
+SMALL = 1e-3  # share of full speed; it makes powers smooth at rest
 # Parameters that are fixed at these values
 KNOWN = {"y_left": 0.285, "y_right": -0.285, "e_uv": 0.35, "e_r": 0.25, "e_psi": 50.0, "d_vv": 0.0, "Y_uv": 0.0}
 EXPECTED = {  # mean and standard deviation of the priors

@@ -43,8 +43,8 @@ CHANNELS = ("u", "v", "r")
 STEP = 0.05  # s; at full speed the yaw damping is too fast for steps of 0.1 s
 MODELS = ("authors", "propeller", "point", "boat")
 WEIGHTS = (0.4, 0.2, 0.1)  # rad; values of e_drift of the model ``boat`` among which --nested chooses
-NO_SCORE = np.full((2, len(CHANNELS)), np.nan)  # in the place of `sums` for a fit that did not converge
-MOST_RESTARTS = 3  # of a search that did not converge, each from the end of the previous one
+NO_SCORE = np.full((2, len(CHANNELS)), np.nan)  # `sums` of a fit that did not converge
+MOST_RESTARTS = 3  # restarts of a search that did not converge, each from the end of the previous one
 
 
 def records_of(model: Model, logs: Sequence[Path]) -> list[Record]:
@@ -104,7 +104,7 @@ def score(model: Model, records: Sequence[Record], *, left_out: bool) -> dict[st
     full_fit = fitted_from_first_samples(model, records, {})
     shared = [
         n for n in full_fit.names if n in full_fit.model.values
-    ]  # without parameters that each run has for itself
+    ]  # parameters that each run has for itself are left out
     start, parts, predicted, each = full_fit.model.values, [], [], []
     unconverged = [] if full_fit.converged else ["none"]
     for k, record in enumerate(records):

@@ -1,8 +1,9 @@
 #!/bin/sh
-# The measured Kingfisher through public commands: sh docs/examples/kingfisher/run.sh [OUT], from the repository's top.
-# SEATRIAL_DATA says where the data sets are; seatrial and python are those on the PATH. About half a minute of CPU time.
+# Run the example of the measured Kingfisher by public commands, from the top folder of the repository:
+# sh docs/examples/kingfisher/run.sh [OUT]. SEATRIAL_DATA is the folder of the data sets. seatrial and python must be on
+# the PATH. The example takes about half a minute of CPU time.
 set -eu
-: "${SEATRIAL_DATA:?says where the measured data sets are}"
+: "${SEATRIAL_DATA:?set it to the folder of the data sets}"
 here=$(CDPATH= cd -- "$(dirname -- "$0")" && pwd)
 out=${1:-out/kingfisher}
 data=$(CDPATH= cd -- "$SEATRIAL_DATA/kingfisher" && pwd)
@@ -17,7 +18,7 @@ seatrial ident thruster logs/bollard_loadcell_raw_20files.mcap --settle 0 --out 
 unseen=""
 for log in logs/surge_rest_*.mcap; do unseen="$unseen --validate $log"; done
 curve="--thruster thruster/model.toml --test-homogeneity m_u"
-# The lists are meant to be split into words.
+# The shell must split the lists into words.
 # shellcheck disable=SC2086
 for name in immediate delayed lagged loss cubic both shifted; do
     seatrial ident vehicle logs/surge_steps_*.mcap --model "$here/surge_model.py:$name" $curve $unseen --out $name

@@ -38,8 +38,8 @@ from seatrial.ident.model import (
     weighted_sum,
 )
 
-STEP, N_DELAYS = 0.1, 16  # s, and number of delayed taps of an input, which seatrial makes; tap k is k steps old
-SMALL = 1e-6  # N; makes the root smooth at zero thrust
+STEP, N_DELAYS = 0.1, 16  # s, and number of delayed copies (taps) of an input; tap k is k steps old
+SMALL = 1e-6  # N; it makes the root smooth at zero thrust
 
 BODY = (
     Parameter("m_u", 45.0, "kg", "surge mass with added mass", "log"),

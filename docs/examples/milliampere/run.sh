@@ -1,8 +1,9 @@
 #!/bin/sh
-# The measured ferry's thrusters through public commands: sh docs/examples/milliampere/run.sh [OUT], from the top of the
-# repository. SEATRIAL_DATA says where the data sets are; seatrial and python are those on the PATH.
+# Run the example of the measured thrusters of a ferry by public commands, from the top folder of the repository: sh
+# docs/examples/milliampere/run.sh [OUT]. SEATRIAL_DATA is the folder of the data sets. seatrial and python must be on
+# the PATH.
 set -eu
-: "${SEATRIAL_DATA:?says where the measured data sets are}"
+: "${SEATRIAL_DATA:?set it to the folder of the data sets}"
 here=$(CDPATH= cd -- "$(dirname -- "$0")" && pwd)
 data="$SEATRIAL_DATA/milliampere/thruster_data_test"
 out=${1:-out/milliampere}

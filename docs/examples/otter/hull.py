@@ -13,8 +13,8 @@ from seatrial.ident.effects import catalogue
 from seatrial.ident.model import INF, Effect, Model, Parameter, Signals
 from seatrial.ident.models import horizontal_model
 
-LENGTH, STRIPS = 2.0, 10  # m; the simulator has 20 strips, which changes the value of c_flow only
-SMALL = 0.01  # m/s; makes |v + x r| smooth, since the search would otherwise end before the optimum
+LENGTH, STRIPS = 2.0, 10  # m; the simulator has 20 strips, which changes only the value of c_flow
+SMALL = 0.01  # m/s; it makes |v + x r| smooth, since the search would otherwise end before the optimum
 START = {"m_u": 80.0, "m_v": 150.0, "m_r": 40.0, "d_u": 70.0, "d_r": 40.0, "d_rr": 400.0}  # initial values
 # Parameters of the standard model and of the effects that the simulator does not have
 ABSENT = ("d_uu", "d_vv", "y_g", "Y_0")

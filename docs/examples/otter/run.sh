@@ -1,23 +1,24 @@
 #!/bin/sh
-# The Otter of an independent simulator through public commands: sh docs/examples/otter/run.sh [OUT], from the
-# repository's top. SEATRIAL_DATA says where the data sets are; seatrial and python are those on the PATH. About six
-# minutes of CPU time.
+# Run the example of the simulated Otter by public commands, from the top folder of the repository:
+# sh docs/examples/otter/run.sh [OUT]. SEATRIAL_DATA is the folder of the data sets. seatrial and python must be on the
+# PATH. The example takes about six minutes of CPU time.
 set -eu
-: "${SEATRIAL_DATA:?says where the data sets are}"
+: "${SEATRIAL_DATA:?set it to the folder of the data sets}"
 here=$(CDPATH= cd -- "$(dirname -- "$0")" && pwd)
 out=${1:-out/otter}
 data=$(CDPATH= cd -- "$SEATRIAL_DATA/otter" && pwd)
 mkdir -p "$out"
 cd "$out"
 
-thrust="--fix c1=94.649 --fix c2=25.0328 --fix y_left=-0.395 --fix y_right=0.395" # as a bench would give them
+thrust="--fix c1=94.649 --fix c2=25.0328 --fix y_left=-0.395 --fix y_right=0.395" # values that a bench test would give
 
-# FOLDER OUT RATE LIMIT [OPTION...]: the standard model, what it lacks, and the simulator's structure (with OPTION)
+# FOLDER OUT RATE LIMIT [OPTION...]: fit the standard model, its search for effects, and with OPTION the structure of
+# the simulator
 compare() {
     folder=$1 to=$2 rate=$3 most=$4 && shift 4
     seatrial import "$here/otter.toml" "$data/$folder"/*.csv --out-dir "$folder" --force
     logs="$folder/run1.mcap $folder/run2.mcap --validate $folder/run3.mcap --rate $rate"
-    # The lists are meant to be split into words.
+    # The shell must split the lists into words.
     # shellcheck disable=SC2086
     {
         seatrial ident vehicle $logs $thrust --out "$to/vehicle"

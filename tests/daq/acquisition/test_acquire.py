@@ -10,7 +10,8 @@ from seatrial.daq.acquisition.session import Acquisition
 from seatrial.daq.clock import RunClock
 from seatrial.daq.config.rig_file import load_rig
 from seatrial.daq.log.reader import open_log
-from seatrial.daq.samples import Ahrs, Esc, Gnss, LoadCell
+from seatrial.daq.protocol.framing import sentence
+from seatrial.daq.samples import Ahrs, Esc, Gnss, LoadCell, Scalar
 from tests.daq.acquiring import acquiring, is_closed
 from tests.daq.ptys import TestBoat, wait_for
 
@@ -66,6 +67,19 @@ def test_garbage_is_counted_and_costs_no_message(tmp_path: Path) -> None:
         expected = {"ahrs": 100, "gnss": 7, "esc": 8, "cell": 7}
         wait_for(lambda: counted() == expected, what="the count")
     assert np.allclose(np.diff(open_log(tmp_path / "run.mcap").table(Ahrs, "ahrs")["r"]), 1e-3, atol=1e-6)
+
+
+def test_transducers_of_nmea_are_in_the_log(tmp_path: Path) -> None:
+    """Only an import kept them."""
+    with TestBoat(tmp_path) as boat, acquiring(boat, tmp_path) as (acquisition, _, _):
+        before = acquisition.status().messages
+        boat.write("gnss", sentence("IIXDR,U,12.5,V,CELL,T,900,R,ENGINE#0"))
+        wait_for(lambda: acquisition.status().messages > before + 50, what="the log")
+        assert not [source for source in acquisition.status().latest if source[0] == "gnss/transducer"]
+    log = open_log(tmp_path / "run.mcap")
+    assert sorted(log.sources(Scalar)) == ["xdr_CELL", "xdr_ENGINE_0"]
+    assert log.table(Scalar, "xdr_CELL")["value"].tolist() == [12.5]
+    assert (log.unit("xdr_ENGINE_0"), log.role("xdr_ENGINE_0"), log.hold("xdr_CELL")) == ("rev/min", "output", "linear")
 
 
 def test_a_cable_that_is_unplugged_and_plugged_in_again(tmp_path: Path) -> None:

@@ -426,6 +426,17 @@ def test_two_clocks_in_one_column_are_a_fault(folder: Path) -> None:
         import_files(*write(folder, rows, csv='time_order = "drop"'))
 
 
+def test_two_receivers_with_equal_times_in_one_table_are_named(folder: Path) -> None:
+    """One has 5 Hz, the other 1 Hz. The advice was a rate, as for stamps that are coarser than the rows."""
+    rows = "t,cmd,heading\n"
+    for k in range(400):
+        rows += f"{0.2 * k:.1f},0,{k % 90}\n" + (f"{0.2 * k:.1f},0,{k % 90 + 5}\n" if k % 5 == 0 else "")
+    with pytest.raises(SeatrialError, match="two receivers or sensors write into one table"):
+        import_files(*write(folder, rows, csv='time_order = "drop"'))
+    (found,) = [f for f in findings(folder / "run.mcap") if f.code == "rows-left-out"]
+    assert "two receivers or sensors of unequal rate" in found.advice
+
+
 @pytest.mark.parametrize("rate", [4.0, 10.0, 12.5])
 def test_stamps_in_whole_seconds_need_a_rate(folder: Path, rate: float) -> None:
     rows = "time,cmd,heading\n" + "".join(f"{50 + int(k / rate)},0,{k % 90}\n" for k in range(round(60 * rate)))

@@ -19,10 +19,10 @@ from pymavlink.dialects.v20.ardupilotmega import (
 
 from seatrial.daq.config.rig_file import load_rig
 from seatrial.daq.errors import SeatrialError, SeatrialWarning
-from seatrial.daq.importers.dataflash import _Reader
+from seatrial.daq.importers.dataflash import _MessageConverter
 from seatrial.daq.importers.guess import guess_map
 from seatrial.daq.importers.import_files import import_files
-from seatrial.daq.importers.mavlink import STAMP, _frames, import_mavlink
+from seatrial.daq.importers.mavlink import STAMP, _tlog_frames, import_mavlink
 from seatrial.daq.importers.write_log import Timed
 from seatrial.daq.log.reader import open_log
 from seatrial.daq.samples import Ahrs, Autopilot, Battery, Esc, Frame, Gnss, Servo
@@ -94,7 +94,7 @@ def test_a_damaged_time_that_no_log_can_hold_is_one_line(tmp_path: Path, damaged
     path = tmp_path / "run.tlog"
     tlog(path)
     data = bytearray(path.read_bytes())
-    for at in [at - STAMP for _, at, _ in _frames(bytes(data))][-100:-50]:
+    for at in [at - STAMP for _, at, _ in _tlog_frames(bytes(data))][-100:-50]:
         data[at : at + STAMP] = struct.pack(">Q", damaged)
     path.write_bytes(data)
     with pytest.raises(SeatrialError, match="are not between 1970 and 2038"):
@@ -340,7 +340,7 @@ def test_the_sign_of_a_shaft_speed_follows_from_the_rig_or_the_data(
     has_rig: bool, reported: tuple[float, ...], found: tuple[float, ...]
 ) -> None:
     rig = mav_rig() if has_rig else None
-    reader = _Reader(rig, None if rig is None else rig.device("autopilot"))
+    reader = _MessageConverter(rig, None if rig is None else rig.device("autopilot"))
     rows = []
     for rpm, pulse in zip(reported, (1700, 1300), strict=True):
         reader.take["RCOU"](SimpleNamespace(C1=pulse))

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+import os
 import struct
 from pathlib import Path
 from types import SimpleNamespace
@@ -94,6 +96,44 @@ def test_the_transducers_of_nmea_keep_their_names(tmp_path: Path) -> None:
         assert table["value"].tolist() == [900.0 + k for k in range(20)]
         start = 1.7e9 if rate is None else 0.0
         np.testing.assert_allclose(table["t"], start + np.arange(20), atol=1e-6)
+
+
+def test_two_receivers_in_one_stream_are_named(tmp_path: Path, recwarn: pytest.WarningsRecorder) -> None:
+    """One at 5 Hz and one at 1 Hz, with equal epochs: the second position of an epoch was dropped in silence."""
+    both, one = b"", b""
+    for k in range(50):
+        fix = nmea.encode(Gnss(1.7e9 + 0.2 * k, 59.0, 10.0, fix=3))
+        one += fix
+        both += fix + (nmea.encode(Gnss(1.7e9 + 0.2 * k, 59.0, 10.0001, fix=3)) if k % 5 == 0 else b"")
+    (tmp_path / "one.nmea").write_bytes(one)
+    import_raw("nmea", tmp_path / "one.nmea", out=tmp_path / "one.mcap")
+    assert not recwarn.list
+    (tmp_path / "both.nmea").write_bytes(both)
+    with pytest.warns(SeatrialWarning, match="two receivers send in one stream"):
+        import_raw("nmea", tmp_path / "both.nmea", out=tmp_path / "both.mcap")
+
+
+@pytest.mark.parametrize(
+    ("start", "written", "word"),
+    [
+        (1.73e9 - 619_315_200.0, 1.73e9 + 7200.0, "probably"),  # the file is of the day of the recording
+        (1.73e9 - 619_315_200.0, 1.76e9, "perhaps"),  # a copy of a year later
+        (1.74e9 - 619_315_200.0 + 9e7, 1.74e9 + 9e7, "probably"),  # true dates of 2028 give dates after 2007
+        (1.73e9, 1.73e9, ""),
+        (1.2e9, 1.76e9, ""),  # an old log
+        (3600.0, 1.73e9, ""),  # not a date
+    ],
+)
+def test_dates_of_an_earlier_gps_era_are_named(start: float, written: float, word: str, tmp_path: Path) -> None:
+    """They were imported without a word."""
+    (tmp_path / "old.nmea").write_bytes(b"".join(nmea.encode(Gnss(start + k, 59.0, 10.0, fix=3)) for k in range(60)))
+    os.utime(tmp_path / "old.nmea", (written, written))
+    out, expected = tmp_path / "old.mcap", f"its dates are {word} 1024 weeks too early"
+    with pytest.warns(SeatrialWarning, match=expected) if word else contextlib.nullcontext():
+        import_raw("nmea", tmp_path / "old.nmea", out=out)
+    with open_log(out) as log:
+        assert any(expected in text for _, _, text in log.events()) == bool(word)
+        assert log.start == pytest.approx(start)  # unchanged
 
 
 def test_a_rate_counts_one_kind_of_sentence(tmp_path: Path) -> None:

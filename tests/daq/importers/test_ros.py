@@ -20,7 +20,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from seatrial.daq.errors import SeatrialError, SeatrialWarning
 from seatrial.daq.importers.guess import guess_map
 from seatrial.daq.importers.import_files import import_files
-from seatrial.daq.importers.ros import _Topic, read_bag
+from seatrial.daq.importers.ros import _TopicMessages, read_bag
 from seatrial.daq.importers.table import SourceOptions
 from seatrial.daq.log.reader import Log, open_log
 from seatrial.daq.samples import Ahrs, Gnss, Scalar
@@ -254,7 +254,7 @@ def test_nested_messages_and_fields_that_appear_late_are_imported(tmp_path: Path
 
 
 def test_the_numbers_of_a_bag_do_not_become_python_objects() -> None:
-    topic, message = _Topic("sensor_msgs/msg/Imu"), imu(0)
+    topic, message = _TopicMessages("sensor_msgs/msg/Imu"), imu(0)
     topic.add(0.0, message)
     tracemalloc.start()
     for k in range(1000):

@@ -7,10 +7,11 @@ from pathlib import Path
 
 import pytest
 
+from seatrial.daq.config.rig_file import parse_rig
 from seatrial.daq.log.reader import open_log
-from seatrial.daq.protocol import nmea
+from seatrial.daq.protocol import make_decoder, nmea
 from seatrial.daq.protocol.framing import sentence
-from seatrial.daq.samples import Ahrs, Frame
+from seatrial.daq.samples import Ahrs, Frame, Scalar, Transducer
 from tests.daq.logs import T0, recorder
 from tests.daq.streams import check_splits
 from tests.measured.data import measured
@@ -94,6 +95,33 @@ def test_a_sentence_with_a_field_that_is_not_a_number_is_refused(body: str) -> N
     assert decoder.feed(sentence(body), 5.0) == []
     assert decoder.frames == 0
     assert decoder.unparsed_bytes > 0
+
+
+def test_transducers_are_samples_with_the_name_of_their_signal() -> None:
+    """A live log lacked them. Pitch and roll are values of the next heading, not signals."""
+    body = "IIXDR,T,900,R,ENGINE#0,A,2.0,D,PTCH,C,x,C,OIL,P,1.5,B,Oil Pressure,G,7,,"
+    decoder = nmea.Decoder(None, "_bow")
+    first, second = decoder.feed(sentence(body), 5.0)
+    assert first[:2] == (Transducer(900.0, "xdr_ENGINE_0_bow", "rev/min"), 5.0)
+    assert second[:2] == (Transducer(1.5e5, "xdr_Oil_Pressure_bow", "Pa"), 5.0)
+    assert nmea.Decoder().feed(sentence(body), 5.0) == []
+
+
+@pytest.mark.parametrize(("protocols", "name"), [(["nmea"], "xdr_CELL"), (["nmea", "ubx"], "xdr_CELL_a")])
+def test_a_live_log_has_the_transducers_as_signals(protocols: list[str], name: str, tmp_path: Path) -> None:
+    text = 'format = "seatrial-rig 1"\nname = "boat"\n'
+    for device, protocol in zip("ab", protocols, strict=False):
+        text += f'[[device]]\nname = "{device}"\nprotocol = "{protocol}"\nport = "-{device}"\nrate_hz = 1.0\n'
+    rig = parse_rig(text, "-")
+    frames = make_decoder(rig.devices[0], rig).feed(sentence("IIXDR,U,12.5,V,CELL"), T0)
+    log = recorder(tmp_path / "run.mcap")
+    for frame in frames:
+        log.write("a", frame, T0)
+    log.close()
+    with open_log(tmp_path / "run.mcap") as opened:
+        assert opened.sources(Scalar) == [name]
+        assert opened.table(Scalar, name)["value"].tolist() == [12.5]
+        assert (opened.unit(name), opened.role(name)) == ("V", "output")
 
 
 def test_splits() -> None:

@@ -20,7 +20,7 @@ from seatrial.daq.config.rig_file import parse_rig
 from seatrial.daq.protocol import DEVICES, loadcell, nmea, openscale, slcan, ubx, vectornav, vesc
 from seatrial.daq.protocol.framing import sentence
 from seatrial.daq.samples import Ahrs, Esc, Gnss
-from seatrial.daq.tools.discovery import _Listener, baud_rates, identify_protocol
+from seatrial.daq.tools.discovery import _ProtocolCandidate, baud_rates, identify_protocol
 from tests.daq.streams import COLD
 
 SPEEDS = {9600: termios.B9600, 38400: termios.B38400, 115200: termios.B115200, 57600: termios.B57600}
@@ -92,11 +92,20 @@ def test_a_device_is_recognised_with_its_baud_rate(name: str) -> None:
 @pytest.mark.parametrize(("name", "each"), [("nmea", 1), ("vectornav", 1), ("loadcell", 1), ("mavlink", 2)])
 def test_the_rate_is_that_of_the_samples(name: str, each: int) -> None:
     """The last fix of a receiver is complete only when the next begins, or at the end."""
-    ear = _Listener(name)
+    ear = _ProtocolCandidate(name)
     for k in range(6):
         ear.feed(SAYS[name][1](k), 0.2 * k)
     ear.close()
     assert ear.rate() == pytest.approx(5.0 * each)
+
+
+def test_transducers_do_not_change_the_rate_of_a_receiver() -> None:
+    candidate = _ProtocolCandidate("nmea")
+    for k in range(6):
+        candidate.feed(nmea.encode(fix(k)) + sentence("IIXDR,C,40.5,C,OIL,P,1.5,B,FUEL"), 0.2 * k)
+    candidate.close()
+    assert candidate.samples == candidate.gnss == 6
+    assert candidate.rate() == pytest.approx(5.0)
 
 
 def test_a_rate_that_the_user_names_is_tried_with_every_protocol() -> None:

@@ -26,7 +26,7 @@ from seatrial.daq.log.reader import open_log
 from seatrial.daq.rig import Rig, Ros2
 from seatrial.daq.samples import Ahrs
 from seatrial.daq.tools import ros_live
-from seatrial.daq.tools.ros_live import ATTACHMENT, LateCommands, ReceivedCommand, Ros2Node, _command
+from seatrial.daq.tools.ros_live import ATTACHMENT, LateCommands, ReceivedCommand, Ros2Node, _decoded_command
 from tests.daq.logs import SAMPLES, T0
 from tests.daq.logs import rig as rig_of_logs
 from tests.daq.ptys import TestBoat, wait_for
@@ -244,12 +244,12 @@ class _Bytes(bytes):
 def test_only_a_whole_attachment_names_its_sender() -> None:
     number = b"\0\1\0\0" + struct.pack("<d", 0.25)
     whole = ATTACHMENT.pack(7, 2_000_000_000, 16, b"g" * 16)
-    assert _command(_Sample(number, whole)) == ReceivedCommand(0.25, b"g" * 16, 2.0, 7)
+    assert _decoded_command(_Sample(number, whole)) == ReceivedCommand(0.25, b"g" * 16, 2.0, 7)
     unnumbered, short = ATTACHMENT.pack(0, 2, 16, b"g" * 16), ATTACHMENT.pack(7, 2, 9, b"g" * 16)
     broken = [None, b"", whole[:-1], whole + b"x", unnumbered, short]
     for attachment in broken:
-        command = _command(_Sample(number, attachment))
+        command = _decoded_command(_Sample(number, attachment))
         assert (command.n, command.sender, command.number) == (0.25, b"", 0)
         assert math.isnan(command.sent)
     for payload in (b"", number[:-1], number + b"x", b"\1\1\0\0" + number[4:], b"\0\2\0\0" + number[4:]):
-        assert math.isnan(_command(_Sample(payload, whole)).n)
+        assert math.isnan(_decoded_command(_Sample(payload, whole)).n)

@@ -269,3 +269,18 @@ def test_vectornav_heading_at_rest_is_a_random_walk() -> None:
     found = estimate_noise(Channel(np.arange(yaw.size) / 40.0, yaw), "yaw")
     assert found.walk == pytest.approx(0.0104, rel=0.05)  # Unit: degrees per root second
     assert found.white < 0.1 * found.walk * math.sqrt(found.interval)
+
+
+def test_samples_are_cut_at_a_long_gap() -> None:
+    """A sensor that drifted by much while it was off has no larger random walk. Its spectrum is that of one part."""
+    first, second = drawn(0.3, 0.2, 4000), drawn(0.3, 0.2, 3000, seed=1)
+    t = np.append(first.t, second.t + 86_400.0)
+    both = Channel(t, np.append(first.value, second.value + 400.0))
+    found = estimate_noise(both)
+    assert found.n == found.innovations.size == found.t.size == 7000
+    assert abs(found.white - 0.3) < 4 * found.white_error
+    assert abs(found.walk - 0.2) < 4 * found.walk_error
+    assert not found.rejected
+    assert not found.heavy_tailed
+    for density, of_one in zip(welch(both), welch(first), strict=True):
+        np.testing.assert_array_equal(density, of_one)

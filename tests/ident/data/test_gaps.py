@@ -105,6 +105,7 @@ def test_silent_times_are_times_without_any_motion_sensor() -> None:
     outage = Channel(np.append(np.arange(100.0), np.arange(900.0, 1000.0)), np.zeros(200))
     assert silent_times({"r": steady, "x": outage}) == []
     assert silent_times({"n_left": steady, "x": outage}) == [(99.0, 900.0)]
+    assert silent_times({"xdr_OIL": steady, "x": outage}) == [(99.0, 900.0)]
     assert silent_times({"n_cmd_left": steady, "n_left": outage}) == [(99.0, 900.0)]
     assert silent_times({"x": Channel(np.arange(0.0, 90_000.0, 300.0), np.zeros(300))}) == []
     assert silent_times({"n_cmd_left": steady}) == []

@@ -177,3 +177,19 @@ def test_vibrating_channels_of_a_vectornav_are_rejected(tmp_path: Path) -> None:
     assert {n for n, c in channels.items() if c["accepted"]} == {"psi", "r", "ax", "ay"}
     # There are 31 lags, none with a correlation above 0.17.
     assert channels["az"]["predictable"] == pytest.approx(0.12, abs=0.01)
+
+
+def test_a_log_is_cut_at_its_gap(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    t = np.append(np.arange(2000), np.arange(2000) + 2_000_000) * 0.05
+    r = 0.01 * rng.normal(size=t.size) + np.where(t > 1000.0, 5.0, 0.0)
+    np.savetxt(tmp_path / "still.csv", np.column_stack([t, r]), "%.8f", ",", header="t,r", comments="")
+    clock = 'format = "seatrial-import-csv 1"\n[time]\ncolumn = "t"\n'
+    (tmp_path / "map.toml").write_text(clock + SIGNAL.format("r", "rad/s"))
+    run("import", tmp_path / "map.toml", tmp_path / "still.csv", "-o", tmp_path / "still.mcap")
+    run("ident", "noise", tmp_path / "still.mcap", "--out", tmp_path / "noise")
+    result, noise = read(tmp_path / "noise")
+    assert noise["r"]["accepted"]
+    assert noise["r"]["n"] == 4000
+    assert noise["r"]["white"] == pytest.approx(0.01, rel=0.1)
+    assert any("r: cut at 1 gap" in note for note in result["notes"])
