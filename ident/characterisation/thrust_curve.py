@@ -25,6 +25,7 @@ from seatrial.daq.config import parse_toml, read_text
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.files import write_output
 from seatrial.ident.data import Channel, sample_and_hold
+from seatrial.ident.model import command_of, shaft_speed_of, thrust_of
 from seatrial.ident.numerics import Array, mean_error, steady_segments
 
 LEVEL_TOLERANCE = 1e-3  # of full command: closer commands are one level
@@ -411,11 +412,11 @@ def thrust_channels(channels: Mapping[str, Channel], curve: ThrustCurve) -> dict
     found: dict[str, Channel] = {}
     slopes: list[Channel] = []
     for side in ("left", "right"):
-        name = next((n for n in (f"n_cmd_{side}", f"n_{side}") if n in channels), None)
+        name = next((n for n in (command_of(side), shaft_speed_of(side)) if n in channels), None)
         if name is None:
             raise ValueError(f"no command for the thrust curve: there is no n_cmd_{side} and no n_{side}")
         command = channels[name]
-        found[f"f_{side}"] = Channel(command.t, curve.of_one(command.value), "N", command.source)
+        found[thrust_of(side)] = Channel(command.t, curve.of_one(command.value), "N", command.source)
         outward = np.sign(command.value) * curve.curve.slope(command.value) / curve.thrusters
         slopes.append(Channel(command.t, outward, "N", command.source))
     return found | {"X": total(found["f_left"], found["f_right"]), "X_n": total(*slopes)}

@@ -14,9 +14,19 @@ from seatrial.daq.checks import FAULT, WARNING, Finding
 from seatrial.ident.checks.sensors import STEP, Channels
 from seatrial.ident.checks.shafts import Response, response
 from seatrial.ident.data import Channel, sample_and_hold
+from seatrial.ident.model import (
+    COMMAND,
+    SHAFT_SPEED,
+    THRUSTER_FORCE,
+    SignalId,
+    command_of,
+    commanded_thrusters,
+    is_of_thruster,
+    shaft_speed_of,
+)
 from seatrial.ident.numerics import Array
 
-INPUTS = ("n_", "f_")  # prefixes of a thruster's inputs; X and N are forces of all thrusters together
+INPUTS = (COMMAND, SHAFT_SPEED, THRUSTER_FORCE)  # of one thruster; X and N are forces of all thrusters together
 CONSTANT_PART = 0.005  # of the largest value, or of full speed: a pulse width that flickers by 1 us is still constant
 SMOOTHED_S, EVERY_S = 2.0, 0.5  # window of the moving average of the motion, and interval between its values
 SPEED_RISE, TURN_RISE = 0.5, 0.15  # m/s, rad/s: larger rises of speed or yaw rate need a changing thrust
@@ -39,14 +49,14 @@ def check_inputs(c: Channels) -> Iterator[Finding]:
     c
         Channels of a log by name.
     """
-    names = sorted(n for n in c if n.startswith(INPUTS) or n in ("X", "N"))
+    names = sorted(n for n in c if is_of_thruster(n, *INPUTS) or n in ("X", "N"))
     if not names:
         return
     if all(_is_constant(n, c[n]) for n in names):
         yield from _all_constant(c, names)
         return
-    for name in (n for n in names if n.startswith("n_") and not n.startswith("n_cmd_")):
-        command = c.get(f"n_cmd_{name.removeprefix('n_')}")
+    for name in (n for n in names if is_of_thruster(n, SHAFT_SPEED)):
+        command = c.get(command_of(SignalId.parse(name).source))
         held = _against_command(c[name], command) if command is not None and command.t is not c[name].t else None
         advice = "its telemetry is frozen: check cable, bus and firmware; else fit by the command"
         if held is not None:
@@ -78,7 +88,7 @@ def _all_constant(c: Channels, names: list[str]) -> Iterator[Finding]:
 def _is_constant(name: str, channel: Channel) -> bool:
     if channel.value.size == 0:
         return False
-    top = 1.0 if name.startswith("n_") else float(np.max(np.abs(channel.value)))
+    top = 1.0 if is_of_thruster(name, COMMAND, SHAFT_SPEED) else float(np.max(np.abs(channel.value)))
     return float(np.ptp(channel.value)) <= CONSTANT_PART * top
 
 
@@ -166,7 +176,7 @@ def check_frozen_force(c: Channels) -> Iterator[Finding]:
     c
         Channels of a log by name.
     """
-    commands = [c[n] for n in sorted(c) if n.startswith("n_")]
+    commands = [c[n] for n in sorted(c) if is_of_thruster(n, COMMAND, SHAFT_SPEED)]
     if "force" not in c or not commands:
         return
     force = c["force"]
@@ -193,8 +203,8 @@ def check_exchanged_telemetry(c: Channels) -> Iterator[Finding]:
     c
         Channels of a log by name.
     """
-    names = sorted(n.removeprefix("n_cmd_") for n in c if n.startswith("n_cmd_"))
-    names = [n for n in names if f"n_{n}" in c and c[f"n_{n}"].t is not c[f"n_cmd_{n}"].t]
+    names = [n for n in sorted(commanded_thrusters(c)) if shaft_speed_of(n) in c]
+    names = [n for n in names if c[shaft_speed_of(n)].t is not c[command_of(n)].t]
     if len(names) < 2:
         return
     own = {n: _r2(c, n, n) for n in names}
@@ -211,5 +221,5 @@ def check_exchanged_telemetry(c: Channels) -> Iterator[Finding]:
 
 def _r2(c: Channels, command: str, shaft: str) -> float:
     """Return R2 of a shaft speed explained by the command of a thruster; 0 if it is unknown or the sign is reversed."""
-    found = response(c[f"n_cmd_{command}"], c[f"n_{shaft}"])
+    found = response(c[command_of(command)], c[shaft_speed_of(shaft)])
     return found.r2 if isinstance(found, Response) and found.scale > 0.0 else 0.0

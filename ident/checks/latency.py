@@ -42,6 +42,7 @@ from seatrial.ident.checks.sensors import (
     grid,
 )
 from seatrial.ident.data import Channel
+from seatrial.ident.model import command_of, shaft_speed_of, thrust_of
 from seatrial.ident.numerics import Array, cumulative_integral
 
 YAW_WINDOW, SURGE_WINDOW = 0.5, 2.0  # s, of the increments of yaw rate and of speed
@@ -179,11 +180,12 @@ def _thrust(c: Channels, sides: Mapping[str, float]) -> ThrustSignals | None:
         return ThrustSignals([c[n] for n in "N" if n in c], [c[n] for n in "X" if n in c], False, "thrust")
     found, measured = dict[str, Channel](), True
     for name in sides:
-        key = next((k for k in (f"f_{name}", f"n_{name}", f"n_cmd_{name}") if k in c), "")
+        key = next((k for k in (thrust_of(name), shaft_speed_of(name), command_of(name)) if k in c), "")
         if not key:
             continue
-        found[name] = c[key] if key.startswith("f_") else _squared(c[key])
-        measured &= key == f"n_{name}" and (c[key].hold == "linear" or (not c[key].hold and f"n_cmd_{name}" in c))
+        found[name] = c[key] if key == thrust_of(name) else _squared(c[key])
+        timely = c[key].hold == "linear" or (not c[key].hold and command_of(name) in c)
+        measured &= key == shaft_speed_of(name) and timely
     if not found:
         return None
     return ThrustSignals(list(found.values()), list(found.values()), measured, " and ".join(found))

@@ -55,6 +55,16 @@ from seatrial.ident.checks.signals import (
     check_smoothing,
 )
 from seatrial.ident.data import SHORTEST_PIECE_S, Channel, channels, parts_between, seconds, silent_times
+from seatrial.ident.model import (
+    COMMAND,
+    SHAFT_SPEED,
+    THRUSTER_FORCE,
+    SignalId,
+    command_of,
+    commanded_thrusters,
+    is_of_thruster,
+    shaft_speed_of,
+)
 from seatrial.ident.numerics import Array
 
 POSITION_WINDOW_S = 5.0  # over which positions are differenced, as in `sensors.position_match`
@@ -198,8 +208,8 @@ def _interval(source: str, t: Array, start: float, expected: float | None) -> Sa
 
 def _shafts(c: Channels) -> list[ShaftResponse]:
     """Return command and shaft speed of each thruster that has both."""
-    names = [n.removeprefix("n_cmd_") for n in sorted(c) if n.startswith("n_cmd_")]
-    both = [(n, c[f"n_cmd_{n}"], c[f"n_{n}"]) for n in names if f"n_{n}" in c]
+    names = sorted(commanded_thrusters(c))
+    both = [(n, c[command_of(n)], c[shaft_speed_of(n)]) for n in names if shaft_speed_of(n) in c]
     return [
         ShaftResponse(n, shaft.t, shaft.value, command.t, command.value, float(shaft.t[-1]))
         for n, command, shaft in both
@@ -278,7 +288,9 @@ def _pair(title: str, unit: str, names: tuple[str, str], both: tuple[Channel, Ch
 
 def _signals(c: Channels) -> list[SignalCurve]:
     """Return the samples of the sensors as logged."""
-    others = [n for n in c if n not in SHOWN and n not in NOT_SHOWN and not n.startswith(("n_", "f_"))]
+    others = [
+        n for n in c if n not in SHOWN + NOT_SHOWN and not is_of_thruster(n, COMMAND, SHAFT_SPEED, THRUSTER_FORCE)
+    ]
     names = [*(n for n in SHOWN if n in c), *others][:MAX_SIGNALS_SHOWN]
     return [SignalCurve(n, c[n].unit, c[n].t, c[n].value, n == "psi") for n in names]
 
@@ -409,9 +421,9 @@ def check_signals(c: Channels, sides: Mapping[str, float]) -> Iterator[Finding]:
     one_sided = one_sided_shafts(unwrapped)
     yield from one_sided.values()
     # Zero speed in one direction would look like a dead band.
-    wrong = {*one_sided, *(n.removeprefix("n_") for n in wraps)}
-    wrong |= {f.where.removeprefix("n_") for f in of_inputs if f.code == "shaft-speed-stuck"}
-    of_shafts = list(check_shafts({n: x for n, x in c.items() if n.removeprefix("n_cmd_") not in wrong}))
+    stuck = {f.where for f in of_inputs if f.code == "shaft-speed-stuck"}
+    wrong = {*one_sided, *(SignalId.parse(n).source for n in wraps | stuck)}
+    of_shafts = list(check_shafts({n: x for n, x in c.items() if SignalId.parse(n).source not in wrong}))
     yield from of_shafts
     wrong_inputs = [*of_wraps, *one_sided.values()]
     if wrong_inputs or any(f.level == FAULT and f.check in ("units", "stuck", "alike") for f in (*ranges, *of_sensors)):

@@ -20,6 +20,7 @@ from seatrial.daq.checks import Finding
 from seatrial.ident.checks.frames import half_turn
 from seatrial.ident.checks.sensors import Channels
 from seatrial.ident.data import Channel, block_mean
+from seatrial.ident.model import command_of, shaft_speed_of, thrust_of
 from seatrial.ident.numerics import Array, first_order_lag
 
 RATE = 10.0  # Hz, of the regressions
@@ -277,9 +278,9 @@ def thruster_forces(c: Channels, sides: Mapping[str, float]) -> ThrusterForces |
 
 def _push(c: Channels, name: str) -> Channel | None:
     """Return the thrust of a thruster by measured force, shaft speed or command; None without any of them."""
-    if f"f_{name}" in c:
-        return c[f"f_{name}"]
-    shaft, command = c.get(f"n_{name}"), c.get(f"n_cmd_{name}")
+    if thrust_of(name) in c:
+        return c[thrust_of(name)]
+    shaft, command = c.get(shaft_speed_of(name)), c.get(command_of(name))
     if shaft is None or (command is not None and shaft.t[-1] < command.t[-1] - 3.0):
         shaft = command  # there is no telemetry, or it ended before the commands
     if shaft is None:

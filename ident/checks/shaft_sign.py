@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from seatrial.daq.checks import FAULT, Finding
 from seatrial.ident.checks.sensors import Channels
 from seatrial.ident.data import Channel, sample_and_hold
+from seatrial.ident.model import SHAFT_SPEED, command_of, commanded_thrusters, is_of_thruster, shaft_speed_of
 from seatrial.ident.numerics import Array
 
 SETTLED_S = 1.5  # a command must keep its sign and size for this time before a shaft is compared with it
@@ -35,8 +36,8 @@ def one_sided_shafts(c: Channels) -> dict[str, Finding]:
     dict
         A finding for each thruster whose speed is wrong in one direction, by the name of the thruster.
     """
-    names = sorted(n.removeprefix("n_cmd_") for n in c if n.startswith("n_cmd_"))
-    both = ((n, c[f"n_cmd_{n}"], c[f"n_{n}"]) for n in names if f"n_{n}" in c)
+    names = sorted(commanded_thrusters(c))
+    both = ((n, c[command_of(n)], c[shaft_speed_of(n)]) for n in names if shaft_speed_of(n) in c)
     found = ((n, _one_sided(n, command, shaft)) for n, command, shaft in both if command.t is not shaft.t)
     return {n: finding for n, finding in found if finding is not None}
 
@@ -81,7 +82,7 @@ def check_wrapped(c: Channels) -> Iterator[Finding]:
     if "r" in c and wrapped(c["r"].value, MAX_YAW_RATE, MIN_YAW_RATE):
         text = f"goes to {np.abs(c['r'].value).max():.4g} rad/s: negative rates are wrapped to 65536 - n"
         yield Finding(FAULT, "gyro-wrapped", "sign", "r", text, "decode it as a signed number of 16 bits")
-    for name in sorted(n for n in c if n.startswith("n_") and not n.startswith("n_cmd_")):
+    for name in sorted(n for n in c if is_of_thruster(n, SHAFT_SPEED)):
         value = c[name].value
         if wrapped(value):
             text = f"goes to {np.abs(value).max():.4g} of full speed: negative speeds are wrapped to 65536 - n"

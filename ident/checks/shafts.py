@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from seatrial.daq.checks import Finding
 from seatrial.ident.checks.sensors import Channels
 from seatrial.ident.data import Channel, sample_and_hold
+from seatrial.ident.model import command_of, commanded_thrusters, shaft_speed_of
 from seatrial.ident.numerics import Array, LagData, LagFit, first_order_lag, fit_first_order_lag, steady_segments
 
 STEP = 0.05  # s, of the common grid of command and shaft, and of delays
@@ -71,9 +72,10 @@ def check_shafts(c: Channels) -> Iterator[Finding]:
     Finding
         Dead shafts; delay, dead band, limit, drop-outs, sign and scale of the others.
     """
-    for name in sorted(n.removeprefix("n_cmd_") for n in c if n.startswith("n_cmd_")):
-        if f"n_{name}" in c and c[f"n_{name}"].t is not c[f"n_cmd_{name}"].t:
-            yield from _shaft(name, c[f"n_cmd_{name}"], c[f"n_{name}"])
+    for thruster in sorted(commanded_thrusters(c)):
+        command, shaft = c[command_of(thruster)], c.get(shaft_speed_of(thruster))
+        if shaft is not None and shaft.t is not command.t:
+            yield from _shaft(thruster, command, shaft)
 
 
 def _shaft(name: str, command: Channel, shaft: Channel) -> Iterator[Finding]:

@@ -10,6 +10,7 @@ import numpy as np
 from seatrial.daq.checks import Finding
 from seatrial.ident.checks.sensors import Channels
 from seatrial.ident.data import Channel
+from seatrial.ident.model import COMMAND, SHAFT_SPEED, THRUSTER_FORCE, SignalId, is_of_thruster
 from seatrial.ident.numerics import NORMAL_MAD, Array
 
 MOTION = ("psi", "r", "ax", "ay", "x", "y", "vx", "vy", "u", "v")
@@ -91,7 +92,7 @@ def check_ranges(c: Channels) -> Iterator[Finding]:
     c
         Channels of a log by name: shaft speeds and commands, yaw rate, heading, positions.
     """
-    for name in sorted(n for n in c if n.startswith("n_")):
+    for name in sorted(n for n in c if is_of_thruster(n, COMMAND, SHAFT_SPEED)):
         most = float(np.quantile(np.abs(c[name].value), 0.99))
         if most > MAX_N:
             value = c[name].value
@@ -247,10 +248,11 @@ def _moves(c: Channels, group: Sequence[str], whole: bool, begin: float, end: fl
     A turn counts in any case. If the ``whole`` group stays the same, thrust counts as well.
     """
     turns = any(np.std(turn) > TURNS for turn in _turns(c, group, begin, end))
-    kinds = ("n", "f", "n_cmd")
-    inputs = {n: _part(c[n], begin, end) for n in c if n.rpartition("_")[0] in kinds}
+    quantities = (SHAFT_SPEED, THRUSTER_FORCE, COMMAND)
+    inputs = {n: _part(c[n], begin, end) for n in c if is_of_thruster(n, *quantities)}
     most = max((float(np.abs(c[n].value).max()) for n in inputs), default=0.0)
-    pairs = [(inputs[f"{k}_left"], inputs[f"{k}_right"]) for k in kinds if {f"{k}_left", f"{k}_right"} <= set(inputs)]
+    names = [[str(SignalId(side, quantity)) for side in ("left", "right")] for quantity in quantities]
+    pairs = [(inputs[left], inputs[right]) for left, right in names if left in inputs and right in inputs]
     steps = np.linspace(begin, end, 50)
     sides = [(np.interp(steps, *a), np.interp(steps, *b)) for a, b in pairs if a[0].size and b[0].size]
     if group in PLACES and sides:  # turning alone is no proof: the position may stay the same in a turn on the spot

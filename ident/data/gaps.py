@@ -12,13 +12,13 @@ from dataclasses import replace
 import numpy as np
 
 from seatrial.ident.data.record import ON_CHANGE, Channel, LeftOut
+from seatrial.ident.model import COMMAND, SHAFT_SPEED, is_of_thruster
 from seatrial.ident.numerics import Array
 
 LONGEST_GAP_S = 60.0  # without a sample of any sensor; the log is cut at longer gaps
 USUAL_INTERVALS = 10.0  # a gap must also be longer than so many median intervals, for logs of slow sensors
 SHORTEST_PIECE_S = 10.0  # s; a shorter part of a log gives too little information
-DRIVES = ("n_", "servo_", "voltage_")  # signals of the thrusters, which may continue while the sensors are off
-COMMAND = "n_cmd_"
+DRIVES = (COMMAND, SHAFT_SPEED, "servo", "voltage")  # of the thrusters; they may continue while the sensors are off
 
 
 def is_held(name: str, channel: Channel) -> bool:
@@ -29,7 +29,7 @@ def is_held(name: str, channel: Channel) -> bool:
     name, channel
         Name and samples of the signal. Commands hold, and so do imported inputs with a hold other than ``linear``.
     """
-    return name.startswith(COMMAND) or channel.hold not in ("", "linear")
+    return is_of_thruster(name, COMMAND) or channel.hold not in ("", "linear")
 
 
 def silent_times(channels: Mapping[str, Channel]) -> list[tuple[float, float]]:
@@ -51,7 +51,7 @@ def silent_times(channels: Mapping[str, Channel]) -> list[tuple[float, float]]:
     without measurements give no information.
     """
     outputs = {name: c for name, c in channels.items() if not is_held(name, c)}
-    sensors = {name: c for name, c in outputs.items() if not name.startswith(DRIVES) and not c.hold}
+    sensors = {name: c for name, c in outputs.items() if not is_of_thruster(name, *DRIVES) and not c.hold}
     times = [c.t for c in (sensors or outputs).values()]
     if not times:
         return []

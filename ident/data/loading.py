@@ -43,6 +43,7 @@ from seatrial.daq.samples import Ahrs, Command, Esc, Gnss, LoadCell, Scalar, Ser
 from seatrial.ident.data.gaps import SHORTEST_PIECE_S, clock_of, gap_line, part_of, parts_between, seconds, silent_times
 from seatrial.ident.data.outliers import sections_elsewhere, without_outliers
 from seatrial.ident.data.record import Channel, LogSegment
+from seatrial.ident.model import SignalId, command_of, shaft_speed_of
 from seatrial.ident.numerics import Array, LagData, first_order_lag, fit_first_order_lag
 
 Table = NDArray[np.void]  # of `Log.table`, shape (n,)
@@ -74,7 +75,8 @@ class TimeWindow(NamedTuple):
 
 WHOLE = TimeWindow()
 DeviceChecks = Callable[[Log], Sequence[Finding]]
-SHAFTS, COMMANDS = ("n_left", "n_right"), ("n_cmd_left", "n_cmd_right")
+SHAFTS = shaft_speed_of("left"), shaft_speed_of("right")
+COMMANDS = command_of("left"), command_of("right")
 ORIGIN = "origin"  # key in `meta` of a segment: the `FrameOrigin` of its x and y, if known
 SHARED_WITHIN = 10_000.0  # m between first fixes; beyond that distance a common local tangent plane is wrong
 SLOWEST_TELEMETRY = 0.15  # s between shaft speeds; slower ones do not show when the thrust changes
@@ -153,7 +155,8 @@ def channels(log: Log) -> dict[str, Channel]:
     if rig is None:
         for source in log.sources(Servo):
             for node in log.nodes(Servo, source):
-                found.setdefault(f"servo_{node}", _channel(log.table(Servo, source, node), "pwm", "us", source))
+                channel = _channel(log.table(Servo, source, node), "pwm", "us", source)
+                found.setdefault(str(SignalId(str(node), "servo")), channel)
     for source in log.sources(LoadCell):
         found.setdefault("force", _channel(_good(log.table(LoadCell, source)), "force", "N", source))
     found = without_outliers({name: c for name, c in found.items() if c.t.size > 1})
@@ -224,15 +227,15 @@ def _thruster(log: Log, thruster: Thruster, found: dict[str, Channel]) -> None:
             output = _channel(log.table(Servo, device, node=node), "n", "", device)
             t, rpm = shaft_speed(shaft.t, shaft.value, output.t, output.value)
             shaft = Channel(t, rpm, "", device, "average")
-        found[f"voltage_{thruster.name}"] = _channel(state, "voltage", "V", device)
+        found[str(SignalId(thruster.name, "voltage"))] = _channel(state, "voltage", "V", device)
     if shaft is not None and shaft.t.size > 1 and np.isfinite(thruster.rpm_max):
-        found[f"n_{thruster.name}"] = replace(shaft, value=shaft.value / thruster.rpm_max)
+        found[shaft_speed_of(thruster.name)] = replace(shaft, value=shaft.value / thruster.rpm_max)
     if node in log.nodes(Servo, device):
         # The output of the autopilot is the command of the thruster. Our command reaches the output with a delay.
         output = _channel(log.table(Servo, device, node=node), "n", "", device)
-        found[f"n_cmd_{thruster.name}"] = _sampled(output)
+        found[command_of(thruster.name)] = _sampled(output)
     elif node in log.nodes(Command, device):
-        found[f"n_cmd_{thruster.name}"] = _channel(log.table(Command, device, node=node), "n_cmd", "", device)
+        found[command_of(thruster.name)] = _channel(log.table(Command, device, node=node), "n_cmd", "", device)
 
 
 def _sampled(output: Channel) -> Channel:

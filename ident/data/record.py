@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from seatrial.ident.model import Input, Model, Sensor
+from seatrial.ident.model import Input, Model, Sensor, command_of, shaft_speed_of
 from seatrial.ident.numerics import NORMAL_MAD, SECOND_DIFFERENCE, Array, noise_from_differences, wrap
 
 ON_CHANGE = 1.0  # s between samples; a command with longer intervals is logged only when it changes
@@ -335,7 +335,7 @@ def _derived_inputs(model: Model, channels: Mapping[str, Channel]) -> dict[str, 
             c = channels[signal.tap_of]
             derived[signal.name] = replace(c, t=c.t + signal.delay)
         elif signal.name == WORK_INPUT:
-            pairs = (("n_left", "n_right"), ("n_cmd_left", "n_cmd_right"))
+            pairs = [(name_of("left"), name_of("right")) for name_of in (shaft_speed_of, command_of)]
             shafts = next(([channels[n] for n in pair] for pair in pairs if set(pair) <= set(channels)), [])
             if shafts:
                 t = shafts[0].t

@@ -1,7 +1,7 @@
 """Parameters of a model: the value, and separately its properties (unit, transform, prior, free or fixed).
 
-This module also composes the names of per-record parameters and delayed inputs. No other code parses these names; their
-components are stored in typed fields.
+This module also composes the names of per-record parameters. No other code parses these names; their components are
+stored in typed fields.
 """
 
 from __future__ import annotations
@@ -15,11 +15,6 @@ from typing import Literal
 def segment_name(name: str, segment: int | None) -> str:
     """Return the name of a per-record parameter, for example ``V_x@0``. ``segment`` None: return the name itself."""
     return name if segment is None else f"{name}@{segment}"
-
-
-def tap_name(name: str, tap: int) -> str:
-    """Return the name of an input ``tap`` steps ago, for example ``n_left~3``. ``tap`` 0: return the name itself."""
-    return f"{name}~{tap}" if tap else name
 
 
 INF = math.inf

@@ -19,7 +19,8 @@ from functools import update_wrapper
 from types import SimpleNamespace
 from typing import Any, Literal
 
-from seatrial.ident.model.parameter import Parameter, ParameterRole, tap_name
+from seatrial.ident.model.parameter import Parameter, ParameterRole
+from seatrial.ident.model.signal_id import tap_name
 
 HISTORY_STEP = 0.1  # s between the taps of an input
 PARAMETERS = "parameters"  # a hook with this label changes parameters before the first stage

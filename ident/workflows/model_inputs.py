@@ -31,7 +31,7 @@ from seatrial.ident.data import (
     far_apart,
     share_frame,
 )
-from seatrial.ident.model import Model, ModelKind, segment_name
+from seatrial.ident.model import COMMAND, SHAFT_SPEED, Model, ModelKind, SignalId, segment_name
 from seatrial.ident.models import KNOWN_SIGNALS, SENSORS, TELEMETRY_AGE, make_model, telemetry_age
 from seatrial.ident.results import ResultWarning, UnusedSignal, frame_warnings
 
@@ -186,7 +186,7 @@ def _unused(name: str, logs: tuple[str, ...], model: Model, there: set[str]) -> 
         return UnusedSignal(signal=name, logs=logs, code="incomplete-sensor", reason=reason)
     if advice is not None:
         return UnusedSignal(signal=name, logs=logs, code="other-name", reason=advice)
-    if name in KNOWN_SIGNALS or name.partition("_")[0] in ("voltage", "n"):
+    if name in KNOWN_SIGNALS or SignalId.parse(name).quantity in ("voltage", SHAFT_SPEED, COMMAND):
         inputs = ", ".join(i.name for i in model.inputs if not i.tap)
         reason = f"model {model.name} with the inputs {inputs} does not use it"
     else:

@@ -40,7 +40,7 @@ from seatrial.ident.characterisation import (
 from seatrial.ident.checks import device_faults
 from seatrial.ident.data import Channel, LoadedLog, Record, build_record, load_runs
 from seatrial.ident.estimation import EstimationOptions, Fit, FittedModel, RecordEvaluation, profile
-from seatrial.ident.model import Model
+from seatrial.ident.model import Model, command_of, commanded_thrusters, shaft_speed_of
 from seatrial.ident.models import thruster_model
 from seatrial.ident.numerics import Array, mean_error, steady_segments
 from seatrial.ident.report import write_report
@@ -121,7 +121,7 @@ def characterise(request: ThrusterRequest, command: str, reporter: Reporter) -> 
     name = name or thruster_name(loaded[0])
     for x in loaded:
         check_signs(x, name)
-    loaded, drifts = _without_zero_drift(loaded, lambda x: f"n_cmd_{name}", request.settle)
+    loaded, drifts = _without_zero_drift(loaded, lambda x: command_of(name), request.settle)
     has_force = all("force" in x.run.channels for x in loaded)
     model = thruster_model(force=has_force)
     check_names(model, profiles, len(loaded))
@@ -204,7 +204,7 @@ def _static(fitted: Fit, records: Sequence[Record], loaded: Sequence[LoadedLog],
 
 def _steady(loaded: LoadedLog, name: str, bias: float) -> list[tuple[float, float, float]]:
     """Return shaft speed, force [N] and standard error [N] at the end of each command that was held long enough."""
-    command, n, f = (loaded.run.channels[c] for c in (f"n_cmd_{name}", f"n_{name}", "force"))
+    command, n, f = (loaded.run.channels[c] for c in (command_of(name), shaft_speed_of(name), "force"))
     points = []
     for steady in steady_segments(command.t, command.value, float(command.t[-1])):
         if steady.duration < SETTLED_S + AVERAGED_S:
@@ -273,16 +273,17 @@ def static_curve(
 def is_static(loaded: Sequence[LoadedLog], name: str | None) -> bool:
     """Return whether the logs have a force and commands, but no shaft speed of a commanded thruster."""
     for log in loaded:
-        names = [name] if name else [n.removeprefix("n_cmd_") for n in log.run.channels if n.startswith("n_cmd_")]
-        if any(f"n_cmd_{n}" in log.run.channels and f"n_{n}" in log.run.channels for n in names):
+        names = [name] if name else commanded_thrusters(log.run.channels)
+        if any({command_of(n), shaft_speed_of(n)} <= set(log.run.channels) for n in names):
             return False
     return "force" in loaded[0].run.channels and bool(_command_names(loaded[0].run.channels, name))
 
 
 def _command_names(channels: Mapping[str, Channel], name: str | None) -> list[str]:
     """Return the channels with the command of the named thruster, or of all thrusters."""
-    sides = [name] if name else ["left", "right", *(n[6:] for n in channels if n.startswith("n_cmd_"))]
-    found = [next((n for n in (f"n_cmd_{s}", f"n_{s}") if n in channels), "") for s in dict.fromkeys(sides)]
+    thrusters = [name] if name else ["left", "right", *commanded_thrusters(channels)]
+    signals = [(command_of(thruster), shaft_speed_of(thruster)) for thruster in dict.fromkeys(thrusters)]
+    found = [next((n for n in names if n in channels), "") for names in signals]
     return [n for n in found if n]
 
 
