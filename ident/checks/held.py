@@ -10,8 +10,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from seatrial.daq.checks import WARNING, Finding, held_signals, held_together, is_measured
+from seatrial.ident.checks.inputs import INPUTS
 from seatrial.ident.checks.sensors import Channels
-from seatrial.ident.model import COMMAND, SHAFT_SPEED, THRUSTER_FORCE, is_of_thruster
+from seatrial.ident.model import is_of_thruster
 
 LEAST_LATE_S = 0.1  # average delay of a held input; a smaller one gives no warning
 SENSED = ("psi", "r", "ax", "ay", "x", "y", "vx", "vy", "u", "v", "speed", "phi", "theta", "p", "q", "force")
@@ -28,7 +29,7 @@ def check_held_inputs(c: Channels) -> Iterator[Finding]:
     c
         Channels of a log by name.
     """
-    inputs = sorted(n for n in c if is_of_thruster(n, COMMAND, SHAFT_SPEED, THRUSTER_FORCE))
+    inputs = sorted(n for n in c if is_of_thruster(n, *INPUTS))
     for name in (n for n in inputs if c[n].hold in ("zero", "linear")):
         held = held_signals(c[name].t, {name: c[name].value}).get(name)
         interval = 0.0 if held is None else held.rows * float(np.median(np.diff(c[name].t)))

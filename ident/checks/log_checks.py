@@ -19,7 +19,7 @@ from seatrial.daq.log import Log, open_log
 from seatrial.daq.samples import Ahrs, Command, Esc, Gnss, LoadCell, Scalar
 from seatrial.ident.checks.frames import check_accelerometer, check_frames
 from seatrial.ident.checks.held import check_held, check_held_inputs
-from seatrial.ident.checks.inputs import check_exchanged_telemetry, check_frozen_force, check_inputs
+from seatrial.ident.checks.inputs import INPUTS, check_exchanged_telemetry, check_frozen_force, check_inputs
 from seatrial.ident.checks.latency import check_latency
 from seatrial.ident.checks.motion import (
     SURGE_LAGS,
@@ -56,9 +56,6 @@ from seatrial.ident.checks.signals import (
 )
 from seatrial.ident.data import SHORTEST_PIECE_S, Channel, channels, parts_between, seconds, silent_times
 from seatrial.ident.model import (
-    COMMAND,
-    SHAFT_SPEED,
-    THRUSTER_FORCE,
     SignalId,
     command_of,
     commanded_thrusters,
@@ -288,9 +285,7 @@ def _pair(title: str, unit: str, names: tuple[str, str], both: tuple[Channel, Ch
 
 def _signals(c: Channels) -> list[SignalCurve]:
     """Return the samples of the sensors as logged."""
-    others = [
-        n for n in c if n not in SHOWN + NOT_SHOWN and not is_of_thruster(n, COMMAND, SHAFT_SPEED, THRUSTER_FORCE)
-    ]
+    others = [n for n in c if n not in SHOWN + NOT_SHOWN and not is_of_thruster(n, *INPUTS)]
     names = [*(n for n in SHOWN if n in c), *others][:MAX_SIGNALS_SHOWN]
     return [SignalCurve(n, c[n].unit, c[n].t, c[n].value, n == "psi") for n in names]
 

@@ -46,7 +46,8 @@ class SignalId(NamedTuple):
         -------
         SignalId
             ``str`` of it is the name again. A name that is not of the form above has an empty source, and the name
-            itself is the quantity: ``psi``, ``X``, ``X_n``, and also ``n`` without a thruster.
+            itself is the quantity: ``psi``, ``X``, ``X_n``, and also ``n`` without a thruster. ``n_cmd`` without a
+            thruster is of the form above: the shaft speed of a thruster ``cmd``.
         """
         stem, mark, steps = name.rpartition("~")
         tapped = bool(mark) and steps.isdecimal() and str(int(steps)) == steps != "0"
