@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seatrial.daq.checks import Finding
-from seatrial.ident.checks.sensors import Channels, Match, grid
+from seatrial.ident.checks.sensors import Channels, Match, common_grid
 from seatrial.ident.numerics import Array, cumulative_integral
 
 Complex = NDArray[np.complex128]
@@ -405,7 +405,7 @@ def _turned(c: Channels, forward: str, starboard: str, track: Windows) -> Turned
     Returns: the displacements in the windows that the channels cover (n,); the block of each window (n,); a function
     that integrates a signal of the fine grid over each window; exp(i psi) and forward + i starboard on that grid.
     """
-    t = grid(c[forward], c[starboard], c["psi"])
+    t = common_grid(c[forward], c[starboard], c["psi"])
     if t.size < 400:
         return None
     inside = (track.t - track.width / 2 > t[0]) & (track.t + track.width / 2 < t[-1])

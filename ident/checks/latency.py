@@ -37,9 +37,9 @@ from seatrial.ident.checks.sensors import (
     Channels,
     LagErrors,
     LagEstimate,
+    common_grid,
     delay_interval,
     delay_level,
-    grid,
 )
 from seatrial.ident.data import Channel
 from seatrial.ident.model import command_of, shaft_speed_of, thrust_of
@@ -209,7 +209,7 @@ class _Motion(NamedTuple):
 def _motion(c: Channels, thrusts: Sequence[Channel], half_r: float = HEADING_HALF) -> _Motion | None:
     """Return the motion while thrusts are known; None if the log is too short."""
     names = [n for n in ("psi", "r", "vx", "vy", "u", "v", "x", "y") if n in c]
-    t = grid(*thrusts, *(c[n] for n in names))
+    t = common_grid(*thrusts, *(c[n] for n in names))
     if t.size * STEP < MIN_DURATION:
         return None
     psi = np.interp(t, c["psi"].t, np.unwrap(c["psi"].value)) if "psi" in c else None
