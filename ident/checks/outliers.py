@@ -21,7 +21,13 @@ def check_outliers(c: Channels) -> Iterator[Finding]:
     Parameters
     ----------
     c
-        Channels of a log by name.
+        Channels of a log by name, with the samples that were left out when the log was read.
+
+    Yields
+    ------
+    Finding
+        ``many-outliers`` (fault) if more than `MANY` of a signal's samples were left out, else ``outliers-left-out``
+        (warning). ``position-jumps`` (fault) for a few jumps of ``x`` and ``y`` that no boat can make.
     """
     for name, channel in c.items():
         left_out = channel.left_out
