@@ -25,13 +25,13 @@ from seatrial.ident.checks.motion import (
     SURGE_LAGS,
     YAW_LAGS,
     ThrusterForces,
-    ahead,
     best_turn_rate,
     check_motion,
     delayed_forces,
     fill_gaps,
+    surge_speed,
     thruster_forces,
-    turning,
+    turning_signs,
 )
 from seatrial.ident.checks.outliers import check_outliers
 from seatrial.ident.checks.sensors import (
@@ -237,7 +237,7 @@ def push(c: Channels, sides: Mapping[str, float]) -> list[ThrustResponseCurve]:
         r = best_turn_rate(c, forces.edges)
         if r is not None:
             found.append(_response_curve("yaw rate", "rad/s", forces, r, forces.f @ forces.side, YAW_LAGS))
-    if (u := ahead(c, forces.t)) is not None:
+    if (u := surge_speed(c, forces.t)) is not None:
         found.append(_response_curve("speed ahead over ground", "m/s", forces, u, forces.f.sum(axis=1), SURGE_LAGS))
     return [row for row in found if np.isfinite(row.expected).any()]
 
@@ -423,7 +423,7 @@ def check_signals(c: Channels, sides: Mapping[str, float]) -> Iterator[Finding]:
     wrong_inputs = [*of_wraps, *one_sided.values()]
     if wrong_inputs or any(f.level == FAULT and f.check in ("units", "stuck", "alike") for f in (*ranges, *of_sensors)):
         return
-    of_frames = list(check_frames(c, matches.heading, turning(c, sides)))
+    of_frames = list(check_frames(c, matches.heading, turning_signs(c, sides)))
     yield from of_frames
     of_motion = [] if of_frames else list(check_motion(c, sides, {f.where for f in of_shafts if f.check == "dead"}))
     yield from of_motion
