@@ -426,7 +426,15 @@ COPIED_SHARE, MIN_TRIPLES = 0.5, 50
 
 
 def invalidates_fit(finding: Finding) -> bool:
-    """Return whether the result of a fit to a log with this finding is meaningless: a fault with a code in `SPOILING`."""
+    """Return whether the result of a fit to a log with this finding is meaningless.
+
+    This holds for a fault whose code is in `SPOILING`.
+
+    Parameters
+    ----------
+    finding
+        Finding of any check.
+    """
     return finding.level == FAULT and finding.code in SPOILING
 
 
@@ -624,7 +632,8 @@ def check_copies(logs: Sequence[tuple[str, Channels]]) -> list[Finding]:
 
 
 def _hashed_triples(value: Array) -> NDArray[np.uint64]:
-    """Return the distinct hashes (m,), sorted, of all triples of neighbouring values (n,) that differ from each other."""
+    """Return the distinct hashes (m,), sorted, of all triples of neighbouring values (n,) in which no two neighbours
+    are equal."""
     bits = np.ascontiguousarray(value, dtype=np.float64).view(np.uint64)
     # Multiply by the golden ratio in 64 bits: the low bits of rounded values are zero and must be filled.
     mixed = (bits ^ bits >> np.uint64(31)) * np.uint64(0x9E3779B97F4A7C15)
