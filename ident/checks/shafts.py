@@ -285,7 +285,7 @@ def response(commands: Channel, shaft: Channel) -> Response | NoResponse:
     gain = 1.0 - best.misfit / max(linear.misfit, 1e-300)
     total = float(n @ n)
     misfit, scale = _scaled_misfit(delayed(lagged, best.delay, used), n, total)
-    # A constant command shows no delay. The same held_commands if all its steps lie before the first time of the fit.
+    # A constant command shows no delay. The same holds if all its steps lie before the first time of the fit.
     limit = round(MAX_DELAY / STEP) + 1
     alternative = fitted(slice(0, limit) if DELAYS.index(best.delay) >= limit else slice(limit, None), band)
     clear = best.misfit * max(CLEARLY, CLEARLY_VARIANCES / n_part.size)
