@@ -414,7 +414,10 @@ def thrust_channels(channels: Mapping[str, Channel], curve: ThrustCurve) -> dict
     for side in ("left", "right"):
         name = next((n for n in (command_of(side), shaft_speed_of(side)) if n in channels), None)
         if name is None:
-            raise ValueError(f"no command for the thrust curve: there is no n_cmd_{side} and no n_{side}")
+            raise ValueError(
+                f"the thrust curve needs the command of each thruster, but there is no signal n_cmd_{side} and no "
+                f"n_{side}"
+            )
         command = channels[name]
         found[thrust_of(side)] = Channel(command.t, curve.of_one(command.value), "N", command.source)
         outward = np.sign(command.value) * curve.curve.slope(command.value) / curve.thrusters
@@ -504,11 +507,14 @@ def load_curve(path: Path) -> ThrustCurve | None:
         thrusters, uncertainty = int(table["thrusters"]), table.get("calibration")
         calibration = None if uncertainty is None else float(uncertainty)
     except (KeyError, TypeError, ValueError) as problem:
-        raise SeatrialError(f"{path}: not a complete curve: {problem}") from problem
+        raise SeatrialError(f"{path}: the thrust curve in this file is incomplete: {problem}") from problem
     if not (n.size == force.size == se.size >= 2 and thrusters >= 1 and np.all(np.diff(n) > 0)):
-        raise SeatrialError(f"{path}: a curve needs two or more rising n, with as many force and se")
+        raise SeatrialError(
+            f"{path}: the lists n, force and se of a thrust curve must be equally long, with two or more values, and n "
+            "must rise; correct the file"
+        )
     if not all(np.isfinite(a).all() for a in (n, force, se)):
-        raise SeatrialError(f"{path}: n, force and se of a curve have to be finite numbers")
+        raise SeatrialError(f"{path}: n, force and se of a thrust curve must be finite numbers; correct the file")
     if calibration is not None and not 0.0 < calibration < 1.0:
         raise SeatrialError(f"{path}: calibration is a relative standard uncertainty, more than 0 and less than 1")
     return ThrustCurve(Curve(n, force, se), thrusters, calibration)

@@ -201,7 +201,8 @@ def thruster_name(loaded: LoadedLog) -> str:
     if len(moved) != 1:
         found = ", ".join(moved) if moved else "none"
         raise SeatrialError(
-            f"{loaded.about['path']}: thrusters with commands and shaft speed: {found}; name one with --thruster"
+            f"{loaded.about['path']}: exactly one thruster with a changing command and a shaft speed is needed; the "
+            f"log has {found}; name one with --thruster"
         )
     return moved[0]
 

@@ -120,7 +120,7 @@ def _shaft_findings(name: str, command: Channel, shaft: Channel) -> Iterator[Fin
                 "controller-fell-silent",
                 "dead",
                 name,
-                f"it is commanded, but its controller has sent no telemetry since {since:.0f} s",
+                f"it is commanded, but its controller sent no telemetry after {since:.0f} s of the log",
                 "check power, bus and fuse of that controller",
             )
         return

@@ -545,9 +545,12 @@ def design(
     draws it, `seatrial mission run` runs it.
     """
     if between and len(between) != 2:
-        raise click.BadParameter("names two effects, such as delay,lag", param_hint="--discriminate")
+        raise click.BadParameter("give exactly two effects, such as delay,lag", param_hint="--discriminate")
     if between and rest["robust"]:
-        raise click.BadParameter("a discrimination is not averaged over samples", param_hint="--average-over")
+        raise click.BadParameter(
+            "cannot be used with --discriminate, whose criterion is not averaged over samples; leave one out",
+            param_hint="--average-over",
+        )
     if rest["criterion"] == "Ds" and not rest["chosen"]:
         raise click.BadParameter("Ds needs --parameters, the parameters of the criterion", param_hint="--criterion")
     from seatrial.ident.experiment_design import DesignLimits

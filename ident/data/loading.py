@@ -496,7 +496,10 @@ def load_all(
     same = {p.resolve() for p in logs} & {p.resolve() for p in validate}
     if same:
         name = sorted(same)[0].name
-        raise SeatrialError(f"{name}: the same log to fit and to validate proves nothing; give another")
+        raise SeatrialError(
+            f"{name}: this log is given for the fit and for the validation, which would prove nothing; give another "
+            "log to --validate"
+        )
     estimation = [(p, part) for p in logs for part in usable_parts(load_run(p, "estimation", window, device_faults))]
     validation = [(p, part) for p in validate for part in usable_parts(load_run(p, "validation", WHOLE, device_faults))]
     files = [p for p, _ in (*estimation, *validation)]
@@ -558,7 +561,10 @@ def parts_with_sensors(log: LoadedLog) -> list[LoadedLog]:
         found.append(_as_part(log, replace(log.run, channels=signals, t_from=t_from, t_to=t_to), (a, b), unknown))
     path, short = log.about["path"], counted(n_short, "part") + f" shorter than {SHORTEST_PIECE_S:g} s"
     if not found:
-        raise SeatrialError(f"{path}: no part with samples is as long as {SHORTEST_PIECE_S:g} s; {gap_line(gaps)}")
+        raise SeatrialError(
+            f"{path}: no segment of the log between two gaps is as long as {SHORTEST_PIECE_S:g} s, so none is left to "
+            f"use; {gap_line(gaps)}"
+        )
     omitted = f"; {short} {'is' if n_short == 1 else 'are'} left out" if n_short else ""
     warnings.warn(f"{path}: {gap_line(gaps)}{omitted}", SeatrialWarning, stacklevel=2)
     # The findings on the devices belong to the whole log. They are reported once, with the first part.
@@ -575,7 +581,8 @@ def _parts_with_inputs(log: LoadedLog) -> list[LoadedLog]:
     spans = [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= SHORTEST_PIECE_S]
     if not spans:
         raise SeatrialError(
-            f"{log.about['path']}: no part in which the inputs are known is as long as {SHORTEST_PIECE_S:g} s"
+            f"{log.about['path']}: no segment of the log in which all inputs are known is as long as "
+            f"{SHORTEST_PIECE_S:g} s; record without gaps in the inputs"
         )
     found = []
     for k, (a, b) in enumerate(spans):
@@ -702,7 +709,7 @@ def load_run(path: Path, role: str, window: TimeWindow = WHOLE, device_faults: D
             start = min((c.t[0] for c in head.values()), default=whole.start)
             if start + window.t_from >= whole.end:
                 begin = f"no data are left from {window.t_from:g} s on"
-                raise SeatrialError(f"{path}: is {whole.end - start:.0f} s long, so {begin}")
+                raise SeatrialError(f"{path}: is {whole.end - start:.0f} s long, so {begin}; choose an earlier start")
             log = whole.part(start + window.t_from - MARGIN_S, start + window.t_to + MARGIN_S)
         with log.keeping_tables():
             found = channels(log)

@@ -263,7 +263,9 @@ def build_record(
     ends = _ends(present, own, channels)
     end = min(ends.values()) if t_to is None else t_to
     if end - start < 2.0 / rate:
-        raise ValueError(f"{name}: inputs and sensors overlap for only {end - start:.2f} s")
+        raise ValueError(
+            f"{name}: inputs and sensors overlap for only {max(end - start, 0.0):.2f} s; record them at the same time"
+        )
     windows = {s.name: _averaging_window(_interval(channels[s.outputs[0].name], start, end), rate) for s in present}
     samples = {s.name: _sensor_samples(name, s, channels, start, end, rate, windows[s.name] > 0.0) for s in present}
     windows |= {s.name: 0.0 for s in present if not s.averaged}

@@ -537,7 +537,7 @@ class _Search:
                     by_inputs=compared.by_inputs if rough.nonparametric else None,
                 )  # fmt: skip
                 return replace(exact, outcome=_outcome(exact, [r.chosen for r in self.rounds if r.chosen is not None]))
-            reason = f"the fit with it did not converge: it {fitted.fit.message}"
+            reason = f"the fit with the added effect did not converge: it {fitted.fit.message}"
         raise ValueError(reason)
 
     def _refit_all(

@@ -67,5 +67,5 @@ def _register(module: ModuleType, effects: dict[str, Effect]) -> None:
     """Add the effects of a module. Raise ValueError if a name is already in use."""
     for effect in getattr(module, "EFFECTS", ()) or (module.EFFECT,):
         if effect.name in effects:
-            raise ValueError(f"two effects are called {effect.name!r}")
+            raise ValueError(f"two effects have the same name {effect.name!r}")
         effects[effect.name] = effect

@@ -315,7 +315,9 @@ def load_model(path: Path) -> SavedModel:
         provenance, calibration = dict(table.get("provenance", {})), table.get("scale", {}).get("calibration")
         calibration = None if calibration is None else float(calibration)
     except (AttributeError, KeyError, TypeError, ValueError) as problem:  # AttributeError: a value instead of a table
-        raise SeatrialError(f"{path}: not a complete model: {problem}") from problem
+        raise SeatrialError(
+            f"{path}: the model in this file is incomplete or does not match this version: {problem}"
+        ) from problem
     return SavedModel(
         model,
         errors,
@@ -361,7 +363,7 @@ def _build(table: Mapping[str, Any], source: str, own: Mapping[str, Effect]) -> 
         if name not in {e.name for e in model.effects}:
             effect = own[name] if name in own else _effect(name, model, table.get("curves", {}))
             if name == ESTIMATOR_ERROR and not {p.name for p in effect.parameters} <= written:
-                raise ValueError("its errors of an estimator are in an older format: fit the model again")
+                raise ValueError("its navigation errors are stored in an older format; fit the model again")
             if _is_sized(effect, own):
                 _check_units(effect, table["parameter"])
                 effect = _holding(scale_priors(effect, size), table["parameter"])

@@ -106,7 +106,7 @@ def _effect_for(model: Model, name: str) -> Effect:
         raise SeatrialError(f"--effect {name}: model {model.name} has it already")
     fitting = [e for e in possible.values() if name == e.name or size == e.parameters[0].name]
     if not fitting:
-        raise SeatrialError(f"--effect {name}: model {model.name} cannot take it into account; it can have {can}")
+        raise SeatrialError(f"--effect {name}: model {model.name} has no place for this effect; it can have {can}")
     return fitting[0]
 
 

@@ -219,7 +219,10 @@ def _paths_beside_mission(out: Path) -> dict[str, Path]:
     does not exist.
     """
     if out.suffix in (".json", ".html"):
-        raise SeatrialError(f"{out}: this name is that of the numbers or the page beside the mission; give a .toml")
+        raise SeatrialError(
+            f"{out}: a mission cannot end in .json or .html, since files with these endings are written beside it; "
+            "give a name that ends in .toml"
+        )
     if not out.parent.is_dir():
         raise SeatrialError(f"{out.parent}: no such folder; the mission cannot be saved there")
     beside = {kind: out.with_suffix(kind) for kind in (".json", ".html")}
@@ -421,7 +424,10 @@ def make_task(source: str, request: DesignRequest) -> DesignProblem:
         seed=request.seed,
     )
     if not dynamic_parameters(model):
-        raise SeatrialError(f"model {model.name} has no free parameters to estimate")
+        raise SeatrialError(
+            f"model {model.name} has no free parameters, so no mission can inform any; choose a model with free "
+            "parameters"
+        )
     if saved is None:
         task = replace(task, prior_distribution=ParameterPrior(task.observed_parameters, request.spread))
     else:
@@ -494,7 +500,8 @@ def hypotheses(model: Model, names: Sequence[str]) -> tuple[Model, Model]:
     for general, special in ((first, second), (second, first)):
         if general == special or (general in catalogue() and special in catalogue()[general].nests):
             raise SeatrialError(
-                f"--discriminate: {special} is a special case of {general}: no mission tells them apart"
+                f"--discriminate: {special} is a special case of {general}: no mission tells them apart; "
+                "name two other effects"
             )
     return with_effect(model.without(second), first), with_effect(model.without(first), second)
 
@@ -520,7 +527,7 @@ def with_effect(model: Model, name: str) -> Model:
     """
     own = next((e for e in model.effects if e.name == name), None)
     if own is None and name not in catalogue():
-        raise SeatrialError(f"there is no effect {name!r}; there is {', '.join(catalogue())}")
+        raise SeatrialError(f"there is no effect {name!r}; the effects are {', '.join(catalogue())}")
     effect = own or catalogue()[name]
     if own is None and not model.accepts(effect):
         raise SeatrialError(f"effect {name!r} does not apply to model {model.name}")

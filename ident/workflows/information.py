@@ -164,7 +164,7 @@ def _parameters_to_analyse(model: Model, chosen: Sequence[str], path: Path) -> t
     lost = [n for n in chosen if n not in free]
     if lost or not free:
         missing = f"no free parameter {lost[0]!r}" if lost else "no free parameters"
-        raise SeatrialError(f"{path}: {missing}; there is {', '.join(free) or 'none'}")
+        raise SeatrialError(f"{path}: the model has {missing}; its free parameters are {', '.join(free) or 'none'}")
     return tuple(chosen) or tuple(free)
 
 

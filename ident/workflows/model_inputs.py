@@ -377,7 +377,7 @@ def require_one_frame(model: Model, logs: Sequence[LoadedLog], reference: FrameO
         reference = reference or log.origin
         if reference is not None and far_apart([reference, log.origin]):
             raise SeatrialError(
-                f"{log.about['path']}: it begins more than {SHARED_WITHIN / 1000:g} km from the first fix of "
+                f"{log.about['path']}: the log begins more than {SHARED_WITHIN / 1000:g} km from the first fix of "
                 f"{reference.log or 'the logs of the model'}, but {points[0]} has one position for all logs; use "
                 "logs from one place, or a model without it"
             )
@@ -520,7 +520,10 @@ def check_names(model: Model, names: Sequence[str], n_logs: int) -> None:
                 f"--profile {name}: model {model.name} has no such parameter; it has {', '.join(model.values)}"
             )
         if not known[name].free:
-            raise SeatrialError(f"--profile {name}: it is given, not estimated; estimated are {', '.join(model.free)}")
+            raise SeatrialError(
+                f"--profile {name}: the parameter is fixed, not estimated; the estimated ones are "
+                f"{', '.join(model.free)}"
+            )
 
 
 def check_horizon(
@@ -538,6 +541,6 @@ def check_horizon(
     longest = max(validation_logs or loaded, key=lambda x: float(x.about["duration"])).about
     if horizon is not None and not horizon < longest["duration"]:
         raise SeatrialError(
-            f"--horizon {horizon:g}: {longest['path']}, the longest log to judge by, "
+            f"--horizon {horizon:g}: {longest['path']}, the longest log that the model is evaluated on, "
             f"lasts {longest['duration']:.1f} s; give fewer seconds"
         )

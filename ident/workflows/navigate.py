@@ -120,7 +120,8 @@ def navigate_logs(request: NavigationRequest, command: str, reporter: Reporter) 
     twice = sorted({n for n in names if names.count(n) > 1})
     if twice:
         raise SeatrialError(
-            f"two logs are named {twice[0]}, so their results would have one name: navigate them one by one"
+            f"two logs are named {twice[0]}, so their results would overwrite each other; navigate them one by one, "
+            "each with its own --out"
         )
     loaded, parts, tables, reference = list[LoadedLog](), [], [], saved.origin
     for path in logs:
@@ -205,7 +206,7 @@ def _check_fixes(rows: Record, t0: float, without: Sequence[tuple[float, float]]
         return
     fixes = rows.t[np.isfinite(rows.y[:, rows.outputs.index(POSITION[0])])] + t0
     if not fixes.size:
-        raise SeatrialError(f"{path}: no GNSS position in it; a track needs at least one fix")
+        raise SeatrialError(f"{path}: the log has no GNSS position; navigation needs at least one fix")
     for begin, end in without:
         if not ((fixes >= begin) & (fixes < end)).any():
             raise SeatrialError(

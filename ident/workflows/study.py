@@ -269,7 +269,7 @@ def run_studies(request: StudyRequest, command: str, reporter: Reporter) -> Stud
     """
     cases, out, method = request.cases(), request.out, request.method
     if out.exists() and not out.is_dir():
-        raise SeatrialError(f"{out}: is a file; give a folder")
+        raise SeatrialError(f"{out}: is a file; give a folder with --out")
     parts = []
     for case in cases:
         rows = run_study(

@@ -266,12 +266,15 @@ def static_curve(
         If there are several logs, or if the log has too few steady levels or a reversed load cell.
     """
     if len(loaded) != 1:
-        raise SeatrialError(f"{loaded[1].about['path']}: a static curve takes one log; give one")
+        raise SeatrialError(f"{loaded[1].about['path']}: a static curve is fitted to one log only; give one log")
     log = loaded[0]
     channels, where = log.run.channels, log.about["path"]
     names, out = _changing_commands(log, request.name), request.out
     if "force" not in channels:
-        raise SeatrialError(f"{where}: no signal 'force'; it has {', '.join(sorted(channels))}")
+        raise SeatrialError(
+            f"{where}: no signal 'force' of a load cell, which a static curve needs; the log has "
+            f"{', '.join(sorted(channels))}"
+        )
     (log,), drifts = _without_zero_drift([log], lambda x: names[0], request.settle)
     channels = log.run.channels
     reporter.progress(f"steady force against {' and '.join(names)}")
@@ -279,7 +282,7 @@ def static_curve(
         levels = find_levels(channels[names[0]], channels["force"], request.settle)
         if levels.n.size < 4:
             advice = hold_advice(channels[names[0]], channels["force"], request.settle)
-            raise ValueError(f"{levels.n.size} steady commands are too few for a curve, which takes four; {advice}")
+            raise ValueError(f"{levels.n.size} steady commands are too few for a curve, which needs four; {advice}")
         if falls(levels.n, levels.force, float(levels.error.max())):
             raise ValueError(REVERSED_LOAD_CELL)
     except ValueError as problem:
@@ -342,13 +345,17 @@ def _changing_commands(log: LoadedLog, name: str | None) -> list[str]:
     channels = log.run.channels
     moved = [n for n in _command_names(channels, name) if np.ptp(channels[n].value) > 0]
     if not moved:
-        raise SeatrialError(f"{log.about['path']}: no command that changes; it has {', '.join(sorted(channels))}")
+        raise SeatrialError(
+            f"{log.about['path']}: no command changes, so there is no thrust curve to fit; the log has "
+            f"{', '.join(sorted(channels))}"
+        )
     first = channels[moved[0]]
     for second in moved[1:]:
         c = channels[second]
         if c.t.size != first.t.size or not np.allclose(c.value, first.value):
             raise SeatrialError(
-                f"{log.about['path']}: {moved[0]} and {second} differ; name the thruster that was measured: --thruster"
+                f"{log.about['path']}: the commands {moved[0]} and {second} differ; name the thruster whose force was "
+                "measured with --thruster"
             )
     return moved
 

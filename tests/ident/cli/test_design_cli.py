@@ -214,7 +214,7 @@ def test_each_hypothesis_of_a_discrimination_has_only_its_own_effect() -> None:
     [
         (("horizontal", "--area", "40"), 2, "not NORTHxEAST"),
         (("horizontal", "--criterion", "Ds"), 2, "Ds needs --parameters"),
-        (("horizontal", "--discriminate", "delay"), 2, "names two effects"),
+        (("horizontal", "--discriminate", "delay"), 2, "exactly two effects"),
         (("horizontal", "--parameters", "mass"), 1, "'mass' cannot be estimated"),
         (("horizontal", "--discriminate", "delay,ghost"), 1, "no effect 'ghost'"),
         (("horizontal", "--rate", "sonar=1"), 1, "no sensor 'sonar'"),

@@ -187,7 +187,7 @@ def test_no_segment_of_two_equal_logs_is_indispensable(
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (("--parameters", "mass"), "no free parameter 'mass'; there is m_u, m_v"),
+        (("--parameters", "mass"), "the model has no free parameter 'mass'; its free parameters are m_u, m_v"),
         (("--parameters", "c1"), "no free parameter 'c1'"),
     ],
 )
