@@ -69,8 +69,8 @@ class Course(NamedTuple):
         Angle [rad] of the track to the heading, modulo pi; 0 if it is not significant.
     """
 
-    parity: int  # +1, -1 for a mirror image, 0 if unknown
-    offset: float  # rad, angle of the track to the heading, modulo pi; 0 if it is not significant
+    parity: int
+    offset: float
 
 
 class Fit(NamedTuple):
@@ -83,12 +83,12 @@ class Fit(NamedTuple):
     misfit
         Squared error over the sum of squares of the signal, 0 to 1.
     blocks
-        Contributions (n_blocks,) of the blocks of time (at least `BLOCK_S` [s]) to the misfit.
+        Contributions (n_blocks,) of the blocks of time (at least 10 s) to the misfit.
     """
 
-    scale: float  # of its regressor
-    misfit: float  # squared error over the sum of squares of the signal
-    blocks: Array  # (n_blocks,), parts of the misfit by block of time
+    scale: float
+    misfit: float
+    blocks: Array
 
 
 def check_frames(c: Channels, heading: Match | None, turning: Mapping[str, int]) -> Iterator[Finding]:
@@ -169,9 +169,9 @@ class Windows(NamedTuple):
         Displacements (n,) [m] as complex numbers, north + i east.
     """
 
-    t: Array  # (n,) [s], centres of the windows
-    width: float  # s
-    d: Complex  # (n,) [m], north + i east
+    t: Array
+    width: float
+    d: Complex
 
 
 def windows(c: Channels, north: str, east: str) -> Windows | None:
@@ -219,7 +219,7 @@ def course(c: Channels, w: Windows) -> Course | None:
     Returns
     -------
     Course or None
-        None if the boat moves at less than `LEAST_SPEED` [m/s] (rms), or heading and track overlap too little.
+        None if the boat moves at less than 0.1 m/s (rms), or heading and track overlap too little.
     """
     psi = c["psi"]
     inside = (w.t > psi.t[0]) & (w.t < psi.t[-1])
@@ -507,11 +507,11 @@ def _body_frame_comparison(c: Channels, forward: str, starboard: str, track: Win
 
 
 def _reversed_column(target: Complex, block: NDArray[np.intp], columns: tuple[Complex, ...]) -> str | None:
-    """Return which of the first two columns has the wrong sign in the regression of the target (n,) on all columns
-    (n,).
+    """Return which of the first two columns has the wrong sign in a regression of the target (n,) on all columns.
 
     The factor of that column must be clearly negative and of about the right size. None if neither has, or if the
-    values are too large for a regression. ``block`` (n,): block of time of each sample.
+    values are too large for a regression. The columns have the shape (n,). ``block`` (n,): block of time of each
+    sample.
     """
     X = np.column_stack([np.concatenate([z.real, z.imag]) for z in columns])
     y = np.concatenate([target.real, target.imag])
@@ -572,10 +572,10 @@ def preferred(found: Mapping[str, Fit]) -> str | None:
 
 
 def _is_significantly_better(old: Array, new: Array) -> bool:
-    """Return whether the new hypothesis is significantly better, by the contributions (n_blocks,) to the misfit of
-    both.
+    """Return whether the new hypothesis fits significantly better than the old one.
 
-    False for fewer than `FEWEST_BLOCKS` blocks.
+    ``old``, ``new``: contributions (n_blocks,) of the blocks of time to the misfit of each hypothesis. False for fewer
+    than 6 blocks.
     """
     gain = old - new
     total = float(gain.sum())
@@ -587,7 +587,7 @@ def _is_significantly_better(old: Array, new: Array) -> bool:
 def _block_of_windows(t: Array, width: float) -> NDArray[np.intp]:
     """Return the number (n,), from 0, of the block of time that contains each window at t (n,) [s].
 
-    A block lasts at least `BLOCK_S` [s] and four windows of this width [s].
+    A block lasts at least 10 s and four windows of the given ``width`` [s].
     """
     return np.asarray((t - t[0]) // max(BLOCK_S, 4.0 * width), np.intp)
 

@@ -28,7 +28,7 @@ def check_held_inputs(c: Channels) -> Iterator[Finding]:
     ----------
     c
         Channels of a log by name. Only commands, shaft speeds and thrusts of one thruster that an import map declares
-        with the hold ``zero`` or ``linear`` are examined. A delay below `LEAST_LATE_S` [s] gives no warning.
+        with the hold ``zero`` or ``linear`` are examined. An average delay below 0.1 s gives no warning.
     """
     inputs = sorted(n for n in c if is_of_thruster(n, *INPUTS))
     for name in (n for n in inputs if c[n].hold in ("zero", "linear")):
@@ -47,8 +47,8 @@ def check_held(c: Channels) -> Iterator[Finding]:
     Parameters
     ----------
     c
-        Channels of a log by name. Only the signals in `SENSED` are examined. Signals with the same times that are held
-        together share one warning.
+        Channels of a log by name. Only motion signals and ``force`` (`SENSED`) are examined. Signals with the same
+        times that are held together share one warning.
 
     Notes
     -----

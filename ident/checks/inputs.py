@@ -97,8 +97,7 @@ def _constant_inputs(c: Channels, names: list[str]) -> Iterator[Finding]:
 
 
 def _is_constant(name: str, channel: Channel) -> bool:
-    """Return whether the values of the channel ``name`` stay within `CONSTANT_PART` of full speed, or of its largest
-    value.
+    """Return whether the values of the channel ``name`` vary by at most 0.5 % of full speed, or of the largest force.
 
     Commands and shaft speeds are compared with full speed (1), forces with their largest value. False without samples.
     """
@@ -109,8 +108,7 @@ def _is_constant(name: str, channel: Channel) -> bool:
 
 
 def _count_motion_rises(c: Channels) -> int:
-    """Count the rises of speed over ground (by `SPEED_RISE` [m/s]) and of the size of the yaw rate (by `TURN_RISE`
-    [rad/s]).
+    """Count the rises of the speed by more than 0.5 m/s, and of the size of the yaw rate by more than 0.15 rad/s.
 
     Waves are averaged out. The speed comes from velocities, else positions, else ``speed``; the yaw rate from the gyro,
     else the heading. 0 without any of them.
@@ -137,7 +135,7 @@ def _count_motion_rises(c: Channels) -> int:
 
 
 def _moving_average(channel: Channel) -> Array:
-    """Return the moving average (n,) of a signal over `SMOOTHED_S` [s], with one value every `EVERY_S` [s].
+    """Return the moving average (n,) of a signal over 2 s, with one value every 0.5 s.
 
     Empty if the signal is shorter than the average.
     """
@@ -173,8 +171,8 @@ def _count_rises(curve: Array, least: float) -> int:
 def _stuck_against_command(shaft: Channel, command: Channel) -> tuple[float, float, float] | None:
     """Return value, begin and end [s] of the longest time in which a shaft speed is stuck.
 
-    The shaft speed stays exactly the same in this time, although its command would slow the shaft down for at least
-    `AGAINST_S` [s]. None if the shaft speed is never stuck.
+    The shaft speed stays exactly the same in this time, although its command would slow the shaft down for at least 5
+    s. None if the shaft speed is never stuck.
     """
     first = np.flatnonzero(np.diff(shaft.value, prepend=np.nan) != 0)
     last = np.append(first[1:], shaft.value.size) - 1
@@ -203,7 +201,7 @@ def check_frozen_force(c: Channels) -> Iterator[Finding]:
     ----------
     c
         Channels of a log by name. Only the longest constant time of ``force`` is examined. It must contain a change of
-        a command or shaft speed by more than `COMMAND_CHANGE` of full speed.
+        a command or shaft speed by more than 0.3 of full speed.
     """
     commands = [c[n] for n in sorted(c) if is_of_thruster(n, COMMAND, SHAFT_SPEED)]
     if "force" not in c or not commands:
@@ -249,8 +247,7 @@ def check_exchanged_telemetry(c: Channels) -> Iterator[Finding]:
 
 
 def _r2_of_command(c: Channels, command: str, shaft: str) -> float:
-    """Return R2 (0 to 1) of the shaft speed of the thruster ``shaft`` explained by the command of the thruster
-    ``command``.
+    """Return R2 (0 to 1) of the speed of the thruster ``shaft`` explained by the command of the thruster ``command``.
 
     0 if the response cannot be estimated, or if the shaft turns against the command.
     """

@@ -80,10 +80,10 @@ class ThrustSignals(NamedTuple):
         Names of the thrusters, for findings.
     """
 
-    turning: list[Channel]  # thrusts that turn the boat
-    ahead: list[Channel]  # thrusts that drive the boat forward
-    measured: bool  # measured shaft speeds, not commands
-    where: str  # names of the thrusters, for findings
+    turning: list[Channel]
+    ahead: list[Channel]
+    measured: bool
+    where: str
 
 
 def check_latency(c: Channels, sides: Mapping[str, float]) -> Iterator[Finding]:
@@ -195,7 +195,7 @@ def _is_well_estimated(found: LagEstimate | None) -> bool:
 def _half_interval(*found: LagEstimate) -> float:
     """Return the half width of the 95 % interval [s] of a delay, or of the difference of two delays.
 
-    It includes the systematic error of the regression (`SYSTEMATIC`).
+    It includes the systematic error of the regression (0.3 s times the root of the unexplained share).
     """
     return float(np.sqrt(sum(estimate.half**2 + SYSTEMATIC**2 * (1.0 - estimate.r2) for estimate in found)))
 
@@ -240,7 +240,7 @@ class _Motion(NamedTuple):
     Attributes
     ----------
     t
-        Times (n,) [s] at steps of `STEP`.
+        Times (n,) [s] at steps of 0.05 s.
     r
         Yaw rate (n,) [rad/s], by the gyro or the heading.
     psi
@@ -251,16 +251,16 @@ class _Motion(NamedTuple):
         Time [s] before and after each sample, over which headings or positions were differenced; 0 if none were.
     """
 
-    t: Array  # (n,) [s]
-    r: Array  # (n,) [rad/s]
-    psi: Array | None  # (n,) [rad]
-    u: Array | None  # (n,) [m/s], forward over ground
-    v: Array | None  # (n,) [m/s], to starboard over ground
-    half: float  # s before and after, over which headings or positions were differenced
+    t: Array
+    r: Array
+    psi: Array | None
+    u: Array | None
+    v: Array | None
+    half: float
 
 
 def _motion_on_grid(c: Channels, thrusts: Sequence[Channel], half_r: float = HEADING_HALF) -> _Motion | None:
-    """Return the motion while all thrusts and sensors are known; None if this time is shorter than `MIN_DURATION` [s].
+    """Return the motion while all thrusts and sensors are known; None if this time is shorter than 60 s.
 
     The log needs a yaw rate or a heading. ``half_r``: time [s] before and after, over which a heading is differenced.
     """

@@ -88,9 +88,9 @@ class SampleIntervals:
     """
 
     source: str
-    t: Array  # (n,) [s], time of the later of two neighbouring samples
-    interval: Array  # (n,) [s]
-    expected: float | None  # [s], by `rate_hz` of the rig; None if the rig gives no rate
+    t: Array
+    interval: Array
+    expected: float | None
 
     def between(self, begin: float, end: float) -> SampleIntervals:
         """Return the intervals that lie completely between the times ``begin`` and ``end`` [s]."""
@@ -115,11 +115,11 @@ class ShaftResponse:
     """
 
     name: str
-    t: Array  # (n,) [s]
-    n: Array  # (n,) [-], measured
-    t_command: Array  # (m,) [s]
-    n_command: Array  # (m,) [-], each held until the next one
-    end: float  # [s], time of the last sample of the shaft speed
+    t: Array
+    n: Array
+    t_command: Array
+    n_command: Array
+    end: float
 
 
 @dataclass(frozen=True)
@@ -140,9 +140,9 @@ class ThrustResponseCurve:
 
     title: str
     unit: str
-    t: Array  # (n,) [s]
-    measured: Array  # (n,)
-    expected: Array  # (n,), thrust through a first-order lag
+    t: Array
+    measured: Array
+    expected: Array
 
 
 @dataclass(frozen=True)
@@ -163,10 +163,10 @@ class SensorPair:
 
     title: str
     unit: str
-    names: tuple[str, str]  # of both sensors, for the legend
-    t: Array  # (n,) [s]
-    first: Array  # (n,), by the first sensor
-    second: Array  # (n,), by the second sensor
+    names: tuple[str, str]
+    t: Array
+    first: Array
+    second: Array
 
 
 @dataclass(frozen=True)
@@ -185,9 +185,9 @@ class SignalCurve:
 
     channel: str
     unit: str
-    t: Array  # (n,) [s]
-    value: Array  # (n,)
-    angle: bool  # whether the value may jump by a whole turn
+    t: Array
+    value: Array
+    angle: bool
 
 
 @dataclass(frozen=True)
@@ -207,8 +207,8 @@ class CheckEvidence:
     """
 
     name: str
-    duration: float  # [s]
-    rig: str | None  # name of the rig in the log; None if the log has no rig
+    duration: float
+    rig: str | None
     intervals: tuple[SampleIntervals, ...] = ()
     shafts: tuple[ShaftResponse, ...] = ()
     thrust_response: tuple[ThrustResponseCurve, ...] = ()
@@ -330,8 +330,7 @@ def thrust_response_curves(c: Channels, sides: Mapping[str, float]) -> list[Thru
 def _response_curve(
     title: str, unit: str, forces: ThrusterForces, y: Array, f: Array, lags: Sequence[float]
 ) -> ThrustResponseCurve:
-    """Return the curve of the motion y (n,) beside the response to the thrust or moment f (n,) by the best of the lags
-    [s].
+    """Return the motion y (n,) beside the response to the thrust or moment f (n,) with the best of the lags [s].
 
     Times at which y is NaN are left out. ``forces`` gives the times (n,).
     """
@@ -400,7 +399,7 @@ def _rate_pair(
 
 
 def _signal_curves(c: Channels) -> list[SignalCurve]:
-    """Return the curves of at most `MAX_SIGNALS_SHOWN` sensors: those of `SHOWN` first, then other imported signals."""
+    """Return the curves of at most 12 sensors: motion signals and force first, then other imported signals."""
     others = [n for n in c if n not in SHOWN + NOT_SHOWN and not is_of_thruster(n, *INPUTS)]
     names = [*(n for n in SHOWN if n in c), *others][:MAX_SIGNALS_SHOWN]
     return [SignalCurve(n, c[n].unit, c[n].t, c[n].value, n == "psi") for n in names]
@@ -428,7 +427,7 @@ COPIED_SHARE, MIN_TRIPLES = 0.5, 50
 def invalidates_fit(finding: Finding) -> bool:
     """Return whether the result of a fit to a log with this finding is meaningless.
 
-    This holds for a fault whose code is in `SPOILING`.
+    This holds for faults of frames, signs, units, sides and time, and of signals that do not measure (`SPOILING`).
 
     Parameters
     ----------
@@ -470,7 +469,7 @@ def _check_segments(c: Channels, sides: Mapping[str, float], start: float) -> li
     -------
     list
         For each pair of check and signal the worst finding; of equal ones that of the longest segment. Segments shorter
-        than `SHORTEST_PIECE_S` [s] are not checked.
+        than 10 s are not checked.
     """
     gaps = silent_times(c)
     if not gaps:
@@ -608,8 +607,9 @@ def check_copies(logs: Sequence[tuple[str, Channels]]) -> list[Finding]:
 
     Notes
     -----
-    Measurement noise never repeats. Equal sequences of samples therefore come from the same run. Signals are compared
-    by their triples of neighbouring values (`COPIED_SHARE`, `MIN_TRIPLES`).
+    Measurement noise never repeats. Equal sequences of samples therefore come from the same run. A log is a copy if,
+    for the median signal, more than half of the triples of neighbouring values also occur in the other log. Signals
+    with 50 triples or fewer are not compared.
     """
     earlier: list[tuple[str, dict[str, NDArray[np.uint64]]]] = []
     found = []
@@ -632,8 +632,7 @@ def check_copies(logs: Sequence[tuple[str, Channels]]) -> list[Finding]:
 
 
 def _hashed_triples(value: Array) -> NDArray[np.uint64]:
-    """Return the distinct hashes (m,), sorted, of all triples of neighbouring values (n,) in which no two neighbours
-    are equal."""
+    """Return the distinct hashes (m,), sorted, of all triples of neighbouring values without equal neighbours."""
     bits = np.ascontiguousarray(value, dtype=np.float64).view(np.uint64)
     # Multiply by the golden ratio in 64 bits: the low bits of rounded values are zero and must be filled.
     mixed = (bits ^ bits >> np.uint64(31)) * np.uint64(0x9E3779B97F4A7C15)

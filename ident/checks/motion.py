@@ -53,13 +53,13 @@ class RegressionEffect(NamedTuple):
         Share (n_thrusters,) of the variance of the motion that this thruster alone explains.
     """
 
-    size: Array  # (n_thrusters,), regression factors
-    t: Array  # (n_thrusters,), t statistics; 0 if the effect is not separable
-    share: Array  # (n_thrusters,), share of the variance of the motion that this thruster alone explains
+    size: Array
+    t: Array
+    share: Array
 
     @property
     def sign(self) -> Array:
-        """Sign of each effect (n_thrusters,): +1 or -1 if it is significant (`SIGN_LIMITS`), else 0."""
+        """Sign of each effect (n_thrusters,): +1 or -1 if t and the share are large enough (`SIGN_LIMITS`), else 0."""
         significant = np.any([(np.abs(self.t) > t) & (self.share > share) for t, share in SIGN_LIMITS], axis=0)
         return np.where(significant, np.sign(self.size), 0.0)
 
@@ -77,10 +77,10 @@ class ThrustResponse(NamedTuple):
         Sign of the effect of the turning moment on the yaw rate: +1 as expected, -1 against it, 0 unknown.
     """
 
-    names: tuple[str, ...]  # of the thrusters
+    names: tuple[str, ...]
     yaw: RegressionEffect
     surge: RegressionEffect
-    moment: int  # sign of the effect of the turning moment on the yaw rate: +1, -1, or 0 if unknown
+    moment: int
 
 
 class ThrusterForces(NamedTuple):
@@ -100,11 +100,11 @@ class ThrusterForces(NamedTuple):
         Side of each thruster (n_thrusters,): +1 to port, -1 to starboard, 0 in the middle.
     """
 
-    names: tuple[str, ...]  # of the thrusters
-    t: Array  # (n,) [s]
-    edges: Array  # (n + 1,) [s], of the intervals around t
-    f: Array  # (n, n_thrusters), thrust in any unit
-    side: Array  # (n_thrusters,), +1 to port, -1 to starboard, 0 in the middle
+    names: tuple[str, ...]
+    t: Array
+    edges: Array
+    f: Array
+    side: Array
 
 
 def check_motion(c: Channels, sides: Mapping[str, float], dead: Collection[str] = ()) -> Iterator[Finding]:
@@ -182,10 +182,10 @@ def _thruster_faults(found: ThrustResponse, yaw: Array, surge: Array) -> Iterato
 
 
 def _relative_upper_bounds(effect: RegressionEffect) -> Array:
-    """Return the upper bound (n_thrusters,) of each effect (two standard errors above its size) over the largest
-    effect.
+    """Return the upper bound (n_thrusters,) of the size of each effect, divided by the largest significant effect.
 
-    1 for an effect that is not separable, and for all if no effect is significant.
+    The bound is two standard errors above the size. It is 1 for an effect that is not separable, and for all if no
+    effect is significant.
     """
     clear = np.abs(effect.t) > 1.5 * SIGNIFICANT_T
     if not clear.any():
@@ -208,7 +208,7 @@ def thrust_responses(c: Channels, sides: Mapping[str, float]) -> ThrustResponse 
     Returns
     -------
     ThrustResponse or None
-        None if the log is shorter than `MIN_DURATION` [s], or has no thrust or no sensor of the yaw rate.
+        None if the log is shorter than 15 s, or has no thrust or no sensor of the yaw rate.
     """
     forces = thruster_forces(c, sides)
     if forces is None:
@@ -223,8 +223,7 @@ def thrust_responses(c: Channels, sides: Mapping[str, float]) -> ThrustResponse 
 
 
 def best_turn_rate(c: Channels, edges: Array) -> Array | None:
-    """Return the yaw rate (n,) [rad/s] of the best available sensor: gyro, else heading, else course; None without a
-    sensor.
+    """Return the yaw rate (n,) [rad/s] by the gyro, else the heading, else the course; None without these sensors.
 
     Parameters
     ----------
@@ -288,8 +287,8 @@ def turn_rate(c: Channels, edges: Array, name: str) -> Array | None:
     Returns
     -------
     Array (n,) or None
-        Yaw rate [rad/s], positive to starboard; NaN while the boat is slower than `SLOWEST` [m/s] for a course. None
-        without this sensor.
+        Yaw rate [rad/s], positive to starboard; NaN while the boat is slower than 0.3 m/s for a course. None without
+        this sensor.
     """
     t = (edges[1:] + edges[:-1]) / 2
     if name == "gyro":
@@ -327,8 +326,8 @@ def thruster_forces(c: Channels, sides: Mapping[str, float]) -> ThrusterForces |
     Returns
     -------
     ThrusterForces or None
-        None if the log is shorter than `MIN_DURATION` [s], or has no thrust or no sensor of heading, yaw rate or
-        position. Thrusters without a thrust are left out.
+        None if the log is shorter than 15 s, or has no thrust or no sensor of heading, yaw rate or position. Thrusters
+        without a thrust are left out.
     """
     found = {n: s for n in sides if (s := _thrust_channel(c, n)) is not None}
     turns = next((c[n] for n in ("r", "psi", "x") if n in c), None)
@@ -409,7 +408,7 @@ def _thrust_effect(
     Returns
     -------
     RegressionEffect
-        All zeros if no thrust is separable, y is constant, or fewer than `MIN_DURATION` [s] of y are left.
+        All zeros if no thrust is separable, y is constant, or less than 15 s of y are left.
 
     Notes
     -----
@@ -442,8 +441,8 @@ def _thrust_effect(
 def _block_variance(X: Array, e: Array, inverse: NDArray[Any], lag: float) -> Array:
     """Return the variances (k,) of the factors of X (n, k), from the scores of the residuals e (n,) summed over blocks.
 
-    There are at least `FEWEST_BLOCKS` blocks, of at least 4 lags if the record is long enough. ``inverse`` (k, k):
-    inverse of X'X / n. ``lag``: time constant [s].
+    There are at least 6 blocks, of at least 4 lags if the record is long enough. ``inverse`` (k, k): inverse of X'X /
+    n. ``lag``: time constant [s].
     """
     rows = round(max(BLOCK_S, 4.0 * lag) * RATE)
     count = e.size // rows
@@ -522,7 +521,9 @@ def surge_speed(c: Channels, t: Array) -> Array | None:
 
 
 def fill_gaps(t: Array, values: Array) -> Array:
-    """Return values (n,) at times t (n,) [s] with each NaN interpolated between its neighbours. At least one value is
-    finite."""
+    """Return values (n,) at times t (n,) [s] with each NaN interpolated between its neighbours.
+
+    The first and last finite values are continued to the ends. At least one value is finite.
+    """
     good = np.isfinite(values)
     return np.interp(t, t[good], values[good])

@@ -26,7 +26,7 @@ def check_outliers(c: Channels) -> Iterator[Finding]:
     Yields
     ------
     Finding
-        ``many-outliers`` (fault) if more than `MANY` of a signal's samples were left out, else ``outliers-left-out``
+        ``many-outliers`` (fault) if more than 5 % of a signal's samples were left out, else ``outliers-left-out``
         (warning). ``position-jumps`` (fault) for a few jumps of ``x`` and ``y`` that no boat can make.
     """
     for name, channel in c.items():

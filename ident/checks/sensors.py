@@ -39,14 +39,14 @@ class LagEstimate(NamedTuple):
     lag
         Lag [s] with the least squared error. Positive: the output comes after the shifted regressors.
     se
-        Standard error [s] of the lag, by the jackknife over `BLOCKS` blocks of time.
+        Standard error [s] of the lag, by the jackknife over 10 blocks of time.
     r2
         Coefficient of determination of the regression at this lag.
     """
 
-    lag: float  # s
-    se: float  # s, standard error by the jackknife over blocks of time
-    r2: float  # of the regression at this lag
+    lag: float
+    se: float
+    r2: float
 
     @property
     def half(self) -> float:
@@ -55,7 +55,7 @@ class LagEstimate(NamedTuple):
 
 
 class LagErrors:
-    """Squared errors of one regression at each lag of a search, kept separately for `BLOCKS` blocks of time.
+    """Squared errors of one regression at each lag of a search, kept separately for 10 blocks of time.
 
     The errors of all blocks give the best lag. Those without one block each give its standard error (jackknife).
 
@@ -109,8 +109,7 @@ class LagErrors:
         return LagEstimate(self._refined_minimum(whole), se, 1.0 - float(whole.min()))
 
     def _refined_minimum(self, error: Array) -> float:
-        """Return the lag [s] of the least of the squared errors (n_lags,), refined by a parabola through its
-        neighbours.
+        """Return the lag [s] of the least squared error (n_lags,), refined by a parabola through its neighbours.
 
         At either end of the search the lag is not refined.
         """
@@ -150,10 +149,10 @@ class Match(NamedTuple):
     """
 
     scale: float
-    lag: float  # s
-    r2: float  # at this lag
-    gain: float = 0.0  # part of the squared error without a lag that the lag removes
-    half: float = 0.0  # s, half width of the 95 % interval of the lag
+    lag: float
+    r2: float
+    gain: float = 0.0
+    half: float = 0.0
 
 
 class Matches(NamedTuple):
@@ -171,9 +170,9 @@ class Matches(NamedTuple):
         Velocity over ground, and integral of the specific force turned by the heading.
     """
 
-    heading: Match | None  # heading and yaw rate
-    position: Match | None  # position and velocity over ground
-    velocity: Match | None  # velocity over ground and specific force
+    heading: Match | None
+    position: Match | None
+    velocity: Match | None
 
 
 def sensor_matches(c: Channels) -> Matches:
@@ -271,7 +270,7 @@ def gyro_and_heading(c: Channels, found: Match | None) -> Iterator[Finding]:
 
 
 def heading_match(c: Channels) -> Match | None:
-    """Regress increments of the heading over `WINDOW` [s] on those of the integrated yaw rate.
+    """Regress increments of the heading over 1 s on those of the integrated yaw rate.
 
     Parameters
     ----------
@@ -420,7 +419,7 @@ def delay_level(lag: float, half: float, fault_from: float = DELAY_FAULT) -> str
         Delay and half width of its 95 % interval [s], both positive.
     fault_from
         Delay [s] from which it is a fault, however wide its interval is. A smaller delay is a fault if its whole
-        interval is above `KNOWN_LATE` [s].
+        interval is above 0.2 s.
     """
     return FAULT if lag >= fault_from or lag - half > KNOWN_LATE else WARNING
 
@@ -451,14 +450,14 @@ def sensor_delay(
     found
         Relation of both signals.
     confounded
-        Whether another cause, for example a lever arm, may explain a part of the lag. A lag below `DELAY_FAULT` [s] is
-        then a warning, not a fault.
+        Whether another cause, for example a lever arm, may explain a part of the lag. A lag below 0.6 s is then a
+        warning, not a fault.
 
     Yields
     ------
     Finding
-        ``sensor-late`` for a significant lag of at least `DELAY_WARNING` [s]; ``delay-unknown`` (ok) if the interval is
-        too wide or the lag may be chance; else ``sensors-in-time`` (ok).
+        ``sensor-late`` for a significant lag of at least 0.3 s; ``delay-unknown`` (ok) if the interval is too wide or
+        the lag may be chance; else ``sensors-in-time`` (ok).
     """
     late, early, late_source = (first, second, first_source) if found.lag > 0 else (second, first, second_source)
     interval = delay_interval(abs(found.lag), found.half)
@@ -476,12 +475,12 @@ def sensor_delay(
 
 
 def _best_lag(columns: list[Array], regressors: list[list[Array]], window: float = WINDOW) -> Match:
-    """Find the lag of `LAGS` at which the regressors explain increments of the measured columns best.
+    """Find the lag between -2 and 2 s at which the regressors explain increments of the measured columns best.
 
     Parameters
     ----------
     columns
-        Measured signals (n,) on the common grid with step `STEP`, such as position north and east.
+        Measured signals (n,) on the common grid with a step of 0.05 s, such as position north and east.
     regressors
         Each regressor has one array (n,) for each column, and one factor for all of them.
     window
@@ -514,7 +513,7 @@ def _best_lag(columns: list[Array], regressors: list[list[Array]], window: float
 
 
 def common_grid(*channels: Channel) -> Array:
-    """Return times (n,) [s] at steps of `STEP` in the span that all channels cover; empty if they do not overlap.
+    """Return times (n,) [s] at steps of 0.05 s in the span that all channels cover; empty if they do not overlap.
 
     Parameters
     ----------

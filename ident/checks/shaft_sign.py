@@ -58,7 +58,7 @@ def wrapped(value: Array, fastest: float = MAX_SPEED, clear: float = MIN_COMMAND
     Returns
     -------
     bool
-        False if fewer than `MIN_SAMPLES` values are possible, or fewer are near the largest size.
+        False if fewer than 10 values are possible, or fewer are near the largest size.
 
     Notes
     -----
@@ -120,7 +120,7 @@ def _one_sided_fault(name: str, command: Channel, shaft: Channel) -> Finding | N
 def _speed_over_command(command: Channel, shaft: Channel, sign: float) -> float | None:
     """Return the median of shaft speed over command at steady commands of the given sign (+1 forward, -1 reverse).
 
-    A positive ratio means that the shaft turns forward. None for fewer than `MIN_SAMPLES` samples.
+    A positive ratio means that the shaft turns forward. None for fewer than 10 samples.
     """
     at = [sample_and_hold(command, shaft.t - late) * sign for late in np.linspace(0.0, SETTLED_S, 7)]
     steady: NDArray[np.bool_] = np.min(at, axis=0) > MIN_COMMAND

@@ -58,16 +58,16 @@ class Response(NamedTuple):
     band_gain
         Part of the squared error without a dead band that the dead band removes, 0 to 1.
     delay_known
-        False if a delay on the other side of `MAX_DELAY` fits nearly as well.
+        False if a delay on the other side of 0.6 s fits nearly as well.
     """
 
-    delay: float  # s
-    time_constant: float  # s
-    band: float  # of full command
+    delay: float
+    time_constant: float
+    band: float
     scale: float
     r2: float
-    band_gain: float  # part of the squared error without a dead band that the dead band removes
-    delay_known: bool  # False if a delay on the other side of MAX_DELAY fits nearly as well
+    band_gain: float
+    delay_known: bool
 
 
 class NoResponse(Enum):
@@ -227,8 +227,8 @@ def response(commands: Channel, shaft: Channel) -> Response | NoResponse:
 
     Notes
     -----
-    Times without telemetry are left out. Of a log longer than `MAX_SEARCH_SAMPLES` steps only the part from the first
-    command on is searched.
+    Times without telemetry are left out. Of a log longer than 30 min only the part from the first command on is
+    searched.
     """
     longest = len(DELAYS) - 1
     grid = np.arange(max(commands.t[0], shaft.t[0]), min(commands.t[-1] + 5.0, shaft.t[-1]), STEP)
@@ -326,15 +326,15 @@ class HeldCommand(NamedTuple):
         Shaft speeds (n,) over full speed.
     """
 
-    t: float  # s, start
-    level: float  # command
-    settled: float  # median of the shaft speed in the second half
-    times: Array  # (n,) [s], of the samples of the shaft speed
-    values: Array  # (n,)
+    t: float
+    level: float
+    settled: float
+    times: Array
+    values: Array
 
 
 def held_commands(command: Channel, shaft: Channel) -> list[HeldCommand]:
-    """Return the times of at least `MIN_HOLD_S` [s] in which the command did not change, in order.
+    """Return the times of at least 4 s in which the command did not change, in order.
 
     Times with fewer than two samples of the shaft speed in their second half are left out.
 

@@ -51,20 +51,18 @@ FEWEST_STEADY, FINE_S = 4, 0.02  # samples of velocity that confirm an accelerat
 
 
 def check_intervals(c: Channels) -> Iterator[Finding]:
-    """Yield at most one fault: a pause of more than a day, or sample intervals that show that the time is not in
-    seconds.
+    """Yield at most one fault: a pause of more than a day, or sample intervals of a time that is not in seconds.
 
     Parameters
     ----------
     c
-        Channels of a log by name. The motion signals (`MOTION`) are examined in this order, and the first fault ends
-        the check.
+        Channels of a log by name. The motion signals, such as ``psi`` and ``x`` (`MOTION`), are examined in turn, and
+        the first fault ends the check.
 
     Yields
     ------
     Finding
-        ``times-jump`` for a pause above `LONGEST_PAUSE` [s]. ``time-scale`` for a median interval outside
-        `SHORTEST_INTERVAL` to `LONGEST_INTERVAL` [s].
+        ``times-jump`` for a pause of more than a day. ``time-scale`` for a median interval below 0.2 ms or above 10 s.
     """
     for name in (n for n in MOTION if n in c):
         pause = np.diff(c[name].t)
@@ -103,9 +101,9 @@ def check_ranges(c: Channels) -> Iterator[Finding]:
     Yields
     ------
     Finding
-        ``n-out-of-range`` for a command or shaft speed above `MAX_N` of full speed (99 % quantile).
-        ``angle-in-degrees`` for a yaw rate above `MAX_YAW_RATE` [rad/s], and for headings in degrees or converted
-        twice. ``positions-in-degrees`` for a track of less than `MAX_TRACK_DEG` far from its origin.
+        ``n-out-of-range`` for a command or shaft speed above 1.5 times full speed (99 % quantile). ``angle-in-degrees``
+        for a yaw rate above 5 rad/s, and for headings in degrees or converted twice. ``positions-in-degrees`` for a
+        track of less than 0.1 in both directions, far from its origin.
     """
     for name in sorted(n for n in c if is_of_thruster(n, COMMAND, SHAFT_SPEED)):
         most = float(np.quantile(np.abs(c[name].value), 0.99))
@@ -192,8 +190,7 @@ def check_frozen(c: Channels) -> Iterator[Finding]:
 
 
 def check_quantised(c: Channels) -> Iterator[Finding]:
-    """Yield a warning for positions, and for velocities, in coarse steps, for example minutes with three decimals or
-    knots.
+    """Yield a warning for positions, and for velocities, in coarse steps, such as minutes with three decimals.
 
     Parameters
     ----------
@@ -224,7 +221,7 @@ def coarse_step(c: Channels, name: str) -> float:
     Returns
     -------
     float
-        0 if the signal is not rounded, if its step is outside the range of `COARSE`, or if it is not ``x``, ``y``,
+        0 if the signal is not rounded, if its step is not 0.3 to 20 m, or 0.2 to 1.1 m/s, or if it is not ``x``, ``y``,
         ``vx`` or ``vy``.
     """
     if name not in COARSE:
@@ -233,10 +230,10 @@ def coarse_step(c: Channels, name: str) -> float:
 
 
 def _coarse_candidates(c: Channels, name: str) -> Iterator[tuple[Array, float]]:
-    """Yield values (n,) that lie on a grid with a step in the range of `COARSE`, and this step [m or m/s].
+    """Yield values (n,) that lie on a coarse grid, and the step of the grid: 0.3 to 20 m, or 0.2 to 1.1 m/s.
 
-    The candidates are the signal ``name`` (a key of `COARSE`) and, for ``vx`` or ``vy`` with equal times, the speed
-    over ground. Nothing is yielded if neither is rounded coarsely.
+    The candidates are the signal ``name`` (``x``, ``y``, ``vx`` or ``vy``) and, for ``vx`` or ``vy`` with equal times,
+    the speed over ground. Nothing is yielded if neither is rounded coarsely.
     """
     candidates = [c[name].value]
     if name in ("vx", "vy") and {"vx", "vy"} <= set(c) and np.array_equal(c["vx"].t, c["vy"].t):
@@ -250,7 +247,7 @@ def _coarse_candidates(c: Channels, name: str) -> Iterator[tuple[Array, float]]:
 def _grid_step(value: Array) -> float:
     """Return the step of the grid that contains all values (n,), in the unit of the values.
 
-    0 if the values are on no grid, are all equal, or are fewer than `LEAST_PER_LEVEL` for each level.
+    0 if the values are on no grid, are all equal, or are fewer than three for each level.
     """
     levels = np.unique(value)
     steps = np.diff(levels)
@@ -264,8 +261,8 @@ def _grid_step(value: Array) -> float:
 def _resolution_explains_hold(c: Channels, name: str, begin: float, end: float) -> bool:
     """Return whether a coarse resolution explains that a value stays the same from ``begin`` to ``end`` [s].
 
-    This holds if the changes before and after that time are at most `MAX_STEPS` steps of the resolution. False if the
-    signal has no coarse resolution, or if that time is the whole log.
+    This holds if the changes before and after that time are less than 2.5 steps of the resolution. False if the signal
+    has no coarse resolution, or if that time is the whole log.
     """
     value, step = next(_coarse_candidates(c, name), (c[name].value, 0.0)) if name in COARSE else (c[name].value, 0.0)
     t = c[name].t
@@ -277,7 +274,7 @@ def _resolution_explains_hold(c: Channels, name: str, begin: float, end: float) 
 def _longest_unusual_hold(channel: Channel) -> tuple[float, float]:
     """Return begin and end [s] of the longest time in which the value of a channel stays exactly the same.
 
-    (0, 0) if this time has fewer than `FROZEN_SAMPLES` samples, or is shorter than `FROZEN_TIMES` times the usual one.
+    (0, 0) if this time has 10 samples or fewer, or is shorter than ten times the usual one (99 % quantile).
     """
     first = np.flatnonzero(np.diff(channel.value, prepend=np.nan) != 0)
     last = np.append(first[1:], channel.value.size) - 1
@@ -290,12 +287,12 @@ def _longest_unusual_hold(channel: Channel) -> tuple[float, float]:
 
 
 def _boat_moves(c: Channels, group: Sequence[str], whole: bool, begin: float, end: float) -> bool:
-    """Return whether the boat moves from ``begin`` to ``end`` [s], by sensors outside a group of `GROUPS` or by its
-    thrusters.
+    """Return whether the boat moves from ``begin`` to ``end`` [s], by the other sensors or by its thrusters.
 
-    ``whole``: whether all logged signals of the group stay the same in that time. For an acceleration or a velocity a
-    turn is enough, or any command if ``whole``. For a position the sum of both thrusters is needed. For a heading or
-    yaw rate without the other one, their difference is enough.
+    ``group``: signals of one sensor, which cannot prove the motion. ``whole``: whether all logged signals of the group
+    stay the same in that time. A turn of the boat is enough in general, and so is any command if ``whole``. For
+    positions and velocities over ground, both thrusters together must also push forward or back, if they are logged.
+    For a heading or yaw rate, if the other one is not logged, a difference of both thrusters is enough.
     """
     turns = any(np.std(turn) > TURNS for turn in _headings_by_other_sensors(c, group, begin, end))
     quantities = (SHAFT_SPEED, THRUSTER_FORCE, COMMAND)
@@ -315,8 +312,7 @@ def _boat_moves(c: Channels, group: Sequence[str], whole: bool, begin: float, en
 
 
 def _lacks_sensor_noise(name: str, channel: Channel) -> bool:
-    """Return whether the white noise of the channel ``name`` is below that of a sensor (`NO_NOISE`), or below its
-    resolution."""
+    """Return whether the white noise of the channel ``name`` is below that of any sensor, or below its resolution."""
     return noise_floor(channel) < max(NO_NOISE[name], float(np.diff(np.unique(channel.value)).min(initial=np.inf)))
 
 
@@ -359,8 +355,7 @@ def _noise_or_zero(channel: Channel) -> float:
 
 
 def _headings_by_other_sensors(c: Channels, group: Sequence[str], begin: float, end: float) -> Iterator[Array]:
-    """Yield the heading (n,) [rad] from ``begin`` to ``end`` [s] by each sensor that is not in ``group``: compass,
-    gyro.
+    """Yield the heading (n,) [rad] from ``begin`` to ``end`` [s] by compass and by gyro, unless it is in ``group``.
 
     If the yaw rate is the group, the turn at its constant rate is subtracted from the heading. A sensor with too few
     samples gives one zero.
@@ -388,7 +383,7 @@ def check_alternating(c: Channels) -> Iterator[Finding]:
     Parameters
     ----------
     c
-        Channels of a log by name. Signals of one sensor (`GROUPS`) share one finding.
+        Channels of a log by name. Signals of one sensor, such as ``x`` and ``y``, share one finding.
     """
     for group in GROUPS:
         shares = {name: _alternating_share(c[name]) for name in group if name in c}
@@ -403,10 +398,10 @@ def _alternating_share(channel: Channel) -> float:
     """Return how much of a signal alternates from sample to sample, from 0 (not at all) to 1.
 
     Each sample is compared with the straight line between its two neighbours. The result is the share of the mean
-    square of these deviations that changes its sign at every sample (median over blocks of `ALTERNATE_BLOCK` samples).
+    square of these deviations that changes its sign at every sample (median over blocks of 20 samples).
 
-    The result is 0 for fewer than `FEWEST` samples, and if more than `FEW_REPEATS` of the values repeat the value
-    before: pairs of equal values would also alternate.
+    The result is 0 for fewer than 200 samples, and if more than 20 % of the values repeat the value before: pairs of
+    equal values would also alternate.
     """
     value = np.unwrap(channel.value) if channel.unit == "rad" else channel.value
     if value.size < FEWEST or np.mean(np.diff(value) == 0.0) > FEW_REPEATS:
@@ -438,19 +433,19 @@ def check_smoothing(c: Channels) -> Iterator[Finding]:
 
 
 def smoothed(c: Channels) -> tuple[str, ...]:
-    """Return the names of the motion signals (`MOTION`) whose white noise is less than that of any sensor (`NO_NOISE`).
+    """Return the names of the motion signals whose white noise is less than that of any sensor.
 
     Parameters
     ----------
     c
-        Channels of a log by name.
+        Channels of a log by name. The limits are, for example, 0.0001 rad for ``psi`` and 0.002 m for ``x``
+        (`NO_NOISE`).
     """
     return tuple(n for n in MOTION if n in c and noise_floor(c[n]) < NO_NOISE[n])
 
 
 def estimated(c: Channels) -> bool:
-    """Return whether the position has so little white noise (less than `ESTIMATED` [m]) that it comes from an
-    estimator.
+    """Return whether the position has so little white noise (less than 3 cm) that it comes from an estimator.
 
     Parameters
     ----------
@@ -476,7 +471,7 @@ def noise_floor(channel: Channel) -> float:
     Returns
     -------
     float
-        Standard deviation, in the unit of the channel. inf for fewer than `FEWEST` samples.
+        Standard deviation, in the unit of the channel. inf for fewer than 200 different samples.
 
     Notes
     -----

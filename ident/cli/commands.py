@@ -574,8 +574,10 @@ def design(
 
 
 def _with_live_progress(work: Any) -> Any:
-    """Run a workflow, which receives a reporter, while a live line on standard error shows its progress; return its
-    result."""
+    """Run a workflow while a live line on standard error shows its progress; return its result.
+
+    ``work`` receives a reporter.
+    """
     from rich.console import Console
 
     console = Console(highlight=False, stderr=True)

@@ -84,8 +84,7 @@ def parse_rates(context: click.Context, parameter: click.Parameter, items: Seque
 
 
 def check_jobs(_context: click.Context, _parameter: click.Parameter, number: int) -> int:
-    """Check and return the value of ``--jobs``: a number of processes, or -1 for one process for each core (click
-    callback).
+    """Check and return the value of ``--jobs``: a number of processes, or -1 for one for each core (click callback).
 
     Raises
     ------
@@ -271,8 +270,9 @@ def reml_option(default: bool | None = True) -> Callable[..., Any]:
 
 
 def mean_order_option(default: bool | None = True) -> Callable[..., Any]:
-    """Return the option ``--second-order/--no-second-order`` as a decorator; the command receives ``mean_order`` 2 or
-    1.
+    """Return the option ``--second-order/--no-second-order`` as a decorator.
+
+    The command receives ``mean_order`` 2 or 1.
 
     Parameters
     ----------

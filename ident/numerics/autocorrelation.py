@@ -84,7 +84,7 @@ def correlation_length(series: Sequence[Array]) -> float:
     Returns
     -------
     float
-        Zero also for fewer than `MIN_SAMPLES` samples, and if no correlation is significant.
+        Zero also for fewer than three samples, and if no correlation is significant.
 
     Notes
     -----
@@ -157,7 +157,7 @@ def effective_sample_size(z: Array) -> float:
     Returns
     -------
     float
-        1 to n. n for fewer than `MIN_SAMPLES` samples, and if all are zero.
+        1 to n. n for fewer than three samples, and if all are zero.
 
     Notes
     -----

@@ -88,7 +88,7 @@ class SearchState:
 
     @property
     def done(self) -> bool:
-        """Whether the mesh is finer than `LAST_MESH`, at which the search ends."""
+        """Whether the mesh is finer than 0.001 of the range of a coordinate, at which the search ends."""
         return self.mesh < LAST_MESH
 
 

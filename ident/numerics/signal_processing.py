@@ -204,7 +204,7 @@ def rounding_step(value: Array) -> float:
     Returns
     -------
     float
-        In the unit of the signal. Zero also for too few different values to tell (`GRID_FEWEST` differences).
+        In the unit of the signal. Zero also for fewer than 13 different values.
 
     Notes
     -----

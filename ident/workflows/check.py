@@ -237,8 +237,7 @@ def with_noise_floors(model: Model, logs: Sequence[LoadedLog]) -> tuple[Model, l
 
 
 def _rounding_error(channels: Mapping[str, Channel], name: str) -> float:
-    """Return the standard deviation of the rounding error of a signal, in its unit; zero if it is not rounded or not
-    logged.
+    """Return the standard deviation of the rounding error of a signal; zero if it is not rounded or not logged.
 
     The error is uniform over one step (Bennett 1948). A receiver that reports speed and course rounds the speed, so the
     steps of a velocity are looked for in its magnitude too.

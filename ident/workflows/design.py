@@ -109,22 +109,22 @@ class DesignRequest:
         Names of the thrusters in the rig; empty: those of the model.
     """
 
-    duration: float = 600.0  # s
-    steps: int | None = None  # number of steps; None: one for each 5 s
+    duration: float = 600.0
+    steps: int | None = None
     criterion: Kind = "D"
-    chosen: tuple[str, ...] = ()  # parameters of the criterion; empty: all
+    chosen: tuple[str, ...] = ()
     limits: DesignLimits = field(default_factory=DesignLimits)
-    shortest: float = 1.0  # s, length of the shortest step
-    n_max: float = 1.0  # largest command, as a part of full
-    slew: float = np.inf  # slew limit of a command [1/s]
-    rates: Mapping[str, float] = field(default_factory=dict)  # Hz, of each sensor
-    robust: int = 0  # number of parameter samples that the criterion is averaged over; 0: nominal values only
-    spread: float = PRIOR_HALFWIDTH  # relative half-width of the prior, if the model is not a model.toml
-    process_noise: bool = True  # information of prediction error; False: of output error
+    shortest: float = 1.0
+    n_max: float = 1.0
+    slew: float = np.inf
+    rates: Mapping[str, float] = field(default_factory=dict)
+    robust: int = 0
+    spread: float = PRIOR_HALFWIDTH
+    process_noise: bool = True
     seed: int = 1
-    evaluations: int = 20_000  # of the search
-    between: tuple[str, ...] = ()  # two effects to discriminate
-    thrusters: tuple[str, ...] = ()  # names in the rig; empty: those of the model
+    evaluations: int = 20_000
+    between: tuple[str, ...] = ()
+    thrusters: tuple[str, ...] = ()
 
 
 def make_design(source: str, request: DesignRequest, out: Path, command: str, reporter: Reporter) -> DesignResult:
@@ -233,8 +233,7 @@ def _paths_beside_mission(out: Path) -> dict[str, Path]:
 
 
 def _design_warnings(made: Design) -> list[ResultWarning]:
-    """Return warnings about assumed values of a design, about sensor rates, and about signals beyond the fitted
-    data."""
+    """Return warnings about assumed values, about sensor rates, and about signals beyond the fitted data."""
     task = made.task
     pole = None if task.actuation.shafts_are_states else task.actuation.pole
     warnings = design_warnings(task.model, task.actuation.full_thrust, pole)
@@ -263,8 +262,7 @@ def _design_warnings(made: Design) -> list[ResultWarning]:
 
 
 def beyond_validity(made: Design) -> list[str]:
-    """Return the inputs and states of the nominal boat that leave the range of the fitted data, each as a text with
-    both ranges.
+    """Return a text for each input and state of the nominal boat that leaves the range of the fitted data.
 
     Parameters
     ----------
@@ -274,12 +272,13 @@ def beyond_validity(made: Design) -> list[str]:
     Returns
     -------
     list of str
-        Empty if no signal leaves its range, or if the model has no ranges.
+        Name, reached range and range of the fitted data. Empty if no signal leaves its range, or if the model has no
+        ranges.
 
     Notes
     -----
-    A signal leaves the range if it exceeds it by more than ``VALIDITY_MARGIN`` of its width. As in the fitted data, the
-    range of an input is from its minimum to its maximum, that of a state from its 1 % to its 99 % quantile.
+    A signal leaves the range if it exceeds it by more than 10 % of its width. As in the fitted data, the range of an
+    input is from its minimum to its maximum, that of a state from its 1 % to its 99 % quantile.
     """
     task = made.task
     if not task.validity:
@@ -509,9 +508,9 @@ def hypotheses(model: Model, names: Sequence[str]) -> tuple[Model, Model]:
 def with_effect(model: Model, name: str) -> Model:
     """Return the model with an effect of a relevant size.
 
-    If the model already has the effect, and its fitted size is not negligible (``NEGLIGIBLE``), the size is kept.
-    Otherwise its parameters are shifted by half of the standard deviation of their prior, or by five characteristic
-    steps without a prior, inside their bounds.
+    If the model already has the effect, and its fitted size is at least 2 % of the standard deviation of its prior
+    (without a prior, one characteristic step), the size is kept. Otherwise its parameters are shifted by half of the
+    standard deviation of their prior, or by five characteristic steps without a prior, inside their bounds.
 
     Parameters
     ----------
@@ -592,10 +591,10 @@ def _parameter_table(made: Design, baseline: Mapping[str, float]) -> tuple[Desig
 def _design_answer(
     made: Design, parameters: Sequence[DesignedParameter], apart: Discrimination | None, baseline: BaselineSignal
 ) -> str:
-    """Return the sentence on the standard errors after the mission, or on the discrimination of two effects
-    (``apart``).
+    """Return the sentence on the standard errors after the mission, or on the discrimination of two effects.
 
-    If a baseline signal is better than the design, the warning about it comes first.
+    ``apart``: discrimination of two effects, or None. If a baseline signal is better than the design, the warning about
+    it comes first.
     """
     if apart is not None:
         first, second = apart.effects

@@ -290,8 +290,7 @@ def _information_answer(parameters: Sequence[InformedParameter], n_segments: int
 
 
 def _information_notes(parameters: Sequence[InformedParameter], records: Sequence[Record], model: Model) -> list[str]:
-    """Return notes on missing sensors, parameters without information, and the mission that would inform poorly
-    known ones."""
+    """Return notes on missing sensors, on parameters without information, and on the mission that would inform them."""
     notes = [
         f"{r.name}: not in the log and therefore not used: {', '.join(missing)}."
         for r in records

@@ -304,8 +304,7 @@ def thrust_from(model: Model, loaded: Sequence[LoadedLog]) -> str:
 
 
 def _has_held_shaft_speeds(log: LoadedLog) -> bool:
-    """Return whether an import map declares shaft speeds ``n_left`` and ``n_right`` with the hold ``zero``, as for
-    commands."""
+    """Return whether an import map declares ``n_left`` and ``n_right`` with the hold ``zero``, as for commands."""
     return all(n in log.run.channels and log.run.channels[n].source == n and log.holds.get(n) == "zero" for n in SHAFTS)
 
 
@@ -331,8 +330,7 @@ def with_logged_holds(model: Model, holds: Mapping[str, str]) -> Model:
 def in_one_frame(
     model: Model, loaded: Sequence[LoadedLog], validation_logs: Sequence[LoadedLog], reference: FrameOrigin | None
 ) -> tuple[list[LoadedLog], list[LoadedLog]]:
-    """Return the logs with x and y from one origin: that of a saved model, else the first fix of the first log with
-    fixes.
+    """Return the logs with x and y from one origin: that of a saved model, else the first fix of the first log.
 
     Parameters
     ----------
@@ -468,7 +466,7 @@ def _curve_path(thruster: str | None, model: Path) -> Path | None:
 def _check_thrust_inputs(
     model: Model, path: Path, loaded: Sequence[LoadedLog], validation_logs: Sequence[LoadedLog]
 ) -> None:
-    """Raise SeatrialError if a log lacks an input of the model that a static thrust curve would give (`CURVE_INPUTS`).
+    """Raise SeatrialError if a log lacks an input of the model that a thrust curve would give, such as ``f_left``.
 
     ``path``: file of the model, for the message.
     """

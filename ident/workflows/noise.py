@@ -54,7 +54,7 @@ class NoiseEstimate:
 
     log: str
     name: str
-    label: str  # name for the reader, with that of the log if there are several logs
+    label: str
     channel: Channel
     fit: NoiseFit
 
@@ -245,8 +245,7 @@ def _percent(share: float) -> str:
 
 
 def _noise_notes(found: Sequence[NoiseEstimate]) -> list[str]:
-    """Return notes on rejected channels, negligible departures from the noise model, spikes, coarse steps, and flags
-    of the fits."""
+    """Return notes on rejected channels, negligible departures, spikes, coarse steps, and flags of the fits."""
     lines = [f"{x.label}: not white noise plus a random walk: {x.reason}. {x.remedy}" for x in found if x.fit.rejected]
     lines += [
         f"{x.label}: the innovations are not quite white, but no more than {_percent(x.fit.departures.share)} of their "

@@ -192,8 +192,10 @@ def _calibration(loaded: Sequence[LoadedLog]) -> float | None:
 
 
 def _refuse_options(path: Path, options: Sequence[str]) -> None:
-    """Raise SeatrialError if there are ``options`` that a static curve does not use. ``path``: file of the log, for
-    the message."""
+    """Raise SeatrialError if ``options`` is not empty: names of options that a static curve does not use.
+
+    ``path``: file of the log, for the message.
+    """
     if options:
         raise SeatrialError(
             f"{path}: has no shaft speed, so only a static curve can be fitted, which does not use "
@@ -223,8 +225,8 @@ def _static_force(fitted: Fit, records: Sequence[Record], loaded: Sequence[Loade
 def _steady_points(loaded: LoadedLog, name: str, bias: float) -> list[tuple[float, float, float]]:
     """Return shaft speed, force [N] and standard error [N] at the end of each command that was held long enough.
 
-    ``name``: name of the thruster. ``bias`` [N] is subtracted from the force. The last `AVERAGED_S` [s] of each command
-    are averaged.
+    ``name``: name of the thruster. ``bias`` [N] is subtracted from the force. The last 0.6 s of each command are
+    averaged.
     """
     command, n, f = (loaded.run.channels[c] for c in (command_of(name), shaft_speed_of(name), "force"))
     points = []

@@ -154,7 +154,7 @@ def with_sampled_inputs(source: str, loaded: Sequence[LoadedLog]) -> tuple[str, 
     -------
     tuple of str and list of str
         Name of the model, and a line about the choice. The name is unchanged, without a line, for other structures, if
-        it is this variant already, or for samples closer than `SLOW_INPUT_S` [s].
+        it is this variant already, or for samples less than 15 ms apart.
 
     Notes
     -----
