@@ -73,7 +73,7 @@ class Course(NamedTuple):
     offset: float
 
 
-class Fit(NamedTuple):
+class HypothesisFit(NamedTuple):
     """Fit of one hypothesis about the axes.
 
     Attributes
@@ -110,8 +110,12 @@ def check_frames(c: Channels, heading: Match | None, turning: Mapping[str, int])
         At most one fault: the first of mirrored signals, exchanged axes, an axis without motion, an offset of the
         heading, and body velocities in a wrong frame.
     """
-    tracks = {n: w for n, pair in (("position", ("x", "y")), ("velocity", ("vx", "vy"))) if (w := windows(c, *pair))}
-    courses = {n: course(c, w) for n, w in tracks.items() if "psi" in c}
+    tracks = {
+        n: w
+        for n, pair in (("position", ("x", "y")), ("velocity", ("vx", "vy")))
+        if (w := displacement_windows(c, *pair))
+    }
+    courses = {n: track_course(c, w) for n, w in tracks.items() if "psi" in c}
     signs: dict[Relation, int] = {(n, "heading"): found.parity for n, found in courses.items() if found is not None}
     signs |= {("thrusters", name): sign for name, sign in turning.items()}
     if heading is not None and heading.r2 > SENSE_R2:
@@ -174,7 +178,7 @@ class Windows(NamedTuple):
     d: Complex
 
 
-def windows(c: Channels, north: str, east: str) -> Windows | None:
+def displacement_windows(c: Channels, north: str, east: str) -> Windows | None:
     """Return displacements over windows of time, by positions or by integrated velocities.
 
     Parameters
@@ -206,7 +210,7 @@ def windows(c: Channels, north: str, east: str) -> Windows | None:
     return Windows(edges[:-1] + width / 2, width, np.diff(at[0]) + 1j * np.diff(at[1]))
 
 
-def course(c: Channels, w: Windows) -> Course | None:
+def track_course(c: Channels, w: Windows) -> Course | None:
     """Return the relation of a track to the heading.
 
     Parameters
@@ -360,9 +364,9 @@ def _axes_error(tracks: Mapping[str, Windows]) -> str | None:
         return None
     block = _block_of_windows(p.t[inside], p.width)
     candidates = {"": moved} | {name: of(moved) for name, of in AXES.items()}
-    best = preferred({name: regress(p.d[inside], z, block, ()) for name, z in candidates.items()})
+    best = preferred_hypothesis({name: fit_hypothesis(p.d[inside], z, block, ()) for name, z in candidates.items()})
     if best is None:
-        alone = [regress(f(p.d[inside]) + 0j, f(moved) + 0j, block, ()).misfit for f in (np.real, np.imag)]
+        alone = [fit_hypothesis(f(p.d[inside]) + 0j, f(moved) + 0j, block, ()).misfit for f in (np.real, np.imag)]
         power = [float(np.sum(f(moved) ** 2)) for f in (np.real, np.imag)]
         for good, bad, name in ((0, 1, "y"), (1, 0, "x")):
             if alone[good] < GOOD < BAD < alone[bad] and power[bad] > LEAST_GAIN * power[good]:
@@ -387,7 +391,9 @@ def _body_velocity_fault(c: Channels, tracks: Mapping[str, Windows]) -> Iterator
     candidates = {"": moved(turn * w), "earth": moved(w), "earth, exchanged": moved(1j * np.conj(w))}
     candidates |= {name: moved(turn * of(w)) for name, of in AXES.items()}
     current = np.full(d.size, track.width + 0j)  # displacement by a current of 1 m/s north
-    best = preferred({name: regress(d, z, block, (current, 1j * current)) for name, z in candidates.items()})
+    best = preferred_hypothesis(
+        {name: fit_hypothesis(d, z, block, (current, 1j * current)) for name, z in candidates.items()}
+    )
     if best is None:
         forward, starboard = moved(turn * w.real), moved(1j * turn * w.imag)
         best = _reversed_column(d, block, (forward, starboard, current, 1j * current))
@@ -429,7 +435,7 @@ def check_accelerometer(c: Channels, found: Match | None) -> Iterator[Finding]:
     found
         Relation of velocity and specific force (`seatrial.ident.checks.sensors.velocity_match`). None gives no finding.
     """
-    velocity = windows(c, "vx", "vy")
+    velocity = displacement_windows(c, "vx", "vy")
     if found is None or velocity is None:
         return
     north, east = c["vx"], c["vy"]
@@ -440,9 +446,11 @@ def check_accelerometer(c: Channels, found: Match | None) -> Iterator[Finding]:
         return
     d, block, moved, turn, w = turned
     bias = (moved(turn), moved(1j * turn))
-    fits = {name: regress(d, moved(turn * of(w)), block, bias) for name, of in AXES.items()}
-    fits[""] = regress(d, moved(turn * w), block, bias)
-    best = preferred(fits) or _reversed_column(d, block, (moved(turn * w.real), moved(1j * turn * w.imag), *bias))
+    fits = {name: fit_hypothesis(d, moved(turn * of(w)), block, bias) for name, of in AXES.items()}
+    fits[""] = fit_hypothesis(d, moved(turn * w), block, bias)
+    best = preferred_hypothesis(fits) or _reversed_column(
+        d, block, (moved(turn * w.real), moved(1j * turn * w.imag), *bias)
+    )
     if best == "both signs are reversed":
         yield half_turn("ax and ay point opposite to the change of velocity")
     elif best is not None:
@@ -530,7 +538,7 @@ def _reversed_column(target: Complex, block: NDArray[np.intp], columns: tuple[Co
     return None
 
 
-def regress(target: Complex, z: Complex, block: NDArray[np.intp], others: tuple[Complex, ...]) -> Fit:
+def fit_hypothesis(target: Complex, z: Complex, block: NDArray[np.intp], others: tuple[Complex, ...]) -> HypothesisFit:
     """Fit a target by a hypothesis.
 
     Parameters
@@ -551,10 +559,10 @@ def regress(target: Complex, z: Complex, block: NDArray[np.intp], others: tuple[
     scale = max(float(Z @ Y) / max(float(Z @ Z), 1e-300), 0.0)
     e = (Y - scale * Z) ** 2
     per_block = _sum_per_block(e[: target.size] + e[target.size :], block) / max(float(Y @ Y), 1e-300)
-    return Fit(scale, float(per_block.sum()), per_block)
+    return HypothesisFit(scale, float(per_block.sum()), per_block)
 
 
-def preferred(found: Mapping[str, Fit]) -> str | None:
+def preferred_hypothesis(found: Mapping[str, HypothesisFit]) -> str | None:
     """Return the name of the best hypothesis about a wrong frame.
 
     Parameters

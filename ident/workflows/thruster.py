@@ -165,17 +165,17 @@ def characterise(request: ThrusterRequest, command: str, reporter: Reporter) -> 
 
 
 def _without_zero_drift(
-    loaded: Sequence[LoadedLog], command_of: Callable[[LoadedLog], str], settle: float
+    loaded: Sequence[LoadedLog], command_name: Callable[[LoadedLog], str], settle: float
 ) -> tuple[list[LoadedLog], list[str]]:
     """Remove the drift of the load cells' zeros between rests; return new logs, and a line for each drift.
 
-    ``command_of``: returns the name of the command of a log. ``settle``: time [s] after a change of command that is
-    left out. A log without force, command or rests is returned unchanged.
+    ``command_name``: function that returns the name of the command of a log. ``settle``: time [s] after a change of
+    command that is left out. A log without force, command or rests is returned unchanged.
     """
     found, lines = [], []
     for x in loaded:
         channels = x.run.channels
-        command, force = channels.get(command_of(x)), channels.get("force")
+        command, force = channels.get(command_name(x)), channels.get("force")
         drift = zero_drift(command, force, settle) if command is not None and force is not None else None
         if drift is not None and force is not None:
             x = replace(x, run=replace(x.run, channels={**channels, "force": drift.taken_off(force)}))
