@@ -87,7 +87,7 @@ def _constant_inputs(c: Channels, names: list[str]) -> Iterator[Finding]:
     n_rises = _count_motion_rises(c)
     values = ", ".join(dict.fromkeys(f"{np.median(c[n].value):.3g}" for n in names))
     stopped = all(abs(float(np.median(c[n].value))) < TURNING for n in names)
-    advice = "use another column or topic in the map; an output that the autopilot did not drive? a cable?"
+    advice = "use another column or topic in the map; check the cable, and whether the autopilot drives this output"
     if n_rises > (0 if stopped else MAX_RISES):
         text = f"constant in the whole log ({values}), but the boat speeds up and turns: other signals drove it"
         yield Finding(FAULT, "inputs-constant", "stuck", ", ".join(names), text, advice)

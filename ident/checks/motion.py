@@ -177,7 +177,7 @@ def _thruster_faults(found: ThrustResponse, yaw: Array, surge: Array) -> Iterato
                 "dead",
                 name,
                 "it has no effect on the boat: neither yaw rate nor surge speed responds to its command",
-                "is the propeller lost or fouled, or does the shaft not turn?",
+                "check whether the propeller is lost or fouled, and whether the shaft turns",
             )
 
 

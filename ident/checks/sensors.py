@@ -236,7 +236,7 @@ def gyro_and_heading(c: Channels, found: Match | None) -> Iterator[Finding]:
             "gyro",
             where,
             f"heading and yaw rate hardly agree (R2 {found.r2:.2f})",
-            "is one of them stuck, from another sensor, or disturbed by iron?",
+            "check whether one of them is stuck, belongs to another sensor, or is disturbed by iron",
         )
         return
     if 30.0 < 1.0 / size < 120.0 or 30.0 < size < 120.0:
@@ -393,7 +393,7 @@ def position_and_velocity(c: Channels, found: Match | None) -> Iterator[Finding]
             "gnss",
             where,
             f"position and velocity hardly agree (R2 {found.r2:.2f})",
-            "look for outliers, multipath, or another column",
+            "look for outliers and multipath, and check that both columns belong to one receiver",
         )
         return
     if not 0.75 < found.scale < 1.33:

@@ -142,7 +142,7 @@ def _shaft_findings(name: str, command: Channel, shaft: Channel) -> Iterator[Fin
             "dead",
             name,
             f"the shaft does not turn, at commands up to {np.abs(command.value).max():.2f}",
-            "check controller, motor and cable; is the controller armed?",
+            "check controller, motor and cable, and whether the controller is armed",
         )
         return
     yield from _scale_findings(name, found)

@@ -401,7 +401,9 @@ def _check_units(effect: Effect, rows: Sequence[Mapping[str, Any]]) -> None:
     for row in rows:
         if effect.kind.nonparametric and row.get("unit", "") != units.get(row["name"], row.get("unit", "")):
             now = units[row["name"]] or "1"
-            raise ValueError(f"parameter {row['name']} is in {row['unit'] or '1'}, now in {now}: fit the model again")
+            raise ValueError(
+                f"parameter {row['name']} is stored in {row['unit'] or '1'}, but this version has it in {now}; fit the model again"
+            )
 
 
 def _holding(effect: Effect, rows: Sequence[Mapping[str, Any]]) -> Effect:

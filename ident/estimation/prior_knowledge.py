@@ -160,7 +160,9 @@ def fix_parameters(model: Model, thruster: Path | None, given: Mapping[str, floa
 def _bench_parameter(bench: SavedModel, name: str, path: Path) -> Parameter:
     """Return a coefficient of a thruster model. Raise SeatrialError if the bench test does not determine it."""
     if name not in bench.model.values:
-        raise SeatrialError(f"{path}: has no {name}: a model with a load cell's force is needed")
+        raise SeatrialError(
+            f"{path}: the bench model has no {name}; give a model that was fitted to logs with a load cell"
+        )
     p = bench.model.parameter(name)
     if p.free and not bench.uncertainty(name) > 0.0:
         raise SeatrialError(

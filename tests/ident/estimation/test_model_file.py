@@ -142,7 +142,9 @@ def test_responses_in_another_unit_are_rejected(tmp_path: Path, found: Fit) -> N
         if row["name"].startswith("X_f_sum"):
             row["unit"] = "N"
     path.write_text(tomlkit.dumps(document), encoding="utf-8")
-    with pytest.raises(SeatrialError, match=r"X_f_sum_late_0 is in N, now in 1: fit the model again"):
+    with pytest.raises(
+        SeatrialError, match=r"X_f_sum_late_0 is stored in N, but this version has it in 1; fit the model again"
+    ):
         load_model(path)
 
 
