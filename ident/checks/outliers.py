@@ -50,5 +50,8 @@ def check_outliers(c: Channels) -> Iterator[Finding]:
             far = float(np.hypot(x[k] - x[k - 1], y[k] - y[k - 1]))
             more = f" ({jumps.size - 1} more)" if jumps.size > 1 else ""
             text = f"jumps by {far:.0f} m in {t[k] - t[k - 1]:.2f} s, {t[k] - t[0]:.1f} s from its start{more}"
-            advice = "look for a second receiver or a change of fix, or cut the log there: [[log]] t_from, t_to in the import's map"
+            advice = (
+                "look for a second receiver or a change of fix, or cut the log there: [[log]] t_from, t_to in the "
+                "import's map"
+            )
             yield Finding(FAULT, "position-jumps", "outlier", "x, y", text, advice)

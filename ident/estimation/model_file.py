@@ -402,7 +402,8 @@ def _check_units(effect: Effect, rows: Sequence[Mapping[str, Any]]) -> None:
         if effect.kind.nonparametric and row.get("unit", "") != units.get(row["name"], row.get("unit", "")):
             now = units[row["name"]] or "1"
             raise ValueError(
-                f"parameter {row['name']} is stored in {row['unit'] or '1'}, but this version has it in {now}; fit the model again"
+                f"parameter {row['name']} is stored in {row['unit'] or '1'}, but this version has it in {now}; "
+                "fit the model again"
             )
 
 
