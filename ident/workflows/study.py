@@ -67,7 +67,7 @@ def run_study(
     Returns
     -------
     list of Row
-        Replicates 0 to n - 1, in order.
+        Replicates 0 to n - 1, in order. A failed one has the key ``error``; it is run again by the next call.
     """
     key, out = _study_key(case, seed, method), Path(out)
     done = {r["k"]: r for r in read_replicates(out) if r["key"] == key and r["k"] < n}
