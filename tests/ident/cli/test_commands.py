@@ -272,8 +272,11 @@ def test_fixed_and_initial_values_are_used(fitted: Path, tmp_path: Path, run: Ru
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        ("vehicle {estimation} --validate {estimation}", "the same log to fit and to validate proves nothing"),
-        ("diagnose {model} {estimation} --validate {estimation}", "the same log to fit and to validate"),
+        (
+            "vehicle {estimation} --validate {estimation}",
+            "given for the fit and for the validation, which would prove nothing",
+        ),
+        ("diagnose {model} {estimation} --validate {estimation}", "given for the fit and for the validation"),
         ("vehicle {bench}", "no inputs for the horizontal model"),
         ("vehicle {estimation} --model submarine", "no model 'submarine'"),
         ("vehicle {estimation} --model nowhere.py:boat", "nowhere.py: no such"),
