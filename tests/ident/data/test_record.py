@@ -356,7 +356,11 @@ def test_missing_sensor_is_left_out_and_reported() -> None:
     [
         (("w",), {}, "run 7: no signal for the input 'w' of model cart; the log has a, b, psi"),
         (("psi", "a"), {}, "run 7: none of the sensors of model cart is in the log: compass, pair"),
-        ((), {"w": channel(1.0, 10.0, 20.0)}, "run 7: inputs and sensors overlap for only 0.00 s"),
+        (
+            (),
+            {"w": channel(1.0, 10.0, 20.0)},
+            "run 7: inputs and sensors overlap for only 0.00 s; record them at the same time",
+        ),
         (
             (),
             {"b": channel(4.0, 9.0, 0.1)},

@@ -280,7 +280,9 @@ def test_damaged_file_gives_a_one_line_error(tmp_path: Path, found: Fit, damage:
 def test_sensor_rate_must_be_a_positive_number(tmp_path: Path, found: Fit, rate: str) -> None:
     path = saved(tmp_path / "model.toml", found, rates={"gyro": 10.0})
     path.write_text(path.read_text(encoding="utf-8").replace("gyro = 10.0", f"gyro = {rate}"), encoding="utf-8")
-    with pytest.raises(SeatrialError, match=r"model\.toml: the model in this file is incomplete: "):
+    with pytest.raises(
+        SeatrialError, match=r"model\.toml: the model in this file is incomplete or does not match this version: "
+    ):
         load_model(path)
 
 
