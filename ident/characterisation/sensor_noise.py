@@ -176,7 +176,10 @@ def estimate_noise(channel: Channel, name: str = "") -> NoiseFit:
     parts = _parts(t, y)
     scale = float(np.std(_differences(y, parts)))
     if scale == 0:
-        raise ValueError(f"{name}: all samples are the same")
+        raise ValueError(
+            f"{name}: all samples have the same value, so there is no noise to estimate; check that the sensor works, "
+            "or record with a finer resolution"
+        )
     y = (y - y[0]) / scale  # values near one for any unit
     model = _start(_differences(y, parts), dt)
     empty = (np.empty((part.stop - part.start, 0)) for part in parts)

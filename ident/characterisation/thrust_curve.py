@@ -25,6 +25,7 @@ from seatrial.daq.config import parse_toml, read_text
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.files import write_output
 from seatrial.ident.data import Channel, sample_and_hold
+from seatrial.ident.model import command_of, shaft_speed_of, thrust_of
 from seatrial.ident.numerics import Array, mean_error, steady_segments
 
 LEVEL_TOLERANCE = 1e-3  # of full command: closer commands are one level
@@ -411,11 +412,14 @@ def thrust_channels(channels: Mapping[str, Channel], curve: ThrustCurve) -> dict
     found: dict[str, Channel] = {}
     slopes: list[Channel] = []
     for side in ("left", "right"):
-        name = next((n for n in (f"n_cmd_{side}", f"n_{side}") if n in channels), None)
+        name = next((n for n in (command_of(side), shaft_speed_of(side)) if n in channels), None)
         if name is None:
-            raise ValueError(f"no command for the thrust curve: there is no n_cmd_{side} and no n_{side}")
+            raise ValueError(
+                f"the thrust curve needs the command of each thruster, but there is no signal n_cmd_{side} and no "
+                f"n_{side}"
+            )
         command = channels[name]
-        found[f"f_{side}"] = Channel(command.t, curve.of_one(command.value), "N", command.source)
+        found[thrust_of(side)] = Channel(command.t, curve.of_one(command.value), "N", command.source)
         outward = np.sign(command.value) * curve.curve.slope(command.value) / curve.thrusters
         slopes.append(Channel(command.t, outward, "N", command.source))
     return found | {"X": total(found["f_left"], found["f_right"]), "X_n": total(*slopes)}
@@ -503,11 +507,14 @@ def load_curve(path: Path) -> ThrustCurve | None:
         thrusters, uncertainty = int(table["thrusters"]), table.get("calibration")
         calibration = None if uncertainty is None else float(uncertainty)
     except (KeyError, TypeError, ValueError) as problem:
-        raise SeatrialError(f"{path}: not a complete curve: {problem}") from problem
+        raise SeatrialError(f"{path}: the thrust curve in this file is incomplete: {problem}") from problem
     if not (n.size == force.size == se.size >= 2 and thrusters >= 1 and np.all(np.diff(n) > 0)):
-        raise SeatrialError(f"{path}: a curve needs two or more rising n, with as many force and se")
+        raise SeatrialError(
+            f"{path}: the lists n, force and se of a thrust curve must be equally long, with two or more values, and n "
+            "must rise; correct the file"
+        )
     if not all(np.isfinite(a).all() for a in (n, force, se)):
-        raise SeatrialError(f"{path}: n, force and se of a curve have to be finite numbers")
+        raise SeatrialError(f"{path}: n, force and se of a thrust curve must be finite numbers; correct the file")
     if calibration is not None and not 0.0 < calibration < 1.0:
         raise SeatrialError(f"{path}: calibration is a relative standard uncertainty, more than 0 and less than 1")
     return ThrustCurve(Curve(n, force, se), thrusters, calibration)

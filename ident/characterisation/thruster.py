@@ -16,7 +16,7 @@ from seatrial.ident.characterisation.thrust_curve import MIN_SAMPLES, REVERSED_L
 from seatrial.ident.checks import check_shafts, invalidates_fit
 from seatrial.ident.data import Channel, LoadedLog, LogSegment, Record
 from seatrial.ident.estimation import EstimationOptions, Fit, Likelihood, fit
-from seatrial.ident.model import Model
+from seatrial.ident.model import Model, command_of, commanded_thrusters, shaft_speed_of
 from seatrial.ident.models import START_POLES, delay_step, delayed_channels, pace_with_copy_at, thruster_model
 from seatrial.ident.numerics import Array, LagData, fit_first_order_lag
 
@@ -196,14 +196,13 @@ def thruster_name(loaded: LoadedLog) -> str:
     SeatrialError
         If there is no such thruster, or more than one.
     """
-    names = [n.removeprefix("n_cmd_") for n in loaded.run.channels if n.startswith("n_cmd_")]
-    moved = [
-        n for n in names if f"n_{n}" in loaded.run.channels and np.ptp(loaded.run.channels[f"n_cmd_{n}"].value) > 0
-    ]
+    c = loaded.run.channels
+    moved = [n for n in commanded_thrusters(c) if shaft_speed_of(n) in c and np.ptp(c[command_of(n)].value) > 0]
     if len(moved) != 1:
         found = ", ".join(moved) if moved else "none"
         raise SeatrialError(
-            f"{loaded.about['path']}: thrusters with commands and shaft speed: {found}; name one with --thruster"
+            f"{loaded.about['path']}: exactly one thruster with a changing command and a shaft speed is needed; the "
+            f"log has {found}; name one with --thruster"
         )
     return moved[0]
 
@@ -217,12 +216,12 @@ def check_signs(loaded: LoadedLog, name: str) -> None:
         If a sign or unit is wrong; the message says what to do.
     """
     c, where = loaded.run.channels, loaded.about["path"]
-    for f in check_shafts({n: c[n] for n in (f"n_cmd_{name}", f"n_{name}") if n in c}):
+    for f in check_shafts({n: c[n] for n in (command_of(name), shaft_speed_of(name)) if n in c}):
         if invalidates_fit(f):
             raise SeatrialError(f"{where}: {f.where}: {f.text} [{f.code}]; {f.advice}")
-    if "force" in c and f"n_{name}" in c:
+    if "force" in c and shaft_speed_of(name) in c:
         seen = np.isfinite(c["force"].value)
-        n = np.interp(c["force"].t[seen], c[f"n_{name}"].t, c[f"n_{name}"].value)
+        n = np.interp(c["force"].t[seen], c[shaft_speed_of(name)].t, c[shaft_speed_of(name)].value)
         if falls(n, c["force"].value[seen]):
             raise SeatrialError(f"{where}: {REVERSED_LOAD_CELL}")
 
@@ -236,10 +235,10 @@ def thruster_channels(loaded: LoadedLog, model: Model, name: str) -> dict[str, C
         If the log lacks the command or the shaft speed.
     """
     found = loaded.run.channels
-    for needed in (f"n_cmd_{name}", f"n_{name}"):
+    for needed in (command_of(name), shaft_speed_of(name)):
         if needed not in found:
             raise SeatrialError(f"{loaded.about['path']}: no signal {needed!r}; it has {', '.join(sorted(found))}")
-    channels = delayed_channels(found[f"n_cmd_{name}"], delay_step(model)) | {"n": found[f"n_{name}"]}
+    channels = delayed_channels(found[command_of(name)], delay_step(model)) | {"n": found[shaft_speed_of(name)]}
     return channels | ({"force": found["force"]} if "force" in found else {})
 
 

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seatrial.daq.checks import Finding
-from seatrial.ident.checks.sensors import Channels, Match, grid
+from seatrial.ident.checks.sensors import Channels, Match, common_grid
 from seatrial.ident.numerics import Array, cumulative_integral
 
 Complex = NDArray[np.complex128]
@@ -59,18 +59,36 @@ Relation = tuple[str, str]
 
 
 class Course(NamedTuple):
-    """Relation of a track to the heading."""
+    """Relation of a track to the heading.
 
-    parity: int  # +1, -1 for a mirror image, 0 if unknown
-    offset: float  # rad, angle of the track to the heading, modulo pi; 0 if it is not significant
+    Attributes
+    ----------
+    parity
+        +1 if the track turns with the heading, -1 for a mirror image, 0 if unknown.
+    offset
+        Angle [rad] of the track to the heading, modulo pi; 0 if it is not significant.
+    """
+
+    parity: int
+    offset: float
 
 
-class Fit(NamedTuple):
-    """Fit of one hypothesis."""
+class HypothesisFit(NamedTuple):
+    """Fit of one hypothesis about the axes.
 
-    scale: float  # of its regressor
-    misfit: float  # squared error over the sum of squares of the signal
-    blocks: Array  # (n_blocks,), parts of the misfit by block of time
+    Attributes
+    ----------
+    scale
+        Factor of the regressor, not negative.
+    misfit
+        Squared error over the sum of squares of the signal, 0 to 1.
+    blocks
+        Contributions (n_blocks,) of the blocks of time (at least 10 s) to the misfit.
+    """
+
+    scale: float
+    misfit: float
+    blocks: Array
 
 
 def check_frames(c: Channels, heading: Match | None, turning: Mapping[str, int]) -> Iterator[Finding]:
@@ -81,23 +99,33 @@ def check_frames(c: Channels, heading: Match | None, turning: Mapping[str, int])
     c
         Channels of a log by name.
     heading
-        Relation of heading and yaw rate (`seatrial.ident.checks.sensors.heading_match`).
+        Relation of heading and yaw rate (`seatrial.ident.checks.sensors.heading_match`); None if unknown.
     turning
         Sign with which the ``gyro``, the ``heading`` and the course of the ``position`` follow the turning moment of
         the thrusters: +1, -1, or 0 if unknown.
+
+    Yields
+    ------
+    Finding
+        At most one fault: the first of mirrored signals, exchanged axes, an axis without motion, an offset of the
+        heading, and body velocities in a wrong frame.
     """
-    tracks = {n: w for n, pair in (("position", ("x", "y")), ("velocity", ("vx", "vy"))) if (w := windows(c, *pair))}
-    courses = {n: course(c, w) for n, w in tracks.items() if "psi" in c}
+    tracks = {
+        n: w
+        for n, pair in (("position", ("x", "y")), ("velocity", ("vx", "vy")))
+        if (w := displacement_windows(c, *pair))
+    }
+    courses = {n: track_course(c, w) for n, w in tracks.items() if "psi" in c}
     signs: dict[Relation, int] = {(n, "heading"): found.parity for n, found in courses.items() if found is not None}
     signs |= {("thrusters", name): sign for name, sign in turning.items()}
     if heading is not None and heading.r2 > SENSE_R2:
         signs["heading", "gyro"] = int(np.sign(heading.scale))
-    axes = _axes(tracks) if len(tracks) == 2 else None
+    axes = _axes_error(tracks) if len(tracks) == 2 else None
     if len(tracks) == 2:
         signs["position", "velocity"] = -1 if axes in MIRRORS else 1
     wrong = mirrored_signals(signs)
     if wrong is not None and wrong != ("thrusters",):  # `seatrial.ident.checks.motion` checks each thruster
-        yield _mirrored(wrong, courses)
+        yield _mirror_fault(wrong, courses)
         return
     if axes is not None:
         yield Finding(
@@ -110,7 +138,7 @@ def check_frames(c: Channels, heading: Match | None, turning: Mapping[str, int])
         )
         return
     for name, w in tracks.items():
-        still = _still(c, w) if "psi" in c else None
+        still = _motionless_axis(c, w) if "psi" in c else None
         if still is not None:
             where = "x, y" if name == "position" else "vx, vy"
             text = f"the track hardly moves {still}, although the heading varies"
@@ -129,19 +157,29 @@ def check_frames(c: Channels, heading: Match | None, turning: Mapping[str, int])
             "heading is from north, clockwise: correct its offset, or the columns of x and y, in the import's map",
         )
         return
-    yield from _body_velocity(c, tracks)
+    yield from _body_velocity_fault(c, tracks)
 
 
 class Windows(NamedTuple):
-    """Displacements of a track over windows of time."""
+    """Displacements of a track over windows of time.
 
-    t: Array  # (n,) [s], centres of the windows
-    width: float  # s
-    d: Complex  # (n,) [m], north + i east
+    Attributes
+    ----------
+    t
+        Centres of the windows (n,) [s].
+    width
+        Duration of each window [s].
+    d
+        Displacements (n,) [m] as complex numbers, north + i east.
+    """
+
+    t: Array
+    width: float
+    d: Complex
 
 
-def windows(c: Channels, north: str, east: str) -> Windows | None:
-    """Return displacements by positions or by integrated velocities.
+def displacement_windows(c: Channels, north: str, east: str) -> Windows | None:
+    """Return displacements over windows of time, by positions or by integrated velocities.
 
     Parameters
     ----------
@@ -153,7 +191,8 @@ def windows(c: Channels, north: str, east: str) -> Windows | None:
     Returns
     -------
     Windows or None
-        None if a channel is missing or the log is too short.
+        Windows of 2 s, or of four sample intervals if these are longer. None if a channel is missing or the log is too
+        short.
     """
     if not {north, east} <= set(c):
         return None
@@ -171,28 +210,41 @@ def windows(c: Channels, north: str, east: str) -> Windows | None:
     return Windows(edges[:-1] + width / 2, width, np.diff(at[0]) + 1j * np.diff(at[1]))
 
 
-def course(c: Channels, w: Windows) -> Course | None:
-    """Return the relation of a track to the heading; None if the boat hardly moves or the times do not overlap."""
+def track_course(c: Channels, w: Windows) -> Course | None:
+    """Return the relation of a track to the heading.
+
+    Parameters
+    ----------
+    c
+        Channels of a log by name, with ``psi``.
+    w
+        Displacements of the track.
+
+    Returns
+    -------
+    Course or None
+        None if the boat moves at less than 0.1 m/s (rms), or heading and track overlap too little.
+    """
     psi = c["psi"]
     inside = (w.t > psi.t[0]) & (w.t < psi.t[-1])
     d, at = w.d[inside], w.t[inside]
     if d.size < 3 * FEWEST_BLOCKS or np.sqrt(np.mean(np.abs(d) ** 2)) < LEAST_SPEED * w.width:
         return None
     heading = np.interp(at, psi.t, np.unwrap(psi.value))
-    block = _blocks(at, w.width)
+    block = _block_of_windows(at, w.width)
     whole = float(np.sum(np.abs(d) ** 2))
     current = np.column_stack([np.cos(heading), np.sin(heading)])
     across: dict[int, Array] = {}
     angle: dict[int, float] = {}
-    along = {sense: _without(current, d * np.exp(-1j * sense * heading)) for sense in (1, -1)}
+    along = {sense: _regression_residuals(current, d * np.exp(-1j * sense * heading)) for sense in (1, -1)}
     for sense, p in along.items():
         angle[sense] = 0.5 * float(np.angle(np.sum(p**2)))
-        across[sense] = _per_block(np.imag(p * np.exp(-1j * angle[sense])) ** 2, block) / whole
-    as_logged = _per_block(np.imag(along[1]) ** 2, block) / whole
-    if _prefers(across[1], across[-1]):
+        across[sense] = _sum_per_block(np.imag(p * np.exp(-1j * angle[sense])) ** 2, block) / whole
+    as_logged = _sum_per_block(np.imag(along[1]) ** 2, block) / whole
+    if _is_significantly_better(across[1], across[-1]):
         return Course(-1, angle[-1])
-    turned = abs(angle[1]) > LEAST_OFFSET and _prefers(as_logged, across[1])
-    return Course(int(_prefers(across[-1], across[1])), angle[1] if turned else 0.0)
+    turned = abs(angle[1]) > LEAST_OFFSET and _is_significantly_better(as_logged, across[1])
+    return Course(int(_is_significantly_better(across[-1], across[1])), angle[1] if turned else 0.0)
 
 
 def mirrored_signals(signs: Mapping[Relation, int]) -> tuple[str, ...] | None:
@@ -201,13 +253,15 @@ def mirrored_signals(signs: Mapping[Relation, int]) -> tuple[str, ...] | None:
     Parameters
     ----------
     signs
-        For each pair of signals: +1 if they agree, -1 if one is the mirror image of the other, 0 if unknown.
+        For each pair of signals: +1 if they agree, -1 if one is the mirror image of the other, 0 if unknown. Signals
+        are ``gyro``, ``heading``, ``position``, ``velocity`` and ``thrusters``.
 
     Returns
     -------
     tuple or None
         The signal, or the two signals of one device, whose mirroring explains all signs. If there are several
-        explanations, all their signals. None if no signal is mirrored.
+        explanations, all their signals; ``thrusters`` alone if they are one of them. If there is no explanation, all
+        signals. None if no signal is mirrored.
     """
     known = {pair: sign for pair, sign in signs.items() if sign}
     if all(sign > 0 for sign in known.values()):
@@ -241,8 +295,12 @@ MIRRORED = {
 }  # fmt: skip
 
 
-def _mirrored(names: tuple[str, ...], courses: Mapping[str, Course | None]) -> Finding:
-    """Return the fault for mirrored signals, by their names."""
+def _mirror_fault(names: tuple[str, ...], courses: Mapping[str, Course | None]) -> Finding:
+    """Return the fault for mirrored signals.
+
+    ``names``: what `mirrored_signals` returned. ``courses``: relation of each track to the heading, which shows whether
+    the axes are exchanged or one sign is reversed.
+    """
     offset = next((f.offset for f in courses.values() if f is not None and f.parity < 0), None)
     quarter = offset is not None and abs(abs(np.degrees(offset)) - 90.0) < 45.0  # a mirror that exchanges the axes
     entry = MIRRORED.get(" ".join(names))
@@ -261,8 +319,11 @@ def _mirrored(names: tuple[str, ...], courses: Mapping[str, Course | None]) -> F
     return Finding("fault", code, "frame", where, text, advice)
 
 
-def _still(c: Channels, w: Windows) -> str | None:
-    """Return the axis, north or east, along which a track does not move although the heading does; else None."""
+def _motionless_axis(c: Channels, w: Windows) -> str | None:
+    """Return the axis, ``north`` or ``east``, along which a track does not move although the boat heads there.
+
+    None if the track moves along both, if the boat is too slow, or if its headings vary too little.
+    """
     psi = c["psi"]
     inside = (w.t > psi.t[0]) & (w.t < psi.t[-1])
     heading, d = np.interp(w.t[inside], psi.t, np.unwrap(psi.value)), w.d[inside]
@@ -276,13 +337,23 @@ def _still(c: Channels, w: Windows) -> str | None:
 
 
 def half_turn(text: str) -> Finding:
-    """Return the fault for a heading, or both axes of a track, with the opposite sign; ``text``: what shows it."""
+    """Return the fault for a heading, or both axes of a track, with the opposite sign.
+
+    Parameters
+    ----------
+    text
+        Text of the finding: the observation that shows the fault.
+    """
     advice = "in the import's map: offset = 180 of psi (deg), or sign = -1 of both axes of the track, u, v or ax, ay"
     return Finding("fault", "heading-half-turn", "frame", "psi", text, advice)
 
 
-def _axes(tracks: Mapping[str, Windows]) -> str | None:
-    """Return the error of the axes that makes the velocities agree with the positions; None if they agree already."""
+def _axes_error(tracks: Mapping[str, Windows]) -> str | None:
+    """Return the error of the axes that makes the velocities agree with the positions, as a text for a finding.
+
+    ``tracks``: ``position`` and ``velocity``. None if they agree already, the boat is too slow, or the overlap is too
+    short.
+    """
     p, v = tracks["position"], tracks["velocity"]
     inside = (p.t > v.t[0]) & (p.t < v.t[-1])
     if inside.sum() < 3 * FEWEST_BLOCKS:
@@ -291,11 +362,11 @@ def _axes(tracks: Mapping[str, Windows]) -> str | None:
     moved = rate[0] + 1j * rate[1]
     if np.sqrt(np.mean(np.abs(moved) ** 2)) < LEAST_SPEED * p.width:
         return None
-    block = _blocks(p.t[inside], p.width)
+    block = _block_of_windows(p.t[inside], p.width)
     candidates = {"": moved} | {name: of(moved) for name, of in AXES.items()}
-    best = preferred({name: regress(p.d[inside], z, block, ()) for name, z in candidates.items()})
+    best = preferred_hypothesis({name: fit_hypothesis(p.d[inside], z, block, ()) for name, z in candidates.items()})
     if best is None:
-        alone = [regress(f(p.d[inside]) + 0j, f(moved) + 0j, block, ()).misfit for f in (np.real, np.imag)]
+        alone = [fit_hypothesis(f(p.d[inside]) + 0j, f(moved) + 0j, block, ()).misfit for f in (np.real, np.imag)]
         power = [float(np.sum(f(moved) ** 2)) for f in (np.real, np.imag)]
         for good, bad, name in ((0, 1, "y"), (1, 0, "x")):
             if alone[good] < GOOD < BAD < alone[bad] and power[bad] > LEAST_GAIN * power[good]:
@@ -303,24 +374,29 @@ def _axes(tracks: Mapping[str, Windows]) -> str | None:
     return best
 
 
-def _body_velocity(c: Channels, tracks: Mapping[str, Windows]) -> Iterator[Finding]:
-    """Yield a fault if u and v are not forward and to starboard, by comparison with track and heading."""
+def _body_velocity_fault(c: Channels, tracks: Mapping[str, Windows]) -> Iterator[Finding]:
+    """Yield a fault if u and v are not forward and to starboard, by comparison with track and heading.
+
+    Nothing if u, v, heading or track is missing, or if the boat is too slow.
+    """
     track = tracks.get("velocity") or tracks.get("position")
     if not {"u", "v", "psi"} <= set(c) or track is None:
         return
     if np.sqrt(np.mean(np.abs(track.d) ** 2)) < LEAST_SPEED * track.width:
         return
-    turned = _turned(c, "u", "v", track)
+    turned = _body_frame_comparison(c, "u", "v", track)
     if turned is None:
         return
     d, block, moved, turn, w = turned
     candidates = {"": moved(turn * w), "earth": moved(w), "earth, exchanged": moved(1j * np.conj(w))}
     candidates |= {name: moved(turn * of(w)) for name, of in AXES.items()}
     current = np.full(d.size, track.width + 0j)  # displacement by a current of 1 m/s north
-    best = preferred({name: regress(d, z, block, (current, 1j * current)) for name, z in candidates.items()})
+    best = preferred_hypothesis(
+        {name: fit_hypothesis(d, z, block, (current, 1j * current)) for name, z in candidates.items()}
+    )
     if best is None:
         forward, starboard = moved(turn * w.real), moved(1j * turn * w.imag)
-        best = _reversed(d, block, (forward, starboard, current, 1j * current))
+        best = _reversed_column(d, block, (forward, starboard, current, 1j * current))
     if best is None:
         return
     if best.startswith("earth"):
@@ -348,7 +424,7 @@ def _body_velocity(c: Channels, tracks: Mapping[str, Windows]) -> Iterator[Findi
 
 
 def check_accelerometer(c: Channels, found: Match | None) -> Iterator[Finding]:
-    """Yield a fault if ax and ay are not forward and to starboard in m/s2.
+    """Yield at most one fault if ax and ay are not forward and to starboard in m/s2.
 
     The specific force, turned by the heading, is compared with the change of the velocity over ground.
 
@@ -357,22 +433,24 @@ def check_accelerometer(c: Channels, found: Match | None) -> Iterator[Finding]:
     c
         Channels of a log by name.
     found
-        Relation of velocity and specific force (`seatrial.ident.checks.sensors.velocity_match`).
+        Relation of velocity and specific force (`seatrial.ident.checks.sensors.velocity_match`). None gives no finding.
     """
-    velocity = windows(c, "vx", "vy")
+    velocity = displacement_windows(c, "vx", "vy")
     if found is None or velocity is None:
         return
     north, east = c["vx"], c["vy"]
     ends = [velocity.t + s * velocity.width / 2 for s in (1, -1)]
     change = [np.interp(t, north.t, north.value) + 1j * np.interp(t, east.t, east.value) for t in ends]
-    turned = _turned(c, "ax", "ay", velocity._replace(d=change[0] - change[1]))
+    turned = _body_frame_comparison(c, "ax", "ay", velocity._replace(d=change[0] - change[1]))
     if turned is None:
         return
     d, block, moved, turn, w = turned
     bias = (moved(turn), moved(1j * turn))
-    fits = {name: regress(d, moved(turn * of(w)), block, bias) for name, of in AXES.items()}
-    fits[""] = regress(d, moved(turn * w), block, bias)
-    best = preferred(fits) or _reversed(d, block, (moved(turn * w.real), moved(1j * turn * w.imag), *bias))
+    fits = {name: fit_hypothesis(d, moved(turn * of(w)), block, bias) for name, of in AXES.items()}
+    fits[""] = fit_hypothesis(d, moved(turn * w), block, bias)
+    best = preferred_hypothesis(fits) or _reversed_column(
+        d, block, (moved(turn * w.real), moved(1j * turn * w.imag), *bias)
+    )
     if best == "both signs are reversed":
         yield half_turn("ax and ay point opposite to the change of velocity")
     elif best is not None:
@@ -399,13 +477,26 @@ def check_accelerometer(c: Channels, found: Match | None) -> Iterator[Finding]:
 Turned = tuple[Complex, NDArray[np.intp], Callable[[Complex], Complex], Complex, Complex]
 
 
-def _turned(c: Channels, forward: str, starboard: str, track: Windows) -> Turned | None:
-    """Prepare the comparison of two channels of the body frame with a track; None if they overlap too little.
+def _body_frame_comparison(c: Channels, forward: str, starboard: str, track: Windows) -> Turned | None:
+    """Prepare the comparison of two channels of the body frame with a track.
 
-    Returns: the displacements in the windows that the channels cover (n,); the block of each window (n,); a function
-    that integrates a signal of the fine grid over each window; exp(i psi) and forward + i starboard on that grid.
+    Parameters
+    ----------
+    c
+        Channels of a log by name.
+    forward, starboard
+        Names of the channels: ``u``, ``v`` or ``ax``, ``ay``.
+    track
+        Displacements or changes of velocity to compare with.
+
+    Returns
+    -------
+    tuple or None
+        The displacements in the windows that the channels cover (n,); the block of each window (n,); a function that
+        integrates a signal of the fine grid over each window; exp(i psi) and forward + i starboard on that grid. None
+        if the channels and the track overlap too little.
     """
-    t = grid(c[forward], c[starboard], c["psi"])
+    t = common_grid(c[forward], c[starboard], c["psi"])
     if t.size < 400:
         return None
     inside = (track.t - track.width / 2 > t[0]) & (track.t + track.width / 2 < t[-1])
@@ -420,13 +511,15 @@ def _turned(c: Channels, forward: str, starboard: str, track: Windows) -> Turned
 
     psi = np.interp(t, c["psi"].t, np.unwrap(c["psi"].value))
     w = np.interp(t, c[forward].t, c[forward].value) + 1j * np.interp(t, c[starboard].t, c[starboard].value)
-    return track.d[inside], _blocks(at, track.width), moved, np.exp(1j * psi), w
+    return track.d[inside], _block_of_windows(at, track.width), moved, np.exp(1j * psi), w
 
 
-def _reversed(target: Complex, block: NDArray[np.intp], columns: tuple[Complex, ...]) -> str | None:
-    """Return which of the first two columns has the wrong sign in the target; None if neither has.
+def _reversed_column(target: Complex, block: NDArray[np.intp], columns: tuple[Complex, ...]) -> str | None:
+    """Return which of the first two columns has the wrong sign in a regression of the target (n,) on all columns.
 
-    The factor of that column must be clearly negative and of about the right size.
+    The factor of that column must be clearly negative and of about the right size. None if neither has, or if the
+    values are too large for a regression. The columns have the shape (n,). ``block`` (n,): block of time of each
+    sample.
     """
     X = np.column_stack([np.concatenate([z.real, z.imag]) for z in columns])
     y = np.concatenate([target.real, target.imag])
@@ -437,7 +530,7 @@ def _reversed(target: Complex, block: NDArray[np.intp], columns: tuple[Complex, 
     inverse = np.linalg.pinv(squares)
     beta = inverse @ X.T @ y
     scores = X * (y - X @ beta)[:, None]
-    per_block = np.column_stack([_per_block(s[: target.size] + s[target.size :], block) for s in scores.T])
+    per_block = np.column_stack([_sum_per_block(s[: target.size] + s[target.size :], block) for s in scores.T])
     error = np.sqrt(np.diag(inverse @ per_block.T @ per_block @ inverse))
     for k, name in enumerate(("the first sign is reversed", "the second sign is reversed")):
         if -2.0 < beta[k] < -0.5 and beta[k] < -REVERSED_T * error[k]:
@@ -445,42 +538,53 @@ def _reversed(target: Complex, block: NDArray[np.intp], columns: tuple[Complex, 
     return None
 
 
-def regress(target: Complex, z: Complex, block: NDArray[np.intp], others: tuple[Complex, ...]) -> Fit:
+def fit_hypothesis(target: Complex, z: Complex, block: NDArray[np.intp], others: tuple[Complex, ...]) -> HypothesisFit:
     """Fit a target by a hypothesis.
 
     Parameters
     ----------
     target
-        Displacements or changes of velocity (n,).
+        Displacements or changes of velocity (n,), north + i east.
     z
         The same by the hypothesis (n,). Its factor is real and not negative.
     block
-        Block of each sample (n,).
+        Block of time of each sample (n,), counted from 0.
     others
         Further regressors (n,) with any real factors.
     """
     Y, Z = (np.concatenate([s.real, s.imag]) for s in (target, z))
     if others:
         X = np.column_stack([np.concatenate([o.real, o.imag]) for o in others])
-        Y, Z = _without(X, Y), _without(X, Z)
+        Y, Z = _regression_residuals(X, Y), _regression_residuals(X, Z)
     scale = max(float(Z @ Y) / max(float(Z @ Z), 1e-300), 0.0)
     e = (Y - scale * Z) ** 2
-    per_block = _per_block(e[: target.size] + e[target.size :], block) / max(float(Y @ Y), 1e-300)
-    return Fit(scale, float(per_block.sum()), per_block)
+    per_block = _sum_per_block(e[: target.size] + e[target.size :], block) / max(float(Y @ Y), 1e-300)
+    return HypothesisFit(scale, float(per_block.sum()), per_block)
 
 
-def preferred(found: Mapping[str, Fit]) -> str | None:
-    """Return the best hypothesis about a wrong frame.
+def preferred_hypothesis(found: Mapping[str, HypothesisFit]) -> str | None:
+    """Return the name of the best hypothesis about a wrong frame.
 
-    The entry "" is the hypothesis that the log is correct. The result is None if no other hypothesis fits
-    significantly better.
+    Parameters
+    ----------
+    found
+        Fit of each hypothesis by its name. The entry "" is the hypothesis that the log is correct.
+
+    Returns
+    -------
+    str or None
+        None if no other hypothesis fits significantly better than "".
     """
     best = min(found, key=lambda name: found[name].misfit)
-    return best if best and _prefers(found[""].blocks, found[best].blocks) else None
+    return best if best and _is_significantly_better(found[""].blocks, found[best].blocks) else None
 
 
-def _prefers(old: Array, new: Array) -> bool:
-    """Return whether the new hypothesis is significantly better, by the misfits per block (n_blocks,) of both."""
+def _is_significantly_better(old: Array, new: Array) -> bool:
+    """Return whether the new hypothesis fits significantly better than the old one.
+
+    ``old``, ``new``: contributions (n_blocks,) of the blocks of time to the misfit of each hypothesis. False for fewer
+    than 6 blocks.
+    """
     gain = old - new
     total = float(gain.sum())
     if gain.size < FEWEST_BLOCKS or total < LEAST_GAIN or new.sum() > MOST_LEFT * old.sum():
@@ -488,15 +592,19 @@ def _prefers(old: Array, new: Array) -> bool:
     return total > SIGNIFICANT_T * float(np.std(gain, ddof=1) * np.sqrt(gain.size))
 
 
-def _blocks(t: Array, width: float) -> NDArray[np.intp]:
-    """Return the block (n,) of each window at t (n,) [s]; a block has at least four windows of this width [s]."""
+def _block_of_windows(t: Array, width: float) -> NDArray[np.intp]:
+    """Return the number (n,), from 0, of the block of time that contains each window at t (n,) [s].
+
+    A block lasts at least 10 s and four windows of the given ``width`` [s].
+    """
     return np.asarray((t - t[0]) // max(BLOCK_S, 4.0 * width), np.intp)
 
 
-def _per_block(values: Array, block: NDArray[np.intp]) -> Array:
+def _sum_per_block(values: Array, block: NDArray[np.intp]) -> Array:
+    """Return the sums (n_blocks,) of values (n,) over each block; ``block`` (n,): number of the block, from 0."""
     return np.asarray(np.bincount(block, values), float)
 
 
-def _without(columns: Array, values: NDArray[Any]) -> NDArray[Any]:
-    """Return the residuals (n,) of the regression of values (n,) on columns (n, k)."""
+def _regression_residuals(columns: Array, values: NDArray[Any]) -> NDArray[Any]:
+    """Return the residuals (n,) of the linear regression of values (n,) on columns (n, k)."""
     return np.asarray(values - columns @ np.linalg.lstsq(columns, values, rcond=None)[0])

@@ -10,7 +10,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from seatrial.daq.checks import WARNING, Finding, group_held_signals, held_signals, is_measured
+from seatrial.ident.checks.inputs import INPUTS
 from seatrial.ident.checks.sensors import Channels
+from seatrial.ident.model import is_of_thruster
 
 LEAST_LATE_S = 0.1  # average delay of a held input; a smaller one gives no warning
 SENSED = ("psi", "r", "ax", "ay", "x", "y", "vx", "vy", "u", "v", "speed", "phi", "theta", "p", "q", "force")
@@ -25,9 +27,11 @@ def check_held_inputs(c: Channels) -> Iterator[Finding]:
     Parameters
     ----------
     c
-        Channels of a log by name.
+        Channels of a log by name. Only commands, shaft speeds and thrusts of one thruster that an import map declares
+        with the hold ``zero`` or ``linear`` are examined. An average delay below 0.1 s gives no warning.
     """
-    for name in sorted(n for n in c if n.startswith(("n_", "f_")) and c[n].hold in ("zero", "linear")):
+    inputs = sorted(n for n in c if is_of_thruster(n, *INPUTS))
+    for name in (n for n in inputs if c[n].hold in ("zero", "linear")):
         held = held_signals(c[name].t, {name: c[name].value}).get(name)
         interval = 0.0 if held is None else held.rows * float(np.median(np.diff(c[name].t)))
         if held is None or interval < 2.0 * LEAST_LATE_S or not is_measured(c[name].value[held.new], interval):
@@ -43,7 +47,8 @@ def check_held(c: Channels) -> Iterator[Finding]:
     Parameters
     ----------
     c
-        Channels of a log by name.
+        Channels of a log by name. Only motion signals and ``force`` (`SENSED`) are examined. Signals with the same
+        times that are held together share one warning.
 
     Notes
     -----

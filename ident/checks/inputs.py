@@ -14,9 +14,19 @@ from seatrial.daq.checks import FAULT, WARNING, Finding
 from seatrial.ident.checks.sensors import STEP, Channels
 from seatrial.ident.checks.shafts import Response, response
 from seatrial.ident.data import Channel, sample_and_hold
+from seatrial.ident.model import (
+    COMMAND,
+    SHAFT_SPEED,
+    THRUSTER_FORCE,
+    SignalId,
+    command_of,
+    commanded_thrusters,
+    is_of_thruster,
+    shaft_speed_of,
+)
 from seatrial.ident.numerics import Array
 
-INPUTS = ("n_", "f_")  # prefixes of a thruster's inputs; X and N are forces of all thrusters together
+INPUTS = (COMMAND, SHAFT_SPEED, THRUSTER_FORCE)  # of one thruster; X and N are forces of all thrusters together
 CONSTANT_PART = 0.005  # of the largest value, or of full speed: a pulse width that flickers by 1 us is still constant
 SMOOTHED_S, EVERY_S = 2.0, 0.5  # window of the moving average of the motion, and interval between its values
 SPEED_RISE, TURN_RISE = 0.5, 0.15  # m/s, rad/s: larger rises of speed or yaw rate need a changing thrust
@@ -37,17 +47,24 @@ def check_inputs(c: Channels) -> Iterator[Finding]:
     Parameters
     ----------
     c
-        Channels of a log by name.
+        Channels of a log by name. A log without inputs gives no finding.
+
+    Yields
+    ------
+    Finding
+        If all inputs are constant: ``inputs-constant`` or ``inputs-never-change``, and nothing else. Else
+        ``shaft-speed-stuck`` for each shaft speed that stays the same against its command, or, without a command, in a
+        log in which the boat changes its motion.
     """
-    names = sorted(n for n in c if n.startswith(INPUTS) or n in ("X", "N"))
+    names = sorted(n for n in c if is_of_thruster(n, *INPUTS) or n in ("X", "N"))
     if not names:
         return
     if all(_is_constant(n, c[n]) for n in names):
-        yield from _all_constant(c, names)
+        yield from _constant_inputs(c, names)
         return
-    for name in (n for n in names if n.startswith("n_") and not n.startswith("n_cmd_")):
-        command = c.get(f"n_cmd_{name.removeprefix('n_')}")
-        held = _against_command(c[name], command) if command is not None and command.t is not c[name].t else None
+    for name in (n for n in names if is_of_thruster(n, SHAFT_SPEED)):
+        command = c.get(command_of(SignalId.parse(name).source))
+        held = _stuck_against_command(c[name], command) if command is not None and command.t is not c[name].t else None
         advice = "its telemetry is frozen: check cable, bus and firmware; else fit by the command"
         if held is not None:
             value, begin, end = held
@@ -56,17 +73,21 @@ def check_inputs(c: Channels) -> Iterator[Finding]:
             yield Finding(FAULT, "shaft-speed-stuck", "stuck", name, text, advice)
         elif command is None and c[name].hold == "linear" and _is_constant(name, c[name]):
             value = float(np.median(c[name].value))
-            if abs(value) > TURNING and _n_rises(c) > MAX_RISES:
+            if abs(value) > TURNING and _count_motion_rises(c) > MAX_RISES:
                 text = f"is {value:.3g} in the whole log, but the boat changes its speed or yaw rate"
                 yield Finding(FAULT, "shaft-speed-stuck", "stuck", name, text, advice)
 
 
-def _all_constant(c: Channels, names: list[str]) -> Iterator[Finding]:
-    """Yield a finding on a log in which every input is constant."""
-    n_rises = _n_rises(c)
+def _constant_inputs(c: Channels, names: list[str]) -> Iterator[Finding]:
+    """Yield at most one finding on a log in which every input of ``names`` is constant.
+
+    A fault if the boat moves as only a changing thrust explains; a warning if it gathers speed or turns only as a
+    constant thrust explains; nothing for a boat at rest.
+    """
+    n_rises = _count_motion_rises(c)
     values = ", ".join(dict.fromkeys(f"{np.median(c[n].value):.3g}" for n in names))
     stopped = all(abs(float(np.median(c[n].value))) < TURNING for n in names)
-    advice = "use another column or topic in the map; an output that the autopilot did not drive? a cable?"
+    advice = "use another column or topic in the map; check the cable, and whether the autopilot drives this output"
     if n_rises > (0 if stopped else MAX_RISES):
         text = f"constant in the whole log ({values}), but the boat speeds up and turns: other signals drove it"
         yield Finding(FAULT, "inputs-constant", "stuck", ", ".join(names), text, advice)
@@ -76,37 +97,48 @@ def _all_constant(c: Channels, names: list[str]) -> Iterator[Finding]:
 
 
 def _is_constant(name: str, channel: Channel) -> bool:
+    """Return whether the values of the channel ``name`` vary by at most 0.5 % of full speed, or of the largest force.
+
+    Commands and shaft speeds are compared with full speed (1), forces with their largest value. False without samples.
+    """
     if channel.value.size == 0:
         return False
-    top = 1.0 if name.startswith("n_") else float(np.max(np.abs(channel.value)))
+    top = 1.0 if is_of_thruster(name, COMMAND, SHAFT_SPEED) else float(np.max(np.abs(channel.value)))
     return float(np.ptp(channel.value)) <= CONSTANT_PART * top
 
 
-def _n_rises(c: Channels) -> int:
-    """Count the rises of speed and of yaw rate that only a changing thrust can cause. Waves are averaged out."""
+def _count_motion_rises(c: Channels) -> int:
+    """Count the rises of the speed by more than 0.5 m/s, and of the size of the yaw rate by more than 0.15 rad/s.
+
+    Waves are averaged out. The speed comes from velocities, else positions, else ``speed``; the yaw rate from the gyro,
+    else the heading. 0 without any of them.
+    """
     curves: list[tuple[Array, float]] = []
     if {"vx", "vy"} <= set(c) or {"u", "v"} <= set(c):
         first, second = (c["vx"], c["vy"]) if "vx" in c else (c["u"], c["v"])
         speed = Channel(first.t, np.hypot(first.value, np.interp(first.t, second.t, second.value)))
-        curves.append((_smoothed(speed), SPEED_RISE))
+        curves.append((_moving_average(speed), SPEED_RISE))
     elif {"x", "y"} <= set(c):
         t = np.arange(c["x"].t[0], c["x"].t[-1], SMOOTHED_S)
         x, y = (np.interp(t, c[n].t, c[n].value) for n in ("x", "y"))
         speed = Channel(t[1:], np.hypot(np.diff(x), np.diff(y)) / SMOOTHED_S)
-        curves.append((_smoothed(speed), SPEED_RISE))
+        curves.append((_moving_average(speed), SPEED_RISE))
     elif "speed" in c:
-        curves.append((_smoothed(c["speed"]), SPEED_RISE))
+        curves.append((_moving_average(c["speed"]), SPEED_RISE))
     if "r" in c:
-        curves.append((np.abs(_smoothed(c["r"])), TURN_RISE))
+        curves.append((np.abs(_moving_average(c["r"])), TURN_RISE))
     elif "psi" in c:
         t = np.arange(c["psi"].t[0], c["psi"].t[-1], 0.5 * SMOOTHED_S)
         psi = np.interp(t, c["psi"].t, np.unwrap(c["psi"].value))
-        curves.append((np.abs(_smoothed(Channel(t[1:], np.diff(psi) / (0.5 * SMOOTHED_S)))), TURN_RISE))
-    return sum(_rises(curve, least) for curve, least in curves)
+        curves.append((np.abs(_moving_average(Channel(t[1:], np.diff(psi) / (0.5 * SMOOTHED_S)))), TURN_RISE))
+    return sum(_count_rises(curve, least) for curve, least in curves)
 
 
-def _smoothed(channel: Channel) -> Array:
-    """Return the moving average (n,) of a signal over `SMOOTHED_S`, one value every `EVERY_S`."""
+def _moving_average(channel: Channel) -> Array:
+    """Return the moving average (n,) of a signal over 2 s, with one value every 0.5 s.
+
+    Empty if the signal is shorter than the average.
+    """
     if channel.t.size < 2:
         return np.empty(0)
     t = np.arange(channel.t[0], channel.t[-1], STEP)
@@ -117,8 +149,12 @@ def _smoothed(channel: Channel) -> Array:
     return np.asarray((whole[width:] - whole[:-width])[:: round(EVERY_S / STEP)] / width)
 
 
-def _rises(curve: Array, least: float) -> int:
-    """Count the rises of a curve (n,) by at least ``least``, each from the lowest value since the last rise ended."""
+def _count_rises(curve: Array, least: float) -> int:
+    """Count the rises of a curve (n,) by more than ``least``, in the unit of the curve.
+
+    A rise starts at the lowest value since the last rise ended. It ends when the curve has fallen by more than
+    ``least``.
+    """
     n, low, high, rising = 0, np.inf, -np.inf, False
     for value in curve.tolist():
         if rising:
@@ -132,11 +168,11 @@ def _rises(curve: Array, least: float) -> int:
     return n
 
 
-def _against_command(shaft: Channel, command: Channel) -> tuple[float, float, float] | None:
+def _stuck_against_command(shaft: Channel, command: Channel) -> tuple[float, float, float] | None:
     """Return value, begin and end [s] of the longest time in which a shaft speed is stuck.
 
-    The shaft speed stays exactly the same in this time, although its command would slow the shaft down. None if the
-    shaft speed is never stuck.
+    The shaft speed stays exactly the same in this time, although its command would slow the shaft down for at least 5
+    s. None if the shaft speed is never stuck.
     """
     first = np.flatnonzero(np.diff(shaft.value, prepend=np.nan) != 0)
     last = np.append(first[1:], shaft.value.size) - 1
@@ -153,7 +189,7 @@ def _against_command(shaft: Channel, command: Channel) -> tuple[float, float, fl
 
 
 def _longest_run(mask: Array) -> int:
-    """Return the largest number of consecutive true values of a mask (n,)."""
+    """Return the largest number of consecutive true values of a mask (n,); 0 if there is none."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
     return int(np.max(edges[1::2] - edges[::2], initial=0))
 
@@ -164,9 +200,10 @@ def check_frozen_force(c: Channels) -> Iterator[Finding]:
     Parameters
     ----------
     c
-        Channels of a log by name.
+        Channels of a log by name. Only the longest constant time of ``force`` is examined. It must contain a change of
+        a command or shaft speed by more than 0.3 of full speed.
     """
-    commands = [c[n] for n in sorted(c) if n.startswith("n_")]
+    commands = [c[n] for n in sorted(c) if is_of_thruster(n, COMMAND, SHAFT_SPEED)]
     if "force" not in c or not commands:
         return
     force = c["force"]
@@ -191,15 +228,15 @@ def check_exchanged_telemetry(c: Channels) -> Iterator[Finding]:
     Parameters
     ----------
     c
-        Channels of a log by name.
+        Channels of a log by name. At least two thrusters with command and measured shaft speed are needed.
     """
-    names = sorted(n.removeprefix("n_cmd_") for n in c if n.startswith("n_cmd_"))
-    names = [n for n in names if f"n_{n}" in c and c[f"n_{n}"].t is not c[f"n_cmd_{n}"].t]
+    names = [n for n in sorted(commanded_thrusters(c)) if shaft_speed_of(n) in c]
+    names = [n for n in names if c[shaft_speed_of(n)].t is not c[command_of(n)].t]
     if len(names) < 2:
         return
-    own = {n: _r2(c, n, n) for n in names}
+    own = {n: _r2_of_command(c, n, n) for n in names}
     unexplained = [n for n in names if own[n] < FOLLOWS]
-    cross = {(a, b): _r2(c, a, b) for a, b in permutations(unexplained, 2)}
+    cross = {(a, b): _r2_of_command(c, a, b) for a, b in permutations(unexplained, 2)}
     for a, b in cross:
         both = ((a, b), (b, a))
         clear = all(cross[p] > FOLLOWS_OTHER and 1.0 - cross[p] < BETTER * (1.0 - own[p[1]]) for p in both)
@@ -209,7 +246,10 @@ def check_exchanged_telemetry(c: Channels) -> Iterator[Finding]:
             yield Finding(FAULT, "telemetry-exchanged", "thrusters", f"{a} and {b}", text, advice)
 
 
-def _r2(c: Channels, command: str, shaft: str) -> float:
-    """Return R2 of a shaft speed explained by the command of a thruster; 0 if it is unknown or the sign is reversed."""
-    found = response(c[f"n_cmd_{command}"], c[f"n_{shaft}"])
+def _r2_of_command(c: Channels, command: str, shaft: str) -> float:
+    """Return R2 (0 to 1) of the speed of the thruster ``shaft`` explained by the command of the thruster ``command``.
+
+    0 if the response cannot be estimated, or if the shaft turns against the command.
+    """
+    found = response(c[command_of(command)], c[shaft_speed_of(shaft)])
     return found.r2 if isinstance(found, Response) and found.scale > 0.0 else 0.0

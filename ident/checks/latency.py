@@ -37,11 +37,12 @@ from seatrial.ident.checks.sensors import (
     Channels,
     LagErrors,
     LagEstimate,
+    common_grid,
     delay_interval,
     delay_level,
-    grid,
 )
 from seatrial.ident.data import Channel
+from seatrial.ident.model import command_of, shaft_speed_of, thrust_of
 from seatrial.ident.numerics import Array, cumulative_integral, ned_to_body
 
 YAW_WINDOW, SURGE_WINDOW = 0.5, 2.0  # s, of the increments of yaw rate and of speed
@@ -66,12 +67,23 @@ class ThrustSignals(NamedTuple):
     """Thrust signals of a log.
 
     A command comes before the thrust by the delay of the shafts, which a fit estimates.
+
+    Attributes
+    ----------
+    turning
+        Thrusts, or one yaw moment, that turn the boat. Any unit.
+    ahead
+        Thrusts, or their sum, that drive the boat forward. Any unit.
+    measured
+        Whether all of them are measured shaft speeds with the time of measurement, not commands or given forces.
+    where
+        Names of the thrusters, for findings.
     """
 
-    turning: list[Channel]  # thrusts that turn the boat
-    ahead: list[Channel]  # thrusts that drive the boat forward
-    measured: bool  # measured shaft speeds, not commands
-    where: str  # names of the thrusters, for findings
+    turning: list[Channel]
+    ahead: list[Channel]
+    measured: bool
+    where: str
 
 
 def check_latency(c: Channels, sides: Mapping[str, float]) -> Iterator[Finding]:
@@ -80,9 +92,9 @@ def check_latency(c: Channels, sides: Mapping[str, float]) -> Iterator[Finding]:
     Parameters
     ----------
     c
-        Channels of a log (`seatrial.ident.data.channels`).
+        Channels of a log (`seatrial.ident.data.channels`). Without a heading there is no finding.
     sides
-        Position of each thruster to starboard [m].
+        Position of each thruster to starboard [m]. Only its names are used.
 
     Yields
     ------
@@ -90,28 +102,34 @@ def check_latency(c: Channels, sides: Mapping[str, float]) -> Iterator[Finding]:
         ``sensor-late``, ``thrust-late`` or ``motion-late``; ``sensors-in-time`` or ``thrust-in-time``;
         ``delay-unknown`` if the log does not show the delay.
     """
-    push = _thrust(c, sides)
+    push = _thrust_signals(c, sides)
     if "psi" not in c:
         return
     attitude, velocity = (f(c, push) if push else None for f in (_yaw_after_thrust, _speed_after_thrust))
-    turned, moved = _source(c, ("r", "psi")), _source(c, ("vx", "u", "x"))
+    turned, moved = _first_source(c, ("r", "psi")), _first_source(c, ("vx", "u", "x"))
     if moved:
-        yield from _sensors(attitude, velocity, turned, moved)
+        yield from _attitude_velocity_delay(attitude, velocity, turned, moved)
     if push:
-        yield from _thrust_times(attitude, velocity, push)
+        yield from _motion_thrust_delay(attitude, velocity, push)
 
 
-def _sensors(attitude: LagEstimate | None, velocity: LagEstimate | None, turned: str, moved: str) -> Iterator[Finding]:
-    """Yield a finding on the delay between attitude and velocity: the difference of their delays behind the thrust."""
-    if not _known(attitude) or not _known(velocity):
+def _attitude_velocity_delay(
+    attitude: LagEstimate | None, velocity: LagEstimate | None, turned: str, moved: str
+) -> Iterator[Finding]:
+    """Yield one finding on the delay between attitude and velocity: the difference of their delays behind the thrust.
+
+    ``attitude``, ``velocity``: delays behind the thrust, None if unknown. ``turned``, ``moved``: the sensors of both,
+    for the finding.
+    """
+    if not _is_well_estimated(attitude) or not _is_well_estimated(velocity):
         text = f"the delay between {ATTITUDE} and {VELOCITY} is not known: they follow the thrust too little"
         yield Finding(OK, "delay-unknown", "late", turned, text)
         return
     assert attitude is not None
     assert velocity is not None
-    lag, half = attitude.lag - velocity.lag, _half(attitude, velocity)
+    lag, half = attitude.lag - velocity.lag, _half_interval(attitude, velocity)
     late, ahead, where = (ATTITUDE, VELOCITY, turned) if lag > 0.0 else (VELOCITY, ATTITUDE, moved)
-    level = _level(abs(lag), half)
+    level = _level_of_delay(abs(lag), half)
     if level == OK:
         apart = f"{abs(lag):.2f} s apart, as both follow the thrust ({delay_interval(abs(lag), half)})"
         text = f"{ATTITUDE} and {VELOCITY} are {apart}"
@@ -123,21 +141,24 @@ def _sensors(attitude: LagEstimate | None, velocity: LagEstimate | None, turned:
     yield Finding(level, "sensor-late", "late", where, text, f"check {its} filters, output rate and time stamps")
 
 
-def _thrust_times(attitude: LagEstimate | None, velocity: LagEstimate | None, push: ThrustSignals) -> Iterator[Finding]:
-    """Yield a finding on the delay of the motion behind the thrust.
+def _motion_thrust_delay(
+    attitude: LagEstimate | None, velocity: LagEstimate | None, push: ThrustSignals
+) -> Iterator[Finding]:
+    """Yield one finding on the delay of the motion behind the thrust.
 
-    The motion cannot come before the thrust, and cannot come long after a measured thrust.
+    The motion cannot come before the thrust, and cannot come long after a measured thrust. ``attitude``, ``velocity``:
+    delays of both motions; the smaller one is judged, and only if both have the same sign.
     """
-    found = [estimate for estimate in (attitude, velocity) if estimate is not None and _known(estimate)]
+    found = [estimate for estimate in (attitude, velocity) if estimate is not None and _is_well_estimated(estimate)]
     if not found:
         yield Finding(OK, "delay-unknown", "late", push.where, "the delay between thrust and motion is not known")
         return
     nearest = min(found, key=lambda estimate: abs(estimate.lag))  # one of the two sensors may be late itself
     same = len({estimate.lag > 0.0 for estimate in found}) == 1
-    lag, half = nearest.lag, _half(nearest)
+    lag, half = nearest.lag, _half_interval(nearest)
     # Commands come before the thrust by the lag of the shafts. This lag hides a part of a delay of their time stamps.
     fault_from = DELAY_FAULT if push.measured else DELAY_FAULT - SHAFT_LAG
-    level = _level(abs(lag), half, fault_from) if same else OK
+    level = _level_of_delay(abs(lag), half, fault_from) if same else OK
     if level != OK and lag < 0.0:
         before = f"{-lag:.2f} s before the thrust ({delay_interval(-lag, half)})"
         text = f"the motion comes {before}: the thrust is logged late"
@@ -153,61 +174,98 @@ def _thrust_times(attitude: LagEstimate | None, velocity: LagEstimate | None, pu
         yield Finding(OK, "thrust-in-time", "late", push.where, text)
 
 
-def _level(lag: float, half: float, fault_from: float = DELAY_FAULT) -> str:
-    """Return the level of a delay [s] with its half 95 % interval [s]; OK if it is small or not clear of zero."""
+def _level_of_delay(lag: float, half: float, fault_from: float = DELAY_FAULT) -> str:
+    """Return the level of a delay [s] with its half 95 % interval [s]: ``ok`` if it is small or not clear of zero.
+
+    Else ``fault`` from ``fault_from`` [s] on or if the whole interval is large, and ``warning`` otherwise.
+    """
     if lag < DELAY_WARNING - STEP / 2 or lag - half < MIN_DISTANCE:
         return OK
     return delay_level(lag, half, fault_from)
 
 
-def _known(found: LagEstimate | None) -> bool:
+def _is_well_estimated(found: LagEstimate | None) -> bool:
+    """Return whether a delay was estimated well: its R2 and its standard error are good, and it is inside the search.
+
+    False for None.
+    """
     return found is not None and found.r2 > MIN_R2 and found.se < MAX_SE and abs(found.lag) < MAX_LAG - 2 * STEP
 
 
-def _half(*found: LagEstimate) -> float:
-    """Return the half width of the 95 % interval [s] of a delay, or of the difference of two delays."""
+def _half_interval(*found: LagEstimate) -> float:
+    """Return the half width of the 95 % interval [s] of a delay, or of the difference of two delays.
+
+    It includes the systematic error of the regression (0.3 s times the root of the unexplained share).
+    """
     return float(np.sqrt(sum(estimate.half**2 + SYSTEMATIC**2 * (1.0 - estimate.r2) for estimate in found)))
 
 
-def _source(c: Channels, names: Sequence[str]) -> str:
+def _first_source(c: Channels, names: Sequence[str]) -> str:
+    """Return the source of the first of the channels ``names`` that the log has; its name if the channel has no source.
+
+    Empty if the log has none of the channels.
+    """
     return next((c[n].source or n for n in names if n in c), "")
 
 
-def _thrust(c: Channels, sides: Mapping[str, float]) -> ThrustSignals | None:
-    """Return the thrust signals of a log; None if the log has no thrust."""
+def _thrust_signals(c: Channels, sides: Mapping[str, float]) -> ThrustSignals | None:
+    """Return the thrust signals of a log; None if the log has no thrust.
+
+    Given forces ``X`` and ``N`` are preferred. Else each thruster of ``sides`` gives its force, its shaft speed or its
+    command, whichever comes first.
+    """
     if "N" in c or "X" in c:
         return ThrustSignals([c[n] for n in "N" if n in c], [c[n] for n in "X" if n in c], False, "thrust")
     found, measured = dict[str, Channel](), True
     for name in sides:
-        key = next((k for k in (f"f_{name}", f"n_{name}", f"n_cmd_{name}") if k in c), "")
+        key = next((k for k in (thrust_of(name), shaft_speed_of(name), command_of(name)) if k in c), "")
         if not key:
             continue
-        found[name] = c[key] if key.startswith("f_") else _squared(c[key])
-        measured &= key == f"n_{name}" and (c[key].hold == "linear" or (not c[key].hold and f"n_cmd_{name}" in c))
+        found[name] = c[key] if key == thrust_of(name) else _signed_square(c[key])
+        timely = c[key].hold == "linear" or (not c[key].hold and command_of(name) in c)
+        measured &= key == shaft_speed_of(name) and timely
     if not found:
         return None
     return ThrustSignals(list(found.values()), list(found.values()), measured, " and ".join(found))
 
 
-def _squared(shaft: Channel) -> Channel:
+def _signed_square(shaft: Channel) -> Channel:
+    """Return ``n|n|`` of a shaft speed or command n, which is proportional to the thrust."""
     return Channel(shaft.t, shaft.value * np.abs(shaft.value), "", shaft.source, shaft.hold)
 
 
 class _Motion(NamedTuple):
-    """Motion on a common grid of times, without NaN. A signal is None if no sensor measures it."""
+    """Motion on a common grid of times, without NaN. A signal is None if no sensor measures it.
 
-    t: Array  # (n,) [s]
-    r: Array  # (n,) [rad/s]
-    psi: Array | None  # (n,) [rad]
-    u: Array | None  # (n,) [m/s], forward over ground
-    v: Array | None  # (n,) [m/s], to starboard over ground
-    half: float  # s before and after, over which headings or positions were differenced
+    Attributes
+    ----------
+    t
+        Times (n,) [s] at steps of 0.05 s.
+    r
+        Yaw rate (n,) [rad/s], by the gyro or the heading.
+    psi
+        Heading (n,) [rad], unwrapped.
+    u, v
+        Velocity over ground forward and to starboard (n,) [m/s].
+    half
+        Time [s] before and after each sample, over which headings or positions were differenced; 0 if none were.
+    """
+
+    t: Array
+    r: Array
+    psi: Array | None
+    u: Array | None
+    v: Array | None
+    half: float
 
 
-def _motion(c: Channels, thrusts: Sequence[Channel], half_r: float = HEADING_HALF) -> _Motion | None:
-    """Return the motion while thrusts are known; None if the log is too short."""
+def _motion_on_grid(c: Channels, thrusts: Sequence[Channel], half_r: float = HEADING_HALF) -> _Motion | None:
+    """Return the motion while all thrusts and sensors are known; None if this time is shorter than 60 s.
+
+    The log needs a yaw rate or a heading. ``half_r``: time [s] before and after, over which a heading is differenced.
+    """
     names = [n for n in ("psi", "r", "vx", "vy", "u", "v", "x", "y") if n in c]
-    t = grid(*thrusts, *(c[n] for n in names))
+    t = common_grid(*thrusts, *(c[n] for n in names))
     if t.size * STEP < MIN_DURATION:
         return None
     psi = np.interp(t, c["psi"].t, np.unwrap(c["psi"].value)) if "psi" in c else None
@@ -216,7 +274,7 @@ def _motion(c: Channels, thrusts: Sequence[Channel], half_r: float = HEADING_HAL
         r = np.interp(t, c["r"].t, c["r"].value)
     else:
         assert psi is not None
-        r, half = _slope(psi, half_r), half_r
+        r, half = _mean_rate(psi, half_r), half_r
     u = v = None
     if {"u", "v"} <= set(c):
         u, v = (np.interp(t, c[n].t, c[n].value) for n in ("u", "v"))
@@ -225,69 +283,104 @@ def _motion(c: Channels, thrusts: Sequence[Channel], half_r: float = HEADING_HAL
             north, east = (np.interp(t, c[n].t, c[n].value) for n in ("vx", "vy"))
         else:
             half = max(half, POSITION_HALF)
-            north, east = (_slope(np.interp(t, c[n].t, c[n].value), POSITION_HALF) for n in ("x", "y"))
+            north, east = (_mean_rate(np.interp(t, c[n].t, c[n].value), POSITION_HALF) for n in ("x", "y"))
         u, v = ned_to_body(psi, north, east)
     return _Motion(t, r, psi, u, v, half)
 
 
-def _slope(s: Array, half: float) -> Array:
-    """Return the derivative (n,) of a signal on the grid: its mean rate from ``half`` s before to ``half`` s after."""
+def _mean_rate(s: Array, half: float) -> Array:
+    """Return the derivative (n,) of a signal on the grid: its mean rate from ``half`` [s] before to ``half`` after.
+
+    Near both ends the signal is continued with its end value.
+    """
     k = round(half / STEP)
     return (np.pad(s, k, mode="edge")[2 * k :] - np.pad(s, k, mode="edge")[: -2 * k]) / (2.0 * k * STEP)
 
 
 def _yaw_after_thrust(c: Channels, push: ThrustSignals) -> LagEstimate | None:
-    """Estimate the delay of the yaw rate behind the thrust; None if it cannot be estimated."""
-    if not push.turning or (m := _motion(c, push.turning)) is None:
+    """Estimate the delay [s] of the yaw rate behind the thrust.
+
+    None if no thrust turns the boat or the log is too short.
+    """
+    if not push.turning or (m := _motion_on_grid(c, push.turning)) is None:
         return None
     smooth = 0.0 if "r" in c else HEADING_HALF
     terms = [m.r, m.r * np.abs(m.r), np.ones(m.t.size)]
     if m.u is not None and m.v is not None:  # Munk moment, coupling, and errors of a late sway velocity
         terms += [m.u * m.v, m.u * m.r, m.v, m.r * np.abs(m.u)]
-    pushes = [part for thrust in push.turning for part in _signs(_at(thrust, m.t))]
-    return _lag(c, m, m.r, terms, pushes, YAW_WINDOW, smooth)
+    pushes = [part for thrust in push.turning for part in _forward_and_reverse(_thrust_at(thrust, m.t))]
+    return _lag_behind_thrust(c, m, m.r, terms, pushes, YAW_WINDOW, smooth)
 
 
 def _speed_after_thrust(c: Channels, push: ThrustSignals) -> LagEstimate | None:
-    """Estimate the delay of the surge speed behind the thrust; None if it cannot be estimated."""
-    if not push.ahead or (m := _motion(c, push.ahead)) is None or m.u is None or m.v is None:
+    """Estimate the delay [s] of the surge speed behind the thrust.
+
+    None if no thrust drives the boat forward, no sensor measures the velocity, or the log is too short.
+    """
+    if not push.ahead or (m := _motion_on_grid(c, push.ahead)) is None or m.u is None or m.v is None:
         return None
     smooth = 0.0 if {"vx", "vy"} <= set(c) or {"u", "v"} <= set(c) else POSITION_HALF
     terms = [m.u, m.u * np.abs(m.u), m.v * m.r, m.r * m.r, np.ones(m.t.size)]
     if m.psi is not None:  # a current
         terms += [np.cos(m.psi), np.sin(m.psi)]
-    pushes = _signs(sum((_at(thrust, m.t) for thrust in push.ahead), np.zeros(m.t.size)))
-    return _lag(c, m, m.u, terms, pushes, SURGE_WINDOW, smooth)
+    pushes = _forward_and_reverse(sum((_thrust_at(thrust, m.t) for thrust in push.ahead), np.zeros(m.t.size)))
+    return _lag_behind_thrust(c, m, m.u, terms, pushes, SURGE_WINDOW, smooth)
 
 
-def _at(push: Channel, t: Array) -> Array:
-    """Return a thrust at times t (n,) [s]. A command holds until the next one."""
+def _thrust_at(push: Channel, t: Array) -> Array:
+    """Return a thrust at times t (n,) [s].
+
+    A thrust with the hold ``zero`` holds until the next sample; others are interpolated.
+    """
     if push.hold != "zero":
         return np.interp(t, push.t, push.value)
     return push.value[np.clip(np.searchsorted(push.t, t, side="right") - 1, 0, None)]
 
 
-def _signs(f: Array) -> list[Array]:
-    """Split a thrust into its parts forward and reverse, since a propeller gives less thrust in reverse."""
+def _forward_and_reverse(f: Array) -> list[Array]:
+    """Split a thrust (n,) into its parts forward and reverse, since a propeller gives less thrust in reverse.
+
+    A part that is constant is left out.
+    """
     return [part for part in (np.maximum(f, 0.0), np.minimum(f, 0.0)) if np.ptp(part) > 1e-6]
 
 
-def _lag(
+def _lag_behind_thrust(
     c: Channels, m: _Motion, y: Array, terms: Sequence[Array], pushes: Sequence[Array], window: float, smooth: float
 ) -> LagEstimate | None:
-    """Estimate the lag of ``y`` (n,) behind the thrusts ``pushes``, with ``terms`` of the motion as further regressors.
+    """Estimate the lag of a motion behind the thrust by regressions of its increments.
 
-    ``smooth``: half width [s] of the moving mean that y has passed. The regressors pass the same mean.
+    Parameters
+    ----------
+    c
+        Channels of the log, for the pauses of their sensors.
+    m
+        Motion on the grid.
+    y
+        Motion (n,) that follows the thrust: yaw rate or surge speed.
+    terms
+        Further regressors (n,): functions of the motion. They are not shifted.
+    pushes
+        Thrusts (n,), which are shifted by each lag of the search.
+    window
+        Time [s] of the increments.
+    smooth
+        Half width [s] of the moving mean that y has passed; 0 for none. The regressors pass the same mean.
+
+    Returns
+    -------
+    LagEstimate or None
+        None without thrust, for a constant motion, or if too little time is left without pauses.
     """
     if not pushes or np.std(y) < 1e-9:
         return None
-    mean = (lambda s: _slope(cumulative_integral(m.t, s), smooth)) if smooth else (lambda s: s)
+    mean = (lambda s: _mean_rate(cumulative_integral(m.t, s), smooth)) if smooth else (lambda s: s)
     own = [cumulative_integral(m.t, mean(s)) for s in terms]
     late = [cumulative_integral(m.t, mean(s)) for s in pushes]
     width, most = round(window / STEP), round(MAX_LAG / STEP)
     every = max(round(EVERY / STEP), y.size // MAX_ROWS)
     at = np.arange(most, y.size - most - width, every)
-    at = at[_without_pause(c, m.t, at, width)]
+    at = at[_increments_without_pause(c, m.t, at, width)]
     if at.size * every * STEP < MIN_DURATION:
         return None
     errors = LagErrors(np.linspace(-MAX_LAG, MAX_LAG, 2 * most + 1), at.size)
@@ -299,8 +392,11 @@ def _lag(
     return errors.estimate()
 
 
-def _without_pause(c: Channels, t: Array, at: NDArray[np.intp], width: int) -> NDArray[np.bool_]:
-    """Return which increments (n_rows,) do not overlap a pause of a sensor."""
+def _increments_without_pause(c: Channels, t: Array, at: NDArray[np.intp], width: int) -> NDArray[np.bool_]:
+    """Return a mask (n_rows,) of the increments that do not overlap a pause of a sensor.
+
+    ``at``: first index of each increment on the grid t (n,) [s]. ``width``: its number of steps.
+    """
     paused = np.zeros(t.size + 1)
     for name in (n for n in ("psi", "r", "vx", "vy", "x", "y", "u", "v") if n in c):
         pause = np.diff(c[name].t)

@@ -19,19 +19,19 @@ from seatrial.daq.log import Log, open_log
 from seatrial.daq.samples import Ahrs, Command, Esc, Gnss, LoadCell, Scalar
 from seatrial.ident.checks.frames import check_accelerometer, check_frames
 from seatrial.ident.checks.held import check_held, check_held_inputs
-from seatrial.ident.checks.inputs import check_exchanged_telemetry, check_frozen_force, check_inputs
+from seatrial.ident.checks.inputs import INPUTS, check_exchanged_telemetry, check_frozen_force, check_inputs
 from seatrial.ident.checks.latency import check_latency
 from seatrial.ident.checks.motion import (
     SURGE_LAGS,
     YAW_LAGS,
     ThrusterForces,
-    ahead,
     best_turn_rate,
     check_motion,
     delayed_forces,
     fill_gaps,
+    surge_speed,
     thruster_forces,
-    turning,
+    turning_signs,
 )
 from seatrial.ident.checks.outliers import check_outliers
 from seatrial.ident.checks.sensors import (
@@ -55,6 +55,13 @@ from seatrial.ident.checks.signals import (
     check_smoothing,
 )
 from seatrial.ident.data import SHORTEST_PIECE_S, Channel, channels, parts_between, seconds, silent_times
+from seatrial.ident.model import (
+    SignalId,
+    command_of,
+    commanded_thrusters,
+    is_of_thruster,
+    shaft_speed_of,
+)
 from seatrial.ident.numerics import Array
 
 POSITION_WINDOW_S = 5.0  # over which positions are differenced, as in `sensors.position_match`
@@ -66,72 +73,142 @@ NOT_SHOWN = ("phi", "theta", "p", "q", "speed")  # add little to the signals abo
 
 @dataclass(frozen=True)
 class SampleIntervals:
-    """Sample intervals of one device."""
+    """Sample intervals of one device.
+
+    Attributes
+    ----------
+    source
+        Name of the device.
+    t
+        Times (n,) [s] of the later of two neighbouring samples.
+    interval
+        Intervals (n,) [s] between neighbouring samples.
+    expected
+        Interval [s] by `rate_hz` of the rig; None if the rig gives no rate.
+    """
 
     source: str
-    t: Array  # (n,) [s], time of the later of two neighbouring samples
-    interval: Array  # (n,) [s]
-    expected: float | None  # [s], by `rate_hz` of the rig; None if the rig gives no rate
+    t: Array
+    interval: Array
+    expected: float | None
 
     def between(self, begin: float, end: float) -> SampleIntervals:
-        """Return the intervals that lie in the part of the log from `begin` to `end` [s]."""
+        """Return the intervals that lie completely between the times ``begin`` and ``end`` [s]."""
         own = (self.t > begin) & (self.t <= end) & (self.t - self.interval >= begin)
         return replace(self, t=self.t[own], interval=self.interval[own])
 
 
 @dataclass(frozen=True)
 class ShaftResponse:
-    """Shaft speed of one thruster and its command, both over full speed."""
+    """Shaft speed of one thruster and its command, both over full speed.
+
+    Attributes
+    ----------
+    name
+        Name of the thruster.
+    t, n
+        Times (n,) [s] and measured shaft speeds (n,).
+    t_command, n_command
+        Times (m,) [s] and commands (m,), each held until the next one.
+    end
+        Time [s] of the last sample of the shaft speed.
+    """
 
     name: str
-    t: Array  # (n,) [s]
-    n: Array  # (n,) [-], measured
-    t_command: Array  # (m,) [s]
-    n_command: Array  # (m,) [-], each held until the next one
-    end: float  # [s], time of the last sample of the shaft speed
+    t: Array
+    n: Array
+    t_command: Array
+    n_command: Array
+    end: float
 
 
 @dataclass(frozen=True)
 class ThrustResponseCurve:
-    """Measured motion and the motion that the thrust is expected to cause."""
+    """Measured motion and the motion that the thrust is expected to cause.
+
+    Attributes
+    ----------
+    title, unit
+        Name of the motion, and unit of both curves.
+    t
+        Times (n,) [s].
+    measured
+        Measured motion (n,).
+    expected
+        Thrust through the first-order lag that fits best (n,), with the expected sign. NaN for a constant thrust.
+    """
 
     title: str
     unit: str
-    t: Array  # (n,) [s]
-    measured: Array  # (n,)
-    expected: Array  # (n,), thrust through a first-order lag
+    t: Array
+    measured: Array
+    expected: Array
 
 
 @dataclass(frozen=True)
 class SensorPair:
-    """The same motion measured by two sensors."""
+    """The same motion measured by two sensors.
+
+    Attributes
+    ----------
+    title, unit
+        Name of the motion, and unit of both curves.
+    names
+        Names of both sensors, for the legend.
+    t
+        Times (n,) [s].
+    first, second
+        Motion (n,) by the first and by the second sensor.
+    """
 
     title: str
     unit: str
-    names: tuple[str, str]  # of both sensors, for the legend
-    t: Array  # (n,) [s]
-    first: Array  # (n,), by the first sensor
-    second: Array  # (n,), by the second sensor
+    names: tuple[str, str]
+    t: Array
+    first: Array
+    second: Array
 
 
 @dataclass(frozen=True)
 class SignalCurve:
-    """Samples of one channel as logged."""
+    """Samples of one channel as logged.
+
+    Attributes
+    ----------
+    channel, unit
+        Name and unit of the channel.
+    t, value
+        Times (n,) [s] and values (n,).
+    angle
+        Whether the value may jump by a whole turn.
+    """
 
     channel: str
     unit: str
-    t: Array  # (n,) [s]
-    value: Array  # (n,)
-    angle: bool  # whether the value may jump by a whole turn
+    t: Array
+    value: Array
+    angle: bool
 
 
 @dataclass(frozen=True)
 class CheckEvidence:
-    """Curves of one log. All times [s] count from the start of the log."""
+    """Curves of one log, or of one segment of a log between two gaps. All times [s] count from the start of the log.
+
+    Attributes
+    ----------
+    name
+        Name of the log; for a segment with its begin and end [s] in brackets.
+    duration
+        Duration [s].
+    rig
+        Name of the rig in the log; None if the log has no rig.
+    intervals, shafts, thrust_response, sensors, signals
+        Curves of each kind. Empty if the log lacks the signals.
+    """
 
     name: str
-    duration: float  # [s]
-    rig: str | None  # name of the rig in the log; None if the log has no rig
+    duration: float
+    rig: str | None
     intervals: tuple[SampleIntervals, ...] = ()
     shafts: tuple[ShaftResponse, ...] = ()
     thrust_response: tuple[ThrustResponseCurve, ...] = ()
@@ -140,19 +217,19 @@ class CheckEvidence:
 
 
 def log_evidence(path: Path, name: str = "") -> list[CheckEvidence]:
-    """Return the curves of one log, for each part between its gaps.
+    """Return the curves of one log, for each segment between its gaps.
 
     Parameters
     ----------
     path
         File or folder of the log.
     name
-        Name to show. Without it the name of the file is shown.
+        Name to show. If it is empty, the name of the file without its suffix is shown.
 
     Returns
     -------
     list
-        One entry for each part; one entry if the log has no gap.
+        One entry for each segment; one entry for the whole log if it has no gap.
 
     Raises
     ------
@@ -162,44 +239,58 @@ def log_evidence(path: Path, name: str = "") -> list[CheckEvidence]:
     with open_log(path) as log:
         signals = channels(log)
         rig = log.rig
-        duration, intervals, sides, start = log.duration, _intervals(log), sides_of(log), log.start
+        duration, intervals, sides, start = log.duration, _sample_intervals(log), sides_of(log), log.start
     gaps, found = silent_times(signals), []
     for signals_of_part in parts_between(signals, gaps):
         c = {n: Channel(s.t - start, s.value, s.unit, s.source) for n, s in signals_of_part.items()}
-        begin, end = _span(c) if gaps and c else (0.0, duration)
+        begin, end = _time_span(c) if gaps and c else (0.0, duration)
         own = [row.between(begin, end) for row in intervals] if gaps else intervals
         found.append(CheckEvidence(
             f"{name or path.stem}[{seconds(begin)}:{seconds(end)}]" if gaps else name or path.stem, end - begin,
-            rig.name if rig else None, tuple(row for row in own if row.t.size), tuple(_shafts(c)),
-            tuple(push(c, sides)), tuple(sensors(c)), tuple(_signals(c)),
+            rig.name if rig else None, tuple(row for row in own if row.t.size), tuple(_shaft_responses(c)),
+            tuple(thrust_response_curves(c, sides)), tuple(sensor_pairs(c)), tuple(_signal_curves(c)),
         ))  # fmt: skip
     return found
 
 
-def _intervals(log: Log) -> list[SampleIntervals]:
-    """Return the sample intervals of each sensor and of each speed controller."""
+def _sample_intervals(log: Log) -> list[SampleIntervals]:
+    """Return the sample intervals of each sensor and of each speed controller with at least two samples.
+
+    The nodes of a speed controller are taken together. Imported inputs are left out. Times count from the start of the
+    log.
+    """
     rig = log.rig
     expected = {d.name: 1.0 / d.rate_hz for d in rig.devices} if rig else {}
     found: list[SampleIntervals] = []
     for kind in (Ahrs, Gnss, LoadCell, Scalar):
         for source in log.sources(kind):
             if kind is not Scalar or log.role(source) == "output":
-                found.append(_interval(source, log.table(kind, source)["t"], log.start, expected.get(source)))
+                found.append(
+                    _intervals_of_samples(source, log.table(kind, source)["t"], log.start, expected.get(source))
+                )
     for source in log.sources(Esc):
         nodes = log.nodes(Esc, source)
         t = np.sort(np.concatenate([log.table(Esc, source, node)["t"] for node in nodes]))
-        found.append(_interval(source, t, log.start, expected.get(source)))
+        found.append(_intervals_of_samples(source, t, log.start, expected.get(source)))
     return [row for row in found if row.t.size]
 
 
-def _interval(source: str, t: Array, start: float, expected: float | None) -> SampleIntervals:
+def _intervals_of_samples(source: str, t: Array, start: float, expected: float | None) -> SampleIntervals:
+    """Return the sample intervals of one device.
+
+    ``t``: times of its samples (n,) [s since 1970]. ``start``: start of the log [s since 1970]. ``expected``: interval
+    [s] by the rig, or None.
+    """
     return SampleIntervals(source, t[1:] - start, np.diff(t), expected)
 
 
-def _shafts(c: Channels) -> list[ShaftResponse]:
-    """Return command and shaft speed of each thruster that has both."""
-    names = [n.removeprefix("n_cmd_") for n in sorted(c) if n.startswith("n_cmd_")]
-    both = [(n, c[f"n_cmd_{n}"], c[f"n_{n}"]) for n in names if f"n_{n}" in c]
+def _shaft_responses(c: Channels) -> list[ShaftResponse]:
+    """Return command and shaft speed of each thruster that has both, by name.
+
+    A shaft speed that is a copy of the command (the same clock) is left out.
+    """
+    names = sorted(commanded_thrusters(c))
+    both = [(n, c[command_of(n)], c[shaft_speed_of(n)]) for n in names if shaft_speed_of(n) in c]
     return [
         ShaftResponse(n, shaft.t, shaft.value, command.t, command.value, float(shaft.t[-1]))
         for n, command, shaft in both
@@ -207,8 +298,8 @@ def _shafts(c: Channels) -> list[ShaftResponse]:
     ]
 
 
-def push(c: Channels, sides: Mapping[str, float]) -> list[ThrustResponseCurve]:
-    """Return yaw rate and surge speed as measured and as expected from the thrust.
+def thrust_response_curves(c: Channels, sides: Mapping[str, float]) -> list[ThrustResponseCurve]:
+    """Return the curves of yaw rate and surge speed as measured and as expected from the thrust.
 
     Parameters
     ----------
@@ -220,7 +311,8 @@ def push(c: Channels, sides: Mapping[str, float]) -> list[ThrustResponseCurve]:
     Returns
     -------
     list
-        Empty if the log has no thrust or is too short.
+        Empty if the log has no thrust, no motion or is too short. Without thrusters off the middle there is no yaw
+        rate.
     """
     forces = thruster_forces(c, sides)
     if forces is None:
@@ -230,7 +322,7 @@ def push(c: Channels, sides: Mapping[str, float]) -> list[ThrustResponseCurve]:
         r = best_turn_rate(c, forces.edges)
         if r is not None:
             found.append(_response_curve("yaw rate", "rad/s", forces, r, forces.f @ forces.side, YAW_LAGS))
-    if (u := ahead(c, forces.t)) is not None:
+    if (u := surge_speed(c, forces.t)) is not None:
         found.append(_response_curve("speed ahead over ground", "m/s", forces, u, forces.f.sum(axis=1), SURGE_LAGS))
     return [row for row in found if np.isfinite(row.expected).any()]
 
@@ -238,32 +330,62 @@ def push(c: Channels, sides: Mapping[str, float]) -> list[ThrustResponseCurve]:
 def _response_curve(
     title: str, unit: str, forces: ThrusterForces, y: Array, f: Array, lags: Sequence[float]
 ) -> ThrustResponseCurve:
-    """Return the motion y (n,) beside the response to f (n,) by the best of the lags [s]."""
+    """Return the motion y (n,) beside the response to the thrust or moment f (n,) with the best of the lags [s].
+
+    Times at which y is NaN are left out. ``forces`` gives the times (n,).
+    """
     measured = np.isfinite(y)  # a course is NaN while the boat is too slow
     filled = fill_gaps(forces.t, y)
     expected = delayed_forces(filled, f, lags) if np.ptp(f) > 0.0 else np.full(y.size, np.nan)
     return ThrustResponseCurve(title, unit, forces.t[measured], y[measured], expected[measured])
 
 
-def sensors(c: Channels) -> list[SensorPair]:
-    """Return each motion that two sensors measure: yaw rate by heading and gyro, velocity by positions and receiver."""
+def sensor_pairs(c: Channels) -> list[SensorPair]:
+    """Return each motion that two sensors measure: yaw rate by heading and gyro, velocity by positions and receiver.
+
+    Parameters
+    ----------
+    c
+        Channels of a log by name.
+
+    Returns
+    -------
+    list
+        Empty if no motion is measured twice.
+    """
     found = []
     if {"psi", "r"} <= set(c):
         in_radians = np.abs(c["psi"].value).max() < 7.0  # a little more than a turn
         heading = np.unwrap(c["psi"].value, period=2.0 * np.pi if in_radians else 360.0)
         names = ("change of heading over 1 s", "gyro")
-        found.append(_pair("yaw rate", "rad/s", names, (Channel(c["psi"].t, heading), c["r"]), WINDOW))
+        found.append(_rate_pair("yaw rate", "rad/s", names, (Channel(c["psi"].t, heading), c["r"]), WINDOW))
     for axis, position, velocity in (("north", "x", "vx"), ("east", "y", "vy")):
         if {position, velocity} <= set(c):
             names = ("change of position over 5 s", "reported by the receiver")
-            found.append(_pair(f"velocity {axis}", "m/s", names, (c[position], c[velocity]), POSITION_WINDOW_S))
+            found.append(_rate_pair(f"velocity {axis}", "m/s", names, (c[position], c[velocity]), POSITION_WINDOW_S))
     return [row for row in found if row.t.size > 1]
 
 
-def _pair(title: str, unit: str, names: tuple[str, str], both: tuple[Channel, Channel], window: float) -> SensorPair:
-    """Return the change of a signal over a window [s], and the mean in the window of its measured rate.
+def _rate_pair(
+    title: str, unit: str, names: tuple[str, str], both: tuple[Channel, Channel], window: float
+) -> SensorPair:
+    """Return a motion by two sensors: the change of a signal over a window, and the mean of its measured rate.
 
-    Both are rates at the middle of the window. ``both``: the signal and its measured rate.
+    Both are rates at the middle of the window.
+
+    Parameters
+    ----------
+    title, unit, names
+        Name and unit of the motion, and the names of both sensors, for the plot.
+    both
+        The signal, for example a position, and its measured rate.
+    window
+        Duration [s] of the moving window.
+
+    Returns
+    -------
+    SensorPair
+        Without samples if the two sensors overlap for less than the window.
     """
     whole, rate = both
     start, end = max(whole.t[0], rate.t[0]), min(whole.t[-1], rate.t[-1])
@@ -276,9 +398,9 @@ def _pair(title: str, unit: str, names: tuple[str, str], both: tuple[Channel, Ch
     return SensorPair(title, unit, names, t + window / 2, one, other)
 
 
-def _signals(c: Channels) -> list[SignalCurve]:
-    """Return the samples of the sensors as logged."""
-    others = [n for n in c if n not in SHOWN and n not in NOT_SHOWN and not n.startswith(("n_", "f_"))]
+def _signal_curves(c: Channels) -> list[SignalCurve]:
+    """Return the curves of at most 12 sensors: motion signals and force first, then other imported signals."""
+    others = [n for n in c if n not in SHOWN + NOT_SHOWN and not is_of_thruster(n, *INPUTS)]
     names = [*(n for n in SHOWN if n in c), *others][:MAX_SIGNALS_SHOWN]
     return [SignalCurve(n, c[n].unit, c[n].t, c[n].value, n == "psi") for n in names]
 
@@ -303,24 +425,51 @@ COPIED_SHARE, MIN_TRIPLES = 0.5, 50
 
 
 def invalidates_fit(finding: Finding) -> bool:
-    """Return whether the result of a fit to a log with this finding is meaningless."""
+    """Return whether the result of a fit to a log with this finding is meaningless.
+
+    This holds for faults of frames, signs, units, sides and time, and of signals that do not measure (`SPOILING`).
+
+    Parameters
+    ----------
+    finding
+        Finding of any check.
+    """
     return finding.level == FAULT and finding.code in SPOILING
 
 
 def check_log(path: Path | str) -> list[Finding]:
-    """Return the findings of one log. A log whose signals cannot be read gives a warning, not an error."""
+    """Return the findings of one log on its signals. A log whose signals cannot be read gives a warning, not an error.
+
+    Parameters
+    ----------
+    path
+        File or folder of the log.
+    """
     try:
         with open_log(path) as log:
             found = channels(log)
-            return [*_silent_controllers(log), *_check_parts(found, sides_of(log), log.start)]
+            return [*_silent_controllers(log), *_check_segments(found, sides_of(log), log.start)]
     except SeatrialError as error:
         return [Finding("warning", "log-not-readable", "motion", Path(path).name, str(error))]
 
 
-def _check_parts(c: Channels, sides: Mapping[str, float], start: float) -> list[Finding]:
-    """Return the worst finding of each check over the parts of a log between its gaps, as a fit uses them.
+def _check_segments(c: Channels, sides: Mapping[str, float], start: float) -> list[Finding]:
+    """Return the worst finding of each check over the segments of a log between its gaps, as a fit uses them.
 
-    ``start``: start of the log [s], from which the times in the findings count.
+    Parameters
+    ----------
+    c
+        Channels of the whole log by name.
+    sides
+        Position of each thruster to starboard [m].
+    start
+        Start of the log [s], from which the times in the findings count.
+
+    Returns
+    -------
+    list
+        For each pair of check and signal the worst finding; of equal ones that of the longest segment. Segments shorter
+        than 10 s are not checked.
     """
     gaps = silent_times(c)
     if not gaps:
@@ -328,7 +477,7 @@ def _check_parts(c: Channels, sides: Mapping[str, float], start: float) -> list[
     worst: dict[tuple[str, str], Finding] = {}
     parts = [part for part in parts_between(c, gaps) if part and _duration(part) >= SHORTEST_PIECE_S]
     for part in sorted(parts, key=_duration, reverse=True):  # of equal findings, keep that of the longest part
-        begin, end = (seconds(t - start) for t in _span(part))
+        begin, end = (seconds(t - start) for t in _time_span(part))
         for finding in check_signals(part, sides):
             key = finding.check, finding.where
             if finding.level != OK:
@@ -338,13 +487,14 @@ def _check_parts(c: Channels, sides: Mapping[str, float], start: float) -> list[
     return list(worst.values())
 
 
-def _span(c: Channels) -> tuple[float, float]:
-    """Return the times of the first and the last sample [s]."""
+def _time_span(c: Channels) -> tuple[float, float]:
+    """Return the times [s] of the first and the last sample of all channels, of which there is at least one."""
     return min(float(x.t[0]) for x in c.values()), max(float(x.t[-1]) for x in c.values())
 
 
 def _duration(c: Channels) -> float:
-    begin, end = _span(c)
+    """Return the time [s] from the first to the last sample of all channels, of which there is at least one."""
+    begin, end = _time_span(c)
     return end - begin
 
 
@@ -409,14 +559,14 @@ def check_signals(c: Channels, sides: Mapping[str, float]) -> Iterator[Finding]:
     one_sided = one_sided_shafts(unwrapped)
     yield from one_sided.values()
     # Zero speed in one direction would look like a dead band.
-    wrong = {*one_sided, *(n.removeprefix("n_") for n in wraps)}
-    wrong |= {f.where.removeprefix("n_") for f in of_inputs if f.code == "shaft-speed-stuck"}
-    of_shafts = list(check_shafts({n: x for n, x in c.items() if n.removeprefix("n_cmd_") not in wrong}))
+    stuck = {f.where for f in of_inputs if f.code == "shaft-speed-stuck"}
+    wrong = {*one_sided, *(SignalId.parse(n).source for n in wraps | stuck)}
+    of_shafts = list(check_shafts({n: x for n, x in c.items() if SignalId.parse(n).source not in wrong}))
     yield from of_shafts
     wrong_inputs = [*of_wraps, *one_sided.values()]
     if wrong_inputs or any(f.level == FAULT and f.check in ("units", "stuck", "alike") for f in (*ranges, *of_sensors)):
         return
-    of_frames = list(check_frames(c, matches.heading, turning(c, sides)))
+    of_frames = list(check_frames(c, matches.heading, turning_signs(c, sides)))
     yield from of_frames
     of_motion = [] if of_frames else list(check_motion(c, sides, {f.where for f in of_shafts if f.check == "dead"}))
     yield from of_motion
@@ -450,14 +600,21 @@ def check_copies(logs: Sequence[tuple[str, Channels]]) -> list[Finding]:
     logs
         Name and channels of each log.
 
+    Returns
+    -------
+    list
+        Faults ``log-copied``, at most one for each log, in the order of the logs.
+
     Notes
     -----
-    Measurement noise never repeats. Equal sequences of samples therefore come from the same run.
+    Measurement noise never repeats. Equal sequences of samples therefore come from the same run. A log is a copy if,
+    for the median signal, more than half of the triples of neighbouring values also occur in the other log. Signals
+    with 50 triples or fewer are not compared.
     """
     earlier: list[tuple[str, dict[str, NDArray[np.uint64]]]] = []
     found = []
     for name, c in logs:
-        own = {n: _triples(c[n].value) for n in ("r", "psi", "x", "y", "vx", "ax", "u", "force") if n in c}
+        own = {n: _hashed_triples(c[n].value) for n in ("r", "psi", "x", "y", "vx", "ax", "u", "force") if n in c}
         own = {n: triples for n, triples in own.items() if triples.size > MIN_TRIPLES}
         for earlier_name, earlier_triples in earlier:
             same = {
@@ -474,8 +631,8 @@ def check_copies(logs: Sequence[tuple[str, Channels]]) -> list[Finding]:
     return found
 
 
-def _triples(value: Array) -> NDArray[np.uint64]:
-    """Return the distinct hashes of all triples of neighbouring values that differ from each other."""
+def _hashed_triples(value: Array) -> NDArray[np.uint64]:
+    """Return the distinct hashes (m,), sorted, of all triples of neighbouring values without equal neighbours."""
     bits = np.ascontiguousarray(value, dtype=np.float64).view(np.uint64)
     # Multiply by the golden ratio in 64 bits: the low bits of rounded values are zero and must be filled.
     mixed = (bits ^ bits >> np.uint64(31)) * np.uint64(0x9E3779B97F4A7C15)
@@ -488,14 +645,22 @@ def _triples(value: Array) -> NDArray[np.uint64]:
 def sides_of(log: Log) -> dict[str, float]:
     """Return the position of each thruster to starboard [m] by the rig of the log.
 
-    An imported log has no rig; its thrusters are called left and right, and only the side is known (`IMPORTED`).
+    An imported log has no rig; its thrusters are called left and right, and only the side is known (-1 m and +1 m).
+
+    Parameters
+    ----------
+    log
+        An open log.
     """
     rig = log.rig
     return {t.name: t.position_m[1] for t in rig.thrusters} if rig else IMPORTED
 
 
 def _silent_controllers(log: Log) -> Iterator[Finding]:
-    """Yield a fault for each commanded thruster whose speed controller sent no telemetry."""
+    """Yield a fault for each commanded thruster whose speed controller sent no telemetry.
+
+    Thrusters behind an autopilot, and logs without a rig, are not checked.
+    """
     rig = log.rig
     for thruster in rig.thrusters if rig else ():
         device, node = thruster.device, thruster.node

@@ -20,6 +20,7 @@ from seatrial.daq.checks import Finding
 from seatrial.ident.checks.frames import half_turn
 from seatrial.ident.checks.sensors import Channels
 from seatrial.ident.data import Channel, block_mean
+from seatrial.ident.model import command_of, shaft_speed_of, thrust_of
 from seatrial.ident.numerics import Array, first_order_lag, ned_to_body
 
 RATE = 10.0  # Hz, of the regressions
@@ -39,36 +40,71 @@ MIN_OWN_VARIATION = 0.1  # share of a thruster's variation that other thrusters 
 
 
 class RegressionEffect(NamedTuple):
-    """Effects of the thrusters on one motion."""
+    """Effects of the thrusters on one motion.
 
-    size: Array  # (n_thrusters,), regression factors
-    t: Array  # (n_thrusters,), t statistics; 0 if the effect is not separable
-    share: Array  # (n_thrusters,), share of the variance of the motion that this thruster alone explains
+    Attributes
+    ----------
+    size
+        Regression factors (n_thrusters,): motion per unit of thrust. 0 for a thruster that is not separable from
+        others.
+    t
+        t statistics (n_thrusters,); 0 for a thruster that is not separable from others.
+    share
+        Share (n_thrusters,) of the variance of the motion that this thruster alone explains.
+    """
+
+    size: Array
+    t: Array
+    share: Array
 
     @property
     def sign(self) -> Array:
-        """Sign of each effect (n_thrusters,): +1 or -1 if it is significant, else 0."""
+        """Sign of each effect (n_thrusters,): +1 or -1 if t and the share are large enough (`SIGN_LIMITS`), else 0."""
         significant = np.any([(np.abs(self.t) > t) & (self.share > share) for t, share in SIGN_LIMITS], axis=0)
         return np.where(significant, np.sign(self.size), 0.0)
 
 
 class ThrustResponse(NamedTuple):
-    """Effects of the thrusters on yaw rate and surge speed."""
+    """Effects of the thrusters on yaw rate and surge speed.
 
-    names: tuple[str, ...]  # of the thrusters
+    Attributes
+    ----------
+    names
+        Names of the thrusters.
+    yaw, surge
+        Effects on the yaw rate (positive: bow to starboard) and on the surge speed (positive: forward).
+    moment
+        Sign of the effect of the turning moment on the yaw rate: +1 as expected, -1 against it, 0 unknown.
+    """
+
+    names: tuple[str, ...]
     yaw: RegressionEffect
     surge: RegressionEffect
-    moment: int  # sign of the effect of the turning moment on the yaw rate: +1, -1, or 0 if unknown
+    moment: int
 
 
 class ThrusterForces(NamedTuple):
-    """Thrust of each thruster on a common grid of times."""
+    """Thrust of each thruster on a common grid of times.
 
-    names: tuple[str, ...]  # of the thrusters
-    t: Array  # (n,) [s]
-    edges: Array  # (n + 1,) [s], of the intervals around t
-    f: Array  # (n, n_thrusters), thrust in any unit
-    side: Array  # (n_thrusters,), +1 to port, -1 to starboard, 0 in the middle
+    Attributes
+    ----------
+    names
+        Names of the thrusters.
+    t
+        Times (n,) [s], at the middle of intervals of ``1 / RATE``.
+    edges
+        Edges (n + 1,) [s] of the intervals around t.
+    f
+        Thrust (n, n_thrusters), positive forward, in any unit.
+    side
+        Side of each thruster (n_thrusters,): +1 to port, -1 to starboard, 0 in the middle.
+    """
+
+    names: tuple[str, ...]
+    t: Array
+    edges: Array
+    f: Array
+    side: Array
 
 
 def check_motion(c: Channels, sides: Mapping[str, float], dead: Collection[str] = ()) -> Iterator[Finding]:
@@ -82,20 +118,30 @@ def check_motion(c: Channels, sides: Mapping[str, float], dead: Collection[str] 
         Position of each thruster to starboard [m].
     dead
         Thrusters that other checks have reported as dead. They get no further finding.
+
+    Yields
+    ------
+    Finding
+        Faults; without faults ``thruster-sides-agree`` (ok) if the log shows the sides. Nothing if the log is too
+        short, or has no thrust or no sensor of the yaw rate.
     """
     found = thrust_responses(c, sides)
     if found is None:
         return
-    yaw, surge = found.yaw.sign * _side(sides, found.names), found.surge.sign
-    faults = [f for f in _verdict(found, yaw, surge) if f.where not in dead]
+    yaw, surge = found.yaw.sign * _side_signs(sides, found.names), found.surge.sign
+    faults = [f for f in _thruster_faults(found, yaw, surge) if f.where not in dead]
     yield from faults
     if not faults and not dead and ((yaw > 0).any() or found.moment > 0):
         text = "the boat turns with the thrust difference"
         yield Finding("ok", "thruster-sides-agree", "sides", " and ".join(found.names), text)
 
 
-def _verdict(found: ThrustResponse, yaw: Array, surge: Array) -> Iterator[Finding]:
-    """Yield the faults. ``yaw``, ``surge`` (n_thrusters,): sign of each effect, +1 as expected, 0 unknown."""
+def _thruster_faults(found: ThrustResponse, yaw: Array, surge: Array) -> Iterator[Finding]:
+    """Yield the faults of the thrusters: heading reversed, sides swapped, sign reversed, or no effect.
+
+    ``yaw``, ``surge`` (n_thrusters,): sign of each effect, +1 as expected for the thruster's side, -1 against it, 0
+    unknown.
+    """
     if found.moment > 0 and (surge < 0).any() and not (surge > 0).any() and not (yaw < 0).any():
         yield half_turn("the boat turns as expected, but moves opposite to its heading when the thrust is forward")
         return
@@ -113,7 +159,7 @@ def _verdict(found: ThrustResponse, yaw: Array, surge: Array) -> Iterator[Findin
             "else the signs of both thrusters, or of heading and yaw rate (frame east, north, up), are wrong",
         )
         return
-    most = np.minimum(_most(found.yaw), _most(found.surge))
+    most = np.minimum(_relative_upper_bounds(found.yaw), _relative_upper_bounds(found.surge))
     for k, name in enumerate(found.names):
         if surge[k] < 0 or (yaw[k] < 0 and not ahead_too[k]):
             yield Finding(
@@ -131,12 +177,16 @@ def _verdict(found: ThrustResponse, yaw: Array, surge: Array) -> Iterator[Findin
                 "dead",
                 name,
                 "it has no effect on the boat: neither yaw rate nor surge speed responds to its command",
-                "is the propeller lost or fouled, or does the shaft not turn?",
+                "check whether the propeller is lost or fouled, and whether the shaft turns",
             )
 
 
-def _most(effect: RegressionEffect) -> Array:
-    """Return the upper bound (two standard errors) of each effect over the largest effect; 1 if it is unknown."""
+def _relative_upper_bounds(effect: RegressionEffect) -> Array:
+    """Return the upper bound (n_thrusters,) of the size of each effect, divided by the largest significant effect.
+
+    The bound is two standard errors above the size. It is 1 for an effect that is not separable, and for all if no
+    effect is significant.
+    """
     clear = np.abs(effect.t) > 1.5 * SIGNIFICANT_T
     if not clear.any():
         return np.ones(effect.size.size)
@@ -158,7 +208,7 @@ def thrust_responses(c: Channels, sides: Mapping[str, float]) -> ThrustResponse 
     Returns
     -------
     ThrustResponse or None
-        None if the log is too short, or has no thrust or no sensor of the yaw rate.
+        None if the log is shorter than 15 s, or has no thrust or no sensor of the yaw rate.
     """
     forces = thruster_forces(c, sides)
     if forces is None:
@@ -166,17 +216,27 @@ def thrust_responses(c: Channels, sides: Mapping[str, float]) -> ThrustResponse 
     rate = best_turn_rate(c, forces.edges)
     if rate is None:
         return None
-    yaw = _effect(rate, forces.f, [], YAW_LAGS)
-    return ThrustResponse(forces.names, yaw, _surge(c, forces.t, forces.edges, forces.f), _moment(forces, rate))
+    yaw = _thrust_effect(rate, forces.f, [], YAW_LAGS)
+    return ThrustResponse(
+        forces.names, yaw, _surge_effect(c, forces.t, forces.edges, forces.f), _moment_sign(forces, rate)
+    )
 
 
 def best_turn_rate(c: Channels, edges: Array) -> Array | None:
-    """Return `turn_rate` of the best available sensor: gyro, else heading, else course; None without a sensor."""
+    """Return the yaw rate (n,) [rad/s] by the gyro, else the heading, else the course; None without these sensors.
+
+    Parameters
+    ----------
+    c
+        Channels of a log by name.
+    edges
+        Edges of the intervals (n + 1,) [s].
+    """
     rates = (turn_rate(c, edges, name) for name in ("gyro", "heading", "course"))
     return next((rate for rate in rates if rate is not None and np.isfinite(rate).any()), None)
 
 
-def turning(c: Channels, sides: Mapping[str, float]) -> dict[str, int]:
+def turning_signs(c: Channels, sides: Mapping[str, float]) -> dict[str, int]:
     """Return the sign with which the boat turns with the moment of its thrusters, by each sensor.
 
     Parameters
@@ -197,14 +257,19 @@ def turning(c: Channels, sides: Mapping[str, float]) -> dict[str, int]:
         return {}
     names = {"gyro": "gyro"} | ({"heading": "heading"} if "psi" in c else {"position": "course"})
     rates = {name: turn_rate(c, forces.edges, by) for name, by in names.items()}
-    return {name: _moment(forces, rate) for name, rate in rates.items() if rate is not None}
+    return {name: _moment_sign(forces, rate) for name, rate in rates.items() if rate is not None}
 
 
-def _moment(forces: ThrusterForces, rate: Array) -> int:
-    """Return the sign of the effect of the turning moment on a yaw rate, beside the sum of thrusts; 0 if unknown."""
+def _moment_sign(forces: ThrusterForces, rate: Array) -> int:
+    """Return the sign of the effect of the turning moment on a yaw rate (n,), beside the sum of thrusts.
+
+    +1 as expected, -1 against the moment; 0 if it is not significant, or if all thrusters are in the middle.
+    """
     if not forces.side.any():
         return 0
-    return int(_effect(rate, np.column_stack([forces.f @ forces.side, forces.f.sum(axis=1)]), [], YAW_LAGS).sign[0])
+    return int(
+        _thrust_effect(rate, np.column_stack([forces.f @ forces.side, forces.f.sum(axis=1)]), [], YAW_LAGS).sign[0]
+    )
 
 
 def turn_rate(c: Channels, edges: Array, name: str) -> Array | None:
@@ -222,25 +287,27 @@ def turn_rate(c: Channels, edges: Array, name: str) -> Array | None:
     Returns
     -------
     Array (n,) or None
-        Yaw rate [rad/s], NaN while the boat is too slow for a course; None without this sensor.
+        Yaw rate [rad/s], positive to starboard; NaN while the boat is slower than 0.3 m/s for a course. None without
+        this sensor.
     """
     t = (edges[1:] + edges[:-1]) / 2
     if name == "gyro":
         return fill_gaps(t, block_mean(c["r"], edges)[0]) if "r" in c else None
     if name == "heading":
-        return _difference(c["psi"].t, np.unwrap(c["psi"].value), t) if "psi" in c else None
+        return _central_rate(c["psi"].t, np.unwrap(c["psi"].value), t) if "psi" in c else None
     if not {"x", "y"} <= set(c):
         return None
-    vx, vy = (_difference(c[n].t, c[n].value, t, COURSE_HALF) for n in ("x", "y"))
-    ax, ay = (_difference(t, v, t, COURSE_HALF) for v in (vx, vy))
+    vx, vy = (_central_rate(c[n].t, c[n].value, t, COURSE_HALF) for n in ("x", "y"))
+    ax, ay = (_central_rate(t, v, t, COURSE_HALF) for v in (vx, vy))
     speed = np.hypot(vx, vy)
     return np.where(speed > SLOWEST, (vx * ay - vy * ax) / np.maximum(speed, SLOWEST) ** 2, np.nan)
 
 
-def _difference(t: Array, value: Array, at: Array, half: float = 0.5) -> Array:
+def _central_rate(t: Array, value: Array, at: Array, half: float = 0.5) -> Array:
     """Return the rate of change (n,) of a signal (k,) with times t (k,), at times ``at`` (n,) [s].
 
-    The difference is taken from ``half`` seconds before to ``half`` seconds after, or over two samples if that is more.
+    The difference is taken from ``half`` [s] before to ``half`` after, or over two samples if that is more. The signal
+    is continued with its end values.
     """
     half = max(half, float(np.median(np.diff(t))))
     return np.asarray((np.interp(at + half, t, value) - np.interp(at - half, t, value)) / (2.0 * half))
@@ -259,9 +326,10 @@ def thruster_forces(c: Channels, sides: Mapping[str, float]) -> ThrusterForces |
     Returns
     -------
     ThrusterForces or None
-        None if the log is too short, or has no thrust or no sensor of heading, yaw rate or position.
+        None if the log is shorter than 15 s, or has no thrust or no sensor of heading, yaw rate or position. Thrusters
+        without a thrust are left out.
     """
-    found = {n: s for n in sides if (s := _push(c, n)) is not None}
+    found = {n: s for n in sides if (s := _thrust_channel(c, n)) is not None}
     turns = next((c[n] for n in ("r", "psi", "x") if n in c), None)
     if not found or turns is None:
         return None
@@ -272,14 +340,17 @@ def thruster_forces(c: Channels, sides: Mapping[str, float]) -> ThrusterForces |
         return None
     t = edges[:-1] + 0.5 / RATE
     f = np.column_stack([np.interp(t, s.t, s.value) for s in found.values()])
-    return ThrusterForces(tuple(found), t, edges, f, _side(sides, tuple(found)))
+    return ThrusterForces(tuple(found), t, edges, f, _side_signs(sides, tuple(found)))
 
 
-def _push(c: Channels, name: str) -> Channel | None:
-    """Return the thrust of a thruster by measured force, shaft speed or command; None without any of them."""
-    if f"f_{name}" in c:
-        return c[f"f_{name}"]
-    shaft, command = c.get(f"n_{name}"), c.get(f"n_cmd_{name}")
+def _thrust_channel(c: Channels, name: str) -> Channel | None:
+    """Return the thrust of the thruster ``name``: measured force, else ``n|n|`` of shaft speed or command.
+
+    The command also replaces telemetry that ended more than 3 s before the commands. None without any of these signals.
+    """
+    if thrust_of(name) in c:
+        return c[thrust_of(name)]
+    shaft, command = c.get(shaft_speed_of(name)), c.get(command_of(name))
     if shaft is None or (command is not None and shaft.t[-1] < command.t[-1] - 3.0):
         shaft = command  # there is no telemetry, or it ended before the commands
     if shaft is None:
@@ -287,40 +358,65 @@ def _push(c: Channels, name: str) -> Channel | None:
     return Channel(shaft.t, shaft.value * np.abs(shaft.value))
 
 
-def _side(sides: Mapping[str, float], names: Sequence[str]) -> Array:
-    """Return the side of each thruster: +1 left (forward thrust turns the bow to starboard), -1 right, 0 middle."""
+def _side_signs(sides: Mapping[str, float], names: Sequence[str]) -> Array:
+    """Return the side (n_thrusters,) of each named thruster: +1 left, -1 right, 0 within 2 cm of the middle.
+
+    Forward thrust on the left turns the bow to starboard. ``sides``: positions to starboard [m].
+    """
     return np.array([-np.sign(sides[n]) if abs(sides[n]) > 0.02 else 0.0 for n in names])
 
 
-def _surge(c: Channels, t: Array, edges: Array, f: Array) -> RegressionEffect:
-    """Return the effects on the surge speed over ground, or on the accelerometer if they are more significant there."""
+def _surge_effect(c: Channels, t: Array, edges: Array, f: Array) -> RegressionEffect:
+    """Return the effects of the thrusts f (n, n_thrusters) on the surge speed over ground at times t (n,) [s].
+
+    If they are not clear, and are more significant on the accelerometer, return the effects on the acceleration
+    instead. ``edges`` (n + 1,) [s]: intervals around t. All effects are 0 without either sensor.
+    """
     found = RegressionEffect(*np.zeros((3, f.shape[1])))
     drift = []
     if "psi" in c:  # a current adds to the speed over ground on one heading and subtracts on the opposite one
         psi = np.interp(t, c["psi"].t, np.unwrap(c["psi"].value))
         drift = [np.cos(psi), np.sin(psi)]
-    if (u := ahead(c, t)) is not None:
-        found = _effect(u, f, drift, SURGE_LAGS)
+    if (u := surge_speed(c, t)) is not None:
+        found = _thrust_effect(u, f, drift, SURGE_LAGS)
     if "ax" in c and np.abs(found.t).max() < 2 * SIGNIFICANT_T:
         ax = fill_gaps(t, block_mean(c["ax"], edges)[0])
-        by_acceleration = _effect(ax, f, [], SURGE_LAGS, washed=True)
+        by_acceleration = _thrust_effect(ax, f, [], SURGE_LAGS, washed=True)
         if np.abs(by_acceleration.t).sum() > np.abs(found.t).sum():
             return by_acceleration
     return found
 
 
-def _effect(
+def _thrust_effect(
     y: Array, f: Array, others: Sequence[Array], lags: Sequence[float], *, washed: bool = False
 ) -> RegressionEffect:
-    """Regress a motion y (n,) on the columns of f (n, n_thrusters) behind the first-order lag that fits best.
+    """Regress a motion on thrusts behind the first-order lag that fits best.
 
-    With ``washed`` the regressors are the differences of f and its lagged columns (high-pass). ``others``: further
-    regressors (n,). Rows in which y is NaN are left out. Neighbouring samples are correlated. The variance therefore
-    counts one sample in two time constants, and is at least that of the scores summed over blocks of time (the idea of
-    Newey and West, with blocks).
+    Parameters
+    ----------
+    y
+        Motion (n,). Rows in which it is NaN are left out.
+    f
+        Thrusts (n, n_thrusters), or moment and sum of the thrusts.
+    others
+        Further regressors (n,), without a lag.
+    lags
+        Time constants of the search [s].
+    washed
+        Whether the regressors are the differences of f and its lagged columns (high-pass), as for an acceleration.
+
+    Returns
+    -------
+    RegressionEffect
+        All zeros if no thrust is separable, y is constant, or less than 15 s of y are left.
+
+    Notes
+    -----
+    Neighbouring samples are correlated. The variance therefore counts one sample in two time constants, and is at least
+    that of the scores summed over blocks of time (the idea of Newey and West, with blocks).
     """
     valid = np.isfinite(y)
-    y, free = y[valid], _own_part(f[valid])
+    y, free = y[valid], _independent_share(f[valid])
     columns = np.flatnonzero(free > MIN_OWN_VARIATION)
     size, t, share = np.zeros((3, f.shape[1]))
     if not columns.size or y.size < MIN_DURATION * RATE or np.ptp(y) == 0.0:
@@ -343,7 +439,11 @@ def _effect(
 
 
 def _block_variance(X: Array, e: Array, inverse: NDArray[Any], lag: float) -> Array:
-    """Return the variances (k,) of the factors of X (n, k) from sums of their scores over at least `FEWEST_BLOCKS`."""
+    """Return the variances (k,) of the factors of X (n, k), from the scores of the residuals e (n,) summed over blocks.
+
+    There are at least 6 blocks, of at least 4 lags if the record is long enough. ``inverse`` (k, k): inverse of X'X /
+    n. ``lag``: time constant [s].
+    """
     rows = round(max(BLOCK_S, 4.0 * lag) * RATE)
     count = e.size // rows
     if count < FEWEST_BLOCKS:
@@ -352,8 +452,11 @@ def _block_variance(X: Array, e: Array, inverse: NDArray[Any], lag: float) -> Ar
     return np.asarray((sums**2).sum(axis=0) * count / max(count - X.shape[1], 1.0))
 
 
-def _own_part(f: Array) -> Array:
-    """Return the share (k,) of the variation of each column of f (n, k) that other columns lack; 0 for a constant."""
+def _independent_share(f: Array) -> Array:
+    """Return the share (k,) of the standard deviation of each column of f (n, k) that the other columns cannot explain.
+
+    1 for a column that is independent of the others; 0 for a constant column.
+    """
     centred = f - f.mean(axis=0)
     spread = centred.std(axis=0)
     found = np.zeros(f.shape[1])
@@ -371,7 +474,7 @@ def delayed_forces(y: Array, push: Array, lags: Sequence[float]) -> Array:
     Parameters
     ----------
     y
-        Measured motion (n,).
+        Measured motion (n,), without NaN.
     push
         Thrust or moment (n,) on the grid of `thruster_forces`.
     lags
@@ -393,8 +496,18 @@ def delayed_forces(y: Array, push: Array, lags: Sequence[float]) -> Array:
     return found
 
 
-def ahead(c: Channels, t: Array) -> Array | None:
-    """Return the surge speed over ground (n,) [m/s] at times t (n,) [s]; None if no sensor measures it."""
+def surge_speed(c: Channels, t: Array) -> Array | None:
+    """Return the surge speed over ground (n,) [m/s] at times t (n,) [s]; None if no sensor measures it.
+
+    It is ``u``, else the velocity or the change of position along the heading.
+
+    Parameters
+    ----------
+    c
+        Channels of a log by name.
+    t
+        Times (n,) [s].
+    """
     if "u" in c:
         return np.interp(t, c["u"].t, c["u"].value)
     if "psi" not in c or not ({"vx", "vy"} <= set(c) or {"x", "y"} <= set(c)):
@@ -403,11 +516,14 @@ def ahead(c: Channels, t: Array) -> Array | None:
     if "vx" in c and "vy" in c:
         vx, vy = (np.interp(t, c[n].t, c[n].value) for n in ("vx", "vy"))
     else:
-        vx, vy = (_difference(c[n].t, c[n].value, t) for n in ("x", "y"))
+        vx, vy = (_central_rate(c[n].t, c[n].value, t) for n in ("x", "y"))
     return np.asarray(ned_to_body(psi, vx, vy)[0])
 
 
 def fill_gaps(t: Array, values: Array) -> Array:
-    """Return values (n,) at times t (n,) with each NaN interpolated between its neighbours."""
+    """Return values (n,) at times t (n,) [s] with each NaN interpolated between its neighbours.
+
+    The first and last finite values are continued to the ends. At least one value is finite.
+    """
     good = np.isfinite(values)
     return np.interp(t, t[good], values[good])

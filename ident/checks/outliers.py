@@ -21,7 +21,13 @@ def check_outliers(c: Channels) -> Iterator[Finding]:
     Parameters
     ----------
     c
-        Channels of a log by name.
+        Channels of a log by name, with the samples that were left out when the log was read.
+
+    Yields
+    ------
+    Finding
+        ``many-outliers`` (fault) if more than 5 % of a signal's samples were left out, else ``outliers-left-out``
+        (warning). ``position-jumps`` (fault) for a few jumps of ``x`` and ``y`` that no boat can make.
     """
     for name, channel in c.items():
         left_out = channel.left_out
@@ -44,5 +50,8 @@ def check_outliers(c: Channels) -> Iterator[Finding]:
             far = float(np.hypot(x[k] - x[k - 1], y[k] - y[k - 1]))
             more = f" ({jumps.size - 1} more)" if jumps.size > 1 else ""
             text = f"jumps by {far:.0f} m in {t[k] - t[k - 1]:.2f} s, {t[k] - t[0]:.1f} s from its start{more}"
-            advice = "two receivers, or a change of fix? cut the log there: [[log]] t_from, t_to in the import's map"
+            advice = (
+                "look for a second receiver or a change of fix, or cut the log there: [[log]] t_from, t_to in the "
+                "import's map"
+            )
             yield Finding(FAULT, "position-jumps", "outlier", "x, y", text, advice)

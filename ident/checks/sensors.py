@@ -32,11 +32,21 @@ MIN_VELOCITY_SD = 0.1  # m/s, standard deviation below which the boat has hardly
 
 
 class LagEstimate(NamedTuple):
-    """Estimated lag between two signals."""
+    """Estimated lag between two signals.
 
-    lag: float  # s
-    se: float  # s, standard error by the jackknife over blocks of time
-    r2: float  # of the regression at this lag
+    Attributes
+    ----------
+    lag
+        Lag [s] with the least squared error. Positive: the output comes after the shifted regressors.
+    se
+        Standard error [s] of the lag, by the jackknife over 10 blocks of time.
+    r2
+        Coefficient of determination of the regression at this lag.
+    """
+
+    lag: float
+    se: float
+    r2: float
 
     @property
     def half(self) -> float:
@@ -45,14 +55,14 @@ class LagEstimate(NamedTuple):
 
 
 class LagErrors:
-    """Errors of a regression at each lag, kept by blocks of time.
+    """Squared errors of one regression at each lag of a search, kept separately for 10 blocks of time.
 
-    They give the best lag and its standard error by the jackknife over the blocks.
+    The errors of all blocks give the best lag. Those without one block each give its standard error (jackknife).
 
     Parameters
     ----------
     lags
-        Lags of the search (n_lags,) [s], evenly spaced.
+        Lags of the search (n_lags,) [s], evenly spaced, at least three.
     n_rows
         Number of rows of one output in a regression, in the order of time.
     """
@@ -64,7 +74,7 @@ class LagErrors:
         self._without: list[list[float]] = []
 
     def add(self, X: Array, y: Array) -> None:
-        """Add the regression at the next lag.
+        """Add the regression at the next lag. Call it once for each of the lags, in their order.
 
         Parameters
         ----------
@@ -83,7 +93,7 @@ class LagErrors:
                 A[j] += part.T @ part
                 b[j] += part.T @ y_part
                 s[j] += y_part @ y_part
-        errors = _unexplained(
+        errors = _unexplained_share(
             np.concatenate([A.sum(0)[None], A.sum(0) - A]),
             np.concatenate([b.sum(0)[None], b.sum(0) - b]),
             np.append(s.sum(), s.sum() - s),
@@ -92,14 +102,17 @@ class LagErrors:
         self._without.append(errors[1:].tolist())
 
     def estimate(self) -> LagEstimate:
-        """Return the lag with the least error, and its standard error."""
-        each = np.array([self._least(error) for error in np.array(self._without).T])
+        """Return the lag with the least squared error and its standard error, after `add` for all lags."""
+        each = np.array([self._refined_minimum(error) for error in np.array(self._without).T])
         se = float(np.sqrt((BLOCKS - 1) / BLOCKS * np.sum((each - each.mean()) ** 2)))
         whole = np.array(self._whole)
-        return LagEstimate(self._least(whole), se, 1.0 - float(whole.min()))
+        return LagEstimate(self._refined_minimum(whole), se, 1.0 - float(whole.min()))
 
-    def _least(self, error: Array) -> float:
-        """Return the lag of the least error [s], by a parabola through this error and its neighbours."""
+    def _refined_minimum(self, error: Array) -> float:
+        """Return the lag [s] of the least squared error (n_lags,), refined by a parabola through its neighbours.
+
+        At either end of the search the lag is not refined.
+        """
         k = int(np.argmin(error))
         if not 0 < k < error.size - 1:
             return float(self._lags[k])
@@ -108,38 +121,68 @@ class LagErrors:
         return float(self._lags[k]) + (0.5 * step * float(error[k - 1] - error[k + 1]) / bend if bend > 0.0 else 0.0)
 
 
-def _unexplained(A: Array, b: Array, s: Array) -> Array:
-    """Return the unexplained shares (m,) of the sums of squares s (m,) for m regressions.
+def _unexplained_share(A: Array, b: Array, s: Array) -> Array:
+    """Return the unexplained share (m,) of the sum of squares of the output, for each of m regressions.
 
-    The normal equations of each regression are A beta = b, with A (m, k, k) and b (m, k).
+    The normal equations of each regression are A beta = b, with A (m, k, k) and b (m, k). ``s`` (m,) are the sums of
+    squares of the outputs. A singular A is allowed.
     """
     beta = np.einsum("mij,mj->mi", np.linalg.pinv(A, rcond=1e-10, hermitian=True), b)
     return np.asarray(np.maximum(s - np.sum(b * beta, axis=1), 0.0) / np.maximum(s, 1e-300))
 
 
 class Match(NamedTuple):
-    """Relation of two signals: the first is ``scale`` times the second, delayed by ``lag``."""
+    """Relation of two signals: the first is ``scale`` times the second, delayed by ``lag``.
+
+    Attributes
+    ----------
+    scale
+        Factor of the second signal. NaN if no lag could be evaluated.
+    lag
+        Delay [s] of the first signal behind the second, with the largest R2. Negative: the second one is late.
+    r2
+        Coefficient of determination at this lag.
+    gain
+        Part of the squared error without a lag that the lag removes, 0 to 1.
+    half
+        Half width [s] of the 95 % interval of the lag.
+    """
 
     scale: float
-    lag: float  # s
-    r2: float  # at this lag
-    gain: float = 0.0  # part of the squared error without a lag that the lag removes
-    half: float = 0.0  # s, half width of the 95 % interval of the lag
+    lag: float
+    r2: float
+    gain: float = 0.0
+    half: float = 0.0
 
 
 class Matches(NamedTuple):
-    """Relations of measured signals to the integrals of their rates.
+    """Relations of three measured signals to the integrals of their measured rates.
 
-    A relation is None if a signal is missing or the boat hardly moves.
+    A relation is None if a signal is missing, the common time is too short, or the boat hardly moves.
+
+    Attributes
+    ----------
+    heading
+        Heading, and integral of the yaw rate.
+    position
+        Position, and integral of the velocity over ground.
+    velocity
+        Velocity over ground, and integral of the specific force turned by the heading.
     """
 
-    heading: Match | None  # heading and yaw rate
-    position: Match | None  # position and velocity over ground
-    velocity: Match | None  # velocity over ground and specific force
+    heading: Match | None
+    position: Match | None
+    velocity: Match | None
 
 
 def sensor_matches(c: Channels) -> Matches:
-    """Compare each pair of sensors, one of which measures the rate of the other."""
+    """Compare each pair of sensors, one of which measures the rate of the other.
+
+    Parameters
+    ----------
+    c
+        Channels of a log by name.
+    """
     return Matches(heading_match(c), position_match(c), velocity_match(c))
 
 
@@ -180,11 +223,11 @@ def gyro_and_heading(c: Channels, found: Match | None) -> Iterator[Finding]:
     c
         Channels of a log by name.
     found
-        Relation of heading and yaw rate (`heading_match`).
+        Relation of heading and yaw rate (`heading_match`). None gives no finding.
     """
     if found is None:
         return
-    where = _source(c["r"], "r")
+    where = _source_or_name(c["r"], "r")
     size = abs(found.scale)
     if found.r2 < MIN_R2:
         yield Finding(
@@ -193,7 +236,7 @@ def gyro_and_heading(c: Channels, found: Match | None) -> Iterator[Finding]:
             "gyro",
             where,
             f"heading and yaw rate hardly agree (R2 {found.r2:.2f})",
-            "is one of them stuck, from another sensor, or disturbed by iron?",
+            "check whether one of them is stuck, belongs to another sensor, or is disturbed by iron",
         )
         return
     if 30.0 < 1.0 / size < 120.0 or 30.0 < size < 120.0:
@@ -223,28 +266,39 @@ def gyro_and_heading(c: Channels, found: Match | None) -> Iterator[Finding]:
         yield Finding(
             "ok", "gyro-as-expected", "gyro", where, f"yaw rate is {1.0 / size:.2f} times the change of heading"
         )
-    yield from sensor_delay("heading", _source(c["psi"], "psi"), "yaw rate", where, found)
+    yield from sensor_delay("heading", _source_or_name(c["psi"], "psi"), "yaw rate", where, found)
 
 
 def heading_match(c: Channels) -> Match | None:
-    """Regress increments of the heading on those of the integrated yaw rate; None if the boat has hardly turned."""
+    """Regress increments of the heading over 1 s on those of the integrated yaw rate.
+
+    Parameters
+    ----------
+    c
+        Channels of a log by name. The heading may be in radians or degrees.
+
+    Returns
+    -------
+    Match or None
+        None if heading or yaw rate is missing, if both overlap for less than 10 s, or if the boat has hardly turned.
+    """
     if not {"psi", "r"} <= set(c):
         return None
     psi, r = c["psi"], c["r"]
-    t = grid(psi, r)
+    t = common_grid(psi, r)
     if t.size < 200:
         return None
-    turned = np.interp(t, psi.t, np.unwrap(psi.value, period=_turn(psi.value)))
+    turned = np.interp(t, psi.t, np.unwrap(psi.value, period=_full_turn(psi.value)))
     integral = cumulative_integral(t, np.interp(t, r.t, r.value))
     width = round(WINDOW / STEP)
     moved = [float(np.std(s[width:] - s[:-width])) for s in (turned, integral)]
     if max(moved) < MIN_YAW_RATE_SD * WINDOW or min(moved) < 1e-9:
         return None
-    return _best([turned], [[integral], [t]])
+    return _best_lag([turned], [[integral], [t]])
 
 
 def velocity_match(c: Channels) -> Match | None:
-    """Regress increments of the velocity over ground on the integrated specific force, turned by the heading.
+    """Regress increments of the velocity over ground over 2 s on the specific force, turned by the heading.
 
     Parameters
     ----------
@@ -254,7 +308,7 @@ def velocity_match(c: Channels) -> Match | None:
     Returns
     -------
     Match or None
-        None if a signal is missing or the boat hardly moves.
+        None if a signal is missing, if all signals overlap for less than 20 s, or if the boat hardly moves.
 
     Notes
     -----
@@ -264,7 +318,7 @@ def velocity_match(c: Channels) -> Match | None:
     names = ("psi", "ax", "ay", "vx", "vy")
     if not set(names) <= set(c) or c["vx"].t.size < 50:
         return None
-    t = grid(*(c[n] for n in names))
+    t = common_grid(*(c[n] for n in names))
     if t.size < 400 or np.hypot(c["vx"].value.std(), c["vy"].value.std()) < MIN_VELOCITY_SD:
         return None
     psi = np.interp(t, c["psi"].t, np.unwrap(c["psi"].value))
@@ -276,7 +330,7 @@ def velocity_match(c: Channels) -> Match | None:
         r = np.interp(t, c["r"].t, c["r"].value)
         north, east = [*north, -r * sin, -r * cos], [*east, r * cos, -r * sin]
     moved = [np.interp(t, c[n].t, c[n].value) for n in ("vx", "vy")]
-    return _best(moved, [[n, e] for n, e in zip(north, east, strict=True)], 2.0)
+    return _best_lag(moved, [[n, e] for n, e in zip(north, east, strict=True)], 2.0)
 
 
 def velocity_and_acceleration(c: Channels, found: Match | None) -> Iterator[Finding]:
@@ -289,23 +343,34 @@ def velocity_and_acceleration(c: Channels, found: Match | None) -> Iterator[Find
     c
         Channels of a log by name.
     found
-        Relation of velocity and specific force (`velocity_match`).
+        Relation of velocity and specific force (`velocity_match`). None, or an R2 below 0.3, gives no finding.
     """
     if found is None or found.r2 < 0.3:
         return
-    gnss, ahrs = _source(c["vx"], "GNSS"), _source(c["ax"], "ax")
+    gnss, ahrs = _source_or_name(c["vx"], "GNSS"), _source_or_name(c["ax"], "ax")
     yield from sensor_delay("velocity", gnss, "acceleration", ahrs, found, confounded=True)
 
 
 def position_match(c: Channels) -> Match | None:
-    """Regress increments of the position on the integrated velocity over ground; None for a boat at rest."""
+    """Regress increments of the position over 5 s on those of the integrated velocity over ground.
+
+    Parameters
+    ----------
+    c
+        Channels of a log by name.
+
+    Returns
+    -------
+    Match or None
+        None if a signal is missing, if all signals overlap for less than 20 s, or if the median speed is below 0.1 m/s.
+    """
     if not {"x", "y", "vx", "vy"} <= set(c):
         return None
-    t = grid(*(c[n] for n in ("x", "y", "vx", "vy")))
+    t = common_grid(*(c[n] for n in ("x", "y", "vx", "vy")))
     position, velocity = ([np.interp(t, c[n].t, c[n].value) for n in names] for names in (("x", "y"), ("vx", "vy")))
     if t.size < 400 or np.median(np.hypot(*velocity)) < 0.1:
         return None
-    return _best(position, [[cumulative_integral(t, v) for v in velocity]], 5.0)
+    return _best_lag(position, [[cumulative_integral(t, v) for v in velocity]], 5.0)
 
 
 def position_and_velocity(c: Channels, found: Match | None) -> Iterator[Finding]:
@@ -316,11 +381,11 @@ def position_and_velocity(c: Channels, found: Match | None) -> Iterator[Finding]
     c
         Channels of a log by name.
     found
-        Relation of position and velocity (`position_match`).
+        Relation of position and velocity (`position_match`). None gives no finding.
     """
     if found is None:
         return
-    where = _source(c["vx"], "vx")
+    where = _source_or_name(c["vx"], "vx")
     if found.r2 < MIN_R2:
         yield Finding(
             "warning",
@@ -328,7 +393,7 @@ def position_and_velocity(c: Channels, found: Match | None) -> Iterator[Finding]
             "gnss",
             where,
             f"position and velocity hardly agree (R2 {found.r2:.2f})",
-            "look for outliers, multipath, or another column",
+            "look for outliers and multipath, and check that both columns belong to one receiver",
         )
         return
     if not 0.75 < found.scale < 1.33:
@@ -342,24 +407,31 @@ def position_and_velocity(c: Channels, found: Match | None) -> Iterator[Finding]
             f"positions change {found.scale:.3g} times as fast as the measured velocity: is it in {unit}?",
             "correct the unit of velocity or positions in the import's map; or the log's clock runs at another rate",
         )
-    yield from sensor_delay("position", _source(c["x"], "x"), "velocity", where, found)
+    yield from sensor_delay("position", _source_or_name(c["x"], "x"), "velocity", where, found)
 
 
 def delay_level(lag: float, half: float, fault_from: float = DELAY_FAULT) -> str:
-    """Return the level of the finding on a delay.
+    """Return the level of the finding on a delay: ``fault`` or ``warning``.
 
     Parameters
     ----------
     lag, half
-        Delay and half width of its 95 % interval [s].
+        Delay and half width of its 95 % interval [s], both positive.
     fault_from
-        Delay [s] from which it is a fault, however wide its interval is.
+        Delay [s] from which it is a fault, however wide its interval is. A smaller delay is a fault if its whole
+        interval is above 0.2 s.
     """
     return FAULT if lag >= fault_from or lag - half > KNOWN_LATE else WARNING
 
 
 def delay_interval(lag: float, half: float) -> str:
-    """Return the text of the 95 % interval of a delay ``lag`` with the half width ``half``, both in s."""
+    """Return the 95 % interval of a delay as text, for example ``95 %: 0.30 to 0.50 s``.
+
+    Parameters
+    ----------
+    lag, half
+        Delay and half width of its interval [s].
+    """
     low, high = (round(end, 2) + 0.0 for end in (lag - half, lag + half))  # + 0.0: no "-0.00"
     return f"95 %: {low:.2f} to {high:.2f} s"
 
@@ -367,7 +439,7 @@ def delay_interval(lag: float, half: float) -> str:
 def sensor_delay(
     first: str, first_source: str, second: str, second_source: str, found: Match, *, confounded: bool = False
 ) -> Iterator[Finding]:
-    """Yield a finding on the delay between two sensors.
+    """Yield one finding on the delay between two sensors.
 
     Parameters
     ----------
@@ -378,7 +450,14 @@ def sensor_delay(
     found
         Relation of both signals.
     confounded
-        Whether another cause, for example a lever arm, may explain a part of the lag. A small lag is then no fault.
+        Whether another cause, for example a lever arm, may explain a part of the lag. A lag below 0.6 s is then a
+        warning, not a fault.
+
+    Yields
+    ------
+    Finding
+        ``sensor-late`` for a significant lag of at least 0.3 s; ``delay-unknown`` (ok) if the interval is too wide or
+        the lag may be chance; else ``sensors-in-time`` (ok).
     """
     late, early, late_source = (first, second, first_source) if found.lag > 0 else (second, first, second_source)
     interval = delay_interval(abs(found.lag), found.half)
@@ -395,11 +474,22 @@ def sensor_delay(
         yield Finding("ok", "sensors-in-time", "late", first_source, text)
 
 
-def _best(columns: list[Array], regressors: list[list[Array]], window: float = WINDOW) -> Match:
-    """Find the lag at which the regressors explain increments of the columns best.
+def _best_lag(columns: list[Array], regressors: list[list[Array]], window: float = WINDOW) -> Match:
+    """Find the lag between -2 and 2 s at which the regressors explain increments of the measured columns best.
 
-    The scale of the result is the factor of the first regressor at this lag. Each regressor has one array for each
-    column, and one factor for all of them.
+    Parameters
+    ----------
+    columns
+        Measured signals (n,) on the common grid with a step of 0.05 s, such as position north and east.
+    regressors
+        Each regressor has one array (n,) for each column, and one factor for all of them.
+    window
+        Time [s] over which increments are taken.
+
+    Returns
+    -------
+    Match
+        ``scale`` is the factor of the first regressor. A positive lag: the columns come after the regressors.
     """
     width, most = round(window / STEP), round(float(LAGS[-1]) / STEP)
     at = np.arange(most, columns[0].size - most - width, max(1, width // 2))
@@ -422,18 +512,29 @@ def _best(columns: list[Array], regressors: list[list[Array]], window: float = W
     )
 
 
-def grid(*channels: Channel) -> Array:
-    """Return times (n,) [s] at steps of `STEP` in the span that all channels cover."""
+def common_grid(*channels: Channel) -> Array:
+    """Return times (n,) [s] at steps of 0.05 s in the span that all channels cover; empty if they do not overlap.
+
+    Parameters
+    ----------
+    channels
+        At least one channel.
+    """
     start, end = max(c.t[0] for c in channels), min(c.t[-1] for c in channels)
     return np.arange(start, end, STEP)
 
 
-def _turn(psi: Array) -> float:
-    """Return a whole turn in the unit of a heading: radians, degrees, or radians converted from degrees by mistake."""
+def _full_turn(psi: Array) -> float:
+    """Return a whole turn in the unit of a heading (n,): 360 for degrees, 2 pi for radians.
+
+    Radians that were converted by mistake as if they were degrees have turns of 2 pi / 57.3. The unit is guessed from
+    the size and the range of the values.
+    """
     if np.abs(psi).max() > 7.0:
         return 360.0
     return 2.0 * np.pi if np.ptp(psi) > np.radians(2.0 * np.pi) else np.radians(2.0 * np.pi)
 
 
-def _source(channel: Channel, name: str) -> str:
+def _source_or_name(channel: Channel, name: str) -> str:
+    """Return the source (device) of a channel, or the name of the channel if it has no source."""
     return channel.source or name

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from seatrial.daq.checks import FAULT, Finding
 from seatrial.ident.checks.sensors import Channels
 from seatrial.ident.data import Channel, sample_and_hold
+from seatrial.ident.model import SHAFT_SPEED, command_of, commanded_thrusters, is_of_thruster, shaft_speed_of
 from seatrial.ident.numerics import Array
 
 SETTLED_S = 1.5  # a command must keep its sign and size for this time before a shaft is compared with it
@@ -23,21 +24,22 @@ TURNS, STOPPED, IMPOSSIBLE = 0.3, 0.05, 3.0  # speed over command, of a shaft th
 
 
 def one_sided_shafts(c: Channels) -> dict[str, Finding]:
-    """Compare each shaft speed with its command, separately for both signs.
+    """Compare each shaft speed with its command, separately for both signs of the command.
 
     Parameters
     ----------
     c
-        Channels of a log by name.
+        Channels of a log by name. A thruster needs both a command and a measured shaft speed.
 
     Returns
     -------
     dict
-        A finding for each thruster whose speed is wrong in one direction, by the name of the thruster.
+        A fault for each thruster whose speed is zero in one direction only, or positive in both, by the name of the
+        thruster. Empty if there is none.
     """
-    names = sorted(n.removeprefix("n_cmd_") for n in c if n.startswith("n_cmd_"))
-    both = ((n, c[f"n_cmd_{n}"], c[f"n_{n}"]) for n in names if f"n_{n}" in c)
-    found = ((n, _one_sided(n, command, shaft)) for n, command, shaft in both if command.t is not shaft.t)
+    names = sorted(commanded_thrusters(c))
+    both = ((n, c[command_of(n)], c[shaft_speed_of(n)]) for n in names if shaft_speed_of(n) in c)
+    found = ((n, _one_sided_fault(n, command, shaft)) for n, command, shaft in both if command.t is not shaft.t)
     return {n: finding for n, finding in found if finding is not None}
 
 
@@ -47,11 +49,16 @@ def wrapped(value: Array, fastest: float = MAX_SPEED, clear: float = MIN_COMMAND
     Parameters
     ----------
     value
-        Shaft speed or yaw rate (n,).
+        Shaft speed over full speed, or yaw rate [rad/s] (n,).
     fastest
-        Largest possible size of the value.
+        Largest possible size of the value, in its unit.
     clear
         Sizes above this one differ from rest.
+
+    Returns
+    -------
+    bool
+        False if fewer than 10 values are possible, or fewer are near the largest size.
 
     Notes
     -----
@@ -71,7 +78,7 @@ def wrapped(value: Array, fastest: float = MAX_SPEED, clear: float = MIN_COMMAND
 
 
 def check_wrapped(c: Channels) -> Iterator[Finding]:
-    """Yield a fault for each shaft speed or yaw rate whose negative values are wrapped.
+    """Yield a fault for each shaft speed or yaw rate whose negative values are wrapped to 65536 - n.
 
     Parameters
     ----------
@@ -81,7 +88,7 @@ def check_wrapped(c: Channels) -> Iterator[Finding]:
     if "r" in c and wrapped(c["r"].value, MAX_YAW_RATE, MIN_YAW_RATE):
         text = f"goes to {np.abs(c['r'].value).max():.4g} rad/s: negative rates are wrapped to 65536 - n"
         yield Finding(FAULT, "gyro-wrapped", "sign", "r", text, "decode it as a signed number of 16 bits")
-    for name in sorted(n for n in c if n.startswith("n_") and not n.startswith("n_cmd_")):
+    for name in sorted(n for n in c if is_of_thruster(n, SHAFT_SPEED)):
         value = c[name].value
         if wrapped(value):
             text = f"goes to {np.abs(value).max():.4g} of full speed: negative speeds are wrapped to 65536 - n"
@@ -89,9 +96,12 @@ def check_wrapped(c: Channels) -> Iterator[Finding]:
             yield Finding(FAULT, "shaft-speed-wrapped", "sign", name, text, advice)
 
 
-def _one_sided(name: str, command: Channel, shaft: Channel) -> Finding | None:
-    """Return a fault if a shaft speed is zero in one direction only, or positive in both; else None."""
-    forward, reverse = (_ratio(command, shaft, sign) for sign in (1.0, -1.0))
+def _one_sided_fault(name: str, command: Channel, shaft: Channel) -> Finding | None:
+    """Return a fault if the shaft speed of a thruster is zero in one direction only, or positive in both; else None.
+
+    None also if the command was not steady for long enough in each direction.
+    """
+    forward, reverse = (_speed_over_command(command, shaft, sign) for sign in (1.0, -1.0))
     if forward is None or reverse is None:
         return None
     text = ""
@@ -107,8 +117,11 @@ def _one_sided(name: str, command: Channel, shaft: Channel) -> Finding | None:
     return Finding(FAULT, "shaft-speed-one-sided", "sign", name, text, advice)
 
 
-def _ratio(command: Channel, shaft: Channel, sign: float) -> float | None:
-    """Return the median of speed over command at steady commands of this sign; None for too few samples."""
+def _speed_over_command(command: Channel, shaft: Channel, sign: float) -> float | None:
+    """Return the median of shaft speed over command at steady commands of the given sign (+1 forward, -1 reverse).
+
+    A positive ratio means that the shaft turns forward. None for fewer than 10 samples.
+    """
     at = [sample_and_hold(command, shaft.t - late) * sign for late in np.linspace(0.0, SETTLED_S, 7)]
     steady: NDArray[np.bool_] = np.min(at, axis=0) > MIN_COMMAND
     steady &= np.ptp(at, axis=0) < 0.1

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from seatrial.daq.checks import Finding
 from seatrial.ident.checks.sensors import Channels
 from seatrial.ident.data import Channel, sample_and_hold
+from seatrial.ident.model import command_of, commanded_thrusters, shaft_speed_of
 from seatrial.ident.numerics import Array, LagData, LagFit, first_order_lag, fit_first_order_lag, steady_segments
 
 STEP = 0.05  # s, of the common grid of command and shaft, and of delays
@@ -40,19 +41,45 @@ RAD_PER_S = 2.0 * np.pi / 60.0  # rad/s of one revolution per minute
 
 
 class Response(NamedTuple):
-    """Response of a shaft to its command: n(t) = scale lag(n_cmd(t - delay)), outside a dead band."""
+    """Response of a shaft to its command: n(t) = scale * lag(n_cmd(t - delay)), outside a dead band.
 
-    delay: float  # s
-    time_constant: float  # s
-    band: float  # of full command
+    Attributes
+    ----------
+    delay
+        Pure delay [s] between command and shaft speed.
+    time_constant
+        Time constant [s] of the first-order lag.
+    band
+        Half width of the dead band, as a share of full command. Smaller commands count as zero.
+    scale
+        Shaft speed over command; negative if the shaft turns against its command.
+    r2
+        Coefficient of determination of the shaft speed, 0 to 1.
+    band_gain
+        Part of the squared error without a dead band that the dead band removes, 0 to 1.
+    delay_known
+        False if a delay on the other side of 0.6 s fits nearly as well.
+    """
+
+    delay: float
+    time_constant: float
+    band: float
     scale: float
     r2: float
-    band_gain: float  # part of the squared error without a dead band that the dead band removes
-    delay_known: bool  # False if a delay on the other side of MAX_DELAY fits nearly as well
+    band_gain: float
+    delay_known: bool
 
 
 class NoResponse(Enum):
-    """Reason for which the response of a shaft cannot be estimated."""
+    """Reason for which the response of a shaft cannot be estimated.
+
+    Attributes
+    ----------
+    TOO_SHORT
+        Command and shaft speed overlap for too short a time, or the shaft was hardly commanded.
+    STILL
+        The shaft does not turn although it is commanded.
+    """
 
     TOO_SHORT = "too short"
     STILL = "does not turn"
@@ -64,20 +91,25 @@ def check_shafts(c: Channels) -> Iterator[Finding]:
     Parameters
     ----------
     c
-        Channels of a log by name. A thruster needs both a command and a measured shaft speed.
+        Channels of a log by name. A thruster needs both a command and a measured shaft speed; others are not checked.
 
     Yields
     ------
     Finding
         Dead shafts; delay, dead band, limit, drop-outs, sign and scale of the others.
     """
-    for name in sorted(n.removeprefix("n_cmd_") for n in c if n.startswith("n_cmd_")):
-        if f"n_{name}" in c and c[f"n_{name}"].t is not c[f"n_cmd_{name}"].t:
-            yield from _shaft(name, c[f"n_cmd_{name}"], c[f"n_{name}"])
+    for thruster in sorted(commanded_thrusters(c)):
+        command, shaft = c[command_of(thruster)], c.get(shaft_speed_of(thruster))
+        if shaft is not None and shaft.t is not command.t:
+            yield from _shaft_findings(thruster, command, shaft)
 
 
-def _shaft(name: str, command: Channel, shaft: Channel) -> Iterator[Finding]:
-    """Yield the findings on one shaft."""
+def _shaft_findings(name: str, command: Channel, shaft: Channel) -> Iterator[Finding]:
+    """Yield the findings on the shaft of one thruster.
+
+    A shaft whose telemetry ended, that does not turn, or that was recorded for too short a time gets only that finding.
+    A shaft that was never commanded gets none.
+    """
     silent = shaft.t[-1] + 3.0
     commanded = (np.abs(command.value) > MIN_COMMAND) & (command.t > silent)
     if commanded.any() or np.max(np.abs(command.value), initial=0.0) < MIN_COMMAND:
@@ -88,7 +120,7 @@ def _shaft(name: str, command: Channel, shaft: Channel) -> Iterator[Finding]:
                 "controller-fell-silent",
                 "dead",
                 name,
-                f"it is commanded, but its controller has sent no telemetry since {since:.0f} s",
+                f"it is commanded, but its controller sent no telemetry after {since:.0f} s of the log",
                 "check power, bus and fuse of that controller",
             )
         return
@@ -110,13 +142,13 @@ def _shaft(name: str, command: Channel, shaft: Channel) -> Iterator[Finding]:
             "dead",
             name,
             f"the shaft does not turn, at commands up to {np.abs(command.value).max():.2f}",
-            "check controller, motor and cable; is the controller armed?",
+            "check controller, motor and cable, and whether the controller is armed",
         )
         return
-    yield from _scale(name, found)
+    yield from _scale_findings(name, found)
     if found.r2 < 0.5:
         return
-    of_steps = list(_steps(name, command, shaft))
+    of_steps = list(_step_findings(name, command, shaft))
     yield from of_steps
     if found.delay_known and found.delay > MAX_DELAY + STEP / 2:
         yield Finding(
@@ -137,8 +169,8 @@ def _shaft(name: str, command: Channel, shaft: Channel) -> Iterator[Finding]:
         yield Finding("fault" if wide else "ok", code, "dead band", name, text, advice if wide else "")
 
 
-def _scale(name: str, found: Response) -> Iterator[Finding]:
-    """Yield a finding if the shaft does not follow its command, or follows it in another unit or direction."""
+def _scale_findings(name: str, found: Response) -> Iterator[Finding]:
+    """Yield at most one finding: the shaft hardly follows its command, or follows it in another unit or direction."""
     size = abs(found.scale)
     if found.r2 < 0.5:
         yield Finding(
@@ -192,6 +224,11 @@ def response(commands: Channel, shaft: Channel) -> Response | NoResponse:
     -------
     Response or NoResponse
         The response with the least squared error, or the reason for which it is unknown.
+
+    Notes
+    -----
+    Times without telemetry are left out. Of a log longer than 30 min only the part from the first command on is
+    searched.
     """
     longest = len(DELAYS) - 1
     grid = np.arange(max(commands.t[0], shaft.t[0]), min(commands.t[-1] + 5.0, shaft.t[-1]), STEP)
@@ -231,9 +268,9 @@ def response(commands: Channel, shaft: Channel) -> Response | NoResponse:
 
     def fitted(at: slice, band: float) -> LagFit:
         def misfit(lagged: Array, delay: float) -> float:
-            return _misfit(delayed(lagged, delay, used_part), n_part, total_part)[0]
+            return _scaled_misfit(delayed(lagged, delay, used_part), n_part, total_part)[0]
 
-        data = LagData(_outside(command_part, band), misfit)
+        data = LagData(_zero_in_dead_band(command_part, band), misfit)
         return fit_first_order_lag([data], DELAYS[at], TIME_CONSTANTS, STEP, hold="backward", start="steady")
 
     linear = fitted(slice(None), 0.0)
@@ -242,10 +279,12 @@ def response(commands: Channel, shaft: Channel) -> Response | NoResponse:
     for b in DEAD_BANDS.tolist():
         if (with_band := fitted(slice(max(k - 3, 0), k + 4), b)).misfit < best.misfit:
             best, band = with_band, b
-    lagged = first_order_lag(_outside(command, band), best.time_constant, STEP, hold="backward", start="steady")
+    lagged = first_order_lag(
+        _zero_in_dead_band(command, band), best.time_constant, STEP, hold="backward", start="steady"
+    )
     gain = 1.0 - best.misfit / max(linear.misfit, 1e-300)
     total = float(n @ n)
-    misfit, scale = _misfit(delayed(lagged, best.delay, used), n, total)
+    misfit, scale = _scaled_misfit(delayed(lagged, best.delay, used), n, total)
     # A constant command shows no delay. The same holds if all its steps lie before the first time of the fit.
     limit = round(MAX_DELAY / STEP) + 1
     alternative = fitted(slice(0, limit) if DELAYS.index(best.delay) >= limit else slice(limit, None), band)
@@ -254,31 +293,58 @@ def response(commands: Channel, shaft: Channel) -> Response | NoResponse:
     return Response(best.delay, best.time_constant, band, scale, 1.0 - misfit / total, gain, known)
 
 
-def _outside(command: Array, band: float) -> Array:
-    """Return the commands, with zero for each command inside the dead band."""
+def _zero_in_dead_band(command: Array, band: float) -> Array:
+    """Return the commands (n,), with zero for each command whose size is below ``band`` (dead band)."""
     return np.where(np.abs(command) < band, 0.0, command)
 
 
-def _misfit(x: Array, n: Array, total: float) -> tuple[float, float]:
-    """Fit n (n,) by a multiple of x (n,). Return the squared error and the factor; ``total`` is n @ n."""
+def _scaled_misfit(x: Array, n: Array, total: float) -> tuple[float, float]:
+    """Fit the shaft speed n (n,) by a multiple of the lagged command x (n,).
+
+    Return the squared error and the factor of x. ``total`` is n @ n. If x is zero, they are ``total`` and 0.
+    """
     square, product = float(x @ x), float(x @ n)
     if square == 0.0:
         return total, 0.0
     return max(total - product * product / square, 0.0), product / square
 
 
-class Hold(NamedTuple):
-    """Time in which a command was held, with the shaft speed."""
+class HeldCommand(NamedTuple):
+    """Time in which a command was held, with the shaft speed in this time.
 
-    t: float  # s, start
-    level: float  # command
-    settled: float  # median of the shaft speed in the second half
-    times: Array  # (n,) [s], of the samples of the shaft speed
-    values: Array  # (n,)
+    Attributes
+    ----------
+    t
+        Start [s].
+    level
+        Command, -1 to 1.
+    settled
+        Median of the shaft speed in the second half, over full speed.
+    times
+        Times (n,) [s] of the samples of the shaft speed.
+    values
+        Shaft speeds (n,) over full speed.
+    """
+
+    t: float
+    level: float
+    settled: float
+    times: Array
+    values: Array
 
 
-def holds(command: Channel, shaft: Channel) -> list[Hold]:
-    """Return the times of at least `MIN_HOLD_S` in which the command did not change."""
+def held_commands(command: Channel, shaft: Channel) -> list[HeldCommand]:
+    """Return the times of at least 4 s in which the command did not change, in order.
+
+    Times with fewer than two samples of the shaft speed in their second half are left out.
+
+    Parameters
+    ----------
+    command
+        Commands over full command, each held until the next one.
+    shaft
+        Measured shaft speed over full speed.
+    """
     found = []
     for held in steady_segments(command.t, command.value, max(command.t[-1], shaft.t[-1])):
         if held.duration >= MIN_HOLD_S:
@@ -286,13 +352,16 @@ def holds(command: Channel, shaft: Channel) -> list[Hold]:
             late = slice(max(first, int(np.searchsorted(shaft.t, (held.start + held.end) / 2, "right"))), last)
             if late.stop - late.start >= 2:
                 settled = float(np.median(shaft.value[late]))
-                found.append(Hold(held.start, held.level, settled, shaft.t[first:last], shaft.value[first:last]))
+                found.append(HeldCommand(held.start, held.level, settled, shaft.t[first:last], shaft.value[first:last]))
     return found
 
 
-def _steps(name: str, command: Channel, shaft: Channel) -> Iterator[Finding]:
-    """Yield findings of single steps that a fit to the whole log does not show: slow telemetry, a limit, drop-outs."""
-    held = holds(command, shaft)
+def _step_findings(name: str, command: Channel, shaft: Channel) -> Iterator[Finding]:
+    """Yield findings of single steps that a fit to the whole log does not show: slow telemetry, a limit, drop-outs.
+
+    ``name``: the thruster, for the findings.
+    """
+    held = held_commands(command, shaft)
     half = []
     for before, now in pairwise(held):
         change = now.settled - before.settled
@@ -309,8 +378,8 @@ def _steps(name: str, command: Channel, shaft: Channel) -> Iterator[Finding]:
             text,
             "slow telemetry or a ramp of the controller hides the lag of the shaft: raise the telemetry rate",
         )
-    yield from _limit(name, held)
-    n_drop_outs = sum(_drop_outs(h) for h in held if abs(h.settled) > 0.5 * abs(h.level) > 0.05)
+    yield from _saturation_findings(name, held)
+    n_drop_outs = sum(_count_drop_outs(h) for h in held if abs(h.settled) > 0.5 * abs(h.level) > 0.05)
     if n_drop_outs:
         yield Finding(
             "warning",
@@ -323,10 +392,11 @@ def _steps(name: str, command: Channel, shaft: Channel) -> Iterator[Finding]:
         )
 
 
-def _drop_outs(held: Hold) -> int:
-    """Count how often the shaft speed falls to zero after it has come near its settled value.
+def _count_drop_outs(held: HeldCommand) -> int:
+    """Count how often the shaft speed falls to zero, during one held command, after it has come near its settled value.
 
-    Zero crossings of a reversal do not count: the shaft turns the other way before or after them.
+    Zero crossings of a reversal do not count: the shaft turns the other way before or after them. ``held.settled`` must
+    not be zero.
     """
     speed = held.values / held.settled
     near = np.flatnonzero(speed > 0.8)
@@ -337,8 +407,11 @@ def _drop_outs(held: Hold) -> int:
     return sum(speed[b - 1] > REVERSE and speed[e] > REVERSE for b, e in zip(begins.tolist(), ends, strict=True))
 
 
-def _limit(name: str, held: list[Hold]) -> Iterator[Finding]:
-    """Yield a warning if the shaft settles at the same speed for all commands above some size (saturation)."""
+def _saturation_findings(name: str, held: list[HeldCommand]) -> Iterator[Finding]:
+    """Yield a warning if the shaft settles at the same speed for all commands above some size (saturation).
+
+    At least two commands of different size must fall short of their speed, and a smaller one must reach it.
+    """
     followed = [abs(h.settled) for h in held if abs(h.level) > MIN_COMMAND and abs(h.settled / h.level - 1.0) < 0.03]
     short = [h for h in held if abs(h.level) > MIN_COMMAND and 0.3 < h.settled / h.level < 0.97]
     if not followed or len(short) < 2 or len({abs(h.level) for h in short}) < 2:

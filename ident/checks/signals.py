@@ -11,12 +11,13 @@ from seatrial.daq.checks import Finding
 from seatrial.ident.checks.sensors import Channels
 from seatrial.ident.checks.two_receivers import second_receiver
 from seatrial.ident.data import Channel
+from seatrial.ident.model import COMMAND, SHAFT_SPEED, THRUSTER_FORCE, SignalId, is_of_thruster
 from seatrial.ident.numerics import NORMAL_MAD, Array
 
 MOTION = ("psi", "r", "ax", "ay", "x", "y", "vx", "vy", "u", "v")
 # Signals of one sensor. If one of a group is frozen, the others of the group cannot prove that the boat moves.
 GROUPS = (("psi",), ("r",), ("ax", "ay"), ("x", "y"), ("vx", "vy"), ("u", "v"))
-PLACES = (("x", "y"), ("vx", "vy"))
+TRACKS = (("x", "y"), ("vx", "vy"))
 BODY = (("ax", "ay"), ("u", "v"))  # one axis of these may be zero in the whole log
 LONGEST_INTERVAL, SHORTEST_INTERVAL = 10.0, 2e-4  # s between samples of a boat's sensors
 DAY, YEAR = 86400.0, 365.25 * 86400.0  # s
@@ -51,12 +52,18 @@ FEWEST_STEADY, FINE_S = 4, 0.02  # samples of velocity that confirm an accelerat
 
 
 def check_intervals(c: Channels) -> Iterator[Finding]:
-    """Yield a fault if the sample intervals show that the time is not in seconds, or jumps.
+    """Yield at most one fault: a pause of more than a day, or sample intervals of a time that is not in seconds.
 
     Parameters
     ----------
     c
-        Channels of a log by name.
+        Channels of a log by name. The motion signals, such as ``psi`` and ``x`` (`MOTION`), are examined in turn, and
+        the first fault ends the check.
+
+    Yields
+    ------
+    Finding
+        ``times-jump`` for a pause of more than a day. ``time-scale`` for a median interval below 0.2 ms or above 10 s.
     """
     for name in (n for n in MOTION if n in c):
         pause = np.diff(c[name].t)
@@ -90,9 +97,16 @@ def check_ranges(c: Channels) -> Iterator[Finding]:
     Parameters
     ----------
     c
-        Channels of a log by name: shaft speeds and commands, yaw rate, heading, positions.
+        Channels of a log by name. Missing ones are not checked.
+
+    Yields
+    ------
+    Finding
+        ``n-out-of-range`` for a command or shaft speed above 1.5 times full speed (99 % quantile). ``angle-in-degrees``
+        for a yaw rate above 5 rad/s, and for headings in degrees or converted twice. ``positions-in-degrees`` for a
+        track of less than 0.1 in both directions, far from its origin.
     """
-    for name in sorted(n for n in c if n.startswith("n_")):
+    for name in sorted(n for n in c if is_of_thruster(n, COMMAND, SHAFT_SPEED)):
         most = float(np.quantile(np.abs(c[name].value), 0.99))
         if most > MAX_N:
             value = c[name].value
@@ -134,25 +148,35 @@ def check_ranges(c: Channels) -> Iterator[Finding]:
 
 
 def check_frozen(c: Channels) -> Iterator[Finding]:
-    """Yield a fault for each signal that stays exactly the same while the boat moves, for a time or in the whole log.
+    """Yield a fault for each motion signal that stays exactly the same while the boat moves.
 
     Parameters
     ----------
     c
         Channels of a log by name.
+
+    Yields
+    ------
+    Finding
+        ``channel-constant`` if the value is the same in (nearly) the whole log, else ``channel-frozen``.
+
+    Notes
+    -----
+    There is no finding if no other sensor or thruster shows that the boat moves, if another sensor confirms the
+    constant value, or if a coarse resolution explains it.
     """
     for group in GROUPS:
-        held = {name: _longest_hold(c[name]) for name in group if name in c}
+        held = {name: _longest_unusual_hold(c[name]) for name in group if name in c}
         held = {name: (begin, end) for name, (begin, end) in held.items() if end - begin > FROZEN_S}
         for name, (begin, end) in held.items():
             same = [n for n, (a, b) in held.items() if min(b, end) - max(a, begin) > 0.8 * (end - begin)]
             whole = len(same) == len([n for n in group if n in c])
-            if (group in BODY and not whole) or not _moves(c, group, whole, begin, end):
+            if (group in BODY and not whole) or not _boat_moves(c, group, whole, begin, end):
                 continue
-            noisy = group == ("ax", "ay") and not all(_noiseless(n, c[n]) for n in same)
-            if not noisy and _steady(c, group, begin + SETTLED_S, end - SETTLED_S):
+            noisy = group == ("ax", "ay") and not all(_lacks_sensor_noise(n, c[n]) for n in same)
+            if not noisy and _constant_motion_confirmed(c, group, begin + SETTLED_S, end - SETTLED_S):
                 continue  # noiseless signals, as of simulators, are constant in a steady motion
-            if _within_resolution(c, name, begin, end):
+            if _resolution_explains_hold(c, name, begin, end):
                 continue
             start, duration = float(c[name].t[0]), float(np.ptp(c[name].t))
             value = float(c[name].value[np.searchsorted(c[name].t, begin)])
@@ -167,14 +191,14 @@ def check_frozen(c: Channels) -> Iterator[Finding]:
 
 
 def check_quantised(c: Channels) -> Iterator[Finding]:
-    """Yield a warning for positions and velocities in coarse steps, for example minutes with three decimals or knots.
+    """Yield a warning for positions, and for velocities, in coarse steps, such as minutes with three decimals.
 
     Parameters
     ----------
     c
-        Channels of a log by name.
+        Channels of a log by name. ``x`` and ``y`` together give at most one warning, ``vx`` and ``vy`` also.
     """
-    for group in PLACES:
+    for group in TRACKS:
         steps = {name: coarse_step(c, name) for name in group if name in c}
         if any(steps.values()):
             unit = "m" if group == ("x", "y") else "m/s"
@@ -185,22 +209,33 @@ def check_quantised(c: Channels) -> Iterator[Finding]:
 
 
 def coarse_step(c: Channels, name: str) -> float:
-    """Return the step of a position [m] or velocity [m/s] that its receiver rounds coarsely; 0 if there is none.
+    """Return the step of a position [m] or velocity [m/s] that its receiver rounds coarsely.
 
     Parameters
     ----------
     c
         Channels of a log by name.
     name
-        Name of the channel. For a velocity the speed over ground may be rounded instead of its components.
+        Name of a channel of the log. For ``vx`` and ``vy`` the speed over ground may be rounded instead of its
+        components.
+
+    Returns
+    -------
+    float
+        0 if the signal is not rounded, if its step is not 0.3 to 20 m, or 0.2 to 1.1 m/s, or if it is not ``x``, ``y``,
+        ``vx`` or ``vy``.
     """
     if name not in COARSE:
         return 0.0
-    return next((step for _, step in _coarse_values(c, name)), 0.0)
+    return next((step for _, step in _coarse_candidates(c, name)), 0.0)
 
 
-def _coarse_values(c: Channels, name: str) -> Iterator[tuple[Array, float]]:
-    """Yield values (n,) in coarse steps, and their step: of the signal, or of the speed over ground."""
+def _coarse_candidates(c: Channels, name: str) -> Iterator[tuple[Array, float]]:
+    """Yield values (n,) that lie on a coarse grid, and the step of the grid: 0.3 to 20 m, or 0.2 to 1.1 m/s.
+
+    The candidates are the signal ``name`` (``x``, ``y``, ``vx`` or ``vy``) and, for ``vx`` or ``vy`` with equal times,
+    the speed over ground. Nothing is yielded if neither is rounded coarsely.
+    """
     candidates = [c[name].value]
     if name in ("vx", "vy") and {"vx", "vy"} <= set(c) and np.array_equal(c["vx"].t, c["vy"].t):
         candidates.append(np.hypot(c["vx"].value, c["vy"].value))
@@ -211,7 +246,10 @@ def _coarse_values(c: Channels, name: str) -> Iterator[tuple[Array, float]]:
 
 
 def _grid_step(value: Array) -> float:
-    """Return the step of the grid that contains all values (n,); 0 if there is no grid or there are too few values."""
+    """Return the step of the grid that contains all values (n,), in the unit of the values.
+
+    0 if the values are on no grid, are all equal, or are fewer than three for each level.
+    """
     levels = np.unique(value)
     steps = np.diff(levels)
     steps = steps[steps > 1e-6 * np.ptp(value)]
@@ -221,17 +259,24 @@ def _grid_step(value: Array) -> float:
     return float(steps.min()) if np.all(np.abs(whole - np.round(whole)) < ON_GRID) else 0.0
 
 
-def _within_resolution(c: Channels, name: str, begin: float, end: float) -> bool:
-    """Return whether a value stays the same because of a coarse resolution: it begins and ends with single steps."""
-    value, step = next(_coarse_values(c, name), (c[name].value, 0.0)) if name in COARSE else (c[name].value, 0.0)
+def _resolution_explains_hold(c: Channels, name: str, begin: float, end: float) -> bool:
+    """Return whether a coarse resolution explains that a value stays the same from ``begin`` to ``end`` [s].
+
+    This holds if the changes before and after that time are less than 2.5 steps of the resolution. False if the signal
+    has no coarse resolution, or if that time is the whole log.
+    """
+    value, step = next(_coarse_candidates(c, name), (c[name].value, 0.0)) if name in COARSE else (c[name].value, 0.0)
     t = c[name].t
     a, b = int(np.searchsorted(t, begin)), int(np.searchsorted(t, end, side="right"))
     edges = [abs(float(value[k] - value[k - 1])) for k in (a, b) if 0 < k < t.size]
     return bool(step and edges) and max(edges) < MAX_STEPS * step
 
 
-def _longest_hold(channel: Channel) -> tuple[float, float]:
-    """Return begin and end [s] of the longest time in which a value stays the same; (0, 0) if this time is usual."""
+def _longest_unusual_hold(channel: Channel) -> tuple[float, float]:
+    """Return begin and end [s] of the longest time in which the value of a channel stays exactly the same.
+
+    (0, 0) if this time has 10 samples or fewer, or is shorter than ten times the usual one (99 % quantile).
+    """
     first = np.flatnonzero(np.diff(channel.value, prepend=np.nan) != 0)
     last = np.append(first[1:], channel.value.size) - 1
     held = channel.t[last] - channel.t[first]
@@ -242,19 +287,23 @@ def _longest_hold(channel: Channel) -> tuple[float, float]:
     return float(channel.t[first[k]]), float(channel.t[last[k]])
 
 
-def _moves(c: Channels, group: Sequence[str], whole: bool, begin: float, end: float) -> bool:
-    """Return whether the boat moves from begin to end [s], by sensors outside the group or by its thrusters.
+def _boat_moves(c: Channels, group: Sequence[str], whole: bool, begin: float, end: float) -> bool:
+    """Return whether the boat moves from ``begin`` to ``end`` [s], by the other sensors or by its thrusters.
 
-    A turn counts in any case. If the ``whole`` group stays the same, thrust counts as well.
+    ``group``: signals of one sensor, which cannot prove the motion. ``whole``: whether all logged signals of the group
+    stay the same in that time. A turn of the boat is enough in general, and so is any command if ``whole``. For
+    positions and velocities over ground, both thrusters together must also push forward or back, if they are logged.
+    For a heading or yaw rate, if the other one is not logged, a difference of both thrusters is enough.
     """
-    turns = any(np.std(turn) > TURNS for turn in _turns(c, group, begin, end))
-    kinds = ("n", "f", "n_cmd")
-    inputs = {n: _part(c[n], begin, end) for n in c if n.rpartition("_")[0] in kinds}
+    turns = any(np.std(turn) > TURNS for turn in _headings_by_other_sensors(c, group, begin, end))
+    quantities = (SHAFT_SPEED, THRUSTER_FORCE, COMMAND)
+    inputs = {n: _samples_between(c[n], begin, end) for n in c if is_of_thruster(n, *quantities)}
     most = max((float(np.abs(c[n].value).max()) for n in inputs), default=0.0)
-    pairs = [(inputs[f"{k}_left"], inputs[f"{k}_right"]) for k in kinds if {f"{k}_left", f"{k}_right"} <= set(inputs)]
+    names = [[str(SignalId(side, quantity)) for side in ("left", "right")] for quantity in quantities]
+    pairs = [(inputs[left], inputs[right]) for left, right in names if left in inputs and right in inputs]
     steps = np.linspace(begin, end, 50)
     sides = [(np.interp(steps, *a), np.interp(steps, *b)) for a, b in pairs if a[0].size and b[0].size]
-    if group in PLACES and sides:  # turning alone is no proof: the position may stay the same in a turn on the spot
+    if group in TRACKS and sides:  # turning alone is no proof: the position may stay the same in a turn on the spot
         return (turns or whole) and any(np.mean(np.abs(a + b)) / 2 > DRIVEN * most for a, b in sides)
     if turns:
         return True
@@ -263,27 +312,27 @@ def _moves(c: Channels, group: Sequence[str], whole: bool, begin: float, end: fl
     return whole and any(np.mean(np.abs(value)) > DRIVEN * most for _, value in inputs.values())
 
 
-def _noiseless(name: str, channel: Channel) -> bool:
-    """Return whether a signal has no noise above its resolution."""
+def _lacks_sensor_noise(name: str, channel: Channel) -> bool:
+    """Return whether the white noise of the channel ``name`` is below that of any sensor, or below its resolution."""
     return noise_floor(channel) < max(NO_NOISE[name], float(np.diff(np.unique(channel.value)).min(initial=np.inf)))
 
 
-def _steady(c: Channels, group: Sequence[str], begin: float, end: float) -> bool:
-    """Return whether another sensor confirms the constant value of a group from begin to end [s].
+def _constant_motion_confirmed(c: Channels, group: Sequence[str], begin: float, end: float) -> bool:
+    """Return whether another sensor confirms that the signals of ``group`` were constant from ``begin`` to ``end`` [s].
 
-    Positions confirm a velocity. Velocities over ground confirm an acceleration in the boat's frame. Other groups
-    cannot be confirmed.
+    Positions confirm a velocity over ground. Velocities over ground confirm an acceleration in the boat's frame. False
+    for other groups, and if the other sensor is missing or has too few samples.
     """
     if group == ("vx", "vy") and {*group, "x", "y"} <= set(c):
         misfits = []
         for place, speed in zip(("x", "y"), group, strict=True):
-            t, value = _part(c[place], begin, end)
+            t, value = _samples_between(c[place], begin, end)
             moved = value - float(np.interp(begin, c[speed].t, c[speed].value)) * t
-            misfits.append(np.std(moved) < max(UNSTEADY_PLACE, TIMES_NOISE * _noise(c[place])))
+            misfits.append(np.std(moved) < max(UNSTEADY_PLACE, TIMES_NOISE * _noise_or_zero(c[place])))
         return all(misfits)
     if group != ("ax", "ay") or not {"psi", "vx", "vy"} <= set(c):
         return False
-    t, north = _part(c["vx"], begin, end)
+    t, north = _samples_between(c["vx"], begin, end)
     east = np.interp(t, c["vy"].t, c["vy"].value)
     if t.size < FEWEST_STEADY:
         return False
@@ -295,30 +344,34 @@ def _steady(c: Channels, group: Sequence[str], begin: float, end: float) -> bool
     rows = np.vstack([np.column_stack([C, -S, ones, zeros]), np.column_stack([S, C, zeros, ones])])
     velocity = np.concatenate([north, east])
     residuals = velocity - rows @ np.linalg.lstsq(rows, velocity, rcond=None)[0]
-    return float(np.std(residuals)) < max(UNSTEADY_VELOCITY, TIMES_NOISE * max(_noise(c["vx"]), _noise(c["vy"])))
+    return float(np.std(residuals)) < max(
+        UNSTEADY_VELOCITY, TIMES_NOISE * max(_noise_or_zero(c["vx"]), _noise_or_zero(c["vy"]))
+    )
 
 
-def _noise(channel: Channel) -> float:
-    """Return the standard deviation of a signal's white noise; zero for too few samples."""
+def _noise_or_zero(channel: Channel) -> float:
+    """Return the standard deviation of a signal's white noise (`noise_floor`), or zero if the samples are too few."""
     floor = noise_floor(channel)
     return floor if np.isfinite(floor) else 0.0
 
 
-def _turns(c: Channels, group: Sequence[str], begin: float, end: float) -> Iterator[Array]:
-    """Yield the heading [rad] from begin to end [s] by each sensor that is not in the group.
+def _headings_by_other_sensors(c: Channels, group: Sequence[str], begin: float, end: float) -> Iterator[Array]:
+    """Yield the heading (n,) [rad] from ``begin`` to ``end`` [s] by compass and by gyro, unless it is in ``group``.
 
-    If the yaw rate is frozen, the turn at this constant rate is subtracted.
+    If the yaw rate is the group, the turn at its constant rate is subtracted from the heading. A sensor with too few
+    samples gives one zero.
     """
     if "psi" in c and "psi" not in group:
-        t, psi = _part(Channel(c["psi"].t, np.unwrap(c["psi"].value)), begin, end)
+        t, psi = _samples_between(Channel(c["psi"].t, np.unwrap(c["psi"].value)), begin, end)
         rate = float(np.interp(begin, c["r"].t, c["r"].value)) if group == ("r",) else 0.0
         yield psi - rate * t if psi.size else np.zeros(1)
     if "r" in c and "r" not in group:
-        t, r = _part(c["r"], begin, end)
+        t, r = _samples_between(c["r"], begin, end)
         yield np.cumsum(r[1:] * np.diff(t)) if r.size > 1 else np.zeros(1)
 
 
-def _part(channel: Channel, begin: float, end: float) -> tuple[Array, Array]:
+def _samples_between(channel: Channel, begin: float, end: float) -> tuple[Array, Array]:
+    """Return times (n,) [s] and values (n,) of the samples from ``begin`` to ``end`` [s], both ends included."""
     inside = (channel.t >= begin) & (channel.t <= end)
     return channel.t[inside], channel.value[inside]
 
@@ -332,10 +385,10 @@ def check_alternating(c: Channels) -> Iterator[Finding]:
     Parameters
     ----------
     c
-        Channels of a log by name.
+        Channels of a log by name. Signals of one sensor, such as ``x`` and ``y``, share one finding.
     """
     for group in GROUPS:
-        shares = {name: _alternating(c[name]) for name in group if name in c}
+        shares = {name: _alternating_share(c[name]) for name in group if name in c}
         found = [name for name, share in shares.items() if share > ALTERNATES]
         if found:
             text = "its values alternate from sample to sample: two sensors, or two receivers, are in one signal"
@@ -352,13 +405,14 @@ def check_alternating(c: Channels) -> Iterator[Finding]:
                 yield Finding("fault", "two-sensors", "alike", "x, y", text, advice)
 
 
-def _alternating(channel: Channel) -> float:
+def _alternating_share(channel: Channel) -> float:
     """Return how much of a signal alternates from sample to sample, from 0 (not at all) to 1.
 
     Each sample is compared with the straight line between its two neighbours. The result is the share of the mean
-    square of these deviations that changes its sign at every sample.
+    square of these deviations that changes its sign at every sample (median over blocks of 20 samples).
 
-    0 for too few samples and for repeated values: values that stand in two rows each also alternate.
+    The result is 0 for fewer than 200 samples, and if more than 20 % of the values repeat the value before: pairs of
+    equal values would also alternate.
     """
     value = np.unwrap(channel.value) if channel.unit == "rad" else channel.value
     if value.size < FEWEST or np.mean(np.diff(value) == 0.0) > FEW_REPEATS:
@@ -373,7 +427,7 @@ def _alternating(channel: Channel) -> float:
 
 
 def check_smoothing(c: Channels) -> Iterator[Finding]:
-    """Yield a warning for signals without the white noise of a sensor. A filter has smoothed them.
+    """Yield one warning that lists the motion signals without the white noise of a sensor. A filter has smoothed them.
 
     Parameters
     ----------
@@ -390,25 +444,45 @@ def check_smoothing(c: Channels) -> Iterator[Finding]:
 
 
 def smoothed(c: Channels) -> tuple[str, ...]:
-    """Return the names of the motion signals that have no white noise."""
+    """Return the names of the motion signals whose white noise is less than that of any sensor.
+
+    Parameters
+    ----------
+    c
+        Channels of a log by name. The limits are, for example, 0.0001 rad for ``psi`` and 0.002 m for ``x``
+        (`NO_NOISE`).
+    """
     return tuple(n for n in MOTION if n in c and noise_floor(c[n]) < NO_NOISE[n])
 
 
 def estimated(c: Channels) -> bool:
-    """Return whether the position has so little white noise that its errors are those of an estimator.
+    """Return whether the position has so little white noise (less than 3 cm) that it comes from an estimator.
 
-    A receiver with fixed ambiguities (RTK) has errors of the same kind.
+    Parameters
+    ----------
+    c
+        Channels of a log by name. False without ``x`` and ``y``.
+
+    Notes
+    -----
+    The errors of such a position are correlated for seconds. A receiver with fixed ambiguities (RTK) has errors of the
+    same kind.
     """
     return any(n in c and noise_floor(c[n]) < ESTIMATED for n in ("x", "y"))
 
 
 def noise_floor(channel: Channel) -> float:
-    """Return an upper bound of the white noise of a signal (standard deviation); inf for too few samples.
+    """Return an upper bound of the white noise of a signal.
 
     Parameters
     ----------
     channel
-        The signal. Values that repeat the value before are ignored.
+        The signal. Values that repeat the value before are ignored. Angles [rad] are unwrapped.
+
+    Returns
+    -------
+    float
+        Standard deviation, in the unit of the channel. inf for fewer than 200 different samples.
 
     Notes
     -----
@@ -420,9 +494,9 @@ def noise_floor(channel: Channel) -> float:
     if value.size < FEWEST:
         return np.inf
     value = np.unwrap(value) if channel.unit == "rad" else value
-    return min(_scatter(np.diff(value, order), order) for order in (2, 4, 6))
+    return min(_noise_from_differences(np.diff(value, order), order) for order in (2, 4, 6))
 
 
-def _scatter(differences: Array, order: int) -> float:
-    """Return the standard deviation of white noise by the median size of its differences of this order."""
+def _noise_from_differences(differences: Array, order: int) -> float:
+    """Return the standard deviation of white noise from the median size of its differences (n,) of the given order."""
     return float(NORMAL_MAD * np.median(np.abs(differences)) / np.sqrt(comb(2 * order, order)))

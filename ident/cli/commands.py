@@ -19,10 +19,10 @@ from seatrial.ident.cli.options import (
     MODEL,
     Lines,
     LiveLine,
+    check_jobs,
     check_output,
     command_line,
     despite_option,
-    estimation_of,
     force_option,
     horizon_option,
     mean_order_option,
@@ -31,7 +31,6 @@ from seatrial.ident.cli.options import (
     parse_priors,
     parse_rates,
     parse_values,
-    processes,
     rate_option,
     reml_option,
     robust_option,
@@ -39,6 +38,7 @@ from seatrial.ident.cli.options import (
     trust_option,
     validate_option,
     window_option,
+    with_estimation_options,
 )
 
 
@@ -74,12 +74,15 @@ def thruster(logs: tuple[Path, ...], out: Path, **how: Any) -> None:
     """
     from seatrial.ident.workflows.thruster import ThrusterRequest, characterise
 
-    request = ThrusterRequest(logs, out, **estimation_of(how))
+    request = ThrusterRequest(logs, out, **with_estimation_options(how))
     run_workflow(lambda reporter: characterise(request, command_line(), reporter), out)
 
 
-def _intervals(_context: click.Context, _parameter: click.Parameter, texts: Sequence[str]) -> list[tuple[float, float]]:
-    return [_interval(text) for text in texts]
+def _parse_intervals(
+    _context: click.Context, _parameter: click.Parameter, texts: Sequence[str]
+) -> list[tuple[float, float]]:
+    """Parse the intervals T0:T1 [s of the log] of ``--gnss-outage`` (click callback)."""
+    return [_parse_interval(text) for text in texts]
 
 
 @click.command(short_help="Estimate position, speeds and current with a fitted model.")
@@ -96,7 +99,7 @@ def _intervals(_context: click.Context, _parameter: click.Parameter, texts: Sequ
     "--gnss-outage",
     "gnss_outages",
     multiple=True,
-    callback=_intervals,
+    callback=_parse_intervals,
     metavar="T0:T1",
     help="Withhold GNSS in this interval [s of the log]; may be repeated.",
 )
@@ -289,7 +292,7 @@ def vehicle(logs: tuple[Path, ...], validate: tuple[Path, ...], out: Path, **how
     from seatrial.ident.workflows.vehicle import vehicle
     from seatrial.ident.workflows.vehicle_model import VehicleRequest
 
-    request = VehicleRequest(logs, validate, out, **estimation_of(how))
+    request = VehicleRequest(logs, validate, out, **with_estimation_options(how))
     run_workflow(lambda reporter: vehicle(request, command_line(), reporter), out)
 
 
@@ -335,7 +338,7 @@ def diagnose(model: Path, logs: tuple[Path, ...], validate: tuple[Path, ...], ou
     """
     from seatrial.ident.workflows.diagnose import DiagnosisRequest, diagnosis
 
-    request = DiagnosisRequest(model, logs, validate, out, **estimation_of(how))
+    request = DiagnosisRequest(model, logs, validate, out, **with_estimation_options(how))
     run_workflow(lambda reporter: diagnosis(request, command_line(), reporter), out)
 
 
@@ -350,7 +353,7 @@ def diagnose(model: Path, logs: tuple[Path, ...], validate: tuple[Path, ...], ou
 )
 @click.option("--seed", type=click.IntRange(0), default=1, show_default=True)
 @click.option(
-    "--jobs", type=int, default=-1, callback=processes, help="Number of processes.  [default: -1, one for each core]"
+    "--jobs", type=int, default=-1, callback=check_jobs, help="Number of processes.  [default: -1, one for each core]"
 )
 @click.option(
     "--method",
@@ -402,8 +405,11 @@ def study(models: tuple[str, ...], method: str, unbounded: bool, docs: Path | No
     click.echo(f"report: {out / 'report.html'}")
 
 
-def _area(_context: click.Context, _parameter: click.Parameter, text: str | None) -> tuple[float, float] | None:
-    """Parse ``40x30`` to the size of an area: north, east [m]."""
+def _parse_area(_context: click.Context, _parameter: click.Parameter, text: str | None) -> tuple[float, float] | None:
+    """Parse ``40x30`` to the size of an area, north and east [m] (click callback). None is returned unchanged.
+
+    Raise click.BadParameter if the text has another form, or if a side is not positive.
+    """
     if text is None:
         return None
     found = re.fullmatch(r"([\d.]+)x([\d.]+)", text)
@@ -445,7 +451,7 @@ def _area(_context: click.Context, _parameter: click.Parameter, text: str | None
     callback=parse_names,
     help="Parameters to estimate, d_v,m_v [default: all].",
 )
-@click.option("--area", metavar="NxE", callback=_area, help="Area for the whole track, north by east [m].")
+@click.option("--area", metavar="NxE", callback=_parse_area, help="Area for the whole track, north by east [m].")
 @click.option("--max-speed", type=FiniteRange(0, min_open=True), help="Largest speed through the water [m/s].")
 @click.option("--energy", type=FiniteRange(0, 1, min_open=True), help="Largest mean of |n|^3, 1: full power.")
 @click.option(
@@ -539,9 +545,12 @@ def design(
     draws it, `seatrial mission run` runs it.
     """
     if between and len(between) != 2:
-        raise click.BadParameter("names two effects, such as delay,lag", param_hint="--discriminate")
+        raise click.BadParameter("give exactly two effects, such as delay,lag", param_hint="--discriminate")
     if between and rest["robust"]:
-        raise click.BadParameter("a discrimination is not averaged over samples", param_hint="--average-over")
+        raise click.BadParameter(
+            "cannot be used with --discriminate, whose criterion is not averaged over samples; leave one out",
+            param_hint="--average-over",
+        )
     if rest["criterion"] == "Ds" and not rest["chosen"]:
         raise click.BadParameter("Ds needs --parameters, the parameters of the criterion", param_hint="--criterion")
     from seatrial.ident.experiment_design import DesignLimits
@@ -556,7 +565,7 @@ def design(
         **rest,
     )
     try:
-        result = _work(lambda reporter: make_design(source, request, out, command_line(), reporter))
+        result = _with_live_progress(lambda reporter: make_design(source, request, out, command_line(), reporter))
     except (ValueError, KeyError) as problem:
         raise SeatrialError(f"{source}: {str(problem).strip(chr(39) + chr(34))}") from problem
     for line in design_summary(result):
@@ -564,8 +573,11 @@ def design(
     click.echo(f"{out}; report: {out.with_suffix('.html')}")
 
 
-def _work(work: Any) -> Any:
-    """Run a workflow while a live line shows its progress; return its result."""
+def _with_live_progress(work: Any) -> Any:
+    """Run a workflow while a live line on standard error shows its progress; return its result.
+
+    ``work`` receives a reporter.
+    """
     from rich.console import Console
 
     console = Console(highlight=False, stderr=True)
@@ -573,8 +585,11 @@ def _work(work: Any) -> Any:
         return work(LiveLine(console, status))
 
 
-def _interval(text: str) -> tuple[float, float]:
-    """Parse an interval: ``60:90`` to (60, 90) [s]."""
+def _parse_interval(text: str) -> tuple[float, float]:
+    """Parse an interval of time: ``60:90`` to (60, 90) [s].
+
+    Raise click.BadParameter if the text has another form, or if the end is not after the begin.
+    """
     first, _, last = text.partition(":")
     try:
         begin, end = float(first), float(last)

@@ -27,8 +27,8 @@ FOLDER = click.Path(file_okay=False, path_type=Path)
 FILE = click.Path(dir_okay=False, path_type=Path)
 
 
-def _finite(text: str) -> float:
-    """Parse a finite number; raise ValueError for any other text."""
+def _parse_finite(text: str) -> float:
+    """Parse a finite number; raise ValueError for any other text, also for ``nan`` and ``inf``."""
     number = float(text)
     if not math.isfinite(number):
         raise ValueError
@@ -36,19 +36,46 @@ def _finite(text: str) -> float:
 
 
 def parse_values(_context: click.Context, _parameter: click.Parameter, items: Sequence[str]) -> dict[str, float]:
-    """Parse the values of a NAME=VALUE option (click callback)."""
+    """Parse the values of a repeatable NAME=VALUE option (click callback).
+
+    Parameters
+    ----------
+    items : sequence of str
+        Texts, for example ``m_u=30``.
+
+    Returns
+    -------
+    dict
+        Value by name. A repeated name has its last value.
+
+    Raises
+    ------
+    click.BadParameter
+        If a text is not NAME=NUMBER with a finite number.
+    """
     found = {}
     for item in items:
         name, _, value = item.partition("=")
         try:
-            found[name] = _finite(value)
+            found[name] = _parse_finite(value)
         except ValueError:
             raise click.BadParameter(f"{item!r} is not NAME=NUMBER") from None
     return found
 
 
 def parse_rates(context: click.Context, parameter: click.Parameter, items: Sequence[str]) -> dict[str, float]:
-    """Parse the values of a SENSOR=HZ option, which must be above zero (click callback)."""
+    """Parse the values of a repeatable SENSOR=HZ option (click callback).
+
+    Returns
+    -------
+    dict
+        Rate [Hz] by sensor.
+
+    Raises
+    ------
+    click.BadParameter
+        If a text is not NAME=NUMBER, or if a rate is not above zero.
+    """
     found = parse_values(context, parameter, items)
     for name, rate in found.items():
         if rate <= 0.0:
@@ -56,27 +83,44 @@ def parse_rates(context: click.Context, parameter: click.Parameter, items: Seque
     return found
 
 
-def processes(_context: click.Context, _parameter: click.Parameter, number: int) -> int:
-    """Check ``--jobs``: a number of processes, or -1 for one process for each core (click callback)."""
+def check_jobs(_context: click.Context, _parameter: click.Parameter, number: int) -> int:
+    """Check and return the value of ``--jobs``: a number of processes, or -1 for one for each core (click callback).
+
+    Raises
+    ------
+    click.BadParameter
+        If it is 0 or below -1.
+    """
     if number < 1 and number != -1:
         raise click.BadParameter(f"{number} is neither a number of processes nor -1 (one for each core)")
     return number
 
 
 def parse_names(_context: click.Context, _parameter: click.Parameter, text: str | None) -> tuple[str, ...]:
-    """Parse the names of a NAME,NAME option (click callback)."""
+    """Parse the names of a NAME,NAME option (click callback). No text or an empty text gives an empty tuple."""
     return tuple(n.strip() for n in text.split(",") if n.strip()) if text else ()
 
 
 def parse_priors(
     _context: click.Context, _parameter: click.Parameter, items: Sequence[str]
 ) -> dict[str, tuple[float, float]]:
-    """Parse the values of a NAME=MEAN:SD option (click callback)."""
+    """Parse the values of a repeatable NAME=MEAN:SD option (click callback).
+
+    Returns
+    -------
+    dict
+        Mean and standard deviation by name. A repeated name has its last values.
+
+    Raises
+    ------
+    click.BadParameter
+        If a text has another form, or if a standard deviation is not positive.
+    """
     found = {}
     for item in items:
         name, _, value = item.partition("=")
         try:
-            mean, sd = (_finite(part) for part in value.split(":"))
+            mean, sd = (_parse_finite(part) for part in value.split(":"))
         except ValueError:
             raise click.BadParameter(f"{item!r} is not NAME=MEAN:SD") from None
         if not sd > 0:
@@ -93,7 +137,10 @@ def validate_option(f: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def window_option(f: Callable[..., Any]) -> Callable[..., Any]:
-    """Add ``--from`` and ``--to`` to a command, which receives them as ``window``."""
+    """Add ``--from`` and ``--to`` [s of the log] to a command, which receives them as one ``window`` (TimeWindow).
+
+    By default the window is the whole log. The command raises click.BadParameter if the end is not after the start.
+    """
 
     @wraps(f)
     def command(*args: Any, t_from: float, t_to: float | None, **rest: Any) -> Any:
@@ -110,22 +157,26 @@ def window_option(f: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def force_option(f: Callable[..., Any]) -> Callable[..., Any]:
-    """Add ``--force`` to a command; ``check_output`` reads its value from the context."""
+    """Add the flag ``--force`` to a command, which does not receive it; `check_output` reads its value."""
     help_ = "Replace existing results."
-    return click.option("--force", is_flag=True, expose_value=False, is_eager=True, callback=_force, help=help_)(f)
+    return click.option("--force", is_flag=True, expose_value=False, is_eager=True, callback=_store_force, help=help_)(
+        f
+    )
 
 
-def _force(context: click.Context, _parameter: click.Parameter, force: bool) -> None:
+def _store_force(context: click.Context, _parameter: click.Parameter, force: bool) -> None:
+    """Store the value of ``--force`` in the context for `check_output` (click callback)."""
     context.meta["force"] = force
 
 
 def check_output(context: click.Context, _parameter: click.Parameter, out: Path | None) -> Path | None:
-    """Check the file or folder of ``--out`` (click callback).
+    """Check and return the file or folder of ``--out`` (click callback). None is returned unchanged.
 
     Raises
     ------
     SeatrialError
-        If it exists already and ``--force`` was not given, or if it is a symbolic link.
+        If it exists already (as a file, or as a folder with a result.json) and ``--force`` was not given, or if it or a
+        result file in it is a symbolic link.
     """
     if out is not None:
         for path in (out, *(out / name for name in ("model.toml", "result.json", "report.html"))):
@@ -140,14 +191,20 @@ def check_output(context: click.Context, _parameter: click.Parameter, out: Path 
 
 
 def out_option(default: str) -> Callable[..., Any]:
-    """Add ``--out``, with this default folder, and ``--force`` to a command."""
+    """Return a decorator that adds ``--out`` and ``--force`` to a command.
+
+    Parameters
+    ----------
+    default : str
+        Name of the default folder.
+    """
     words = "Folder for the results."
     how: dict[str, Any] = {"type": FOLDER, "default": Path(default), "show_default": True, "help": words}
     return lambda f: click.option("--out", callback=check_output, **how)(force_option(f))
 
 
-def _trust(context: click.Context, _parameter: click.Parameter, trusted: bool) -> None:
-    """Trust Python files until the command ends (click callback)."""
+def _trust_files(context: click.Context, _parameter: click.Parameter, trusted: bool) -> None:
+    """Trust user-defined Python files until the command ends, if ``--trust-code`` is given (click callback)."""
     if trusted:
         from seatrial.ident.models import trusting_code
 
@@ -155,21 +212,21 @@ def _trust(context: click.Context, _parameter: click.Parameter, trusted: bool) -
 
 
 def trust_option(f: Callable[..., Any]) -> Callable[..., Any]:
-    """Add ``--trust-code`` to a command."""
+    """Add the flag ``--trust-code`` to a command, which does not receive it."""
     words = (
         "Run the Python files that a model.toml names, even if they are new, changed or moved, and trust them later."
     )
-    return click.option("--trust-code", is_flag=True, expose_value=False, callback=_trust, help=words)(f)
+    return click.option("--trust-code", is_flag=True, expose_value=False, callback=_trust_files, help=words)(f)
 
 
 def despite_option(f: Callable[..., Any]) -> Callable[..., Any]:
-    """Add ``--despite-faults`` to a command."""
+    """Add the flag ``--despite-faults`` to a command, which receives it as ``despite_faults``."""
     words = "Continue if the checks of the logs find swapped sides, wrong units, frames or times (`seatrial check`)."
     return click.option("--despite-faults", is_flag=True, help=words)(f)
 
 
 def rate_option(f: Callable[..., Any]) -> Callable[..., Any]:
-    """Add ``--rate`` [Hz] to a command, 10 by default."""
+    """Add ``--rate`` [Hz] to a command: rows of a record per second, 1 to 200, by default 10."""
     return click.option(
         "--rate",
         type=FiniteRange(1.0, 200.0),
@@ -180,7 +237,7 @@ def rate_option(f: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def horizon_option(f: Callable[..., Any]) -> Callable[..., Any]:
-    """Add ``--horizon`` [s] to a command; None is the default of the model."""
+    """Add ``--horizon`` [s] to a command. Without it the command receives None: the default of the model."""
     return click.option(
         "--horizon",
         "horizon",
@@ -191,13 +248,19 @@ def horizon_option(f: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def robust_option(f: Callable[..., Any]) -> Callable[..., Any]:
-    """Add ``--robust`` to a command."""
+    """Add the flag ``--robust`` to a command, which receives it as ``outlier_model``."""
     words = "Robust estimation: allow outliers in all sensors, and count them."
     return click.option("--robust", "outlier_model", is_flag=True, help=words)(f)
 
 
 def reml_option(default: bool | None = True) -> Callable[..., Any]:
-    """Return the option ``--reml/--no-reml``; default None: as the studied model was fitted."""
+    """Return the option ``--reml/--no-reml`` as a decorator.
+
+    Parameters
+    ----------
+    default : bool or None
+        Value without the option. None: as the studied model was fitted.
+    """
     return click.option(
         "--reml/--no-reml",
         default=default,
@@ -207,27 +270,43 @@ def reml_option(default: bool | None = True) -> Callable[..., Any]:
 
 
 def mean_order_option(default: bool | None = True) -> Callable[..., Any]:
-    """Return the option ``--second-order/--no-second-order``; default None: as the studied model was fitted."""
+    """Return the option ``--second-order/--no-second-order`` as a decorator.
+
+    The command receives ``mean_order`` 2 or 1.
+
+    Parameters
+    ----------
+    default : bool or None
+        Value without the option. None stays None: as the studied model was fitted.
+    """
     return click.option(
         "--second-order/--no-second-order",
         "mean_order",
         default=default,
-        callback=_order,
+        callback=_parse_mean_order,
         show_default=bool(default),
         help="Second-order EKF: the mean includes the curvature of drag, with less bias.",
     )
 
 
-def _order(_context: click.Context, _parameter: click.Parameter, second: bool | None) -> Literal[1, 2] | None:
-    """Convert the flag to the order of the filter's mean; None stays None (click callback)."""
+def _parse_mean_order(
+    _context: click.Context, _parameter: click.Parameter, second: bool | None
+) -> Literal[1, 2] | None:
+    """Convert the flag to the order of the filter's mean: 2 if it is set, 1 if not, None for None (click callback)."""
     return None if second is None else 2 if second else 1
 
 
 ESTIMATION = ("outlier_model", "reml", "mean_order", "method", "horizon")  # options of ``EstimationOptions``
 
 
-def estimation_of(options: dict[str, Any]) -> dict[str, Any]:
-    """Return the options of a command, with those of the estimator combined as ``estimation``."""
+def with_estimation_options(options: dict[str, Any]) -> dict[str, Any]:
+    """Return the options of a command, with those of the estimator combined as ``estimation``.
+
+    Parameters
+    ----------
+    options : dict
+        Value of each option by name, as the command received it. It is not changed.
+    """
     from seatrial.ident.estimation import EstimationOptions
 
     shared = {n: v for n, v in options.items() if n in ESTIMATION}
@@ -235,7 +314,13 @@ def estimation_of(options: dict[str, Any]) -> dict[str, Any]:
 
 
 class Lines:
-    """Reporter that prints each line of progress and each warning."""
+    """Reporter that prints each line of progress and each warning.
+
+    Parameters
+    ----------
+    err
+        Whether to print to standard error, not to standard output.
+    """
 
     def __init__(self, err: bool = False) -> None:
         self.err = err
@@ -248,7 +333,15 @@ class Lines:
 
 
 class LiveLine:
-    """Reporter that shows progress in one live line of a terminal, and prints warnings above it."""
+    """Reporter that shows progress in one live line of a terminal, and prints warnings above it.
+
+    Parameters
+    ----------
+    console
+        Console of the terminal.
+    status
+        Its live line.
+    """
 
     def __init__(self, console: Console, status: Status) -> None:
         self.console, self.status = console, status
@@ -265,10 +358,17 @@ def run_workflow(work: Callable[[Reporter], Result], out: Path) -> None:
 
     The exit status is 1 if the result is a fit that did not converge.
 
+    Parameters
+    ----------
+    work : callable
+        Workflow: receives a reporter, returns the result and writes its files.
+    out : Path
+        Folder with the report, for the message.
+
     Raises
     ------
     SeatrialError
-        If the workflow raises ValueError or KeyError.
+        If the workflow raises it, or raises ValueError or KeyError.
     """
     from rich.console import Console
 

@@ -12,14 +12,15 @@ from dataclasses import replace
 import numpy as np
 
 from seatrial.ident.data.record import ON_CHANGE, Channel, LeftOut
+from seatrial.ident.model import COMMAND, SHAFT_SPEED, is_of_thruster
 from seatrial.ident.numerics import Array
 
 LONGEST_GAP_S = 60.0  # without a sample of any sensor; the log is cut at longer gaps
 USUAL_INTERVALS = 10.0  # a gap must also be longer than so many median intervals, for logs of slow sensors
 SHORTEST_PIECE_S = 10.0  # s; a shorter part of a log gives too little information
-# Signals of the thrusters and of other transducers (NMEA XDR), which may continue while the sensors are off.
-DRIVES = ("n_", "servo_", "voltage_", "xdr_")
-COMMAND = "n_cmd_"
+# Quantities of the thrusters, which may continue while the sensors are off. So may transducers (NMEA XDR).
+DRIVES = (COMMAND, SHAFT_SPEED, "servo", "voltage")
+TRANSDUCER = "xdr_"
 
 
 def is_held(name: str, channel: Channel) -> bool:
@@ -32,7 +33,7 @@ def is_held(name: str, channel: Channel) -> bool:
     channel
         Samples of the signal. Imported inputs with a hold other than ``linear`` hold. An unknown hold (empty) does not.
     """
-    return name.startswith(COMMAND) or channel.hold not in ("", "linear")
+    return is_of_thruster(name, COMMAND) or channel.hold not in ("", "linear")
 
 
 def silent_times(channels: Mapping[str, Channel]) -> list[tuple[float, float]]:
@@ -55,7 +56,11 @@ def silent_times(channels: Mapping[str, Channel]) -> list[tuple[float, float]]:
     count, since inputs without measurements give no information.
     """
     outputs = {name: c for name, c in channels.items() if not is_held(name, c)}
-    sensors = {name: c for name, c in outputs.items() if not name.startswith(DRIVES) and not c.hold}
+    sensors = {
+        name: c
+        for name, c in outputs.items()
+        if not (is_of_thruster(name, *DRIVES) or name.startswith(TRANSDUCER) or c.hold)
+    }
     times = [c.t for c in (sensors or outputs).values()]
     if not times:
         return []

@@ -54,6 +54,7 @@ from seatrial.ident.data.gaps import (
 )
 from seatrial.ident.data.outliers import sections_elsewhere, without_outliers
 from seatrial.ident.data.record import Channel, LogSegment
+from seatrial.ident.model import SignalId, command_of, shaft_speed_of
 from seatrial.ident.numerics import Array, LagData, first_order_lag, fit_first_order_lag
 
 Table = NDArray[np.void]  # of `Log.table`, shape (n,)
@@ -93,7 +94,8 @@ class TimeWindow(NamedTuple):
 
 WHOLE = TimeWindow()
 DeviceChecks = Callable[[Log], Sequence[Finding]]
-SHAFTS, COMMANDS = ("n_left", "n_right"), ("n_cmd_left", "n_cmd_right")
+SHAFTS = shaft_speed_of("left"), shaft_speed_of("right")
+COMMANDS = command_of("left"), command_of("right")
 ORIGIN = "origin"  # key in `meta` of a segment: the `FrameOrigin` of its x and y, if known
 SHARED_WITHIN = 10_000.0  # m between first fixes; beyond that distance a common local tangent plane is wrong
 SLOWEST_TELEMETRY = 0.15  # s between shaft speeds; slower ones do not show when the thrust changes
@@ -175,9 +177,8 @@ def channels(log: Log) -> dict[str, Channel]:
     if rig is None:
         for source in log.sources(Servo):
             for node in log.nodes(Servo, source):
-                found.setdefault(
-                    f"servo_{node}", _channel_of_column(log.table(Servo, source, node), "pwm", "us", source)
-                )
+                channel = _channel_of_column(log.table(Servo, source, node), "pwm", "us", source)
+                found.setdefault(str(SignalId(str(node), "servo")), channel)
     for source in log.sources(LoadCell):
         found.setdefault(
             "force", _channel_of_column(_without_error_flags(log.table(LoadCell, source)), "force", "N", source)
@@ -271,15 +272,17 @@ def _add_thruster(log: Log, thruster: Thruster, found: dict[str, Channel]) -> No
             output = _channel_of_column(log.table(Servo, device, node=node), "n", "", device)
             t, rpm = shaft_speed(shaft.t, shaft.value, output.t, output.value)
             shaft = Channel(t, rpm, "", device, "average")
-        found[f"voltage_{thruster.name}"] = _channel_of_column(state, "voltage", "V", device)
+        found[str(SignalId(thruster.name, "voltage"))] = _channel_of_column(state, "voltage", "V", device)
     if shaft is not None and shaft.t.size > 1 and np.isfinite(thruster.rpm_max):
-        found[f"n_{thruster.name}"] = replace(shaft, value=shaft.value / thruster.rpm_max)
+        found[shaft_speed_of(thruster.name)] = replace(shaft, value=shaft.value / thruster.rpm_max)
     if node in log.nodes(Servo, device):
         # The output of the autopilot is the command of the thruster. Our command reaches the output with a delay.
         output = _channel_of_column(log.table(Servo, device, node=node), "n", "", device)
-        found[f"n_cmd_{thruster.name}"] = _resample_output(output)
+        found[command_of(thruster.name)] = _resample_output(output)
     elif node in log.nodes(Command, device):
-        found[f"n_cmd_{thruster.name}"] = _channel_of_column(log.table(Command, device, node=node), "n_cmd", "", device)
+        found[command_of(thruster.name)] = _channel_of_column(
+            log.table(Command, device, node=node), "n_cmd", "", device
+        )
 
 
 def _resample_output(output: Channel) -> Channel:
@@ -597,7 +600,10 @@ def load_all(
     same = {p.resolve() for p in logs} & {p.resolve() for p in validate}
     if same:
         name = sorted(same)[0].name
-        raise SeatrialError(f"{name}: the same log is given to fit and to validate; validate with another log")
+        raise SeatrialError(
+            f"{name}: this log is given for the fit and for the validation, which would prove nothing; give another "
+            "log to --validate"
+        )
     estimation = [(p, part) for p in logs for part in usable_parts(load_run(p, "estimation", window, device_faults))]
     validation = [(p, part) for p in validate for part in usable_parts(load_run(p, "validation", WHOLE, device_faults))]
     files = [p for p, _ in (*estimation, *validation)]
@@ -662,7 +668,10 @@ def parts_with_sensors(log: LoadedLog) -> list[LoadedLog]:
         found.append(_named_part(log, replace(log.run, channels=signals, t_from=t_from, t_to=t_to), (a, b), unknown))
     path, short = log.about["path"], counted(n_short, "part") + f" shorter than {SHORTEST_PIECE_S:g} s"
     if not found:
-        raise SeatrialError(f"{path}: no part with samples is as long as {SHORTEST_PIECE_S:g} s; {gap_line(gaps)}")
+        raise SeatrialError(
+            f"{path}: no segment of the log between two gaps is as long as {SHORTEST_PIECE_S:g} s, so none is left to "
+            f"use; {gap_line(gaps)}"
+        )
     omitted = f"; {short} {'is' if n_short == 1 else 'are'} left out" if n_short else ""
     warnings.warn(f"{path}: {gap_line(gaps)}{omitted}", SeatrialWarning, stacklevel=2)
     # The findings on the devices belong to the whole log. They are reported once, with the first part.
@@ -688,7 +697,8 @@ def _parts_with_inputs(log: LoadedLog) -> list[LoadedLog]:
     spans = [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= SHORTEST_PIECE_S]
     if not spans:
         raise SeatrialError(
-            f"{log.about['path']}: no part in which the inputs are known is as long as {SHORTEST_PIECE_S:g} s"
+            f"{log.about['path']}: no segment of the log in which all inputs are known is as long as "
+            f"{SHORTEST_PIECE_S:g} s; record without gaps in the inputs"
         )
     found = []
     for k, (a, b) in enumerate(spans):
@@ -843,7 +853,7 @@ def load_run(path: Path, role: str, window: TimeWindow = WHOLE, device_faults: D
             start = min((c.t[0] for c in head.values()), default=whole.start)
             if start + window.t_from >= whole.end:
                 begin = f"no data are left from {window.t_from:g} s on"
-                raise SeatrialError(f"{path}: is {whole.end - start:.0f} s long, so {begin}")
+                raise SeatrialError(f"{path}: is {whole.end - start:.0f} s long, so {begin}; choose an earlier start")
             log = whole.part(start + window.t_from - MARGIN_S, start + window.t_to + MARGIN_S)
         with log.keeping_tables():
             found = channels(log)

@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seatrial.ident.data.record import Channel, LeftOut
+from seatrial.ident.model import COMMAND, SHAFT_SPEED, THRUSTER_FORCE, SignalId, command_of, is_of_thruster
 from seatrial.ident.numerics import Array, wrap
 
 Mask = NDArray[np.bool_]
@@ -117,7 +118,8 @@ def outliers(name: str, c: Channel, found: Mapping[str, Channel]) -> Mask:
     least, span = _outlier_limits(name, c)
     if not np.isfinite(least) or c.t.size < 2 * NEIGHBOURS:
         return none
-    impossible = ~(np.abs(c.value) < IMPOSSIBLE) if name in LEAST or name.startswith("n_") else none
+    limited = name in LEAST or is_of_thruster(name, COMMAND, SHAFT_SPEED)
+    impossible = ~(np.abs(c.value) < IMPOSSIBLE) if limited else none
     if impossible.mean() > 0.05:
         impossible = none  # so many large values are a wrong unit, not outliers
     kept = np.flatnonzero(~impossible)
@@ -127,8 +129,8 @@ def outliers(name: str, c: Channel, found: Mapping[str, Channel]) -> Mask:
         # The gyro excludes that the craft turned there and back, so that a longer burst can be detected.
         value, span = np.unwrap(value) - _heading_change(found["r"], c.t), HEADING_SPAN
     bad[kept] = _burst_mask(name, c.t[kept], value[kept], least, span)
-    if name.startswith("n_") and f"n_cmd_{name[2:]}" in found:
-        bad &= ~_explained_by_command(c, bad, found[f"n_cmd_{name[2:]}"])
+    if is_of_thruster(name, SHAFT_SPEED) and (command := command_of(SignalId.parse(name).source)) in found:
+        bad &= ~_explained_by_command(c, bad, found[command])
     elif name not in LEAST and bad.any() and is_stepped(c.value, least, int(bad.sum())):
         return none
     return bad
@@ -166,9 +168,9 @@ def _outlier_limits(name: str, c: Channel) -> tuple[float, float]:
     commands, given forces, sampled and averaged channels. It is also infinite for a signal without a limit in `LEAST`
     whose middle 98 % of samples are constant.
     """
-    if name.startswith(("n_cmd_", "servo_", "f_", "pwm_")) or c.sampled or c.hold == "average":
+    if is_of_thruster(name, COMMAND, THRUSTER_FORCE, "servo", "pwm") or c.sampled or c.hold == "average":
         return np.inf, 0.0
-    if name.startswith("n_"):
+    if is_of_thruster(name, SHAFT_SPEED):
         return SHAFT
     if name in LEAST:
         return LEAST[name]

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from seatrial.ident.model import Input, Model, Sensor
+from seatrial.ident.model import Input, Model, Sensor, command_of, shaft_speed_of
 from seatrial.ident.numerics import Array
 
 ON_CHANGE = 1.0  # s between samples; a command with longer intervals is logged only when it changes
@@ -341,8 +341,8 @@ def build_record(
     end = min(ends.values()) if t_to is None else t_to
     if end - start < 2.0 / rate:
         raise ValueError(
-            f"{name}: inputs and sensors overlap for only {end - start:.2f} s, and {2.0 / rate:g} s are needed: "
-            "check the time stamps, or use a longer part of the log"
+            f"{name}: inputs and sensors overlap for only {max(end - start, 0.0):.2f} s, and {2.0 / rate:g} s are "
+            "needed: check the time stamps, or use a longer part of the log"
         )
     windows = {
         s.name: _averaging_window(_median_interval(channels[s.outputs[0].name], start, end), rate) for s in present
@@ -450,7 +450,7 @@ def _derived_inputs(model: Model, channels: Mapping[str, Channel]) -> dict[str, 
             c = channels[signal.tap_of]
             derived[signal.name] = replace(c, t=c.t + signal.delay)
         elif signal.name == WORK_INPUT:
-            pairs = (("n_left", "n_right"), ("n_cmd_left", "n_cmd_right"))
+            pairs = [(name_of("left"), name_of("right")) for name_of in (shaft_speed_of, command_of)]
             shafts = next(([channels[n] for n in pair] for pair in pairs if set(pair) <= set(channels)), [])
             if shafts:
                 t = shafts[0].t

@@ -136,7 +136,7 @@ def comparison(
     failed_before = {f.record for f in before.failed}
     lost = [f for f in after.failed if f.record not in failed_before]
     if lost:
-        raise ValueError(f"{lost[0].record} cannot be evaluated with the effect: {lost[0].reason}")
+        raise ValueError(f"{lost[0].record} cannot be evaluated with the added effect: {lost[0].reason}")
     return Comparison(before, after, policy)
 
 
@@ -179,7 +179,7 @@ def validation_gain(
         gains.append(np.bincount(np.floor(t / length).astype(int), new[a.record.name].ll - a.ll))
     per_block: Array = np.concatenate(gains).astype(np.float64)
     if not np.isfinite(per_block).all():
-        raise ValueError("the likelihood of the validation data is not finite with the effect")
+        raise ValueError("the likelihood of the validation data is not finite with the added effect")
     return float(per_block.sum()), _t_as_normal_deviate(per_block)
 
 

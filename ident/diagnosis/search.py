@@ -692,7 +692,7 @@ class _Search:
                 )  # fmt: skip
                 added = [r.chosen for r in self.rounds if r.chosen is not None]
                 return replace(exact, outcome=refit_outcome(exact, added, self.policy))
-            reason = f"the fit with the effect did not converge: it {fitted.fit.message}"
+            reason = f"the fit with the added effect did not converge: it {fitted.fit.message}"
         raise ValueError(reason)
 
     def _refit_all(

@@ -116,7 +116,9 @@ def homogeneity_test(common: Fit, records: Sequence[Record], name: str) -> Homog
             f"--test-homogeneity {name}: not a free parameter that all logs share; choose one of {free}"
         )
     if len(records) < 2:
-        raise SeatrialError(f"--test-homogeneity {name}: give two logs or more")
+        raise SeatrialError(
+            f"--test-homogeneity {name}: the test compares logs, and there is only one; give two logs or more"
+        )
     shared = common.model.parameter(name)
     model = _with_value_per_record(common.model, shared, len(records))
     each = _refit_subset(common, model, records, range(len(records)))

@@ -340,7 +340,9 @@ def load_model(path: Path) -> SavedModel:
         provenance, calibration = dict(table.get("provenance", {})), table.get("scale", {}).get("calibration")
         calibration = None if calibration is None else float(calibration)
     except (AttributeError, KeyError, TypeError, ValueError) as problem:  # AttributeError: a value instead of a table
-        raise SeatrialError(f"{path}: not a complete model: {problem}") from problem
+        raise SeatrialError(
+            f"{path}: the model in this file is incomplete or does not match this version: {problem}"
+        ) from problem
     return SavedModel(
         model,
         errors,
@@ -395,7 +397,7 @@ def _build_model(table: Mapping[str, Any], source: str, own: Mapping[str, Effect
         if name not in {e.name for e in model.effects}:
             effect = own[name] if name in own else _effect_by_name(name, model, table.get("curves", {}))
             if name == ESTIMATOR_ERROR and not {p.name for p in effect.parameters} <= written:
-                raise ValueError("its errors of an estimator are in an older format: fit the model again")
+                raise ValueError("its navigation errors are stored in an older format; fit the model again")
             if _is_scaled_to_boat(effect, own):
                 _check_units(effect, table["parameter"])
                 effect = _with_bounds_around_values(scale_priors(effect, size), table["parameter"])
@@ -440,7 +442,10 @@ def _check_units(effect: Effect, rows: Sequence[Mapping[str, Any]]) -> None:
     for row in rows:
         if effect.kind.nonparametric and row.get("unit", "") != units.get(row["name"], row.get("unit", "")):
             now = units[row["name"]] or "1"
-            raise ValueError(f"parameter {row['name']} is in {row['unit'] or '1'}, now in {now}: fit the model again")
+            raise ValueError(
+                f"parameter {row['name']} is stored in {row['unit'] or '1'}, but this version has it in {now}; "
+                "fit the model again"
+            )
 
 
 def _with_bounds_around_values(effect: Effect, rows: Sequence[Mapping[str, Any]]) -> Effect:

@@ -128,7 +128,7 @@ def _effect_form_for_model(model: Model, name: str) -> Effect:
         raise SeatrialError(f"--effect {name}: model {model.name} has it already")
     fitting = [e for e in possible.values() if name == e.name or size == e.parameters[0].name]
     if not fitting:
-        raise SeatrialError(f"--effect {name}: model {model.name} cannot take it into account; it can have {can}")
+        raise SeatrialError(f"--effect {name}: model {model.name} has no place for this effect; it can have {can}")
     return fitting[0]
 
 
@@ -188,7 +188,9 @@ def _bench_parameter(bench: SavedModel, name: str, path: Path) -> Parameter:
     SeatrialError is raised if the model lacks the coefficient, or if it is free but has no standard error.
     """
     if name not in bench.model.values:
-        raise SeatrialError(f"{path}: has no {name}: a model with a load cell's force is needed")
+        raise SeatrialError(
+            f"{path}: the bench model has no {name}; give a model that was fitted to logs with a load cell"
+        )
     p = bench.model.parameter(name)
     if p.free and not bench.uncertainty(name) > 0.0:
         raise SeatrialError(

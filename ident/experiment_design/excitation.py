@@ -15,14 +15,15 @@ from scipy import signal
 
 from seatrial.daq.errors import SeatrialError
 from seatrial.ident.data import TIME_INPUT, WORK_INPUT, WORK_UNIT
-from seatrial.ident.model import Model, ModelKind
+from seatrial.ident.model import COMMAND, SHAFT_SPEED, THRUSTER_FORCE, Model, ModelKind, SignalId, command_of
 from seatrial.ident.numerics import Array, first_order_lag
 
 SIDES = ("left", "right")
 SHAFT_POLE = 2.794  # 1/s, thesis Table 2
 THRUST = {"c1": 40.05, "c2": 1.11}  # N, thesis Table 2
 ARM = 0.15  # m, thesis section 4
-COMMANDED = {"n", "f", "X", "N"}  # inputs that thrusters produce: shaft speeds and commands, forces and their sums
+# Quantities that thrusters produce: commands, shaft speeds, thrusts, their sum and its change, and their moment.
+COMMANDED = {COMMAND, SHAFT_SPEED, THRUSTER_FORCE, "X", "X_n", "N"}
 COMMON_MODE, DIFFERENTIAL_MODE = (("X",), ("n",)), (("N",),)  # inputs of models of surge alone, and of yaw alone
 
 
@@ -42,7 +43,7 @@ def reason_without_mission(model: Model) -> str:
     if model.kind is ModelKind.BENCH:
         return "it describes a thruster on its bench, for which `seatrial bench` runs the plans"
     inputs = _input_names(model)
-    others = [n for n in inputs if n.partition("_")[0] not in COMMANDED]
+    others = [n for n in inputs if SignalId.parse(n).quantity not in COMMANDED]
     if others:
         return (
             f"thrusters do not produce its input {', '.join(others)}; "
@@ -71,7 +72,7 @@ class ThrusterResponse:
     def channels(self) -> tuple[str, ...]:
         """Names of the channels: the two thrusters, or the inputs of a model with other inputs."""
         names = _input_names(self.model)
-        two = len(names) == 2 and all(n in ("X", "N") or n.rpartition("_")[2] in SIDES for n in names)
+        two = len(names) == 2 and all(n in ("X", "N") or SignalId.parse(n).source in SIDES for n in names)
         return SIDES if two else tuple(names)
 
     @property
@@ -125,7 +126,7 @@ class ThrusterResponse:
     @property
     def shafts_are_states(self) -> bool:
         """Return whether the model has commands as inputs and contains the lag of the shafts."""
-        return any(i.name == "n_cmd_left" for i in self.model.inputs)
+        return any(i.name == command_of("left") for i in self.model.inputs)
 
     def shaft(self, command: Array) -> Array:
         """Return the shaft speeds: the first-order response to held commands, exact at the evenly spaced rows.
@@ -143,7 +144,7 @@ class ThrusterResponse:
         """Return the inputs of the model (n_rows, n_inputs, n) for commands (n_rows, n_channels, n)."""
         n = dict(zip(self.channels, self.shaft(command).transpose(1, 0, 2), strict=True))
         if self.shafts_are_states:
-            n = dict(zip([f"n_cmd_{c}" for c in self.channels], command.transpose(1, 0, 2), strict=True))
+            n = dict(zip([command_of(c) for c in self.channels], command.transpose(1, 0, 2), strict=True))
         columns = [
             self._earlier(self._column(i.tap_of, n), i.delay) if i.tap else self._column(i.name, n)
             for i in self.model.inputs
@@ -157,11 +158,11 @@ class ThrusterResponse:
         if name == WORK_INPUT:
             power = np.sum([np.abs(v) ** 3 for v in n.values()], axis=0)
             return np.cumsum(power * np.append(np.diff(self.t), 0.0)[:, None], axis=0) / WORK_UNIT
-        kind, _, side = name.partition("_")
-        if kind == "n" and side in n:
-            return n[side]
-        if kind == "f":
-            return self._force(n[side] if side in n else n[name])
+        thruster, quantity, _ = SignalId.parse(name)
+        if quantity == SHAFT_SPEED and thruster in n:
+            return n[thruster]
+        if quantity == THRUSTER_FORCE:
+            return self._force(n[thruster] if thruster in n else n[name])
         if name not in ("X", "N"):
             return n[name]
         first = n.get("left", n.get(name))

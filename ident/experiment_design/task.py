@@ -435,12 +435,16 @@ class DesignProblem:
         if self.limits.area is not None:
             for name, side in zip(("x", "y"), self.limits.area, strict=True):
                 if name not in names:
-                    raise SeatrialError(f"model {self.model.name} has no position {name}: --area does not apply to it")
+                    raise SeatrialError(
+                        f"model {self.model.name} has no position {name}, so --area cannot be kept; leave it out"
+                    )
                 i = names.index(name)
                 total += np.maximum((high[:, i] - low[:, i]) / side - 1.0, 0.0)
         if self.limits.speed is not None:
             if "speed2" not in names:
-                raise SeatrialError(f"model {self.model.name} has no surge speed: --max-speed does not apply to it")
+                raise SeatrialError(
+                    f"model {self.model.name} has no surge speed, so --max-speed cannot be kept; leave it out"
+                )
             total += np.maximum(np.sqrt(high[:, names.index("speed2")]) / self.limits.speed - 1.0, 0.0)
         total[~np.isfinite(total)] = DIVERGED
         return total

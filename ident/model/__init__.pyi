@@ -13,6 +13,15 @@ from .parameter import Parameter as Parameter
 from .parameter import ParameterOrigin as ParameterOrigin
 from .parameter import ParameterRole as ParameterRole
 from .parameter import segment_name as segment_name
+from .signal_id import COMMAND as COMMAND
+from .signal_id import SHAFT_SPEED as SHAFT_SPEED
+from .signal_id import THRUSTER_FORCE as THRUSTER_FORCE
+from .signal_id import SignalId as SignalId
+from .signal_id import command_of as command_of
+from .signal_id import commanded_thrusters as commanded_thrusters
+from .signal_id import is_of_thruster as is_of_thruster
+from .signal_id import shaft_speed_of as shaft_speed_of
+from .signal_id import thrust_of as thrust_of
 from .structure import PARAMETERS as PARAMETERS
 from .structure import DisturbanceChannel as DisturbanceChannel
 from .structure import Effect as Effect

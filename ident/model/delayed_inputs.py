@@ -29,6 +29,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
+from seatrial.ident.model.signal_id import SignalId
+
 HISTORY_STEP = 0.1  # s between the copies ``NAME~k`` of an input
 
 
@@ -46,7 +48,7 @@ def tap_name(name: str, tap: int, step: float | None = None) -> str:
     """
     if not tap:
         return name
-    return f"{name}~{tap}" if step is None else f"{name}~{tap}x{step:g}s"
+    return str(SignalId.parse(name)._replace(tap=tap)) if step is None else f"{name}~{tap}x{step:g}s"
 
 
 def delay_weights(position: Any, n: int) -> list[Any]:

@@ -37,20 +37,28 @@ Truncation = Literal["window", "positive"]
 
 
 def autocovariance(x: Array) -> Array:
-    """Return the sums of x_k x_k+lag for the lags 0 to n - 1 (n,) of a series x (n,) with zero mean."""
+    """Return the sums of x_k x_k+lag over k, for the lags 0 to n - 1 (n,), of a series x (n,) with zero mean.
+
+    The sums are not divided by n. The mean is not subtracted.
+    """
     size = 1 << (2 * x.size - 1).bit_length()
     return np.asarray(np.fft.irfft(np.abs(np.fft.rfft(x, size)) ** 2, size)[: x.size])
 
 
 def integrated_autocorrelation_time(series: Sequence[Array], truncation: Truncation = "window") -> float:
-    """Return ``1 + 2 sum rho_k`` in samples: 1 for white noise, and never less.
+    """Return ``1 + 2 sum rho_k`` in samples, from the pooled autocorrelations rho_k of all series.
 
     Parameters
     ----------
     series : arrays (n,)
-        Evenly sampled series of the same kind.
+        Evenly sampled series of the same kind. At least one; the lengths may differ. Their means are subtracted.
     truncation
-        Rule by which the sum ends: ``window`` or ``positive`` (see the module).
+        Rule by which the sum ends: ``window`` (Sokal) or ``positive`` (initial positive sequence of Geyer).
+
+    Returns
+    -------
+    float
+        1 for white noise or constant series, and never less.
     """
     longest = max(x.size for x in series)
     covariance = np.zeros(longest)
@@ -59,7 +67,7 @@ def integrated_autocorrelation_time(series: Sequence[Array], truncation: Truncat
     if not covariance[0] > 0.0:
         return 1.0
     rho = covariance / covariance[0]
-    return max(_window(rho) if truncation == "window" else _initial_positive(rho), 1.0)
+    return max(_time_by_window(rho) if truncation == "window" else _time_by_initial_positive(rho), 1.0)
 
 
 def correlation_length(series: Sequence[Array]) -> float:
@@ -67,14 +75,22 @@ def correlation_length(series: Sequence[Array]) -> float:
 
     Block sums of L samples miss a share ``m / 2L`` of the variance of the sum of all samples.
 
-    The length is ``tau - 1 / tau`` for first-order noise; other noise is treated alike. It comes from the samples by
-    the window. It comes from sums over 2, 4, 8, ... samples by the correlation of neighbouring sums if that gives a
-    significantly longer one.
-
     Parameters
     ----------
     series : arrays (n,)
-        Series of the same kind. Exact zeros are not samples, but rows between the samples of a slow sensor.
+        Series of the same kind. Exact zeros are not samples, but rows between the samples of a slow sensor. The length
+        counts these rows too.
+
+    Returns
+    -------
+    float
+        Zero also for fewer than three samples, and if no correlation is significant.
+
+    Notes
+    -----
+    The length is ``tau - 1 / tau`` for first-order noise; other noise is treated alike. It comes from the samples by
+    the window. It comes from sums over 2, 4, 8, ... samples by the correlation of neighbouring sums if that gives a
+    significantly longer one.
     """
     kept = [x[x != 0.0] for x in series]
     n, rows = sum(x.size for x in kept), sum(x.size for x in series)
@@ -82,13 +98,13 @@ def correlation_length(series: Sequence[Array]) -> float:
         return 0.0
     tau = integrated_autocorrelation_time([x for x in kept if x.size])
     error, of_white = (t * np.sqrt(2.0 * (2.0 * WINDOW * t + 1.0) / n) for t in (tau, 1.0))  # Sokal, 3.19
-    z = max(_neighbours(kept)[1], (tau - 1.0) / error)
+    z = max(_lag_one_correlation(kept)[1], (tau - 1.0) / error)
     # The standard error of a long time is about as large as the time itself, so that z stays small. Such a time is
     # significant nevertheless if white noise would hardly give one as long.
     found, length = tau - 1.0 / tau if z > CORRELATED or tau - 1.0 > UNLIKELY * of_white else 0.0, 2
     while n >= LEAST_SUMS * length:
         sums = [x[: x.size // length * length].reshape(-1, length).sum(axis=1) for x in kept]
-        rho, z = _neighbours(sums)
+        rho, z = _lag_one_correlation(sums)
         # for sums of first-order noise, accurate to 5 % up to the correlation length
         by_sums = length * 8.0 / 3.0 * rho / (1.0 - rho**2)
         if z > CORRELATED_SUMS and by_sums * (1.0 - 2.0 / z) > found:
@@ -97,10 +113,10 @@ def correlation_length(series: Sequence[Array]) -> float:
     return float(found * rows / n)
 
 
-def _neighbours(series: Sequence[Array]) -> tuple[float, float]:
-    """Return the correlation of neighbouring samples, and its ratio to its standard error.
+def _lag_one_correlation(series: Sequence[Array]) -> tuple[float, float]:
+    """Return the correlation of neighbouring samples, -1 to 1, and its ratio to its standard error.
 
-    The mean of each series is removed.
+    The mean of each series is removed. Empty series are ignored. (0, 0) if all samples are equal.
     """
     centred = [x - x.mean() for x in series if x.size]
     pairs = np.concatenate([np.zeros(1), *(x[1:] * x[:-1] for x in centred)])
@@ -108,15 +124,18 @@ def _neighbours(series: Sequence[Array]) -> tuple[float, float]:
     return (float(pairs.sum()) / power, float(pairs.sum()) / error) if error > 0.0 else (0.0, 0.0)
 
 
-def _window(rho: Array) -> float:
-    """Return the integrated autocorrelation time by Sokal's window, from the autocorrelations rho (n,)."""
+def _time_by_window(rho: Array) -> float:
+    """Return the integrated autocorrelation time [samples] by Sokal's window, from the autocorrelations rho (n,).
+
+    If no window is long enough, return n.
+    """
     tau = 2.0 * np.cumsum(rho) - 1.0
     enough = np.flatnonzero(np.arange(rho.size) >= WINDOW * tau)
     return float(tau[enough[0]] if enough.size else rho.size)
 
 
-def _initial_positive(rho: Array) -> float:
-    """Return the integrated autocorrelation time by Geyer's initial positive sequence.
+def _time_by_initial_positive(rho: Array) -> float:
+    """Return the integrated autocorrelation time [samples] by Geyer's initial positive sequence.
 
     For a reversible chain the sums of neighbouring autocorrelations are positive and decrease. The sequence of these
     sums, from the autocorrelations rho (n,), ends at the first one that is not positive, and is made to decrease.
@@ -128,9 +147,21 @@ def _initial_positive(rho: Array) -> float:
 
 
 def effective_sample_size(z: Array) -> float:
-    """Return the number of independent samples whose mean of squares is as accurate as that of z (n,).
+    """Return the number of independent samples whose mean of squares is as accurate as that of z.
 
-    The mean of z is zero. Autocorrelations are summed up to the first that is within its noise, ``2 / sqrt(n)``.
+    Parameters
+    ----------
+    z : Array (n,)
+        Evenly sampled series with zero mean.
+
+    Returns
+    -------
+    float
+        1 to n. n for fewer than three samples, and if all are zero.
+
+    Notes
+    -----
+    Autocorrelations are summed up to the first that is within its noise, ``2 / sqrt(n)``.
     """
     n, power = z.size, float(z @ z)
     if n < MIN_SAMPLES or power == 0.0:
@@ -142,9 +173,16 @@ def effective_sample_size(z: Array) -> float:
 
 
 def block_error(x: Array, n_blocks: int = 10) -> float:
-    """Return the standard error of the mean of x (n,) from the scatter of block means.
+    """Return the standard error of the mean of x (n,) from the scatter of the means of blocks.
 
     It includes slow drifts that autocorrelations lose in noise.
+
+    Parameters
+    ----------
+    x : Array (n,)
+        Evenly sampled measurements, at least one for each block.
+    n_blocks
+        Number of blocks of (nearly) equal length, at least two.
     """
     means = [part.mean() for part in np.array_split(x, n_blocks)]
     return float(np.std(means, ddof=1) / np.sqrt(n_blocks))
@@ -159,6 +197,13 @@ def mean_error(x: Array) -> tuple[float, float]:
     ----------
     x : Array (n,)
         The measurements, at least four.
+
+    Returns
+    -------
+    error : float
+        Standard error, in the unit of x.
+    tau : float
+        Integrated autocorrelation time [samples], at least 1.
     """
     tau = integrated_autocorrelation_time([x], "positive")
     by_tau = float(x.std(ddof=1)) * float(np.sqrt(tau / x.size))

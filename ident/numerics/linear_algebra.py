@@ -42,7 +42,8 @@ def unit_diagonal(A: Array, floor: float = 0.0) -> tuple[Array, Array]:
     A : Array (n, n)
         Symmetric matrix.
     floor
-        Replaces smaller values on the diagonal, which rounding may have made zero or negative.
+        Replaces smaller values on the diagonal, which rounding may have made zero or negative. With the floor 0, a zero
+        on the diagonal gives NaN or inf.
 
     Returns
     -------
@@ -56,14 +57,27 @@ def unit_diagonal(A: Array, floor: float = 0.0) -> tuple[Array, Array]:
 
 
 def scaled_eigen(A: Array, floor: float = 0.0) -> ScaledEigen:
-    """Return eigenvalues and eigenvectors of A (n, n) scaled to unit diagonal. See `unit_diagonal` for ``floor``."""
+    """Return eigenvalues and eigenvectors of a symmetric A (n, n) scaled to unit diagonal.
+
+    Parameters
+    ----------
+    A : Array (n, n)
+        Symmetric matrix.
+    floor
+        Replaces smaller values on the diagonal before the scaling.
+
+    Raises
+    ------
+    LinAlgError
+        If the scaled matrix has NaN, or the eigenvalues do not converge.
+    """
     scaled, scale = unit_diagonal(A, floor)
     w, V = np.linalg.eigh(scaled)
     return ScaledEigen(w, V, scale)
 
 
 def scaled_inverse(A: Array) -> Array:
-    """Return the inverse of a positive definite A (n, n), computed with unit diagonal.
+    """Return the inverse (n, n) of a positive definite A (n, n), computed with unit diagonal.
 
     Raises
     ------
@@ -75,7 +89,10 @@ def scaled_inverse(A: Array) -> Array:
 
 
 def scaled_pseudo_inverse(A: Array) -> Array:
-    """Return the Moore-Penrose pseudo-inverse of a positive semidefinite A (n, n), computed with unit diagonal."""
+    """Return the Moore-Penrose pseudo-inverse (n, n) of the scaled A, scaled back.
+
+    A (n, n) is symmetric, positive semidefinite, with a positive diagonal. For a regular A the result is the inverse.
+    """
     scaled, scale = unit_diagonal(A)
     return np.asarray(np.linalg.pinv(scaled, hermitian=True) / np.outer(scale, scale))
 
@@ -83,7 +100,13 @@ def scaled_pseudo_inverse(A: Array) -> Array:
 def covariance_root(P: Array, tolerance: float) -> Array:
     """Return directions of one standard deviation L (n, k) of a covariance P (n, n), such that ``L L' = P``.
 
-    Directions whose scaled eigenvalue is below ``tolerance`` times the largest are left out.
+    Parameters
+    ----------
+    P : Array (n, n)
+        Covariance with a positive diagonal.
+    tolerance
+        Directions whose scaled eigenvalue is at most this times the largest one are left out. k is therefore at most n,
+        and ``L L'`` equals P only up to these directions.
     """
     w, V, scale = scaled_eigen(P)
     kept = w > tolerance * w.max(initial=0.0)

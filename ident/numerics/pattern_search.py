@@ -31,7 +31,20 @@ PATIENCE = 6  # least number of batches without improvement before the mesh is h
 
 
 def penalised_objective(value: Array, violation: Array) -> Array:
-    """Return the merit by which points are compared: the value, or a large penalty if a constraint is violated."""
+    """Return the merit (n,) by which points are compared; larger is better.
+
+    Parameters
+    ----------
+    value
+        Objective (n,).
+    violation
+        Violation of the constraints (n,); 0 or less for none.
+
+    Returns
+    -------
+    Array (n,)
+        The objective, or for a violated constraint ``-VIOLATION_PENALTY (1 + violation)``.
+    """
     return np.where(violation > 0, -VIOLATION_PENALTY * (1.0 + violation), value)
 
 
@@ -75,7 +88,7 @@ class SearchState:
 
     @property
     def done(self) -> bool:
-        """Whether the mesh is fine enough."""
+        """Whether the mesh is finer than 0.001 of the range of a coordinate, at which the search ends."""
         return self.mesh < LAST_MESH
 
 
@@ -113,16 +126,18 @@ class PatternSearch:
     Parameters
     ----------
     evaluate
-        ``evaluate(z (n, size)) -> value (n,), violation (n,)``.
+        ``evaluate(z (n, size)) -> value (n,), violation (n,)``: objective, and violation of the constraints (0 for
+        none).
     low, high : Array (size,)
         Bounds.
     seed
-        Seed of the random order and moves.
+        Seed of the random order and moves. The same seed gives the same result.
     groups : Array (size,) of int, optional
         Labels of coordinates that move together in a search; by default each coordinate moves alone.
     above
         ``above(z, least)``: a cheaper evaluation. For points whose merit does not exceed ``least`` it may return any
-        value and violation with a merit that does not exceed it. The result of the search is the same.
+        value and violation with a merit that does not exceed it. The result of the search is the same. By default
+        ``evaluate`` is used.
     """
 
     def __init__(
@@ -147,11 +162,18 @@ class PatternSearch:
         Parameters
         ----------
         starts : Array (m, size)
-            The starts. Each gets an equal part of half of the evaluations; the best gets the rest.
+            The starts inside the bounds, at least one. Each gets an equal part of half of the evaluations; the best
+            gets the rest. A single start gets all.
         evaluations
-            Total number of evaluations.
+            Total number of evaluations. The last batch of each search may exceed it. A search ends earlier if its mesh
+            is fine enough.
         progress
-            Called with evaluations and merit after each batch.
+            Function that is called with the evaluations and the merit of the current search after each batch.
+
+        Returns
+        -------
+        SearchResult
+            If no point satisfies the constraints, ``violation`` is positive.
         """
         value, violation = self.evaluate(starts)
         searches = [
@@ -160,32 +182,38 @@ class PatternSearch:
         ]
         share = evaluations // (2 * len(searches)) if len(searches) > 1 else evaluations
         for search in searches:
-            self._advance(search, share, progress)
+            self._continue_search(search, share, progress)
         merits = tuple(s.merit for s in searches)
         best = max(searches, key=lambda s: s.merit)
         if len(searches) > 1:
             best.mesh = max(best.mesh, FIRST_MESH / 4)
-            self._advance(best, best.evaluations + evaluations - sum(s.evaluations for s in searches), progress)
+            self._continue_search(best, best.evaluations + evaluations - sum(s.evaluations for s in searches), progress)
         value, violation = self.evaluate(best.z[None])
         spent = sum(s.evaluations for s in searches)
         return SearchResult(best.z, float(value[0]), float(violation[0]), spent, tuple(best.history), merits)
 
-    def _advance(self, search: SearchState, until: int, progress: Callable[[int, float], None] | None) -> None:
-        """Continue a search until it has used ``until`` evaluations or its mesh is fine enough."""
+    def _continue_search(self, search: SearchState, until: int, progress: Callable[[int, float], None] | None) -> None:
+        """Continue a search until it has used ``until`` evaluations or its mesh is fine enough.
+
+        It changes ``search`` in place, and calls ``progress`` with evaluations and merit after each batch.
+        """
         while search.evaluations < until and not search.done:
-            self._batch(search)
+            self._evaluate_batch(search)
             search.history.append((search.evaluations, search.merit))
             if progress is not None:
                 progress(search.evaluations, search.merit)
 
-    def _batch(self, search: SearchState) -> None:
-        """Evaluate one batch and move to its best point if that is an improvement."""
+    def _evaluate_batch(self, search: SearchState) -> None:
+        """Evaluate one batch and move to its best point if that is an improvement; else count an idle batch.
+
+        It changes ``search`` in place. After enough idle batches it halves the mesh first.
+        """
         if not search.order:
             if search.idle >= max(PATIENCE, -(-self.low.size // (BATCH // 4))):
                 search.mesh, search.idle = search.mesh / 2.0, 0
             search.order = self.rng.permutation(self.low.size).tolist()
         chosen, search.order = search.order[: BATCH // 4], search.order[BATCH // 4 :]
-        trials = np.concatenate([self._poll(search, chosen), self._moves(search, BATCH // 2 - 3)])
+        trials = np.concatenate([self._poll_points(search, chosen), self._random_moves(search, BATCH // 2 - 3)])
         trials = np.clip(np.concatenate([trials, *(z[None] for z in search.ahead)]), self.low, self.high)
         merit = penalised_objective(*self.above(trials, search.merit))
         search.evaluations += len(trials)
@@ -202,16 +230,23 @@ class PatternSearch:
             ]
             search.z, search.merit, search.idle = trials[at].copy(), float(merit[at]), 0
 
-    def _poll(self, search: SearchState, chosen: list[int]) -> Array:
-        """Return points with each of the ``chosen`` coordinates moved up and down by the mesh size."""
+    def _poll_points(self, search: SearchState, chosen: list[int]) -> Array:
+        """Return points (2 k, size) with each of the k ``chosen`` coordinates moved up and down by the mesh size.
+
+        The points may be outside the bounds.
+        """
         step = search.mesh * (self.high - self.low)[chosen]
         trials = np.repeat(search.z[None], 2 * len(chosen), axis=0)
         trials[np.arange(len(chosen)), chosen] += step
         trials[np.arange(len(chosen)) + len(chosen), chosen] -= step
         return trials
 
-    def _moves(self, search: SearchState, n: int) -> Array:
-        """Return n random points, each with one to three groups of coordinates moved or one group drawn anew."""
+    def _random_moves(self, search: SearchState, n: int) -> Array:
+        """Return n random points (n, size) near the best point.
+
+        In each fourth point one group of coordinates is drawn anew between the bounds. In the others one to three
+        groups are moved at random by about the mesh size; these points may be outside the bounds.
+        """
         trials, labels = np.repeat(search.z[None], n, axis=0), np.unique(self.groups)
         for k in range(n):
             some = np.isin(self.groups, self.rng.choice(labels, int(self.rng.integers(1, 4))))

@@ -65,7 +65,17 @@ class LagData(NamedTuple):
 
 
 class LagFit(NamedTuple):
-    """Fitted delay [s] and time constant [s], and the misfit of all recordings together."""
+    """Fitted first-order response of all recordings together.
+
+    Attributes
+    ----------
+    delay
+        Pure delay [s].
+    time_constant
+        Time constant of the lag [s].
+    misfit
+        Sum of the misfits of all recordings.
+    """
 
     delay: float
     time_constant: float
@@ -83,8 +93,6 @@ def fit_first_order_lag(
 ) -> LagFit:
     """Fit delay and time constant of a first-order response by grid search.
 
-    A search from a single start may end at a slow lag although the delay is long.
-
     Parameters
     ----------
     data
@@ -93,13 +101,20 @@ def fit_first_order_lag(
         The grid [s].
     dt
         Step of the inputs [s].
-    hold, start
-        See `first_order_lag`.
+    hold
+        ``forward``: an input is held from its row to the next. ``backward``: over the step that ends in its row.
+    start
+        ``zero``: the lag starts at zero. ``steady``: it starts at the first value of the input.
 
     Returns
     -------
     LagFit
-        The point with the least misfit; of equal ones, the first time constant, then the first delay.
+        The point with the least misfit; of equal ones, the first time constant, then the first delay. NaN with the
+        misfit inf if no misfit is finite.
+
+    Notes
+    -----
+    A search from a single start may end at a slow lag although the delay is long.
     """
     best = LagFit(float("nan"), float("nan"), np.inf)
     for tau in time_constants:
@@ -112,7 +127,15 @@ def fit_first_order_lag(
 
 
 class SteadySegment(NamedTuple):
-    """A segment from ``start`` to ``end`` [s] over which a signal is constant at ``level``."""
+    """A segment of time over which a signal is constant.
+
+    Attributes
+    ----------
+    start, end
+        Begin and end [s].
+    level
+        Value of the signal, in its unit.
+    """
 
     start: float
     end: float
@@ -125,7 +148,7 @@ class SteadySegment(NamedTuple):
 
 
 def steady_segments(t: Array, value: Array, end: float) -> list[SteadySegment]:
-    """Return the segments over which a signal that is held between its samples does not change.
+    """Return the segments of time over which a signal that is held between its samples does not change, in order.
 
     Parameters
     ----------
@@ -135,6 +158,11 @@ def steady_segments(t: Array, value: Array, end: float) -> list[SteadySegment]:
         The samples.
     end
         Time until which the last sample is held [s].
+
+    Returns
+    -------
+    list
+        Each segment ends where the next begins. Empty without samples.
     """
     first = np.flatnonzero(np.diff(value, prepend=np.nan) != 0)
     limits = [*t[first].tolist(), end]
@@ -142,9 +170,19 @@ def steady_segments(t: Array, value: Array, end: float) -> list[SteadySegment]:
 
 
 def noise_from_differences(second_differences: Array) -> float:
-    """Return the standard deviation of white noise from second differences (n,) of a smooth signal.
+    """Return the standard deviation of white noise from second differences of a smooth signal.
 
-    It comes from their median absolute value and is robust against outliers. It is zero if there are no differences.
+    It comes from their median absolute value and is robust against outliers.
+
+    Parameters
+    ----------
+    second_differences : Array (n,)
+        ``y[k] - 2 y[k+1] + y[k+2]`` of the signal.
+
+    Returns
+    -------
+    float
+        In the unit of the signal. Zero if there are no differences.
     """
     if not second_differences.size:
         return 0.0
@@ -156,12 +194,23 @@ GRID_FEWEST, GRID_NEAR = 12, 0.05
 
 
 def rounding_step(value: Array) -> float:
-    """Return the step of the grid on which all values (n,) except zero lie; zero if there is no grid.
+    """Return the step of the grid on which all values except zero lie; zero if there is no grid.
 
+    Parameters
+    ----------
+    value : Array (n,)
+        The signal. NaN and inf are ignored, and so are zeros.
+
+    Returns
+    -------
+    float
+        In the unit of the signal. Zero also for fewer than 13 different values.
+
+    Notes
+    -----
     A message that transmits integers gives such values. A decoder may place values that were truncated towards zero in
-    the middle of their step, but zero at zero; zeros are therefore ignored.
-
-    Values without a grid pass by chance with a probability of ``(2 GRID_NEAR)^GRID_FEWEST``.
+    the middle of their step, but zero at zero; zeros are therefore ignored. Values without a grid pass by chance with a
+    probability of ``(2 GRID_NEAR)^GRID_FEWEST``.
     """
     steps = np.diff(np.unique(value[np.isfinite(value) & (value != 0.0)]))
     steps = steps[steps > 1e-6 * steps.sum()]  # values that differ only by rounding are equal
@@ -173,10 +222,31 @@ def rounding_step(value: Array) -> float:
 
 
 def wrap(e: Array, angle: bool) -> Array:
-    """Return differences e (...) wrapped to -pi to pi if they are an ``angle`` [rad]; others unchanged."""
+    """Return differences wrapped to -pi (included) to pi (excluded) if they are angles; others unchanged.
+
+    Parameters
+    ----------
+    e : Array (...)
+        Differences; angles in rad.
+    angle
+        Whether they are angles.
+    """
     return np.mod(e + np.pi, 2 * np.pi) - np.pi if angle else e
 
 
 def cumulative_integral(t: Array, rate: NDArray[Any]) -> NDArray[Any]:
-    """Return the integral (n,) of a rate (n,) over times t (n,) [s], from zero, by the trapezoidal rule."""
+    """Return the integral of a rate over time from the first sample, by the trapezoidal rule.
+
+    Parameters
+    ----------
+    t : Array (n,)
+        Times [s], not necessarily evenly spaced.
+    rate : array (n,), real or complex
+        The rate.
+
+    Returns
+    -------
+    array (n,)
+        0 at the first sample.
+    """
     return np.append(np.zeros(1, rate.dtype), np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(t)))

@@ -492,7 +492,10 @@ def _stuck_channel_warnings(record: Record) -> list[ResultWarning]:
         y = record.y[:, j]
         y = y[np.isfinite(y)]
         if y.size >= FEWEST_SAMPLES and np.ptp(y) == 0.0:
-            text = f"{record.name}: {name} reads {y[0]:.6g} in all of its {y.size} samples: a stuck sensor?"
+            text = (
+                f"{record.name}: {name} reads {y[0]:.6g} in all of its {y.size} samples: the sensor may be stuck. "
+                "Check it, or leave this signal out."
+            )
             lines.append(ResultWarning(code="stuck-sensor", text=text))
     return lines
 

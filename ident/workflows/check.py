@@ -41,7 +41,16 @@ INITIAL_FACTOR = 1.5  # initial value of a noise with a floor, relative to the f
 
 
 def write_check(report: CheckReport, command: str, out: Path) -> None:
-    """Write the page of a check.
+    """Write the HTML page of a check.
+
+    Parameters
+    ----------
+    report
+        Findings and logs of the check.
+    command
+        Command line, for the provenance on the page.
+    out
+        File of the page.
 
     Raises
     ------
@@ -57,12 +66,14 @@ def write_check(report: CheckReport, command: str, out: Path) -> None:
 def check_first(
     loaded: Sequence[LoadedLog], validation_logs: Sequence[LoadedLog], model: Model, despite_faults: bool
 ) -> tuple[list[LoadedLog], list[LoadedLog]]:
-    """Check the estimation logs and the validation logs of a fit.
+    """Check the estimation logs and the validation logs of a fit, also for copies of each other.
 
     Parameters
     ----------
+    loaded, validation_logs : sequence of LoadedLog
+        Logs that were loaded with ``device_faults``.
     model : Model
-        Its arms give the sides of the thrusters; without arms the rig gives them.
+        Its arms ``y_left`` and ``y_right`` [m] give the sides of the thrusters; without arms the rig gives them.
     despite_faults : bool
         Whether faults that make a fit meaningless are accepted.
 
@@ -89,18 +100,24 @@ def check_first(
 def with_findings(
     log: LoadedLog, sides: Mapping[str, float], despite_faults: bool, more: Sequence[Finding] = ()
 ) -> LoadedLog:
-    """Check a log, and return it with the findings in ``about["findings"]``.
+    """Check a log, and return a copy with the findings in ``about["findings"]``.
 
     Parameters
     ----------
     log : LoadedLog
         Log that was loaded with ``device_faults``.
     sides : mapping of str to float
-        Position of each thruster to starboard [m].
+        Position of each thruster to starboard [m]; empty for a bench.
     despite_faults : bool
         Whether a fault that makes a fit meaningless is accepted.
     more : sequence of Finding
-        Findings from other checks.
+        Findings from other checks, which are added.
+
+    Returns
+    -------
+    LoadedLog
+        Its findings are all except those of the level ``ok``. Each has the key ``spoils``: whether it makes a fit
+        meaningless.
 
     Raises
     ------
@@ -126,7 +143,15 @@ def with_findings(
 def sides_of_model(model: Model, log: LoadedLog) -> Mapping[str, float]:
     """Return the position of each thruster to starboard [m].
 
-    The positions are those of the model's arms, else those of the rig, else those that the names left and right mean.
+    The positions are those of the model's arms ``y_left`` and ``y_right``, else those of the rig, else -1 for ``left``
+    and +1 for ``right``.
+
+    Parameters
+    ----------
+    model : Model
+        Model of the boat.
+    log : LoadedLog
+        Log with or without a rig.
     """
     arms = {side: model.values[f"y_{side}"] for side in ("left", "right") if f"y_{side}" in model.values}
     if arms:
@@ -135,24 +160,29 @@ def sides_of_model(model: Model, log: LoadedLog) -> Mapping[str, float]:
 
 
 def with_estimator_errors(
-    model: Model, logs: Sequence[LoadedLog], given: Collection[str] = ()
+    model: Model, logs: Sequence[LoadedLog], user_given: Collection[str] = ()
 ) -> tuple[Model, list[str]]:
     """Add states for navigation errors if the position of a log is the output of a navigation filter.
 
     Parameters
     ----------
-    given : collection of str
-        Parameters that the user gave. If they include the noise of the position, this noise is taken as white and no
-        states are added.
+    model : Model
+        Model of the boat.
+    logs : sequence of LoadedLog
+        Estimation logs. One with such a position is enough.
+    user_given : collection of str
+        Names of the parameters that the user fixed or gave a prior. If they include the noise of the position, this
+        noise is taken as white and no states are added.
 
     Returns
     -------
     tuple of Model and list of str
-        The model, and a line about the added states.
+        The model, and a line about the added states. The unchanged model and an empty list if none are added: also if
+        the model has no position or heading, or has these states already.
     """
     position = next((o.noise for o in model.outputs if o.name == "x" and o.noise), None)
     there = ESTIMATOR_ERROR in {e.name for e in model.effects}
-    if position is None or there or "heading" not in model.provides or position in given:
+    if position is None or there or "heading" not in model.provides or position in user_given:
         return model, []
     if not any(estimated(log.run.channels) for log in logs):
         return model, []
@@ -166,12 +196,19 @@ def with_estimator_errors(
 
 
 def with_noise_floors(model: Model, logs: Sequence[LoadedLog]) -> tuple[Model, list[str]]:
-    """Set lower bounds for the noise of smoothed channels.
+    """Set lower bounds for the free noise parameters of smoothed channels, and raise their values above the bounds.
+
+    Parameters
+    ----------
+    model : Model
+        Model of the boat.
+    logs : sequence of LoadedLog
+        Estimation logs. A channel is smoothed if it is so in any of them.
 
     Returns
     -------
     tuple of Model and list of str
-        The model, and a line with the smoothed channels and their bounds.
+        The model, and a line with the smoothed channels and their bounds; an empty list if there are none.
 
     Notes
     -----
@@ -200,10 +237,10 @@ def with_noise_floors(model: Model, logs: Sequence[LoadedLog]) -> tuple[Model, l
 
 
 def _rounding_error(channels: Mapping[str, Channel], name: str) -> float:
-    """Return the standard deviation of the rounding error of a signal; zero if it is not rounded.
+    """Return the standard deviation of the rounding error of a signal; zero if it is not rounded or not logged.
 
-    The error is uniform over one step (Bennett 1948). A receiver that reports speed and course rounds the speed, so
-    the steps of a velocity are looked for in its magnitude too.
+    The error is uniform over one step (Bennett 1948). A receiver that reports speed and course rounds the speed, so the
+    steps of a velocity are looked for in its magnitude too.
     """
     if name not in channels:
         return 0.0

@@ -71,24 +71,60 @@ NEGLIGIBLE = 0.02  # of the standard deviation of a prior: a fitted effect below
 
 @dataclass(frozen=True)
 class DesignRequest:
-    """Options of an experiment design."""
+    """Options of an experiment design.
 
-    duration: float = 600.0  # s
-    steps: int | None = None  # number of steps; None: one for each 5 s
+    Attributes
+    ----------
+    duration
+        Length of the mission [s].
+    steps
+        Number of steps; None: one for each 5 s.
+    criterion
+        Scalar of the information matrix that is maximised: D, A, E or Ds.
+    chosen
+        Parameters of the criterion; empty: all.
+    limits
+        Limits on the track, the speed, the energy and the current.
+    shortest
+        Length of the shortest step [s].
+    n_max
+        Largest command, as a part of full command.
+    slew
+        Slew limit of a command [1/s].
+    rates
+        Rate of each sensor [Hz] by name; others have the rate of the fitted data, else 10 Hz.
+    robust
+        Number of parameter samples that the criterion is averaged over; 0: nominal values only.
+    spread
+        Relative half-width of the prior, if the model is not a model.toml.
+    process_noise
+        True: information of prediction error. False: of output error.
+    seed
+        Seed of all random draws.
+    evaluations
+        Number of simulations of the search.
+    between
+        Two effects to discriminate; empty: none.
+    thrusters
+        Names of the thrusters in the rig; empty: those of the model.
+    """
+
+    duration: float = 600.0
+    steps: int | None = None
     criterion: Kind = "D"
-    chosen: tuple[str, ...] = ()  # parameters of the criterion; empty: all
+    chosen: tuple[str, ...] = ()
     limits: DesignLimits = field(default_factory=DesignLimits)
-    shortest: float = 1.0  # s, length of the shortest step
-    n_max: float = 1.0  # largest command, as a part of full
-    slew: float = np.inf  # slew limit of a command [1/s]
-    rates: Mapping[str, float] = field(default_factory=dict)  # Hz, of each sensor
-    robust: int = 0  # number of parameter samples that the criterion is averaged over; 0: nominal values only
-    spread: float = PRIOR_HALFWIDTH  # relative half-width of the prior, if the model is not a model.toml
-    process_noise: bool = True  # information of prediction error; False: of output error
+    shortest: float = 1.0
+    n_max: float = 1.0
+    slew: float = np.inf
+    rates: Mapping[str, float] = field(default_factory=dict)
+    robust: int = 0
+    spread: float = PRIOR_HALFWIDTH
+    process_noise: bool = True
     seed: int = 1
-    evaluations: int = 20_000  # of the search
-    between: tuple[str, ...] = ()  # two effects to discriminate
-    thrusters: tuple[str, ...] = ()  # names in the rig; empty: those of the model
+    evaluations: int = 20_000
+    between: tuple[str, ...] = ()
+    thrusters: tuple[str, ...] = ()
 
 
 def make_design(source: str, request: DesignRequest, out: Path, command: str, reporter: Reporter) -> DesignResult:
@@ -101,9 +137,11 @@ def make_design(source: str, request: DesignRequest, out: Path, command: str, re
     request : DesignRequest
         Options of the design.
     out : Path
-        The mission.toml; a .json and an .html file are written beside it.
+        The mission.toml, which must not exist. A .json and an .html file are written beside it.
     command : str
         Command line, for the provenance.
+    reporter : Reporter
+        Receives progress.
 
     Returns
     -------
@@ -113,9 +151,9 @@ def make_design(source: str, request: DesignRequest, out: Path, command: str, re
     Raises
     ------
     SeatrialError
-        If the model or an option cannot be used. No file is written then.
+        If the model or an option cannot be used, or if one of the files exists. No file is written then.
     """
-    beside = _free_names(out)
+    beside = _paths_beside_mission(out)
     task = make_task(source, request)
     model_thrusters = task.actuation.thrusters
     thrusters = request.thrusters or model_thrusters
@@ -128,10 +166,12 @@ def make_design(source: str, request: DesignRequest, out: Path, command: str, re
     idle = Segment("static", np.zeros(1), np.zeros((1, len(thrusters))))
     parse_mission(dump_mission(Mission("names", "mission", tuple(thrusters), (idle,), 1.0)), "--thrusters")
     task.measure  # noqa: B018  # raises the error of a wrong --parameters before the search
-    reporter.progress(f"design: {task.steps.n_steps} steps in {task.steps.duration:g} s for {', '.join(_chosen(task))}")
+    reporter.progress(
+        f"design: {task.steps.n_steps} steps in {task.steps.duration:g} s for {', '.join(_criterion_parameters(task))}"
+    )
     apart: Discrimination | None = None
     if request.between:
-        made, apart = _between(task, request, reporter)
+        made, apart = _discrimination_design(task, request, reporter)
     else:
         made = design(
             task,
@@ -143,13 +183,13 @@ def make_design(source: str, request: DesignRequest, out: Path, command: str, re
     samples = monte_carlo(task, {"design": made.command} | {k: r.command for k, r in found.items()}, seed=request.seed)
     track = predicted_track(made)
     best = max(found, key=lambda k: found[k].value)
-    fine = found[best].command[np.minimum(_rows(task), len(task.t) - 1)]
-    parameters = _parameters(made, predicted_errors(task, fine))
+    fine = found[best].command[np.minimum(_rows_of_finer_grid(task), len(task.t) - 1)]
+    parameters = _parameter_table(made, predicted_errors(task, fine))
     here = provenance([], command)
     result = DesignResult(
         created=here.created, seatrial=here.seatrial, command=here.command,
-        answer=_answer(made, parameters, apart, found[best]),
-        model=source, criterion=task.criterion, chosen=tuple(_chosen(task)),
+        answer=_design_answer(made, parameters, apart, found[best]),
+        model=source, criterion=task.criterion, chosen=tuple(_criterion_parameters(task)),
         form="prediction error" if task.process_noise else "output error",
         value=made.value, evaluations=made.found.evaluations, parameters=parameters,
         baselines=tuple(Baseline(name=k, value=r.value, bandwidth=r.bandwidth, seeds=r.values)
@@ -157,11 +197,13 @@ def make_design(source: str, request: DesignRequest, out: Path, command: str, re
         baseline=best, limited=task.limits.bind, samples=dict(samples.values), share_won=samples.share_won(),
         inputs=tuple(CommandTrace(name=c, t=task.t, value=made.command[:, k])
                      for k, c in enumerate(task.actuation.channels)),
-        track=None if track is None else _track(track, task.limits), apart=apart,
+        track=None if track is None else _track_table(track, task.limits), apart=apart,
         rates={s.name: task.rate(s.name) for s in task.model.sensors},
-        warnings=tuple(_warnings(made)),
+        warnings=tuple(_design_warnings(made)),
     )  # fmt: skip
-    title = " against ".join(request.between) or f"{request.criterion}-optimal for {', '.join(_chosen(task))}"
+    title = (
+        " against ".join(request.between) or f"{request.criterion}-optimal for {', '.join(_criterion_parameters(task))}"
+    )
     mission = designed_mission(f"steps, {title}", thrusters, made, track, request, source, command)
     parse_mission(dump_mission(mission), out)
     save_new_mission(mission, out)
@@ -170,13 +212,17 @@ def make_design(source: str, request: DesignRequest, out: Path, command: str, re
     return result
 
 
-def _free_names(out: Path) -> dict[str, Path]:
-    """Return the paths of the .json and .html files beside the mission.
+def _paths_beside_mission(out: Path) -> dict[str, Path]:
+    """Return the paths of the .json and .html files beside the mission ``out``, by suffix. No file is written.
 
-    Raise SeatrialError if one of the files exists already or cannot be placed there.
+    Raise SeatrialError if one of the three files exists already, if ``out`` has one of these suffixes, or if its folder
+    does not exist.
     """
     if out.suffix in (".json", ".html"):
-        raise SeatrialError(f"{out}: this name is that of the numbers or the page beside the mission; give a .toml")
+        raise SeatrialError(
+            f"{out}: a mission cannot end in .json or .html, since files with these endings are written beside it; "
+            "give a name that ends in .toml"
+        )
     if not out.parent.is_dir():
         raise SeatrialError(f"{out.parent}: no such folder; the mission cannot be saved there")
     beside = {kind: out.with_suffix(kind) for kind in (".json", ".html")}
@@ -186,8 +232,8 @@ def _free_names(out: Path) -> dict[str, Path]:
     return beside
 
 
-def _warnings(made: Design) -> list[ResultWarning]:
-    """Return warnings about assumed values of a design, and about signals beyond the range of the fitted data."""
+def _design_warnings(made: Design) -> list[ResultWarning]:
+    """Return warnings about assumed values, about sensor rates, and about signals beyond the fitted data."""
     task = made.task
     pole = None if task.actuation.shafts_are_states else task.actuation.pole
     warnings = design_warnings(task.model, task.actuation.full_thrust, pole)
@@ -216,10 +262,23 @@ def _warnings(made: Design) -> list[ResultWarning]:
 
 
 def beyond_validity(made: Design) -> list[str]:
-    """Return the inputs and states of the nominal boat that leave the range of the fitted data, with both ranges.
+    """Return a text for each input and state of the nominal boat that leaves the range of the fitted data.
 
-    A signal leaves the range if it exceeds it by more than ``VALIDITY_MARGIN`` of its width. As in the fitted data, the
-    range of an input is from its minimum to its maximum, that of a state from its 1 % to its 99 % quantile.
+    Parameters
+    ----------
+    made : Design
+        Design whose commands are simulated.
+
+    Returns
+    -------
+    list of str
+        Name, reached range and range of the fitted data. Empty if no signal leaves its range, or if the model has no
+        ranges.
+
+    Notes
+    -----
+    A signal leaves the range if it exceeds it by more than 10 % of its width. As in the fitted data, the range of an
+    input is from its minimum to its maximum, that of a state from its 1 % to its 99 % quantile.
     """
     task = made.task
     if not task.validity:
@@ -259,18 +318,26 @@ def designed_mission(
     name : str
         Name of the mission.
     thrusters : sequence of str
-        Names of the thrusters in the rig.
+        Names of the thrusters in the rig, in the order of the design.
+    made : Design
+        Levels and durations of the steps, and expected standard errors.
     track : Track or None
         Predicted track; None if the model has no position.
+    request : DesignRequest
+        Options of the design: limits of the commands and seed.
     source : str
         Model that was designed for.
+    command : str
+        Command line, for the provenance.
     """
     levels = made.task.actuation.for_thrusters(made.levels)
     edges = np.round(REST_S + np.concatenate([[0.0], np.cumsum(made.durations)]), 3)
     segments = (
         Segment("static", np.zeros(1), np.zeros((1, len(thrusters)))),
         Segment(
-            "designed steps", significant(edges[:-1], 6), significant(levels, 6).clip(-request.n_max, request.n_max)
+            "designed steps",
+            round_to_digits(edges[:-1], 6),
+            round_to_digits(levels, 6).clip(-request.n_max, request.n_max),
         ),
     )
     units, model = reported_units(made.task.model), made.task.model
@@ -282,7 +349,7 @@ def designed_mission(
     prediction = None
     if track is not None:
         t, x, y, radius = (
-            significant(v, 6) for v in (track.t, track.x.round(2), track.y.round(2), track.radius.round(2))
+            round_to_digits(v, 6) for v in (track.t, track.x.round(2), track.y.round(2), track.radius.round(2))
         )
         prediction = Prediction(source, t, x, y, radius, before)
     return Mission(
@@ -300,8 +367,16 @@ def designed_mission(
     )
 
 
-def significant(values: Array, digits: int) -> Array:
-    """Round an array to a number of significant digits."""
+def round_to_digits(values: Array, digits: int) -> Array:
+    """Round an array to a number of significant digits, and return it as a new array of the same shape.
+
+    Parameters
+    ----------
+    values : Array (...)
+        Numbers.
+    digits : int
+        Number of significant digits.
+    """
     return np.array([float(f"{v:.{digits}g}") for v in values.ravel()]).reshape(values.shape)
 
 
@@ -311,12 +386,15 @@ def make_task(source: str, request: DesignRequest) -> DesignProblem:
     Parameters
     ----------
     source : str
-        A model.toml, a name, or FILE.py:NAME.
+        A model.toml, a name, or FILE.py:NAME. A model.toml gives its covariance as the prior, its ranges and its rates.
+    request : DesignRequest
+        Options of the design.
 
     Raises
     ------
     SeatrialError
-        If the model lacks a named sensor, has no free parameters, or has inputs that no mission commands.
+        If the model cannot be read, lacks a named sensor, has no free parameters, or has inputs that no mission
+        commands.
     """
     is_path = source.endswith((".toml", ".json")) or ("/" in source and Path(source).is_dir())
     saved = load_model(Path(source)) if is_path else None
@@ -345,7 +423,10 @@ def make_task(source: str, request: DesignRequest) -> DesignProblem:
         seed=request.seed,
     )
     if not dynamic_parameters(model):
-        raise SeatrialError(f"model {model.name} has no free parameters to estimate")
+        raise SeatrialError(
+            f"model {model.name} has no free parameters, so no mission can inform any; choose a model with free "
+            "parameters"
+        )
     if saved is None:
         task = replace(task, prior_distribution=ParameterPrior(task.observed_parameters, request.spread))
     else:
@@ -360,13 +441,18 @@ def make_task(source: str, request: DesignRequest) -> DesignProblem:
     return replace(task, grid=row_spacing(members, GRID, request.n_max))
 
 
-def _chosen(task: DesignProblem) -> tuple[str, ...]:
-    """Return the parameters of the criterion."""
+def _criterion_parameters(task: DesignProblem) -> tuple[str, ...]:
+    """Return the parameters of the criterion: the chosen ones, or all that the design observes."""
     return task.chosen or task.observed_parameters
 
 
-def _between(task: DesignProblem, request: DesignRequest, reporter: Reporter) -> tuple[Design, Discrimination]:
-    """Return the design that discriminates two effects, with its criterion of parameters, and its discrimination."""
+def _discrimination_design(
+    task: DesignProblem, request: DesignRequest, reporter: Reporter
+) -> tuple[Design, Discrimination]:
+    """Search the mission that discriminates the two effects of ``request.between``.
+
+    Return the design, with its criterion of parameters, and the discrimination, with that of random missions.
+    """
     a, b = hypotheses(task.model, request.between)
     made: DiscriminationDesign = discriminate(
         a,
@@ -397,16 +483,24 @@ def hypotheses(model: Model, names: Sequence[str]) -> tuple[Model, Model]:
     Each model has one of the effects. The other effect is removed if the model has it, because a model with both
     effects would predict well whichever is true.
 
+    Parameters
+    ----------
+    model : Model
+        Model with or without the effects.
+    names : sequence of str
+        Names of the two effects.
+
     Raises
     ------
     SeatrialError
-        If an effect does not exist, or if one effect is a special case of the other.
+        If an effect does not exist, if it does not apply to the model, or if one effect is a special case of the other.
     """
     first, second = names
     for general, special in ((first, second), (second, first)):
         if general == special or (general in catalogue() and special in catalogue()[general].nests):
             raise SeatrialError(
-                f"--discriminate: {special} is a special case of {general}: no mission tells them apart"
+                f"--discriminate: {special} is a special case of {general}: no mission tells them apart; "
+                "name two other effects"
             )
     return with_effect(model.without(second), first), with_effect(model.without(first), second)
 
@@ -414,13 +508,25 @@ def hypotheses(model: Model, names: Sequence[str]) -> tuple[Model, Model]:
 def with_effect(model: Model, name: str) -> Model:
     """Return the model with an effect of a relevant size.
 
-    If the model already has the effect, and its fitted size is not negligible (``NEGLIGIBLE``), the size is kept.
-    Otherwise its parameters are shifted by half of the standard deviation of their prior, or by five characteristic
-    steps.
+    If the model already has the effect, and its fitted size is at least 2 % of the standard deviation of its prior
+    (without a prior, one characteristic step), the size is kept. Otherwise its parameters are shifted by half of the
+    standard deviation of their prior, or by five characteristic steps without a prior, inside their bounds.
+
+    Parameters
+    ----------
+    model : Model
+        Model with or without the effect.
+    name : str
+        Name of the effect.
+
+    Raises
+    ------
+    SeatrialError
+        If there is no such effect, or if it does not apply to the model.
     """
     own = next((e for e in model.effects if e.name == name), None)
     if own is None and name not in catalogue():
-        raise SeatrialError(f"there is no effect {name!r}; there is {', '.join(catalogue())}")
+        raise SeatrialError(f"there is no effect {name!r}; the effects are {', '.join(catalogue())}")
     effect = own or catalogue()[name]
     if own is None and not model.accepts(effect):
         raise SeatrialError(f"effect {name!r} does not apply to model {model.name}")
@@ -438,8 +544,8 @@ def with_effect(model: Model, name: str) -> Model:
     return with_it.with_values(sizes)
 
 
-def _track(track: Track, limits: DesignLimits) -> DesignTrack:
-    """Return the table of the predicted track."""
+def _track_table(track: Track, limits: DesignLimits) -> DesignTrack:
+    """Return the predicted track and the limits as the table of the result."""
     corner = None if track.corner is None else (float(track.corner[0]), float(track.corner[1]))
     return DesignTrack(
         t=track.t,
@@ -456,15 +562,18 @@ def _track(track: Track, limits: DesignLimits) -> DesignTrack:
     )
 
 
-def _rows(task: DesignProblem) -> NDArray[np.intp]:
-    """Return, for each row of the finer time grid, the row of the task whose command holds there."""
+def _rows_of_finer_grid(task: DesignProblem) -> NDArray[np.intp]:
+    """Return, for each row of the finer time grid, the index of the row of the task whose command holds there."""
     return np.asarray(np.searchsorted(task.t, task.finer.t + 1e-9, side="right") - 1)
 
 
-def _parameters(made: Design, baseline: Mapping[str, float]) -> tuple[DesignedParameter, ...]:
-    """Return the standard errors of each parameter before and after the mission, and after the baseline signal."""
+def _parameter_table(made: Design, baseline: Mapping[str, float]) -> tuple[DesignedParameter, ...]:
+    """Return the standard errors of each parameter before and after the mission, and after the best baseline signal.
+
+    ``baseline``: standard error after the baseline signal by name. Values are in reported units.
+    """
     model, before, after = made.task.model, made.before, made.predicted
-    chosen, units = _chosen(made.task), reported_units(model)
+    chosen, units = _criterion_parameters(made.task), reported_units(model)
 
     def reported(errors: Mapping[str, float], p: Parameter) -> float | None:
         return finite(errors[p.name] * units.factor(p.unit))
@@ -479,12 +588,13 @@ def _parameters(made: Design, baseline: Mapping[str, float]) -> tuple[DesignedPa
     )  # fmt: skip
 
 
-def _answer(
+def _design_answer(
     made: Design, parameters: Sequence[DesignedParameter], apart: Discrimination | None, baseline: BaselineSignal
 ) -> str:
     """Return the sentence on the standard errors after the mission, or on the discrimination of two effects.
 
-    If a baseline signal is better than the design, the warning about it comes first.
+    ``apart``: discrimination of two effects, or None. If a baseline signal is better than the design, the warning about
+    it comes first.
     """
     if apart is not None:
         first, second = apart.effects
@@ -504,11 +614,19 @@ def _answer(
     more = f", and {len(rows) - NAMED} more" if len(rows) > NAMED else ""
     duration = made.task.steps.duration
     errors = f"After this mission of {duration:g} s the expected standard errors are {', '.join(parts)}{more}"
-    return errors if made.value >= baseline.value else f"{worse_than(baseline, made)} {errors}"
+    return errors if made.value >= baseline.value else f"{warn_worse_than_baseline(baseline, made)} {errors}"
 
 
-def worse_than(baseline: BaselineSignal, made: Design) -> str:
-    """Return the warning that a random sequence is more informative than the design, with advice."""
+def warn_worse_than_baseline(baseline: BaselineSignal, made: Design) -> str:
+    """Return the warning that a random sequence is more informative than the design, with advice.
+
+    Parameters
+    ----------
+    baseline : BaselineSignal
+        Best random sequence.
+    made : Design
+        The design.
+    """
     free = ", which ignores the limits," if made.task.limits.bind else ""
     return (
         f"Worse than {baseline.kind}: its {made.task.criterion} criterion is {format_number(made.value)}, the best of "
@@ -518,7 +636,13 @@ def worse_than(baseline: BaselineSignal, made: Design) -> str:
 
 
 def design_summary(result: DesignResult) -> Sequence[str]:
-    """Return the lines for the terminal: warnings, the answer, one line for each parameter, criterion and track."""
+    """Return the lines for the terminal: warnings, the answer, one line for each parameter, criterion and track.
+
+    Parameters
+    ----------
+    result : DesignResult
+        Result of `make_design`.
+    """
     lines = [*(f"⚠ {warning.text}" for warning in result.warnings), result.answer, ""]
     for p in result.parameters:
         before, after, baseline = ("–" if v is None else f"{v:.3g}" for v in (p.before, p.after, p.baseline))

@@ -72,12 +72,21 @@ class DiagnosisRequest:
 
 
 def diagnosis(request: DiagnosisRequest, command: str, reporter: Reporter) -> DiagnosisResult:
-    """Find the effects that a model lacks, and write the model with these effects and the result.
+    """Find the effects that a model lacks, and write model.toml with these effects, result.json and report.html.
 
     Parameters
     ----------
+    request : DiagnosisRequest
+        Model, logs and options.
     command : str
         Command line, for the provenance.
+    reporter : Reporter
+        Receives progress and warnings.
+
+    Returns
+    -------
+    DiagnosisResult
+        Content of result.json.
 
     Raises
     ------

@@ -42,7 +42,12 @@ from seatrial.ident.results import (
     scale_warnings,
     write_result,
 )
-from seatrial.ident.workflows.model_inputs import as_logged, known_curve, saved_frame_warnings, with_derived_signals
+from seatrial.ident.workflows.model_inputs import (
+    known_curve,
+    saved_frame_warnings,
+    with_derived_signals,
+    with_logged_holds,
+)
 
 NOTABLE_GROWTH = 1.2  # the answer names a segment if a standard error would grow by this factor without it
 LARGE_ERROR = 0.5  # standard error / value from which a parameter is poorly known
@@ -89,12 +94,21 @@ def information(request: InformationRequest, command: str, reporter: Reporter) -
     """Compute the information of each segment of the logs about the model's parameters, and write the results.
 
     The parameters have the values of the model file, except that per-record parameters (current, biases) are fitted to
-    each log.
+    each log. The files are result.json and report.html in the folder ``request.out``.
 
     Parameters
     ----------
+    request : InformationRequest
+        Model, logs and options.
     command : str
         Command line, for the provenance.
+    reporter : Reporter
+        Receives progress.
+
+    Returns
+    -------
+    InformationResult
+        Content of result.json.
 
     Raises
     ------
@@ -102,29 +116,29 @@ def information(request: InformationRequest, command: str, reporter: Reporter) -
         If model and logs do not go together.
     """
     saved, seconds, out = load_model(request.model), request.seconds, request.out
-    names = _names(saved.model, request.chosen, request.model)
+    names = _parameters_to_analyse(saved.model, request.chosen, request.model)
     curve = known_curve(request.thruster)
     logs = load_runs(request.logs, "judged", request.window, saved.origin)
     assumed = saved_frame_warnings(saved.model, logs, saved.origin)
     loaded = [with_derived_signals(log, saved.model.source, curve) for log in logs]
-    model = as_logged(saved.model, loaded[0].holds)
+    model = with_logged_holds(saved.model, loaded[0].holds)
     records = [make_record(model, log.run, request.rate) for log in loaded]
     model = without_absent_sensors(model, records)
     values = []
     for rows in records:
         reporter.progress(f"{rows.name}: fitting its current and biases")
-        values.append(own_values(model, rows))
+        values.append(record_parameters(model, rows))
     reporter.progress(f"information of {sum(r.duration for r in records):.0f} s in segments of {seconds:g} s")
     segments = segment_information(model, records, names, seconds=seconds, values=values, inflation=saved.inflation)
-    found = _rows(segments, loaded, records)
-    parameters = tuple(_parameter(model, name, k, segments, found) for k, name in enumerate(names))
+    found = _segment_table(segments, loaded, records)
+    parameters = tuple(_informed_parameter(model, name, k, segments, found) for k, name in enumerate(names))
     made = provenance(loaded, command)
     result = InformationResult(
         created=made.created,
         seatrial=made.seatrial,
         command=made.command,
         logs=made.logs,
-        answer=_answer(parameters, len(found)),
+        answer=_information_answer(parameters, len(found)),
         information=Information(names=names, seconds=seconds, parameters=parameters, segments=found),
         inputs=tuple(
             msgspec.structs.replace(row, t=row.t + float(r.meta["t0"]))
@@ -132,7 +146,7 @@ def information(request: InformationRequest, command: str, reporter: Reporter) -
             for row in record_inputs(model, r)
         ),
         warnings=(*scale_warnings(thrust_scale_of(saved.model)), *assumed),
-        notes=tuple(_notes(parameters, records, model)),
+        notes=tuple(_information_notes(parameters, records, model)),
     )
     out.mkdir(parents=True, exist_ok=True)
     write_result(result, out / "result.json")
@@ -140,28 +154,49 @@ def information(request: InformationRequest, command: str, reporter: Reporter) -
     return result
 
 
-def _names(model: Model, chosen: Sequence[str], path: Path) -> tuple[str, ...]:
-    """Return the parameters to analyse. Raise SeatrialError if one of them is not free in the model."""
+def _parameters_to_analyse(model: Model, chosen: Sequence[str], path: Path) -> tuple[str, ...]:
+    """Return the parameters to analyse: those of ``chosen``, or all free dynamic parameters if it is empty.
+
+    Raise SeatrialError if one of them is not free in the model, or if the model has none. ``path``: file of the model,
+    for the message.
+    """
     free = dynamic_parameters(model)
     lost = [n for n in chosen if n not in free]
     if lost or not free:
         missing = f"no free parameter {lost[0]!r}" if lost else "no free parameters"
-        raise SeatrialError(f"{path}: {missing}; there is {', '.join(free) or 'none'}")
+        raise SeatrialError(f"{path}: the model has {missing}; its free parameters are {', '.join(free) or 'none'}")
     return tuple(chosen) or tuple(free)
 
 
-def own_values(model: Model, rows: Record) -> Array:
-    """Return the parameters (n_parameters,) of a record: per-record parameters are fitted, the others are unchanged."""
+def record_parameters(model: Model, rows: Record) -> Array:
+    """Return the parameters of a record: per-record parameters are fitted to it, the others are unchanged.
+
+    Parameters
+    ----------
+    model : Model
+        Fitted model.
+    rows : Record
+        Record of one log.
+
+    Returns
+    -------
+    Array (n_parameters,)
+        In the order and units of the model's parameters.
+    """
     own = [p.name for p in model.parameters if p.free and p.per_record]
     if not own:
         return np.array([p.value for p in model.parameters])
     return np.asarray(fit(model.with_free(own), [rows]).record_values[0])
 
 
-def _rows(
+def _segment_table(
     segments: Sequence[InformationSegment], loaded: Sequence[LoadedLog], records: Sequence[Record]
 ) -> tuple[SegmentInformation, ...]:
-    """Return the table of segments, with times of the logs and the steps of their missions."""
+    """Return the table of segments, with times [s of the log] and with the mission step of each.
+
+    ``loaded``, ``records``: logs and records of the same names. ``lost`` of a row is the share of each parameter's
+    information that the segment holds, 0 to 1.
+    """
     starts = {r.name: float(r.meta["t0"]) for r in records}
     steps = {log.run.name: log.segments for log in loaded}
     found = []
@@ -173,7 +208,7 @@ def _rows(
                 record=s.record,
                 t_from=begin,
                 t_to=end,
-                what=_longest(steps[s.record], begin, end),
+                what=_longest_mission_step(steps[s.record], begin, end),
                 weight=s.weight,
                 lost=lost,
                 alone=s.alone,
@@ -182,10 +217,13 @@ def _rows(
     return tuple(found)
 
 
-def _parameter(
+def _informed_parameter(
     model: Model, name: str, k: int, segments: Sequence[InformationSegment], rows: Sequence[SegmentInformation]
 ) -> InformedParameter:
-    """Return the information about one parameter, with the segment that contributes most."""
+    """Return the information about one parameter, with the segment of time that contributes most.
+
+    ``k``: index of the parameter in the arrays of ``segments`` and of the table ``rows``, which have the same order.
+    """
     best = max(range(len(rows)), key=lambda i: float(np.nan_to_num(segments[i].weight[k], posinf=np.inf)))
     p, row, units = model.parameter(name), rows[best], reported_units(model)
     factor, se = units.factor(p.unit), float(segments[best].whole[k])
@@ -208,8 +246,11 @@ def _parameter(
     )
 
 
-def _longest(segments: Sequence[tuple[float, str]], begin: float, end: float) -> str:
-    """Return the step of the mission that takes up most of a segment; empty if the log has no steps."""
+def _longest_mission_step(segments: Sequence[tuple[float, str]], begin: float, end: float) -> str:
+    """Return the name of the mission step that takes up most of the time from ``begin`` to ``end`` [s].
+
+    ``segments``: start [s] and name of each step. Empty if the log has no steps in that time.
+    """
     length: dict[str, float] = {}
     ends = [t for t, _ in segments[1:]] + [np.inf]
     for (t, name), until in zip(segments, ends, strict=False):
@@ -218,14 +259,17 @@ def _longest(segments: Sequence[tuple[float, str]], begin: float, end: float) ->
     return best if length.get(best, 0.0) > 0 else ""
 
 
-def _place(row: LogSpan) -> str:
-    """Return log, time and step of a segment, for a sentence."""
+def _segment_text(row: LogSpan) -> str:
+    """Return log, time and mission step of a segment as a text for a sentence."""
     words = f"{row.record}, {row.t_from:.0f} to {row.t_to:.0f} s"
     return f"{words} ({row.what})" if row.what else words
 
 
-def _answer(parameters: Sequence[InformedParameter], n_segments: int) -> str:
-    """Return one or two sentences: the most informative segment, and the poorly known parameters."""
+def _information_answer(parameters: Sequence[InformedParameter], n_segments: int) -> str:
+    """Return one or two sentences: the most informative segment of time, and the poorly known parameters.
+
+    ``n_segments``: number of segments of all logs.
+    """
     known = [p for p in parameters if p.se is not None]
     if not known:
         return "These logs contain no information about any parameter."
@@ -233,11 +277,11 @@ def _answer(parameters: Sequence[InformedParameter], n_segments: int) -> str:
     if n_segments == 1:
         words = "There is only one segment; give more logs, or shorter segments with --seconds"
     elif first.weight is None:
-        words = f"Only {_place(first)} informs {first.name}"
+        words = f"Only {_segment_text(first)} informs {first.name}"
     elif first.weight >= NOTABLE_GROWTH:
         words = (
-            f"The most informative segment is {_place(first)}: without it the standard error of {first.name} would be "
-            f"{format_number(first.weight)} times as large"
+            f"The most informative segment is {_segment_text(first)}: without it the standard error of {first.name} "
+            f"would be {format_number(first.weight)} times as large"
         )
     else:
         words = "No segment matters much more than the others: the information is spread evenly over the logs"
@@ -245,8 +289,8 @@ def _answer(parameters: Sequence[InformedParameter], n_segments: int) -> str:
     return f"{words}. Poorly known from all logs together: {', '.join(poor)}." if poor else f"{words}."
 
 
-def _notes(parameters: Sequence[InformedParameter], records: Sequence[Record], model: Model) -> list[str]:
-    """Return notes on missing sensors, parameters without information, and the mission that would inform them."""
+def _information_notes(parameters: Sequence[InformedParameter], records: Sequence[Record], model: Model) -> list[str]:
+    """Return notes on missing sensors, on parameters without information, and on the mission that would inform them."""
     notes = [
         f"{r.name}: not in the log and therefore not used: {', '.join(missing)}."
         for r in records

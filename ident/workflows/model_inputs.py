@@ -31,7 +31,7 @@ from seatrial.ident.data import (
     far_apart,
     share_frame,
 )
-from seatrial.ident.model import Model, ModelKind, segment_name
+from seatrial.ident.model import COMMAND, SHAFT_SPEED, Model, ModelKind, SignalId, segment_name
 from seatrial.ident.models import KNOWN_SIGNALS, SENSORS, TELEMETRY_AGE, make_model, telemetry_age
 from seatrial.ident.results import ResultWarning, UnusedSignal, frame_warnings
 
@@ -41,10 +41,15 @@ CURVE_INPUTS = ("f_left", "f_right", "X", "X_n")  # inputs that a static thrust 
 def known_curve(thruster: Path | None) -> ThrustCurve | None:
     """Return the static thrust curve of a file; None without a file.
 
+    Parameters
+    ----------
+    thruster : Path or None
+        File of the curve (model.toml).
+
     Raises
     ------
     SeatrialError
-        If the file contains another kind of model.
+        If the file cannot be read or contains another kind of model.
     """
     curve = load_curve(thruster) if thruster is not None else None
     if thruster is not None and curve is None:
@@ -54,17 +59,33 @@ def known_curve(thruster: Path | None) -> ThrustCurve | None:
     return curve
 
 
-def complete(
+def derived_signals(
     channels: Mapping[str, Channel], holds: Mapping[str, str], source: str, curve: ThrustCurve | None, path: str | Path
 ) -> tuple[dict[str, Channel], dict[str, str]]:
     """Return the channels and holds of one log, with the derived signals that a model may need.
 
     Parameters
     ----------
+    channels : mapping
+        Channels of the log by name.
+    holds : mapping
+        Hold of each channel by name: ``zero``, ``linear`` or empty.
     source : str
         Name of the model, such as ``horizontal:force``.
+    curve : ThrustCurve or None
+        Static curve from command to thrust, if one is used.
     path : str or Path
         File of the log, for messages.
+
+    Returns
+    -------
+    tuple of dict
+        New mappings of channels and holds.
+
+    Raises
+    ------
+    SeatrialError
+        If a curve is given and the log lacks the commands.
 
     Notes
     -----
@@ -92,21 +113,46 @@ def complete(
 
 
 def with_derived_signals(log: LoadedLog, source: str, curve: ThrustCurve | None) -> LoadedLog:
-    """Return a log with the derived signals that a model ``source`` may need (see ``complete``)."""
-    found, held = complete(log.run.channels, log.holds, source, curve, log.about["path"])
-    return replace(log, run=replace(log.run, channels=found), holds=held)
+    """Return a log with the signals that the model may need and that can be derived from logged ones.
 
+    These are thrusts by a static curve, the total thrust, shaft speeds from commands, commands from shaft speeds, and
+    for surge models the speed.
 
-def choose_model(source: str, loaded: Sequence[LoadedLog]) -> Model:
-    """Return the model of a name, with the sensors that any log has.
-
-    ``auto`` selects the horizontal model with the inputs that all logs have. If a log has commands only, the shafts
-    are states of the model. If the shaft speeds are telemetry, the model includes their age.
+    Parameters
+    ----------
+    log : LoadedLog
+        The log, which is not changed.
+    source : str
+        Name of the model, such as ``horizontal:force``.
+    curve : ThrustCurve or None
+        Static curve from command to thrust, if one is used.
 
     Raises
     ------
     SeatrialError
-        If the logs have no inputs for the horizontal model.
+        If a curve is given and the log lacks the commands.
+    """
+    found, held = derived_signals(log.run.channels, log.holds, source, curve, log.about["path"])
+    return replace(log, run=replace(log.run, channels=found), holds=held)
+
+
+def choose_model(source: str, loaded: Sequence[LoadedLog]) -> Model:
+    """Return the model of a name, with the sensors that any log has, and with the holds of the first log.
+
+    ``auto`` selects the horizontal model with the inputs that all logs have. If a log has commands only, the shafts are
+    states of the model. If the shaft speeds are telemetry, the model includes their age.
+
+    Parameters
+    ----------
+    source : str
+        Name of the model, or ``auto``.
+    loaded : sequence of LoadedLog
+        Logs with derived signals, at least one.
+
+    Raises
+    ------
+    SeatrialError
+        If the name is unknown, or the logs have no inputs for the horizontal model.
     """
     names = set.intersection(*[set(item.run.channels) for item in loaded])
     anywhere = set.union(*[set(item.run.channels) for item in loaded])
@@ -115,7 +161,7 @@ def choose_model(source: str, loaded: Sequence[LoadedLog]) -> Model:
         options = {"shaft": {"n_left", "n_right"}, "force": {"f_left", "f_right"}, "general": {"X", "N"}}
         fitting = [kind for kind, wanted in options.items() if wanted <= names]
         if not fitting:
-            hints = dict.fromkeys(h for n in sorted(names) if (h := _called_elsewhere(n)) and "shaft speed" in h)
+            hints = dict.fromkeys(h for n in sorted(names) if (h := _advice_on_other_name(n)) and "shaft speed" in h)
             raise SeatrialError(
                 f"{loaded[0].about['path']}: no inputs for the horizontal model (n_left and n_right, or f_left and "
                 f"f_right, or X and N); the log has {', '.join(sorted(names))}{''.join(f'; {h}' for h in hints)}"
@@ -124,7 +170,7 @@ def choose_model(source: str, loaded: Sequence[LoadedLog]) -> Model:
         late = PropulsionInput.COMMAND not in kinds and PropulsionInput.TELEMETRY in kinds
         source = "horizontal:command" if PropulsionInput.COMMAND in kinds else f"horizontal:{fitting[0]}"
     sensors = [n for n, s in SENSORS.items() if all(o.name in anywhere for o in s.outputs)]
-    model = as_logged(make_model(source, sensors), loaded[0].holds)
+    model = with_logged_holds(make_model(source, sensors), loaded[0].holds)
     return model + telemetry_age() if late else model
 
 
@@ -147,9 +193,17 @@ OTHER_NAMES = {
 def unused_signals(
     model: Model, estimation: Sequence[LoadedLog], validation: Sequence[LoadedLog]
 ) -> list[UnusedSignal]:
-    """Return the signals of the logs that the model does not use, with the reasons.
+    """Return the signals of the logs that the model does not use, with the reasons, in alphabetical order.
 
-    They include sensors that only validation logs have, because their noise cannot be estimated.
+    They include sensors that only validation logs have, because their noise cannot be estimated. Signals that were
+    derived from others are left out.
+
+    Parameters
+    ----------
+    model : Model
+        Model of the fit.
+    estimation, validation : sequence of LoadedLog
+        The logs.
     """
     loaded = [*estimation, *validation]
     taken = {i.tap_of if i.tap else i.name for i in model.inputs} | {o.name for o in model.outputs}
@@ -161,7 +215,7 @@ def unused_signals(
         made |= set(pair) if taken & set(pair) else set()
     for name in sorted(there - taken - made):
         logs = tuple(x.run.name for x in loaded if name in x.run.channels)
-        found.append(_unused(name, logs, model, there))
+        found.append(_unused_signal(name, logs, model, there))
     noise = {o.name: o.noise for o in model.outputs if o.noise and model.parameter(o.noise).free}
     estimated_noise = {noise.get(n) for x in estimation for n in x.run.channels}
     for name in sorted(n for n in noise.keys() & there if noise[n] not in estimated_noise):
@@ -171,14 +225,17 @@ def unused_signals(
     return found
 
 
-def _called_elsewhere(name: str) -> str | None:
-    """Return advice on a signal whose name other programs use; None for other names."""
+def _advice_on_other_name(name: str) -> str | None:
+    """Return advice on a signal whose name other programs use (`OTHER_NAMES`); None for other names."""
     return next((text for alias, text in OTHER_NAMES.items() if name == alias or name.startswith(f"{alias}_")), None)
 
 
-def _unused(name: str, logs: tuple[str, ...], model: Model, there: set[str]) -> UnusedSignal:
-    """Return an unused signal with the reason; ``there``: all signals of the logs."""
-    advice = _called_elsewhere(name)
+def _unused_signal(name: str, logs: tuple[str, ...], model: Model, there: set[str]) -> UnusedSignal:
+    """Return one signal that the model does not use, with the code and the text of the reason.
+
+    ``logs``: logs that contain it. ``there``: names of all signals of all logs.
+    """
+    advice = _advice_on_other_name(name)
     sensors = [[o.name for o in s.outputs] for s in SENSORS.values()]
     needs = [missing for names in sensors if name in names for missing in names if missing not in there]
     if needs:
@@ -186,7 +243,7 @@ def _unused(name: str, logs: tuple[str, ...], model: Model, there: set[str]) -> 
         return UnusedSignal(signal=name, logs=logs, code="incomplete-sensor", reason=reason)
     if advice is not None:
         return UnusedSignal(signal=name, logs=logs, code="other-name", reason=advice)
-    if name in KNOWN_SIGNALS or name.partition("_")[0] in ("voltage", "n"):
+    if name in KNOWN_SIGNALS or SignalId.parse(name).quantity in ("voltage", SHAFT_SPEED, COMMAND):
         inputs = ", ".join(i.name for i in model.inputs if not i.tap)
         reason = f"model {model.name} with the inputs {inputs} does not use it"
     else:
@@ -196,15 +253,31 @@ def _unused(name: str, logs: tuple[str, ...], model: Model, there: set[str]) -> 
 
 
 def unused_lines(found: Sequence[UnusedSignal]) -> list[str]:
-    """Return one line for each reason, with the signals that it is about."""
+    """Return one line for each reason, with the signals that it is about.
+
+    Parameters
+    ----------
+    found : sequence of UnusedSignal
+        Signals that the model does not use.
+    """
     reasons = dict.fromkeys(s.reason for s in found)
     return [f"not used: {', '.join(s.signal for s in found if s.reason == r)}: {r}" for r in reasons]
 
 
 def thrust_from(model: Model, loaded: Sequence[LoadedLog]) -> str:
-    """Return a line on the signals that the model's thrust is computed from; empty if the thrust itself is an input.
+    """Return a line on the signals that the model's thrust is computed from.
 
-    ``loaded``: logs with derived signals (``with_derived_signals``).
+    Parameters
+    ----------
+    model : Model
+        Model of the fit.
+    loaded : sequence of LoadedLog
+        Logs with derived signals (`with_derived_signals`).
+
+    Returns
+    -------
+    str
+        Empty if the thrust itself is an input.
     """
     if "n_state" in model.provides:
         return (
@@ -218,43 +291,65 @@ def thrust_from(model: Model, loaded: Sequence[LoadedLog]) -> str:
         )
     if "n_input" not in model.provides:
         return ""
-    command_only = [_commanded_only(x) for x in loaded]
+    command_only = [_has_commands_for_shaft_speeds(x) for x in loaded]
     if not any(command_only):
         return "thrust from the measured shaft speeds"
     affected = [x for x, only in zip(loaded, command_only, strict=True) if only]
     where = "" if all(command_only) else f" in {', '.join(x.run.name for x in affected)}"
     hint = ""
-    if any(_held_speed(x) for x in affected):
+    if any(_has_held_shaft_speeds(x) for x in affected):
         hint = ' (n_left and n_right have hold = "zero"; hold = "linear" of the map makes them measured shaft speeds)'
     text = "thrust from the commands, or an autopilot's outputs, without a lag: no shaft speed is measured"
     return f"{text}{where}{hint}"
 
 
-def _held_speed(log: LoadedLog) -> bool:
-    """Return whether an import map names signals n_left and n_right but holds them as commands."""
+def _has_held_shaft_speeds(log: LoadedLog) -> bool:
+    """Return whether an import map declares ``n_left`` and ``n_right`` with the hold ``zero``, as for commands."""
     return all(n in log.run.channels and log.run.channels[n].source == n and log.holds.get(n) == "zero" for n in SHAFTS)
 
 
-def _commanded_only(log: LoadedLog) -> bool:
-    """Return whether commands stand for the shaft speeds that the log lacks."""
+def _has_commands_for_shaft_speeds(log: LoadedLog) -> bool:
+    """Return whether commands stand for the shaft speeds that the log lacks (`with_derived_signals`)."""
     shaft, command = (log.run.channels.get(names[0]) for names in (SHAFTS, COMMANDS))
     return shaft is command and log.propulsion is PropulsionInput.COMMAND
 
 
-def as_logged(model: Model, holds: Mapping[str, str]) -> Model:
-    """Return the model with its inputs, and their delayed taps, held as in a log."""
+def with_logged_holds(model: Model, holds: Mapping[str, str]) -> Model:
+    """Return the model with its inputs, and their delayed taps, held as in a log.
+
+    Parameters
+    ----------
+    model : Model
+        The model, which is not changed.
+    holds : mapping
+        Hold of each signal by name. An input without an entry keeps the hold of the model.
+    """
     return replace(model, inputs=tuple(i.held(holds.get(i.tap_of or i.name, "")) for i in model.inputs))
 
 
 def in_one_frame(
     model: Model, loaded: Sequence[LoadedLog], validation_logs: Sequence[LoadedLog], reference: FrameOrigin | None
 ) -> tuple[list[LoadedLog], list[LoadedLog]]:
-    """Return the logs with x and y from one origin: that of a saved model, if it has one.
+    """Return the logs with x and y from one origin: that of a saved model, else the first fix of the first log.
+
+    Parameters
+    ----------
+    model : Model
+        Model of the logs.
+    loaded, validation_logs : sequence of LoadedLog
+        The logs. One that begins too far from the origin is returned unchanged.
+    reference : FrameOrigin or None
+        Origin of the logs that a saved model was fitted to.
+
+    Returns
+    -------
+    tuple of list of LoadedLog
+        Estimation logs and validation logs.
 
     Raises
     ------
     SeatrialError
-        If the model has a fixed point and the logs have no common frame (``require_one_frame``).
+        If the model has a fixed point and the logs have no common frame (`require_one_frame`).
     """
     placed = share_frame([*loaded, *validation_logs], reference)
     require_one_frame(model, placed, reference)
@@ -264,15 +359,23 @@ def in_one_frame(
 def require_one_frame(model: Model, logs: Sequence[LoadedLog], reference: FrameOrigin | None = None) -> None:
     """Raise SeatrialError if the model has a fixed point and the logs are too far apart to share it.
 
-    A fixed point (a mooring, a tether) is the same for all logs. ``reference`` is the origin of the logs that the
-    model was fitted to.
+    A fixed point (a mooring, a tether) is the same for all logs.
+
+    Parameters
+    ----------
+    model : Model
+        Model of the logs.
+    logs : sequence of LoadedLog
+        Logs whose x and y have one origin if they are near each other. A log with an unknown origin is accepted.
+    reference : FrameOrigin, optional
+        Origin of the logs that the model was fitted to; by default that of the first log that has one.
     """
     points = [e.name for e in model.effects if e.fixed_point]
     for log in logs if points else ():
         reference = reference or log.origin
         if reference is not None and far_apart([reference, log.origin]):
             raise SeatrialError(
-                f"{log.about['path']}: it begins more than {SHARED_WITHIN / 1000:g} km from the first fix of "
+                f"{log.about['path']}: the log begins more than {SHARED_WITHIN / 1000:g} km from the first fix of "
                 f"{reference.log or 'the logs of the model'}, but {points[0]} has one position for all logs; use "
                 "logs from one place, or a model without it"
             )
@@ -281,10 +384,19 @@ def require_one_frame(model: Model, logs: Sequence[LoadedLog], reference: FrameO
 def saved_frame_warnings(model: Model, logs: Sequence[LoadedLog], reference: FrameOrigin | None) -> list[ResultWarning]:
     """Return warnings about unknown origins of x and y, for logs that a saved model is applied to.
 
+    Parameters
+    ----------
+    model : Model
+        The saved model.
+    logs : sequence of LoadedLog
+        The logs.
+    reference : FrameOrigin or None
+        Origin of the logs that the model was fitted to; None if unknown.
+
     Raises
     ------
     SeatrialError
-        If the model has a fixed point and the logs have no common frame (``require_one_frame``).
+        If the model has a fixed point and the logs have no common frame (`require_one_frame`).
     """
     require_one_frame(model, logs, reference)
     return frame_warnings(model, [log.run.name for log in logs if log.unplaced], saved_origin_unknown=reference is None)
@@ -297,13 +409,28 @@ def model_of_logs(
     validation_logs: Sequence[LoadedLog],
     thruster: str | None,
 ) -> tuple[Model, list[LogSegment], list[LogSegment], float]:
-    """Return the saved model adapted to the logs, the runs for estimation and validation, and the usual rate [Hz].
+    """Return a saved model adapted to the logs, and the signals of the logs.
 
     Parameters
     ----------
+    model : Model
+        The saved model.
+    model_path : Path
+        Its file, for messages.
+    loaded, validation_logs : sequence of LoadedLog
+        Logs for the estimation and for the validation.
     thruster : str or None
         For a vehicle model: file of the static curve that it was fitted with. For a thruster model: name of the
         thruster.
+
+    Returns
+    -------
+    model : Model
+        The model, for a vehicle with the holds of the first log.
+    estimation, validation : list of LogSegment
+        Signals of each log, with derived signals.
+    rate : float
+        Usual rate of the rows [Hz] for this kind of model.
 
     Raises
     ------
@@ -323,7 +450,10 @@ def model_of_logs(
 
 
 def _curve_path(thruster: str | None, model: Path) -> Path | None:
-    """Return the file of ``--thruster``. Raise SeatrialError if there is no such file."""
+    """Return the file of the static curve that ``--thruster`` names; None without the option.
+
+    Raise SeatrialError if there is no such file. ``model``: file of the model, for the message.
+    """
     if thruster is None:
         return None
     if not Path(thruster).is_file():
@@ -336,7 +466,10 @@ def _curve_path(thruster: str | None, model: Path) -> Path | None:
 def _check_thrust_inputs(
     model: Model, path: Path, loaded: Sequence[LoadedLog], validation_logs: Sequence[LoadedLog]
 ) -> None:
-    """Raise SeatrialError if a log lacks an input of the model that a static thrust curve would give."""
+    """Raise SeatrialError if a log lacks an input of the model that a thrust curve would give, such as ``f_left``.
+
+    ``path``: file of the model, for the message.
+    """
     thrusts = [i.name for i in model.inputs if i.name in CURVE_INPUTS]
     for log in (*loaded, *validation_logs):
         lost = [n for n in thrusts if n not in log.run.channels]
@@ -350,7 +483,11 @@ def _check_thrust_inputs(
 def _with_logged_sensors(
     model: Model, path: Path, loaded: Sequence[LoadedLog], validation_logs: Sequence[LoadedLog]
 ) -> Model:
-    """Return a vehicle model with its inputs held as in the logs. Raise SeatrialError if no log has a sensor of it."""
+    """Return a vehicle model with its inputs held as in the first log.
+
+    Raise SeatrialError if the logs have no sensor of the model at all. Sensors that only some logs lack are accepted.
+    ``path``: file of the model, for the message.
+    """
     logs = [*loaded, *validation_logs]
     present = [n for n, s in SENSORS.items() if any(all(o.name in x.run.channels for o in s.outputs) for x in logs)]
     lost = [s.name for s in model.sensors if s.name in SENSORS and s.name not in present]
@@ -358,11 +495,21 @@ def _with_logged_sensors(
         raise SeatrialError(
             f"{loaded[0].about['path']}: none of the sensors of {path} is in the log: {', '.join(lost)}"
         )
-    return as_logged(model, loaded[0].holds)
+    return with_logged_holds(model, loaded[0].holds)
 
 
 def check_names(model: Model, names: Sequence[str], n_logs: int) -> None:
-    """Raise SeatrialError for a name of ``--profile`` that a fit of the model to ``n_logs`` logs does not estimate."""
+    """Raise SeatrialError for a name of ``--profile`` that a fit does not estimate: unknown, or fixed.
+
+    Parameters
+    ----------
+    model : Model
+        Model of the fit.
+    names : sequence of str
+        Names of parameters; a per-record parameter also as ``NAME@0``, ``NAME@1``, ...
+    n_logs : int
+        Number of estimation logs.
+    """
     known = {p.name: p for p in model.parameters}
     known |= {segment_name(p.name, i): p for p in model.parameters if p.per_record for i in range(n_logs)}
     for name in names:
@@ -371,19 +518,27 @@ def check_names(model: Model, names: Sequence[str], n_logs: int) -> None:
                 f"--profile {name}: model {model.name} has no such parameter; it has {', '.join(model.values)}"
             )
         if not known[name].free:
-            raise SeatrialError(f"--profile {name}: it is given, not estimated; estimated are {', '.join(model.free)}")
+            raise SeatrialError(
+                f"--profile {name}: the parameter is fixed, not estimated; the estimated ones are "
+                f"{', '.join(model.free)}"
+            )
 
 
 def check_horizon(
     horizon: float | None, loaded: Sequence[LoadedLog], validation_logs: Sequence[LoadedLog] = ()
 ) -> None:
-    """Raise SeatrialError if the prediction horizon [s] is longer than all logs that the model is evaluated on.
+    """Raise SeatrialError if the prediction horizon is longer than all logs that the model is evaluated on.
 
-    These are the validation logs (``unseen``), or the estimation logs if there are no others.
+    Parameters
+    ----------
+    horizon : float or None
+        Prediction horizon [s]; None is accepted.
+    loaded, validation_logs : sequence of LoadedLog
+        The model is evaluated on the validation logs, or on the estimation logs if there are no others.
     """
     longest = max(validation_logs or loaded, key=lambda x: float(x.about["duration"])).about
     if horizon is not None and not horizon < longest["duration"]:
         raise SeatrialError(
-            f"--horizon {horizon:g}: {longest['path']}, the longest log to judge by, "
+            f"--horizon {horizon:g}: {longest['path']}, the longest log that the model is evaluated on, "
             f"lasts {longest['duration']:.1f} s; give fewer seconds"
         )

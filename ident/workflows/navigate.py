@@ -42,7 +42,12 @@ from seatrial.ident.results import (
     record_inputs,
     write_result,
 )
-from seatrial.ident.workflows.model_inputs import as_logged, known_curve, saved_frame_warnings, with_derived_signals
+from seatrial.ident.workflows.model_inputs import (
+    known_curve,
+    saved_frame_warnings,
+    with_derived_signals,
+    with_logged_holds,
+)
 
 Columns = list[tuple[str, str, Array]]  # name, unit, values
 
@@ -84,10 +89,22 @@ class NavigationRequest:
 def navigate_logs(request: NavigationRequest, command: str, reporter: Reporter) -> NavigationResult:
     """Estimate the states of each log, and write the results.
 
+    The files are one CSV file of the states for each log or segment of a log, result.json and report.html in the folder
+    ``request.out``.
+
     Parameters
     ----------
+    request : NavigationRequest
+        Model, logs and options.
     command : str
         Command line, for the provenance.
+    reporter : Reporter
+        Receives progress.
+
+    Returns
+    -------
+    NavigationResult
+        Content of result.json.
 
     Raises
     ------
@@ -103,18 +120,19 @@ def navigate_logs(request: NavigationRequest, command: str, reporter: Reporter) 
     twice = sorted({n for n in names if names.count(n) > 1})
     if twice:
         raise SeatrialError(
-            f"two logs are named {twice[0]}, so their results would have one name: navigate them one by one"
+            f"two logs are named {twice[0]}, so their results would overwrite each other; navigate them one by one, "
+            "each with its own --out"
         )
     loaded, parts, tables, reference = list[LoadedLog](), [], [], saved.origin
     for path in logs:
         reporter.progress(f"navigating {path.name}")
         own = share_frame(parts_with_sensors(load_run(path, "navigated", request.window)), reference)
         reference = reference or own[0].origin
-        for log, outages in zip(own, _outages_of(own, request.gnss_outages), strict=True):
+        for log, outages in zip(own, _outages_by_segment(own, request.gnss_outages), strict=True):
             loaded.append(with_derived_signals(log, saved.model.source, curve))
-            done, t0 = _navigate(model, loaded[-1], known, request, outages)
+            done, t0 = _navigate_log(model, loaded[-1], known, request, outages)
             parts.append((done, t0, gnss_outages(done)))
-            tables.append(_columns(done, t0))
+            tables.append(_csv_columns(done, t0))
     assumed = saved_frame_warnings(model, loaded, saved.origin)
     made = provenance(loaded, command)
     result = NavigationResult(
@@ -123,18 +141,18 @@ def navigate_logs(request: NavigationRequest, command: str, reporter: Reporter) 
         command=made.command,
         logs=made.logs,
         answer=navigation_answer([o for _, _, found in parts for o in found], [d for d, _, _ in parts]),
-        navigation=tuple(_part(d, t0, table) for (d, t0, _), table in zip(parts, tables, strict=True)),
-        outages=tuple(_row(o, d.record.name, t0) for d, t0, found in parts for o in found),
-        inputs=tuple(row for d, t0, _ in parts for row in _inputs(d, t0)),
+        navigation=tuple(_navigated_record(d, t0, table) for (d, t0, _), table in zip(parts, tables, strict=True)),
+        outages=tuple(_outage_row(o, d.record.name, t0) for d, t0, found in parts for o in found),
+        inputs=tuple(row for d, t0, _ in parts for row in _input_traces(d, t0)),
         warnings=tuple(assumed),
-        notes=tuple(_notes(parts, known)),
+        notes=tuple(_navigation_notes(parts, known)),
     )
-    _write(request.out, result, dict(zip((log.run.name for log in loaded), tables, strict=True)))
+    _write_results(request.out, result, dict(zip((log.run.name for log in loaded), tables, strict=True)))
     return result
 
 
-def _write(out: Path, result: NavigationResult, tables: Mapping[str, Columns]) -> None:
-    """Write NAME.csv for each table, result.json and report.html."""
+def _write_results(out: Path, result: NavigationResult, tables: Mapping[str, Columns]) -> None:
+    """Write NAME.csv for each table, result.json and report.html to the folder ``out``, which is created."""
     out.mkdir(parents=True, exist_ok=True)
     for name, table in tables.items():
         write_csv(out / f"{name}.csv", table)
@@ -142,10 +160,13 @@ def _write(out: Path, result: NavigationResult, tables: Mapping[str, Columns]) -
     write_report(result, out / "report.html")
 
 
-def _outages_of(parts: Sequence[LoadedLog], outages: Sequence[tuple[float, float]]) -> list[list[tuple[float, float]]]:
-    """Return the outages [s of the log] of each part of a log.
+def _outages_by_segment(
+    parts: Sequence[LoadedLog], outages: Sequence[tuple[float, float]]
+) -> list[list[tuple[float, float]]]:
+    """Return, for each segment of one log, the GNSS outages (from, to) [s of the log] that it contains.
 
-    An outage that begins between two parts belongs to the later part.
+    ``parts``: segments of the log in order of time. An outage that begins between two segments belongs to the later
+    one; an outage that begins after all belongs to the last one.
     """
     ends = [max(float(c.t[-1]) for c in log.run.channels.values()) for log in parts[:-1]]
     own: list[list[tuple[float, float]]] = [[] for _ in parts]
@@ -154,16 +175,20 @@ def _outages_of(parts: Sequence[LoadedLog], outages: Sequence[tuple[float, float
     return own
 
 
-def _navigate(
+def _navigate_log(
     model: Model,
     log: LoadedLog,
     known: ParameterCovariance,
     request: NavigationRequest,
     without: Sequence[tuple[float, float]],
 ) -> tuple[Navigation, float]:
-    """Navigate one log; return the navigation and the log time [s] of its first row."""
+    """Navigate one log or segment of a log; return the navigation and the log time [s] of its first row.
+
+    ``known``: covariance of the parameters. ``without``: intervals (from, to) [s of the log] in which GNSS is withheld.
+    Raise SeatrialError if the log has no position, or none in such an interval.
+    """
     rate = request.rate
-    model = as_logged(model, log.holds)
+    model = with_logged_holds(model, log.holds)
     rows = make_record(model, log.run, rate)
     t0 = float(rows.meta["t0"])
     _check_fixes(rows, t0, without, log.about["path"])
@@ -172,12 +197,16 @@ def _navigate(
 
 
 def _check_fixes(rows: Record, t0: float, without: Sequence[tuple[float, float]], path: str) -> None:
-    """Raise SeatrialError if a log has no position, or no position in an interval that is to be withheld."""
+    """Raise SeatrialError if a log has no position, or no position in an interval that is to be withheld.
+
+    ``t0``: log time [s] of the first row. ``without``: intervals (from, to) [s of the log]. ``path``: file of the log,
+    for the message. A model without a position is accepted here.
+    """
     if POSITION[0] not in rows.outputs:  # the model has no position; ``navigate`` raises the error
         return
     fixes = rows.t[np.isfinite(rows.y[:, rows.outputs.index(POSITION[0])])] + t0
     if not fixes.size:
-        raise SeatrialError(f"{path}: no GNSS position in it; a track needs at least one fix")
+        raise SeatrialError(f"{path}: the log has no GNSS position; navigation needs at least one fix")
     for begin, end in without:
         if not ((fixes >= begin) & (fixes < end)).any():
             raise SeatrialError(
@@ -186,10 +215,11 @@ def _check_fixes(rows: Record, t0: float, without: Sequence[tuple[float, float]]
             )
 
 
-def _columns(done: Navigation, t0: float) -> Columns:
+def _csv_columns(done: Navigation, t0: float) -> Columns:
     """Return the columns of the CSV: time, states, standard deviations, current, covariance of the position, GNSS use.
 
-    The column ``gnss`` is 1 for a fix that was used, -1 for one that was withheld, else 0.
+    ``t0``: log time [s] of the first row. The column ``gnss`` is 1 for a fix that was used, -1 for one that was
+    withheld, else 0. States and standard deviations are in reported units.
     """
     states, best = done.model.states, done.best
     drift = set(CURRENT.values()) if done.current() is not None else set()
@@ -208,22 +238,31 @@ def _columns(done: Navigation, t0: float) -> Columns:
 
 
 def write_csv(path: Path, columns: Columns) -> None:
-    """Write a CSV file: a line of names, then one line for each row. Times are rounded to 0.1 ms."""
+    """Write a CSV file: a line of names, then one line for each row. Times are rounded to 0.1 ms.
+
+    Parameters
+    ----------
+    path : Path
+        File, which is replaced if it exists.
+    columns : list
+        Name, unit and values (n,) of each column; the first is the time [s]. The units are not written.
+    """
     table = np.column_stack([values for _, _, values in columns])
     layout = ["%.4f", *["%.7g"] * (len(columns) - 1)]
     with new_file(path) as scratch:
         np.savetxt(scratch, table, fmt=layout, delimiter=",", header=",".join(n for n, _, _ in columns), comments="")
 
 
-def _inputs(done: Navigation, t0: float) -> list[InputTrace]:
-    """Return the inputs of a record over the time of the log."""
+def _input_traces(done: Navigation, t0: float) -> list[InputTrace]:
+    """Return the inputs of a record over the time of the log. ``t0``: log time [s] of the first row."""
     return [msgspec.structs.replace(row, t=row.t + t0) for row in record_inputs(done.model, done.record)]
 
 
-def _part(done: Navigation, t0: float, table: Columns) -> NavigatedRecord:
-    """Return the entry of one record in ``navigation``.
+def _navigated_record(done: Navigation, t0: float, table: Columns) -> NavigatedRecord:
+    """Return the navigation of one record as the entry of the result.
 
-    It contains only the states that the report plots, because a record has ten rows per second.
+    It contains only the states that the report plots, because a record has ten rows per second. ``t0``: log time [s] of
+    the first row. ``table``: columns of the CSV file.
     """
     values = {name: value for name, _, value in table}
     meaning = {s.name: s.meaning for s in done.model.states} | {
@@ -260,8 +299,11 @@ def _part(done: Navigation, t0: float, table: Columns) -> NavigatedRecord:
     )
 
 
-def _row(o: Outage, name: str, t0: float) -> GnssOutage:
-    """Return the table row of an outage, with times of the log."""
+def _outage_row(o: Outage, name: str, t0: float) -> GnssOutage:
+    """Return the table row of an outage, with times of the log.
+
+    ``name``: name of the record. ``t0``: log time [s] of its first row.
+    """
     e = o.at_end
     return GnssOutage(
         record=name,
@@ -278,19 +320,28 @@ def _row(o: Outage, name: str, t0: float) -> GnssOutage:
         allowed=finite(o.allowed),
         inside=o.inside,
         widest=o.widest,
-        predicted=_withheld(o.predicted),
-        best=_withheld(o.best),
+        predicted=_withheld_errors(o.predicted),
+        best=_withheld_errors(o.best),
     )
 
 
-def _withheld(found: OutageErrors | None) -> WithheldErrors | None:
+def _withheld_errors(found: OutageErrors | None) -> WithheldErrors | None:
+    """Return the errors at withheld fixes as the entry of the result; None for None."""
     if found is None:
         return None
     return WithheldErrors(rms=found.rms, largest=found.largest, inside=found.inside, n=found.n)
 
 
 def navigation_answer(found: Sequence[Outage], done: Sequence[Navigation]) -> str:
-    """Return the sentence on the worst outage, or on the accuracy of the position if there is no outage."""
+    """Return the sentence on the worst GNSS outage, or on the accuracy of the position if there is no outage.
+
+    Parameters
+    ----------
+    found : sequence of Outage
+        Outages of all records. The time before the first fix counts as an outage.
+    done : sequence of Navigation
+        Navigations of all records, at least one.
+    """
     if not found:
         radius = max(float(np.median(np.hypot(*n.best.sd[:, [n.states.index(p) for p in POSITION]].T))) for n in done)
         return f"No GNSS outage; the {done[0].kind} position has a standard deviation of {format_number(radius)} m."
@@ -319,8 +370,12 @@ def navigation_answer(found: Sequence[Outage], done: Sequence[Navigation]) -> st
     return ". ".join([words, *late]) + "."
 
 
-def _notes(parts: Sequence[tuple[Navigation, float, list[Outage]]], known: ParameterCovariance) -> list[str]:
-    """Return notes on missing sensors, large innovations, outages outside their regions and missing standard errors."""
+def _navigation_notes(parts: Sequence[tuple[Navigation, float, list[Outage]]], known: ParameterCovariance) -> list[str]:
+    """Return notes on missing sensors, large innovations, outages outside their regions and missing standard errors.
+
+    ``parts``: navigation, log time [s] of its first row, and outages of each record. ``known``: covariance of the
+    parameters.
+    """
     notes = []
     for done, t0, found in parts:
         name = done.record.name

@@ -38,22 +38,34 @@ COLOUR = (
 
 @dataclass(frozen=True)
 class NoiseEstimate:
-    """Noise estimate of one channel of one log."""
+    """Noise estimate of one channel of one log.
+
+    Attributes
+    ----------
+    log, name
+        Name of the log and of the channel.
+    label
+        Name of the channel for the reader, with that of the log if there are several logs.
+    channel
+        Samples, with angles unwrapped and times from the first sample [s].
+    fit
+        Fitted model: white noise plus a random walk, with tests.
+    """
 
     log: str
     name: str
-    label: str  # name for the reader, with that of the log if there are several logs
+    label: str
     channel: Channel
     fit: NoiseFit
 
     @property
     def reason(self) -> str:
-        """Reason why the noise model is rejected; empty if it is accepted."""
+        """Reason why the noise model is rejected, as a part of a sentence; empty if it is accepted."""
         return " and ".join(words for words, _ in self._departures())
 
     @property
     def remedy(self) -> str:
-        """Advice on the reason for the rejection."""
+        """Advice on the reason for the rejection. It is defined only for a rejected model."""
         return self._departures()[-1][1]
 
     @property
@@ -78,7 +90,7 @@ class NoiseEstimate:
         return found
 
     def _departures(self) -> list[tuple[str, str]]:
-        """Return the departures from the noise model, each with advice.
+        """Return the texts of the departures from the noise model, each with advice; empty if there are none.
 
         A spectral line is returned alone if it holds more than half of the predictable variance. Otherwise the
         autocorrelation and the lowest band are returned.
@@ -101,12 +113,25 @@ class NoiseEstimate:
 def noise(logs: Sequence[Path], out: Path, *, signals: Sequence[str], command: str, reporter: Reporter) -> NoiseResult:
     """Estimate white noise and random walk of each channel of logs of sensors at rest, and write the results.
 
+    The files are noise.toml, result.json and report.html.
+
     Parameters
     ----------
+    logs : sequence of Path
+        Logs of sensors at rest.
+    out : Path
+        Folder for the results; it is created if it does not exist.
     signals : sequence of str
         Channels to estimate; empty: all.
     command : str
         Command line, for the provenance.
+    reporter : Reporter
+        Receives progress.
+
+    Returns
+    -------
+    NoiseResult
+        Content of result.json. Channels that cannot be estimated are listed in its notes.
 
     Raises
     ------
@@ -117,7 +142,7 @@ def noise(logs: Sequence[Path], out: Path, *, signals: Sequence[str], command: s
     notes: list[str] = []
     found: list[NoiseEstimate] = []
     for path, log in zip(logs, loaded, strict=True):
-        chosen = _chosen(path, log, signals)
+        chosen = _channels_to_estimate(path, log, signals)
         for name, channel in chosen.items():
             label = name if len(logs) == 1 else f"{log.run.name} {name}"
             reporter.progress(f"{label}: {channel.t.size} samples")
@@ -137,9 +162,9 @@ def noise(logs: Sequence[Path], out: Path, *, signals: Sequence[str], command: s
         seatrial=made.seatrial,
         command=made.command,
         logs=made.logs,
-        answer=_answer(found),
-        noise=tuple(_row(x) for x in found),
-        notes=(*notes, *_notes(found)),
+        answer=_noise_answer(found),
+        noise=tuple(_channel_noise(x) for x in found),
+        notes=(*notes, *_noise_notes(found)),
     )
     out.mkdir(parents=True, exist_ok=True)
     save_noise(out / "noise.toml", found, result)
@@ -148,21 +173,24 @@ def noise(logs: Sequence[Path], out: Path, *, signals: Sequence[str], command: s
     return result
 
 
-def _chosen(path: Path, loaded: LoadedLog, signals: Sequence[str]) -> Mapping[str, Channel]:
-    """Return the channels of a log, with all axes of its AHRS; only the named ones if ``signals`` is not empty."""
+def _channels_to_estimate(path: Path, loaded: LoadedLog, signals: Sequence[str]) -> Mapping[str, Channel]:
+    """Return the channels of a log, with all axes of its AHRS; only the named ones if ``signals`` is not empty.
+
+    Channels with fewer than two samples are left out. Raise SeatrialError if a named one is missing.
+    """
     everything = dict(loaded.run.channels)
     with open_log(path) as log:
         for source in log.sources(Ahrs):
             everything = ahrs_channels(log.table(Ahrs, source), source) | everything
-    everything = {n: _unwrapped(c) for n, c in everything.items() if c.t.size > 1}
+    everything = {n: _with_unwrapped_angles(c) for n, c in everything.items() if c.t.size > 1}
     lost = [n for n in signals if n not in everything]
     if lost:
         raise SeatrialError(f"{path}: no signal {lost[0]!r}; it has {', '.join(sorted(everything))}")
     return {n: everything[n] for n in signals} if signals else everything
 
 
-def _unwrapped(channel: Channel) -> Channel:
-    """Return the channel with continuous angles and with times from its first sample.
+def _with_unwrapped_angles(channel: Channel) -> Channel:
+    """Return the channel with continuous angles and with times [s] from its first sample.
 
     A heading that crosses 180 degrees would otherwise have a step.
     """
@@ -170,8 +198,8 @@ def _unwrapped(channel: Channel) -> Channel:
     return Channel(channel.t - channel.t[0], value, channel.unit, channel.source)
 
 
-def _row(estimate: NoiseEstimate) -> ChannelNoise:
-    """Return the table row of one channel, with its spectrum."""
+def _channel_noise(estimate: NoiseEstimate) -> ChannelNoise:
+    """Return the table row of one channel, with its spectrum. Errors and limits that are not finite are None."""
     frequency, density = welch(estimate.channel)
     averaged = band_spectrum(frequency, density)
     f = estimate.fit
@@ -195,7 +223,7 @@ def _row(estimate: NoiseEstimate) -> ChannelNoise:
     )
 
 
-def _answer(found: Sequence[NoiseEstimate]) -> str:
+def _noise_answer(found: Sequence[NoiseEstimate]) -> str:
     """Return the sentence on the channels that the noise model describes, and on those that it does not describe."""
     bad = [x for x in found if x.fit.rejected]
     odd = [x for x in found if x.exceptions and not x.fit.rejected]
@@ -214,11 +242,12 @@ def _answer(found: Sequence[NoiseEstimate]) -> str:
 
 
 def _percent(share: float) -> str:
+    """Format a share (0 to 1) in per cent, with two significant digits."""
     return f"{100 * share:.2g} %"
 
 
-def _notes(found: Sequence[NoiseEstimate]) -> list[str]:
-    """Return notes on rejected channels, negligible departures, exceptions and flags."""
+def _noise_notes(found: Sequence[NoiseEstimate]) -> list[str]:
+    """Return notes on rejected channels, negligible departures, spikes, coarse steps, and flags of the fits."""
     lines = [f"{x.label}: not white noise plus a random walk: {x.reason}. {x.remedy}" for x in found if x.fit.rejected]
     lines += [
         f"{x.label}: the innovations are not quite white, but no more than {_percent(x.fit.departures.share)} of their "
@@ -231,7 +260,17 @@ def _notes(found: Sequence[NoiseEstimate]) -> list[str]:
 
 
 def save_noise(path: Path, found: Sequence[NoiseEstimate], result: NoiseResult) -> None:
-    """Write noise.toml, the part of the result that other programs use."""
+    """Write noise.toml, the part of the result that other programs use.
+
+    Parameters
+    ----------
+    path : Path
+        File, which is replaced if it exists.
+    found : sequence of NoiseEstimate
+        Estimates of all channels. Numbers that are not finite are left out.
+    result : NoiseResult
+        Result, for the provenance.
+    """
     document = tomlkit.document()
     document["format"] = FORMAT
     document["provenance"] = {

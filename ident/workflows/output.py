@@ -22,16 +22,20 @@ def write_all(
     calibration: float | None = None,
     rates: Mapping[str, float] | None = None,
 ) -> None:
-    """Write model.toml, result.json and report.html to a folder.
+    """Write model.toml, result.json and report.html to a folder; existing files of these names are replaced.
 
     Parameters
     ----------
     out : Path
         Folder; it is created if it does not exist.
+    result : FitResult
+        Content of result.json and report.html.
+    fit : Fit
+        Estimates for model.toml.
     ranges : mapping
-        Lower and upper end of the range of each state and input that the data cover.
+        Lower and upper end of the range of each state and input that the data cover, in the unit of the signal.
     effects_file : Path, optional
-        Python file of user-defined effects.
+        Python file of user-defined effects, which model.toml then names.
     calibration : float, optional
         Relative standard uncertainty of the measured forces.
     rates : mapping, optional
@@ -56,9 +60,20 @@ def write_all(
 
 
 def validity(fitted: FittedModel) -> dict[str, tuple[float, float]]:
-    """Return the range of each velocity state and input in the estimation data.
+    """Return the range of each velocity state (``u``, ``v``, ``r``) and of each input in the estimation data.
 
-    The range of a state is from its 1 % to its 99 % quantile, that of an input from its minimum to its maximum.
+    The range of a filtered state is from its 1 % to its 99 % quantile, that of an input from its minimum to its
+    maximum.
+
+    Parameters
+    ----------
+    fitted : FittedModel
+        Fit with its estimation records.
+
+    Returns
+    -------
+    dict
+        Lower and upper end by name. If a name is both state and input, the range of the state is returned.
     """
     found: dict[str, tuple[float, float]] = {}
     views = fitted.estimation
@@ -75,6 +90,16 @@ def validity(fitted: FittedModel) -> dict[str, tuple[float, float]]:
 
 def sensor_rates(fitted: FittedModel) -> dict[str, float]:
     """Return the rate [Hz] of each sensor in the estimation data.
+
+    Parameters
+    ----------
+    fitted : FittedModel
+        Fit with its estimation records.
+
+    Returns
+    -------
+    dict
+        Rate by name of the sensor. A sensor with fewer than two samples in each record is left out.
 
     Notes
     -----

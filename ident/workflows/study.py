@@ -49,14 +49,27 @@ def run_study(
 
     Parameters
     ----------
+    case : Case
+        Mission, model and true values.
     n : int
         Number of replicates.
+    seed : int
+        Seed of all random draws.
     out : Path or str
-        File of JSON lines; new replicates are appended.
+        File of JSON lines; new replicates are appended as soon as they are done. Its folder is created.
+    method : str
+        ``prediction-error`` or ``output-error``.
     jobs : int, optional
         Number of processes; None: that of ``joblib.parallel_config``. Any backend of joblib works.
+    reporter : Reporter
+        Receives progress, and a warning if replicates of ``out`` come from another version of the code.
+
+    Returns
+    -------
+    list of Row
+        Replicates 0 to n - 1, in order. A failed one has the key ``error``; it is run again by the next call.
     """
-    key, out = _key(case, seed, method), Path(out)
+    key, out = _study_key(case, seed, method), Path(out)
     done = {r["k"]: r for r in read_replicates(out) if r["key"] == key and r["k"] < n}
     todo = [k for k in range(n) if k not in done]
     if done:
@@ -67,7 +80,7 @@ def run_study(
             )
     out.parent.mkdir(parents=True, exist_ok=True)
     with append_to(out) as file:
-        for rows in _results(case, todo, seed, method, jobs):
+        for rows in _rows_by_task(case, todo, seed, method, jobs):
             for row in rows:
                 done[row["k"]] = row | {"key": key, "code": estimator_code_hash()}
                 file.write(json.dumps(done[row["k"]]) + "\n")
@@ -76,13 +89,14 @@ def run_study(
     return [done[k] for k in sorted(done)]
 
 
-def _results(case: Case, todo: Sequence[int], seed: int, method: Method, jobs: int | None) -> Iterator[list[Row]]:
-    """Yield the rows of each task as soon as it is done.
+def _rows_by_task(case: Case, todo: Sequence[int], seed: int, method: Method, jobs: int | None) -> Iterator[list[Row]]:
+    """Yield the rows of each task as soon as it is done, in any order.
 
-    Some backends return no result before all tasks are done. For these, the tasks are run in waves.
+    ``todo``: numbers of the replicates. Some backends of joblib return no result before all tasks are done. For these,
+    the tasks are run in waves.
     """
-    pace = _Pace(todo)
-    calls = (joblib.delayed(_timed)(case, task, seed, method) for task in pace.tasks())
+    pace = _TaskSize(todo)
+    calls = (joblib.delayed(_run_timed)(case, task, seed, method) for task in pace.tasks())
     try:
         run = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered", pre_dispatch="n_jobs", batch_size=1)
     except ValueError:  # Dask's and Ray's, for example
@@ -92,16 +106,21 @@ def _results(case: Case, todo: Sequence[int], seed: int, method: Method, jobs: i
     else:
         found = run(calls)
     for seconds, rows in found:
-        pace.took(rows, seconds)
+        pace.adapt(rows, seconds)
         yield rows
 
 
-class _Pace:
+class _TaskSize:
     """Controller of the number of replicates in a task.
 
-    The first task has one replicate. The size of the next tasks follows from the CPU time of the last one: about
-    ``TASK_S``, and at least as much time for estimation as for simulation. The simulation of one replicate takes almost
-    as long as that of many.
+    The first task has one replicate. The size of the next tasks follows from the CPU time of the last one: about 10 s,
+    and at least as much time for estimation as for simulation. The simulation of one replicate takes almost as long as
+    that of many.
+
+    Parameters
+    ----------
+    todo
+        Numbers of all replicates to run.
     """
 
     def __init__(self, todo: Sequence[int]) -> None:
@@ -115,22 +134,41 @@ class _Pace:
             at += len(task)
             yield task
 
-    def took(self, rows: Sequence[Row], seconds: float) -> None:
-        """Adapt the size of the next tasks to the CPU time [s] of a finished task."""
+    def adapt(self, rows: Sequence[Row], seconds: float) -> None:
+        """Adapt the size of the next tasks to a finished task.
+
+        Parameters
+        ----------
+        rows
+            Replicates of the task, at least one.
+        seconds
+            Its CPU time [s], with the simulation.
+        """
         simulation = sum(r["simulation"] for r in rows)
         each = max((seconds - simulation) / len(rows), 1e-6)
         self.size = int(min(max(max(TASK_S - simulation, simulation) / each, 1), 2 * len(rows), BATCH))
 
 
-def _timed(case: Case, numbers: Sequence[int], seed: int, method: Method) -> tuple[float, list[Row]]:
-    """Run a task; return its CPU time [s] and its rows."""
+def _run_timed(case: Case, numbers: Sequence[int], seed: int, method: Method) -> tuple[float, list[Row]]:
+    """Run the replicates ``numbers`` of a case; return the CPU time [s] and the rows."""
     began = time.process_time()
     rows = run_replicates(case, numbers, seed, method)
     return time.process_time() - began, rows
 
 
 def read_replicates(out: Path) -> list[Row]:
-    """Read the replicates of earlier runs, without incomplete lines and failed replicates."""
+    """Read the replicates of earlier runs, without incomplete lines and failed replicates.
+
+    Parameters
+    ----------
+    out : Path
+        File of JSON lines.
+
+    Returns
+    -------
+    list of Row
+        In the order of the file; empty if the file does not exist.
+    """
     rows = []
     for text in out.read_text(encoding="utf-8").splitlines() if out.exists() else ():
         try:
@@ -186,7 +224,13 @@ class StudyRequest:
     jobs: int | None = None
 
     def cases(self) -> list[Case]:
-        """Return the case of each model."""
+        """Return the case of each model, in their order and without repetitions.
+
+        Raises
+        ------
+        SeatrialError
+            If a model or an option cannot be used.
+        """
         return [
             make_case(
                 name,
@@ -206,8 +250,17 @@ def run_studies(request: StudyRequest, command: str, reporter: Reporter) -> Stud
 
     Parameters
     ----------
+    request : StudyRequest
+        Models and options.
     command : str
         Command line, for the provenance.
+    reporter : Reporter
+        Receives progress and warnings.
+
+    Returns
+    -------
+    StudyResult
+        Content of result.json.
 
     Raises
     ------
@@ -216,7 +269,7 @@ def run_studies(request: StudyRequest, command: str, reporter: Reporter) -> Stud
     """
     cases, out, method = request.cases(), request.out, request.method
     if out.exists() and not out.is_dir():
-        raise SeatrialError(f"{out}: is a file; give a folder")
+        raise SeatrialError(f"{out}: is a file; give a folder with --out")
     parts = []
     for case in cases:
         rows = run_study(
@@ -228,7 +281,7 @@ def run_studies(request: StudyRequest, command: str, reporter: Reporter) -> Stud
             jobs=request.jobs,
             reporter=reporter,
         )
-        parts.append(part(case, rows, method))
+        parts.append(model_study(case, rows, method))
     made = provenance([], command)
     result = StudyResult(
         created=made.created, seatrial=made.seatrial, command=made.command,
@@ -240,8 +293,18 @@ def run_studies(request: StudyRequest, command: str, reporter: Reporter) -> Stud
     return result
 
 
-def part(case: Case, rows: Sequence[Row], method: Method) -> ModelStudy:
-    """Return the entry of one study in ``studies``."""
+def model_study(case: Case, rows: Sequence[Row], method: Method) -> ModelStudy:
+    """Return the summary of one study as the entry of the result.
+
+    Parameters
+    ----------
+    case : Case
+        Mission, model and true values.
+    rows : sequence of Row
+        Replicates.
+    method : str
+        ``prediction-error`` or ``output-error``.
+    """
     truth, n = case.model.values, counts(rows)
     return ModelStudy(
         model=case.name,
@@ -255,13 +318,23 @@ def part(case: Case, rows: Sequence[Row], method: Method) -> ModelStudy:
         cpu_simulation=finite(n.cpu_simulation),
         # output error also estimates initial states, which have no true parameter value
         parameters=tuple(
-            _row(j, truth[j.name], case.model.parameter(j.name).unit) for j in summarise(rows) if j.name in truth
+            _parameter_study(j, truth[j.name], case.model.parameter(j.name).unit)
+            for j in summarise(rows)
+            if j.name in truth
         ),
     )
 
 
 def estimator(case: Case, method: Method) -> str:
-    """Describe the estimator of a study in words."""
+    """Return the description of the estimator of a study, for a table.
+
+    Parameters
+    ----------
+    case : Case
+        Its model gives the order of the filter.
+    method : str
+        ``prediction-error`` or ``output-error``.
+    """
     if method == "output-error":
         return "output error"
     noise = "restricted" if case.reml else "maximum"
@@ -269,8 +342,8 @@ def estimator(case: Case, method: Method) -> str:
     return f"prediction error, noise by {noise} likelihood, filter's mean of {order} order"
 
 
-def _row(j: ParameterCoverage, truth: float, unit: str) -> ParameterStudy:
-    """Return the table row of one parameter."""
+def _parameter_study(j: ParameterCoverage, truth: float, unit: str) -> ParameterStudy:
+    """Return the table row of one parameter. ``truth``, ``unit``: its true value and unit."""
     return ParameterStudy(
         name=j.name, unit=unit, truth=truth, n=j.n, at_bound=j.at_bound, sd=j.sd, bias=j.bias,
         bias_error=j.bias_error, ratio=j.ratio, ratio_low=j.ratio_interval[0], ratio_high=j.ratio_interval[1],
@@ -281,7 +354,13 @@ def _row(j: ParameterCoverage, truth: float, unit: str) -> ParameterStudy:
 
 
 def study_answer(study: ModelStudy) -> str:
-    """Return the sentence on a study: replicates that were left out, and parameters that meet or miss the aims."""
+    """Return the sentence on a study: replicates that were left out, and parameters that meet or miss the aims.
+
+    Parameters
+    ----------
+    study : ModelStudy
+        Summary of the study.
+    """
     rows = study.parameters
     if not rows:
         return f"{study.model}: no replicate can be judged" + (f": {study.left_out}." if study.left_out else ".")
@@ -299,8 +378,11 @@ def study_answer(study: ModelStudy) -> str:
     return ", ".join([*parts, *([f"these miss them: {', '.join(worst)}"] if worst else [])]) + "."
 
 
-def _key(case: Case, seed: int, method: Method) -> str:
-    """Return the key of a study: a hash of mission, model, truth, seed and estimator."""
+def _study_key(case: Case, seed: int, method: Method) -> str:
+    """Return the key of a study: 12 hexadecimal digits, a hash of mission, model, truth, seed and estimator.
+
+    Replicates of an earlier run are used only if their key is the same.
+    """
     parameters = [(p.name, p.value, p.bounds, p.free) for p in case.model.parameters]
     values: Any = (
         case.name,

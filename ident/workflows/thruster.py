@@ -40,7 +40,7 @@ from seatrial.ident.characterisation import (
 from seatrial.ident.checks import device_faults
 from seatrial.ident.data import Channel, LoadedLog, Record, build_record, load_runs
 from seatrial.ident.estimation import EstimationOptions, Fit, FittedModel, RecordEvaluation, profile
-from seatrial.ident.model import Model
+from seatrial.ident.model import Model, command_of, commanded_thrusters, shaft_speed_of
 from seatrial.ident.models import thruster_model
 from seatrial.ident.numerics import Array, mean_error, steady_segments
 from seatrial.ident.report import write_report
@@ -99,10 +99,21 @@ class ThrusterRequest:
 def characterise(request: ThrusterRequest, command: str, reporter: Reporter) -> ThrusterResult | ThrustCurveResult:
     """Fit the thruster model to bench logs of one thruster, or a static curve if they have no shaft speed.
 
+    The files are model.toml, result.json and report.html in the folder ``request.out``.
+
     Parameters
     ----------
+    request : ThrusterRequest
+        Logs and options.
     command : str
         Command line, for the provenance.
+    reporter : Reporter
+        Receives progress.
+
+    Returns
+    -------
+    ThrusterResult or ThrustCurveResult
+        Content of result.json.
 
     Raises
     ------
@@ -115,22 +126,24 @@ def characterise(request: ThrusterRequest, command: str, reporter: Reporter) -> 
     options, horizon = request.estimation, request.estimation.horizon
     if is_static(loaded, name):
         asked = {"--robust": options.outlier_model, "--profile": profiles, "--horizon": horizon is not None}
-        _refuse(request.logs[0], [option for option, is_given in asked.items() if is_given])
+        _refuse_options(request.logs[0], [option for option, is_given in asked.items() if is_given])
         return static_curve(loaded, request, command, reporter)
     check_horizon(horizon, loaded)
     name = name or thruster_name(loaded[0])
     for x in loaded:
         check_signs(x, name)
-    loaded, drifts = _without_zero_drift(loaded, lambda x: f"n_cmd_{name}", request.settle)
+    loaded, drifts = _without_zero_drift(loaded, lambda x: command_of(name), request.settle)
     has_force = all("force" in x.run.channels for x in loaded)
     model = thruster_model(force=has_force)
     check_names(model, profiles, len(loaded))
-    records = [_record(model, x, name) for x in loaded]
+    records = [_thruster_record(model, x, name) for x in loaded]
     if shaft_guess(records)[0] > model.parameter("tau").bounds[1]:
         model = thruster_model("slow", force=has_force)
-        records = [_record(model, x, name) for x in loaded]
+        records = [_thruster_record(model, x, name) for x in loaded]
     reporter.progress(f"fitting the thruster to {counted(len(records), 'run')}, {sum(r.n_rows for r in records)} rows")
-    fit, records = fit_with_delay_on_grid(model, records, lambda m: [_record(m, x, name) for x in loaded], options)
+    fit, records = fit_with_delay_on_grid(
+        model, records, lambda m: [_thruster_record(m, x, name) for x in loaded], options
+    )
     views = tuple(RecordEvaluation(fit.model, r, v) for r, v in zip(records, fit.record_values, strict=True))
     fitted = FittedModel(fit.model, fit, views, ())
     evaluation = evaluate(fitted, horizon)
@@ -142,23 +155,27 @@ def characterise(request: ThrusterRequest, command: str, reporter: Reporter) -> 
         evaluation,
         provenance(loaded, command),
         [profile(fit, records, p) for p in profiles],
-        _static(fit, records, loaded, name) if has_force else None,
+        _static_force(fit, records, loaded, name) if has_force else None,
         FitContext(model.values, [*drifts, *fitted.outlier_notes]),
         calibration,
     )
-    ranges = {"n_cmd": _range(np.concatenate([r.u[:, 0] for r in records]))}
+    ranges = {"n_cmd": _value_range(np.concatenate([r.u[:, 0] for r in records]))}
     write_all(request.out, result, fit, ranges, calibration=calibration)
     return result
 
 
 def _without_zero_drift(
-    loaded: Sequence[LoadedLog], command_of: Callable[[LoadedLog], str], settle: float
+    loaded: Sequence[LoadedLog], command_name: Callable[[LoadedLog], str], settle: float
 ) -> tuple[list[LoadedLog], list[str]]:
-    """Remove the drift of the load cells' zeros between rests; return the logs, and a line for each drift."""
+    """Remove the drift of the load cells' zeros between rests; return new logs, and a line for each drift.
+
+    ``command_name``: function that returns the name of the command of a log. ``settle``: time [s] after a change of
+    command that is left out. A log without force, command or rests is returned unchanged.
+    """
     found, lines = [], []
     for x in loaded:
         channels = x.run.channels
-        command, force = channels.get(command_of(x)), channels.get("force")
+        command, force = channels.get(command_name(x)), channels.get("force")
         drift = zero_drift(command, force, settle) if command is not None and force is not None else None
         if drift is not None and force is not None:
             x = replace(x, run=replace(x.run, channels={**channels, "force": drift.taken_off(force)}))
@@ -174,8 +191,11 @@ def _calibration(loaded: Sequence[LoadedLog]) -> float | None:
     return max(found) if found else None
 
 
-def _refuse(path: Path, options: Sequence[str]) -> None:
-    """Raise SeatrialError if there are options, which a static curve does not use."""
+def _refuse_options(path: Path, options: Sequence[str]) -> None:
+    """Raise SeatrialError if ``options`` is not empty: names of options that a static curve does not use.
+
+    ``path``: file of the log, for the message.
+    """
     if options:
         raise SeatrialError(
             f"{path}: has no shaft speed, so only a static curve can be fitted, which does not use "
@@ -183,18 +203,18 @@ def _refuse(path: Path, options: Sequence[str]) -> None:
         )
 
 
-def _record(model: Model, loaded: LoadedLog, name: str) -> Record:
-    """Return the record of one log for a thruster model."""
+def _thruster_record(model: Model, loaded: LoadedLog, name: str) -> Record:
+    """Return the record of one log for a thruster model. ``name``: name of the thruster."""
     channels = thruster_channels(loaded, model, name)
     return build_record(model, channels, name=loaded.run.name, rate=THRUSTER_RATE)
 
 
-def _static(fitted: Fit, records: Sequence[Record], loaded: Sequence[LoadedLog], name: str) -> StaticForce:
-    """Return the measured steady points and the fitted static curve.
+def _static_force(fitted: Fit, records: Sequence[Record], loaded: Sequence[LoadedLog], name: str) -> StaticForce:
+    """Return the measured steady points, and the fitted static curve with its standard error.
 
-    The curve covers the directions in which the shaft turned.
+    The curve covers the directions in which the shaft turned. ``name``: name of the thruster.
     """
-    points = [p for i, x in enumerate(loaded) for p in _steady(x, name, fitted.estimate("bias", i)[0])]
+    points = [p for i, x in enumerate(loaded) for p in _steady_points(x, name, fitted.estimate("bias", i)[0])]
     n, force, sd = np.array(points).reshape(-1, 3).T
     ends = (0.0, *directions(records))
     grid = np.linspace(min(ends), max(ends), 81)
@@ -202,9 +222,13 @@ def _static(fitted: Fit, records: Sequence[Record], loaded: Sequence[LoadedLog],
     return StaticForce(n=n, force=force, sd=sd, n_model=grid, force_model=force_model, force_sd=force_sd)
 
 
-def _steady(loaded: LoadedLog, name: str, bias: float) -> list[tuple[float, float, float]]:
-    """Return shaft speed, force [N] and standard error [N] at the end of each command that was held long enough."""
-    command, n, f = (loaded.run.channels[c] for c in (f"n_cmd_{name}", f"n_{name}", "force"))
+def _steady_points(loaded: LoadedLog, name: str, bias: float) -> list[tuple[float, float, float]]:
+    """Return shaft speed, force [N] and standard error [N] at the end of each command that was held long enough.
+
+    ``name``: name of the thruster. ``bias`` [N] is subtracted from the force. The last 0.6 s of each command are
+    averaged.
+    """
+    command, n, f = (loaded.run.channels[c] for c in (command_of(name), shaft_speed_of(name), "force"))
     points = []
     for steady in steady_segments(command.t, command.value, float(command.t[-1])):
         if steady.duration < SETTLED_S + AVERAGED_S:
@@ -215,14 +239,28 @@ def _steady(loaded: LoadedLog, name: str, bias: float) -> list[tuple[float, floa
     return points
 
 
-def _range(z: Array) -> tuple[float, float]:
+def _value_range(z: Array) -> tuple[float, float]:
+    """Return minimum and maximum of an array."""
     return float(z.min()), float(z.max())
 
 
 def static_curve(
     loaded: Sequence[LoadedLog], request: ThrusterRequest, command: str, reporter: Reporter
 ) -> ThrustCurveResult:
-    """Fit a static curve to steady segments of a bench log with force and command, and write the results.
+    """Fit a static curve to steady segments of one bench log with force and command, and write the results.
+
+    The files are model.toml, result.json and report.html in the folder ``request.out``.
+
+    Parameters
+    ----------
+    loaded : sequence of LoadedLog
+        The log.
+    request : ThrusterRequest
+        Name of the thruster, folder, and time to settle.
+    command : str
+        Command line, for the provenance.
+    reporter : Reporter
+        Receives progress.
 
     Raises
     ------
@@ -230,12 +268,15 @@ def static_curve(
         If there are several logs, or if the log has too few steady levels or a reversed load cell.
     """
     if len(loaded) != 1:
-        raise SeatrialError(f"{loaded[1].about['path']}: a static curve takes one log; give one")
+        raise SeatrialError(f"{loaded[1].about['path']}: a static curve is fitted to one log only; give one log")
     log = loaded[0]
     channels, where = log.run.channels, log.about["path"]
-    names, out = _commands(log, request.name), request.out
+    names, out = _changing_commands(log, request.name), request.out
     if "force" not in channels:
-        raise SeatrialError(f"{where}: no signal 'force'; it has {', '.join(sorted(channels))}")
+        raise SeatrialError(
+            f"{where}: no signal 'force' of a load cell, which a static curve needs; the log has "
+            f"{', '.join(sorted(channels))}"
+        )
     (log,), drifts = _without_zero_drift([log], lambda x: names[0], request.settle)
     channels = log.run.channels
     reporter.progress(f"steady force against {' and '.join(names)}")
@@ -243,7 +284,7 @@ def static_curve(
         levels = find_levels(channels[names[0]], channels["force"], request.settle)
         if levels.n.size < 4:
             advice = hold_advice(channels[names[0]], channels["force"], request.settle)
-            raise ValueError(f"{levels.n.size} steady commands are too few for a curve, which takes four; {advice}")
+            raise ValueError(f"{levels.n.size} steady commands are too few for a curve, which needs four; {advice}")
         if falls(levels.n, levels.force, float(levels.error.max())):
             raise ValueError(REVERSED_LOAD_CELL)
     except ValueError as problem:
@@ -271,39 +312,58 @@ def static_curve(
 
 
 def is_static(loaded: Sequence[LoadedLog], name: str | None) -> bool:
-    """Return whether the logs have a force and commands, but no shaft speed of a commanded thruster."""
+    """Return whether the logs have a force and commands, but no shaft speed of a commanded thruster.
+
+    Parameters
+    ----------
+    loaded : sequence of LoadedLog
+        Bench logs, at least one. The force and the commands of the first one count.
+    name : str or None
+        Name of the thruster; None: any.
+    """
     for log in loaded:
-        names = [name] if name else [n.removeprefix("n_cmd_") for n in log.run.channels if n.startswith("n_cmd_")]
-        if any(f"n_cmd_{n}" in log.run.channels and f"n_{n}" in log.run.channels for n in names):
+        names = [name] if name else commanded_thrusters(log.run.channels)
+        if any({command_of(n), shaft_speed_of(n)} <= set(log.run.channels) for n in names):
             return False
     return "force" in loaded[0].run.channels and bool(_command_names(loaded[0].run.channels, name))
 
 
 def _command_names(channels: Mapping[str, Channel], name: str | None) -> list[str]:
-    """Return the channels with the command of the named thruster, or of all thrusters."""
-    sides = [name] if name else ["left", "right", *(n[6:] for n in channels if n.startswith("n_cmd_"))]
-    found = [next((n for n in (f"n_cmd_{s}", f"n_{s}") if n in channels), "") for s in dict.fromkeys(sides)]
+    """Return the channels with the command of the named thruster, or of all thrusters if ``name`` is None.
+
+    A shaft speed stands for a missing command. Empty if the log has neither.
+    """
+    thrusters = [name] if name else ["left", "right", *commanded_thrusters(channels)]
+    signals = [(command_of(thruster), shaft_speed_of(thruster)) for thruster in dict.fromkeys(thrusters)]
+    found = [next((n for n in names if n in channels), "") for names in signals]
     return [n for n in found if n]
 
 
-def _commands(log: LoadedLog, name: str | None) -> list[str]:
-    """Return the commands that change. Raise SeatrialError if there is none, or if several are not equal."""
+def _changing_commands(log: LoadedLog, name: str | None) -> list[str]:
+    """Return the names of the channels with commands that change.
+
+    Raise SeatrialError if there is none, or if several are not equal: the force of one thruster needs its name.
+    """
     channels = log.run.channels
     moved = [n for n in _command_names(channels, name) if np.ptp(channels[n].value) > 0]
     if not moved:
-        raise SeatrialError(f"{log.about['path']}: no command that changes; it has {', '.join(sorted(channels))}")
+        raise SeatrialError(
+            f"{log.about['path']}: no command changes, so there is no thrust curve to fit; the log has "
+            f"{', '.join(sorted(channels))}"
+        )
     first = channels[moved[0]]
     for second in moved[1:]:
         c = channels[second]
         if c.t.size != first.t.size or not np.allclose(c.value, first.value):
             raise SeatrialError(
-                f"{log.about['path']}: {moved[0]} and {second} differ; name the thruster that was measured: --thruster"
+                f"{log.about['path']}: the commands {moved[0]} and {second} differ; name the thruster whose force was "
+                "measured with --thruster"
             )
     return moved
 
 
 def _curve_points(levels: Levels, curve: Curve, quadratic: Quadratic) -> StaticForce:
-    """Return the levels, the monotone curve and the quadratic curve for plots."""
+    """Return the measured levels, the monotone curve and the quadratic curve for plots."""
     grid = np.union1d(np.linspace(curve.n[0], curve.n[-1], 161), curve.n)
     return StaticForce(
         n=levels.n,
@@ -317,13 +377,23 @@ def _curve_points(levels: Levels, curve: Curve, quadratic: Quadratic) -> StaticF
     )
 
 
-def _newtons(force: float) -> str:
-    """Format a force with one decimal, or with two significant digits below 1 N."""
+def _format_force(force: float) -> str:
+    """Format a force [N] with one decimal, or with two significant digits below 1 N."""
     return f"{force:.1f} N" if abs(force) >= 1.0 else f"{force:.2g} N"
 
 
 def curve_answer(levels: Levels, measured: ThrustCurve, quadratic: Quadratic) -> str:
-    """Return the sentence on the force at the largest commands, and on the fit of the quadratic to the levels."""
+    """Return the sentences on the force at the largest commands, and on the fit of the quadratic to the levels.
+
+    Parameters
+    ----------
+    levels : Levels
+        Measured steady levels.
+    measured : ThrustCurve
+        Monotone curve, number of thrusters, and calibration.
+    quadratic : Quadratic
+        Quadratic curve with its misfit.
+    """
     curve, thrusters, calibration = measured.curve, measured.thrusters, measured.calibration
     words = {1: "The thruster gives", 2: "Both thrusters together give"}
     error = np.hypot(curve.se, (calibration or 0.0) * curve.force)
@@ -343,10 +413,10 @@ def curve_answer(levels: Levels, measured: ThrustCurve, quadratic: Quadratic) ->
             f"{thrust} {quadratic.formula} describes them within their errors (c1 {quadratic.c1:.4g} N, "
             f"misfit {quadratic.rms:.2g} N rms)."
         )
-    largest = f"{'+' * (quadratic.largest > 0.0)}{_newtons(quadratic.largest)}"
+    largest = f"{'+' * (quadratic.largest > 0.0)}{_format_force(quadratic.largest)}"
     return (
-        f"{thrust} {quadratic.formula} does not describe them: its misfit is {_newtons(quadratic.rms)} (rms); the "
+        f"{thrust} {quadratic.formula} does not describe them: its misfit is {_format_force(quadratic.rms)} (rms); the "
         f"largest is {largest} at n = {quadratic.at:g}. Its error at a level that is left out is "
-        f"{_newtons(quadratic.left_out)}, that of the monotone curve through the others is "
-        f"{_newtons(curve_left_out(levels))}."
+        f"{_format_force(quadratic.left_out)}, that of the monotone curve through the others is "
+        f"{_format_force(curve_left_out(levels))}."
     )

@@ -17,10 +17,21 @@ from seatrial.ident.workflows.vehicle_model import VehicleRequest, vehicle_probl
 def vehicle(request: VehicleRequest, command: str, reporter: Reporter) -> VehicleResult:
     """Fit a vehicle model to logs, evaluate it on these and on the validation logs, and write the results.
 
+    The files are model.toml, result.json and report.html in the folder ``request.out``.
+
     Parameters
     ----------
+    request : VehicleRequest
+        Logs, model and options.
     command : str
         Command line, for the provenance.
+    reporter : Reporter
+        Receives progress and warnings.
+
+    Returns
+    -------
+    VehicleResult
+        Content of result.json.
 
     Raises
     ------

@@ -92,6 +92,10 @@ class VehicleProblem:
 
     Attributes
     ----------
+    model
+        Model with free and fixed parameters, ready for the fit.
+    segments, validation
+        Signals of each log for the estimation, and for the validation.
     notes
         Lines on rig geometry, calibration, priors and noise bounds.
     thrust
@@ -113,13 +117,18 @@ def with_calibration(model: Model, curve: ThrustCurve, user_defined: bool) -> tu
 
     Parameters
     ----------
+    model : Model
+        Model of the boat, with thrust as an input.
+    curve : ThrustCurve
+        Curve with the relative standard uncertainty of its forces, or None for it.
     user_defined : bool
         Whether the model is user-defined. Its thrust terms are unknown, so the factor cannot be added.
 
     Returns
     -------
     tuple of Model and list of str
-        The model, and a line about the calibration.
+        The model, and one line about the calibration. The model is unchanged if it is user-defined or the curve has no
+        uncertainty.
     """
     if curve.calibration is None:
         return model, ["The thrust curve has no calibration error: the standard errors exclude this error."]
@@ -132,17 +141,25 @@ def with_calibration(model: Model, curve: ThrustCurve, user_defined: bool) -> tu
 
 
 def with_sampled_inputs(source: str, loaded: Sequence[LoadedLog]) -> tuple[str, list[str]]:
-    """Choose the model with inputs that are uncertain in time, if the inputs are sampled slowly.
+    """Choose the variant of a Nomoto model with inputs that are uncertain in time, if the inputs are sampled slowly.
+
+    Parameters
+    ----------
+    source : str
+        Name of the model, with its options after colons.
+    loaded : sequence of LoadedLog
+        Estimation logs. The slowest sampling of their shaft speeds counts.
 
     Returns
     -------
     tuple of str and list of str
-        Name of the model, and a line about the choice. The name is unchanged if the structure has no such variant.
+        Name of the model, and a line about the choice. The name is unchanged, without a line, for other structures, if
+        it is this variant already, or for samples less than 15 ms apart.
 
     Notes
     -----
-    Without this variant, standard errors from inputs at 10 Hz are too small by a factor of two or three. Inputs at
-    40 Hz then yield a damping of four standard errors although the true damping is zero (docs/examples/ardurover).
+    Without this variant, standard errors from inputs at 10 Hz are too small by a factor of two or three. Inputs at 40
+    Hz then yield a damping of four standard errors although the true damping is zero (docs/examples/ardurover).
     """
     name, *options = source.split(":")
     slowest = max((x.run.channels[n].sampled for x in loaded for n in SHAFTS if n in x.run.channels), default=0.0)
@@ -155,7 +172,18 @@ def with_sampled_inputs(source: str, loaded: Sequence[LoadedLog]) -> tuple[str, 
 
 
 def considered_notes(model: Model) -> list[str]:
-    """Return a line on the considered parameters, whose prior uncertainty is included in the standard errors."""
+    """Return a line on the considered parameters, whose prior uncertainty is included in the standard errors.
+
+    Parameters
+    ----------
+    model : Model
+        Fitted model.
+
+    Returns
+    -------
+    list of str
+        One line; empty if the model has no such parameter.
+    """
     held = [p for p in model.parameters if p.considered_sd is not None]
     if not held:
         return []
@@ -174,6 +202,13 @@ def vehicle_problem(
     request: VehicleRequest, loaded: Sequence[LoadedLog], validation_logs: Sequence[LoadedLog]
 ) -> VehicleProblem:
     """Return the model and the data of a vehicle fit.
+
+    Parameters
+    ----------
+    request : VehicleRequest
+        Model and options.
+    loaded, validation_logs : sequence of LoadedLog
+        Logs for the estimation and for the validation, as loaded. Missing input signals are derived from others.
 
     Raises
     ------

@@ -206,8 +206,8 @@ def document(rows: Sequence[Row], command: str) -> str:
         "# Recovery study of the bench\n\n"
         "Each mock bench has one hidden effect (`mocks/hidden_effects/bench.py`, in another form than in the catalogue "
         "of `ident`), or no hidden effect (a clean bench). Each bench runs the plan `all` (126 s) twice. The first run "
-        "is for the fit and the diagnosis, the second for validation. Every bench has its own thrust coefficients, pool "
-        "and noise.\n\n"
+        "is for the fit and the diagnosis, the second for validation. Every bench has its own thrust coefficients, "
+        "pool and noise.\n\n"
         f"    {command}\n\n" + report(rows, as_markdown) + "\n"
     )
 

@@ -95,7 +95,9 @@ def test_a_log_whose_inputs_are_mostly_unknown_cannot_be_fitted(tmp_path: Path) 
     left = np.where(np.arange(T.size) % 90 < 60, 0.5, NAN)
     with pytest.warns(SeatrialWarning):
         log = log_of(tmp_path, ', nan = "drop"', left)
-    with pytest.raises(SeatrialError, match=r"run\.mcap: no part in which the inputs are known is as long as 10 s"):
+    with pytest.raises(
+        SeatrialError, match=r"run\.mcap: no segment of the log in which all inputs are known is as long as 10 s"
+    ):
         load_all([log], [])
 
 

@@ -237,7 +237,7 @@ def test_missing_samples_are_ignored_and_short_records_are_rejected() -> None:
     assert estimate_noise(Channel(channel.t, value)).n == np.isfinite(value).sum()
     with pytest.raises(ValueError, match="gyro: 20 samples are too few"):
         estimate_noise(Channel(channel.t[:20], channel.value[:20]), "gyro")
-    with pytest.raises(ValueError, match="gyro: all samples are the same"):
+    with pytest.raises(ValueError, match="gyro: all samples have the same value"):
         estimate_noise(Channel(channel.t, np.ones(2000)), "gyro")
 
 

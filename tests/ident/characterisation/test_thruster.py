@@ -17,7 +17,7 @@ from seatrial.ident.characterisation.thruster import steady_thrust
 from seatrial.ident.estimation.prior_knowledge import fix_parameters
 from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.results.answers import thruster_answer
-from seatrial.ident.workflows.thruster import _steady
+from seatrial.ident.workflows.thruster import _steady_points
 
 MAP = """
 format = "seatrial-import 1"
@@ -133,6 +133,6 @@ def test_errors_of_steady_points_include_autocorrelation() -> None:
         noise[k] = 0.95 * noise[k - 1] + rng.standard_normal()
     channel = lambda value: SimpleNamespace(t=t, value=value)  # noqa: E731
     channels = {"n_cmd_a": channel(np.full(t.size, 0.5)), "n_a": channel(np.full(t.size, 0.5)), "force": channel(noise)}
-    ((_, _, sd),) = _steady(SimpleNamespace(run=SimpleNamespace(channels=channels)), "a", 0.0)  # type: ignore[arg-type]
+    ((_, _, sd),) = _steady_points(SimpleNamespace(run=SimpleNamespace(channels=channels)), "a", 0.0)  # type: ignore[arg-type]
     last = noise[t > t[-1] - 0.6]
     assert sd > 2 * last.std() / np.sqrt(last.size)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from seatrial.ident.checks.frames import Relation, _reversed, mirrored_signals
+from seatrial.ident.checks.frames import Relation, _reversed_column, mirrored_signals
 from seatrial.ident.checks.log_checks import check_copies, check_signals
 from seatrial.ident.checks.sensors import sensor_matches
 from seatrial.ident.checks.signals import check_frozen, estimated, noise_floor, smoothed
@@ -193,4 +193,4 @@ def test_value_with_an_infinite_square_does_not_block_the_search() -> None:
     rng = np.random.default_rng(1)
     columns = tuple(rng.normal(size=n) + 1j * rng.normal(size=n) for _ in range(4))
     columns[0][7] = 1e200
-    assert _reversed(columns[1], np.repeat(np.arange(6), 10), columns) is None
+    assert _reversed_column(columns[1], np.repeat(np.arange(6), 10), columns) is None

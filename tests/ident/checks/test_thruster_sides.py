@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from seatrial.ident.checks.motion import check_motion, turning
+from seatrial.ident.checks.motion import check_motion, turning_signs
 from seatrial.ident.data.record import Channel
 from seatrial.mocks.offline_simulation import simulate
 from tests.missions import boat_with, channels_of, sail
@@ -68,7 +68,7 @@ def test_correct_boat_is_never_reported(fleet: list[Channels], straight: list[Ch
     for seed, channels in enumerate([*fleet, *straight]):
         for signals in (channels, without_gyro(channels), *([as_force(channels)] if seed % 5 == 0 else [])):
             assert not {"thruster-sides-swapped", "thruster-sign-reversed"} & set(faults(signals)), seed
-            assert -1 not in turning(signals, SIDES).values(), seed
+            assert -1 not in turning_signs(signals, SIDES).values(), seed
 
 
 def test_swapped_thrusters_are_found(fleet: list[Channels]) -> None:
@@ -80,18 +80,18 @@ def test_swapped_thrusters_are_found(fleet: list[Channels]) -> None:
 
 
 def test_straight_runs_give_no_answer(straight: list[Channels]) -> None:
-    assert sum(any(turning(c, SIDES).values()) for c in straight) < 3
+    assert sum(any(turning_signs(c, SIDES).values()) for c in straight) < 3
     for channels in straight:
-        assert "thruster-sides-swapped" not in faults(swapped(channels)) or 1 in turning(channels, SIDES).values()
+        assert "thruster-sides-swapped" not in faults(swapped(channels)) or 1 in turning_signs(channels, SIDES).values()
 
 
 def test_missing_or_equal_signals_give_no_answer(fleet: list[Channels]) -> None:
     without = {n: c for n, c in fleet[0].items() if n not in ("r", "psi", "x", "y")}
-    assert turning(without, SIDES) == {}
-    assert turning({n: c for n, c in fleet[0].items() if n != "n_left"}, SIDES) == {"gyro": 0, "heading": 0}
-    assert set(turning(fleet[0] | {"n_right": fleet[0]["n_left"]}, SIDES).values()) == {0}
+    assert turning_signs(without, SIDES) == {}
+    assert turning_signs({n: c for n, c in fleet[0].items() if n != "n_left"}, SIDES) == {"gyro": 0, "heading": 0}
+    assert set(turning_signs(fleet[0] | {"n_right": fleet[0]["n_left"]}, SIDES).values()) == {0}
     noise = Channel(fleet[0]["r"].t, np.random.default_rng(1).normal(size=fleet[0]["r"].t.size))
-    assert turning(fleet[0] | {"r": noise}, SIDES) == {"gyro": 0, "heading": 1}
+    assert turning_signs(fleet[0] | {"r": noise}, SIDES) == {"gyro": 0, "heading": 1}
 
 
 def test_log_without_turning_information_gives_no_finding(fleet: list[Channels]) -> None:

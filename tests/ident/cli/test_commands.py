@@ -272,15 +272,18 @@ def test_fixed_and_initial_values_are_used(fitted: Path, tmp_path: Path, run: Ru
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        ("vehicle {estimation} --validate {estimation}", "the same log is given to fit and to validate"),
-        ("diagnose {model} {estimation} --validate {estimation}", "the same log is given to fit and to validate"),
+        (
+            "vehicle {estimation} --validate {estimation}",
+            "given for the fit and for the validation, which would prove nothing",
+        ),
+        ("diagnose {model} {estimation} --validate {estimation}", "given for the fit and for the validation"),
         ("vehicle {bench}", "no inputs for the horizontal model"),
         ("vehicle {estimation} --model submarine", "no model 'submarine'"),
         ("vehicle {estimation} --model nowhere.py:boat", "nowhere.py: no such"),
         ("vehicle {estimation} --fix m_x=3", "--fix m_x: model horizontal has no such parameter; it has m_u"),
         ("vehicle {estimation} --initial m_x=3", "--initial m_x: model horizontal has no such parameter; it has m_u"),
         ("vehicle {estimation} --thruster {rig}", "not 'seatrial-model 1'"),
-        ("thruster {estimation}", "thrusters with commands and shaft speed: left, right; name one with --thruster"),
+        ("thruster {estimation}", "a shaft speed is needed; the log has left, right; name one with --thruster"),
         ("thruster {bench} --thruster port", "no signal 'n_cmd_port'"),
         ("diagnose {rig} {estimation}", "not 'seatrial-model 1': give a model.toml of seatrial"),
         ("diagnose {estimation} {estimation}", "estimation.mcap: not a text file; a TOML file is expected"),

@@ -104,7 +104,11 @@ def test_existing_files_are_not_overwritten(tmp_path: Path, capsys: pytest.Captu
 
 def test_invalid_output_path_is_rejected_before_the_search(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The results beside a mission m.json would overwrite it."""
-    for name, says in (("m.json", "give a .toml"), ("m.html", "give a .toml"), ("none/m.toml", "no such folder")):
+    for name, says in (
+        ("m.json", "a name that ends in .toml"),
+        ("m.html", "a name that ends in .toml"),
+        ("none/m.toml", "no such folder"),
+    ):
         status, _, err = run(capsys, "design", "horizontal", *QUICK, "--out", str(tmp_path / name))
         assert status == 1
         assert says in err
@@ -214,7 +218,7 @@ def test_each_hypothesis_of_a_discrimination_has_only_its_own_effect() -> None:
     [
         (("horizontal", "--area", "40"), 2, "not NORTHxEAST"),
         (("horizontal", "--criterion", "Ds"), 2, "Ds needs --parameters"),
-        (("horizontal", "--discriminate", "delay"), 2, "names two effects"),
+        (("horizontal", "--discriminate", "delay"), 2, "exactly two effects"),
         (("horizontal", "--parameters", "mass"), 1, "'mass' cannot be estimated"),
         (("horizontal", "--discriminate", "delay,ghost"), 1, "no effect 'ghost'"),
         (("horizontal", "--rate", "sonar=1"), 1, "no sensor 'sonar'"),
@@ -223,7 +227,7 @@ def test_each_hypothesis_of_a_discrimination_has_only_its_own_effect() -> None:
         (("horizontal", "--steps", "100"), 1, "do not fit"),
         (("horizontal", "--rate", "position=0"), 2, "position=0 is not above 0 Hz"),
         (("horizontal", "--discriminate", "delay,lag", "--average-over", "4"), 2, "is not averaged over samples"),
-        (("horizontal:shaft:no-current", "--current", "0.2"), 1, "--current does not apply"),
+        (("horizontal:shaft:no-current", "--current", "0.2"), 1, "so --current has no effect"),
         (("catamaran",), 1, "no model 'catamaran'"),
         (
             ("kinematic:shaft",),

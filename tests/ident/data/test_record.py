@@ -360,7 +360,7 @@ def test_missing_sensor_is_left_out_and_reported() -> None:
         (
             (),
             {"w": channel(1.0, 10.0, 20.0)},
-            "run 7: inputs and sensors overlap for only -10.00 s, and 0.2 s are needed: check the time stamps, or use "
+            "run 7: inputs and sensors overlap for only 0.00 s, and 0.2 s are needed: check the time stamps, or use "
             "a longer part of the log",
         ),
         (

@@ -172,7 +172,7 @@ def test_saved_model_keeps_the_origin_of_its_fixed_point(tmp_path: Path) -> None
     assert saved_frame_warnings(saved.model, [later], saved.origin) == []
     (warning,) = saved_frame_warnings(saved.model, [later], None)
     assert (warning.code, "does not contain the origin" in warning.text) == ("frame-assumed", True)
-    with pytest.raises(SeatrialError, match=r"log2\.mcap: it begins more than 10 km"):
+    with pytest.raises(SeatrialError, match=r"log2\.mcap: the log begins more than 10 km"):
         saved_frame_warnings(saved.model, [load_run(tmp_path / "log2.mcap", "navigated")], saved.origin)
     plain = fit_nominal_model(model_of(IndependentBoat()), [logs[0].run], []).fit
     save_model(path, plain, validity={}, provenance={}, origin=origin)

@@ -142,7 +142,9 @@ def test_responses_in_another_unit_are_rejected(tmp_path: Path, found: Fit) -> N
         if row["name"].startswith("X_f_sum"):
             row["unit"] = "N"
     path.write_text(tomlkit.dumps(document), encoding="utf-8")
-    with pytest.raises(SeatrialError, match=r"X_f_sum_late_0 is in N, now in 1: fit the model again"):
+    with pytest.raises(
+        SeatrialError, match=r"X_f_sum_late_0 is stored in N, but this version has it in 1; fit the model again"
+    ):
         load_model(path)
 
 
@@ -248,17 +250,17 @@ def value_beyond_bounds(document: tomlkit.TOMLDocument) -> None:
         (change(source="nowhere.py:boat"), "nowhere.py: no such"),
         (change(effects=["perpetual-motion"]), "there is no effect 'perpetual-motion' in the catalogue"),
         (change(parameter=None), "parameter"),
-        (change(validity={"u": [1.0]}), "not a complete model"),
-        (change(parameter=5), "not a complete model"),
-        (change(validity=[1.0]), "not a complete model"),
-        (change(correlation=[1.0]), "not a complete model"),
-        (change(scale="newtons"), "not a complete model"),
-        (change(scale={"calibration": "small"}), "not a complete model"),
-        (change(provenance=5), "not a complete model"),
+        (change(validity={"u": [1.0]}), "the model in this file is incomplete"),
+        (change(parameter=5), "the model in this file is incomplete"),
+        (change(validity=[1.0]), "the model in this file is incomplete"),
+        (change(correlation=[1.0]), "the model in this file is incomplete"),
+        (change(scale="newtons"), "the model in this file is incomplete"),
+        (change(scale={"calibration": "small"}), "the model in this file is incomplete"),
+        (change(provenance=5), "the model in this file is incomplete"),
         (rename_parameter, "has no parameter 'm_x'"),
-        (word_for_value, "not a complete model"),
+        (word_for_value, "the model in this file is incomplete"),
         (value_beyond_bounds, "d_uu: -3.0 is outside its bounds"),
-        (prior(30.0), "not a complete model"),
+        (prior(30.0), "the model in this file is incomplete"),
         (prior(30.0, 0.0), "m_u: its prior [30, 0] needs a positive mean and standard deviation"),
         (prior(-30.0, 2.0), "m_u: its prior [-30, 2] needs"),
     ],
@@ -278,7 +280,9 @@ def test_damaged_file_gives_a_one_line_error(tmp_path: Path, found: Fit, damage:
 def test_sensor_rate_must_be_a_positive_number(tmp_path: Path, found: Fit, rate: str) -> None:
     path = saved(tmp_path / "model.toml", found, rates={"gyro": 10.0})
     path.write_text(path.read_text(encoding="utf-8").replace("gyro = 10.0", f"gyro = {rate}"), encoding="utf-8")
-    with pytest.raises(SeatrialError, match=r"model\.toml: not a complete model: "):
+    with pytest.raises(
+        SeatrialError, match=r"model\.toml: the model in this file is incomplete or does not match this version: "
+    ):
         load_model(path)
 
 

@@ -243,7 +243,9 @@ def test_parameter_that_was_not_estimated_is_rejected(few: tuple[Fit, Record]) -
     check_names(turning(), ["m", "bias@1"], 2)
     with pytest.raises(SeatrialError, match="--profile mass: model turning has no such parameter; it has m, d"):
         check_names(turning(), ["mass"], 1)
-    with pytest.raises(SeatrialError, match="--profile d: it is given, not estimated; estimated are m"):
+    with pytest.raises(
+        SeatrialError, match="--profile d: the parameter is fixed, not estimated; the estimated ones are m"
+    ):
         check_names(turning().with_free(("m",)), ["d"], 1)
 
 

@@ -150,14 +150,14 @@ def test_choice_between_two_antennas_is_reported() -> None:
         (
             "kinematic:shaft",
             "wind",
-            "--effect wind: model kinematic cannot take it into account; it can have current-drift",
+            "--effect wind: model kinematic has no place for this effect; it can have current-drift",
         ),
         (
             "horizontal:shaft",
             "sail",
             "--effect sail: there is no such effect; model horizontal can have accelerometer-scale",
         ),
-        ("surge", "mount", "--effect mount: model surge cannot take it into account; it can have none"),
+        ("surge", "mount", "--effect mount: model surge has no place for this effect; it can have none"),
         (
             "horizontal:shaft:random-walk-current",
             "random-walk-current",

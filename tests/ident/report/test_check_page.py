@@ -13,7 +13,7 @@ from seatrial import command_line
 from seatrial.daq.checks.check_report import CheckReport
 from seatrial.daq.checks.findings import Finding
 from seatrial.daq.log import open_log
-from seatrial.ident.checks.log_checks import CheckEvidence, log_evidence, push, sides_of
+from seatrial.ident.checks.log_checks import CheckEvidence, log_evidence, sides_of, thrust_response_curves
 from seatrial.ident.checks.motion import YAW_LAGS, delayed_forces
 from seatrial.ident.data import channels
 from seatrial.ident.report.check_page import _staircase, check_answer, write_check_page
@@ -46,7 +46,7 @@ def test_turning_is_shown_by_heading_or_course_without_a_gyro(tmp_path: Path) ->
         sides = sides_of(log)
     compass = {n: c for n, c in every.items() if n in ("psi", "x", "y") or n.startswith("n_")}  # Only GNSS and compass.
     course = {n: c for n, c in compass.items() if n != "psi"}
-    by_gyro, by_heading, by_course = (push(c, sides)[0] for c in (every, compass, course))
+    by_gyro, by_heading, by_course = (thrust_response_curves(c, sides)[0] for c in (every, compass, course))
     assert {row.title for row in (by_gyro, by_heading, by_course)} == {"yaw rate"}
     assert np.corrcoef(by_heading.measured, np.interp(by_heading.t, by_gyro.t, by_gyro.measured))[0, 1] > 0.8
     assert np.isfinite(by_course.measured).all()

@@ -302,11 +302,11 @@ def test_killed_study_keeps_finished_replicates(tmp_path: Path) -> None:
 
 def test_tasks_are_sized_by_their_duration() -> None:
     def sizes(simulation: float, fit: float) -> list[int]:
-        pace, found = study._Pace(range(200)), []
+        pace, found = study._TaskSize(range(200)), []
         for task in pace.tasks():
             found.append(len(task))
             rows: list[Row] = [{"k": k, "simulation": simulation / len(task)} for k in task]
-            pace.took(rows, simulation + fit * len(task))
+            pace.adapt(rows, simulation + fit * len(task))
         assert sum(found) == 200
         return found
 

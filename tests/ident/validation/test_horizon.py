@@ -133,7 +133,9 @@ def test_horizon_longer_than_the_logs_is_rejected(boat: list[Path], bench: list[
     for words in (["vehicle", boat[0], "--validate", boat[1]], ["thruster", bench[0]]):
         failed = CliRunner().invoke(ident, [*map(str, words), "--horizon", "500", "--out", str(tmp_path)])
         assert isinstance(failed.exception, SeatrialError)
-        assert str(failed.exception).startswith(f"--horizon 500: {words[-1].name}, the longest log to judge by, lasts ")
+        assert str(failed.exception).startswith(
+            f"--horizon 500: {words[-1].name}, the longest log that the model is evaluated on, lasts "
+        )
         assert "fitting" not in failed.output
     assert CliRunner().invoke(ident, ["vehicle", str(boat[0]), "--horizon", "0"]).exit_code == 2
 

@@ -20,7 +20,12 @@ from seatrial.ident.experiment_design.information import InformationSegment
 from seatrial.ident.models.catalogue import make_model
 from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.results.commands import InformedParameter, SegmentInformation
-from seatrial.ident.workflows.information import _answer, _longest, _notes, _parameter
+from seatrial.ident.workflows.information import (
+    _information_answer,
+    _information_notes,
+    _informed_parameter,
+    _longest_mission_step,
+)
 from seatrial.mocks.offline_simulation import simulate
 from tests.missions import T0, StandingClock, boat_with, rig_of
 
@@ -182,7 +187,7 @@ def test_no_segment_of_two_equal_logs_is_indispensable(
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (("--parameters", "mass"), "no free parameter 'mass'; there is m_u, m_v"),
+        (("--parameters", "mass"), "the model has no free parameter 'mass'; its free parameters are m_u, m_v"),
         (("--parameters", "c1"), "no free parameter 'c1'"),
     ],
 )
@@ -198,25 +203,27 @@ def test_invalid_parameter_gives_a_one_line_error(
 
 def test_segment_is_named_by_its_longest_step() -> None:
     steps = ((0.0, "static"), (10.0, "steps"), (40.0, "zigzag"), (90.0, "steps"))
-    assert _longest(steps, 0.0, 15.0) == "static"
-    assert _longest(steps, 5.0, 60.0) == "steps"
-    assert _longest(steps, 80.0, 120.0) == "steps"
-    assert _longest((), 0.0, 10.0) == ""
-    assert _longest(((50.0, "late"),), 0.0, 10.0) == ""
+    assert _longest_mission_step(steps, 0.0, 15.0) == "static"
+    assert _longest_mission_step(steps, 5.0, 60.0) == "steps"
+    assert _longest_mission_step(steps, 80.0, 120.0) == "steps"
+    assert _longest_mission_step((), 0.0, 10.0) == ""
+    assert _longest_mission_step(((50.0, "late"),), 0.0, 10.0) == ""
 
 
 def test_answer_names_the_most_informative_segment() -> None:
     row = InformedParameter(record="a", t_from=0.0, t_to=30.0, what="", name="m_v", meaning="", unit="kg", value=40.0,
                             se=1.0, weight=2.5, alone=None, known=True)  # fmt: skip
-    assert _answer([row], 2) == (
+    assert _information_answer([row], 2) == (
         "The most informative segment is a, 0 to 30 s: "
         "without it the standard error of m_v would be 2.5 times as large."
     )
-    assert _answer([replace(row, weight=None)], 2) == "Only a, 0 to 30 s informs m_v."
-    assert _answer([replace(row, weight=1.1)], 2).startswith("No segment matters much more")
-    assert _answer([replace(row, se=30.0, known=False)], 2).endswith("Poorly known from all logs together: m_v.")
-    assert _answer([replace(row, se=None)], 2) == "These logs contain no information about any parameter."
-    assert "--seconds" in _answer([row], 1)
+    assert _information_answer([replace(row, weight=None)], 2) == "Only a, 0 to 30 s informs m_v."
+    assert _information_answer([replace(row, weight=1.1)], 2).startswith("No segment matters much more")
+    assert _information_answer([replace(row, se=30.0, known=False)], 2).endswith(
+        "Poorly known from all logs together: m_v."
+    )
+    assert _information_answer([replace(row, se=None)], 2) == "These logs contain no information about any parameter."
+    assert "--seconds" in _information_answer([row], 1)
 
 
 def test_parameter_estimated_at_zero_is_known_if_its_error_is_small() -> None:
@@ -229,11 +236,14 @@ def test_parameter_estimated_at_zero_is_known_if_its_error_is_small() -> None:
         of_it = model.replace_parameters(dataclasses.replace(p, prior=prior))
         for share, known in ((0.4, True), (0.6, False)):
             segment = InformationSegment("a", 0.0, 30.0, np.eye(1), np.ones(1), np.ones(1), np.array([share * size]))
-            assert _parameter(of_it, p.name, 0, [segment], [row]).known == known
+            assert _informed_parameter(of_it, p.name, 0, [segment], [row]).known == known
 
 
 def test_design_is_recommended_only_for_models_that_it_supports() -> None:
     row = InformedParameter(record="a", t_from=0.0, t_to=30.0, what="", name="m_v", meaning="", unit="kg", value=40.0,
                             se=30.0, weight=2.5, alone=None, known=False)  # fmt: skip
     for model, advised in (("horizontal:shaft", True), ("kinematic:shaft", False), ("thruster", False)):
-        assert any("seatrial mission design" in line for line in _notes([row], [], make_model(model))) == advised
+        assert (
+            any("seatrial mission design" in line for line in _information_notes([row], [], make_model(model)))
+            == advised
+        )

@@ -74,7 +74,7 @@ def test_known_noise_is_estimated(still: Path, tmp_path: Path, capsys: pytest.Ca
     assert channels["smooth"]["predictable"] > 0.3
     assert "do not put them into a filter" in output
     assert any(line.startswith("smooth: not white") and line.endswith("at a lower rate.") for line in result["notes"])
-    assert any("dead: all samples are the same" in line for line in result["notes"])
+    assert any("dead: all samples have the same value" in line for line in result["notes"])
     assert {r["channel"]: r["accepted"] for r in result["noise"]} == {"r": True, "psi": True, "smooth": False}
     report = (tmp_path / "noise/report.html").read_text()
     assert "Sensor noise" in report
@@ -86,7 +86,7 @@ def test_only_the_named_signals_are_analysed(still: Path, tmp_path: Path, capsys
     run("ident", "noise", still, "--signal", "rr", "--out", tmp_path / "x", status=1)
     assert "still.mcap: no signal 'rr'; it has dead, psi, r, smooth" in " ".join(capsys.readouterr().err.split())
     run("ident", "noise", still, "--signal", "dead", "--out", tmp_path / "x", status=1)
-    assert "all samples are the same" in " ".join(capsys.readouterr().err.split())
+    assert "all samples have the same value" in " ".join(capsys.readouterr().err.split())
     assert not (tmp_path / "x").exists()
 
 

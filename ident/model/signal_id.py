@@ -1,0 +1,90 @@
+"""Identity of a signal: the thruster that it belongs to, its quantity, and its tap (steps of delay).
+
+Files, models and the terminal write the identity as one name, for example ``n_cmd_left~3``. `SignalId` is the only code
+that composes such names from their components and separates names into components.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+COMMAND, SHAFT_SPEED, THRUSTER_FORCE = "n_cmd", "n", "f"  # -1..1, of full speed, N
+# Quantities of one thruster. `n_cmd` comes before `n`: `n_cmd_left` is the command of `left`.
+THRUSTER_QUANTITIES = (COMMAND, SHAFT_SPEED, THRUSTER_FORCE, "voltage", "servo", "pwm")
+
+
+class SignalId(NamedTuple):
+    """Identity of one signal of a log or of a model.
+
+    Attributes
+    ----------
+    source : str
+        Name of the thruster, or number of the autopilot's output, for example ``left``. Empty for all other signals.
+    quantity : str
+        For a thruster one of `THRUSTER_QUANTITIES`, for example ``n_cmd``. For another signal its name, for example
+        ``psi``.
+    tap : int
+        Delay in steps of the model's input history. 0 for the signal itself.
+    """
+
+    source: str
+    quantity: str
+    tap: int = 0
+
+    @classmethod
+    def parse(cls, name: str) -> SignalId:
+        """Separate the name of a signal into its components.
+
+        Parameters
+        ----------
+        name
+            Name of a signal. A thruster's signal is ``QUANTITY_THRUSTER``, for example ``n_cmd_left``. A delayed input
+            ends with ``~STEPS``.
+
+        Returns
+        -------
+        SignalId
+            ``str`` of it is the name again. A name that is not of the form above has an empty source, and the name
+            itself is the quantity: ``psi``, ``X``, ``X_n``, and also ``n`` without a thruster. ``n_cmd`` without a
+            thruster is of the form above: the shaft speed of a thruster ``cmd``.
+        """
+        stem, mark, steps = name.rpartition("~")
+        tapped = bool(mark) and steps.isdecimal() and str(int(steps)) == steps != "0"
+        stem, tap = (stem, int(steps)) if tapped else (name, 0)
+        for quantity in THRUSTER_QUANTITIES:
+            source = stem.removeprefix(f"{quantity}_")
+            if source and source != stem:
+                return cls(source, quantity, tap)
+        return cls("", stem, tap)
+
+    def __str__(self) -> str:
+        """Return the name of the signal in files, models and messages, for example ``n_cmd_left~3``."""
+        name = f"{self.quantity}_{self.source}" if self.source else self.quantity
+        return f"{name}~{self.tap}" if self.tap else name
+
+
+def command_of(thruster: str) -> str:
+    """Return the name of the command (-1 to 1) of a thruster, for example ``n_cmd_left``."""
+    return str(SignalId(thruster, COMMAND))
+
+
+def shaft_speed_of(thruster: str) -> str:
+    """Return the name of the shaft speed (over full speed) of a thruster, for example ``n_left``."""
+    return str(SignalId(thruster, SHAFT_SPEED))
+
+
+def thrust_of(thruster: str) -> str:
+    """Return the name of the thrust [N] of a thruster, for example ``f_left``."""
+    return str(SignalId(thruster, THRUSTER_FORCE))
+
+
+def is_of_thruster(name: str, *quantities: str) -> bool:
+    """Return whether a signal belongs to a thruster and has one of these quantities (of `THRUSTER_QUANTITIES`)."""
+    signal = SignalId.parse(name)
+    return bool(signal.source) and signal.quantity in quantities
+
+
+def commanded_thrusters(names: Iterable[str]) -> list[str]:
+    """Return the thrusters whose commands are among the names of signals, in the order of the names."""
+    return [signal.source for signal in map(SignalId.parse, names) if signal.source and signal.quantity == COMMAND]
