@@ -16,12 +16,12 @@ from scipy import signal
 from seatrial.daq.errors import SeatrialError
 from seatrial.ident.data import TIME_INPUT, WORK_INPUT, WORK_UNIT
 from seatrial.ident.model import Model, ModelKind
+from seatrial.ident.models import ARM, TABLE_2
 from seatrial.ident.numerics import Array, first_order_lag
 
 SIDES = ("left", "right")
-SHAFT_POLE = 2.794  # 1/s, thesis Table 2
-THRUST = {"c1": 40.05, "c2": 1.11}  # N, thesis Table 2
-ARM = 0.15  # m, thesis section 4
+SHAFT_POLE = TABLE_2["a"]  # 1/s
+THRUST = {name: TABLE_2[name] for name in ("c1", "c2")}  # N
 COMMANDED = {"n", "f", "X", "N"}  # inputs that thrusters produce: shaft speeds and commands, forces and their sums
 COMMON_MODE, DIFFERENTIAL_MODE = (("X",), ("n",)), (("N",),)  # inputs of models of surge alone, and of yaw alone
 

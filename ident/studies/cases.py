@@ -33,6 +33,7 @@ from seatrial.ident.experiment_design import (
 from seatrial.ident.model import INF, Model
 from seatrial.ident.models import (
     DELAY_STEP,
+    TABLE_5_3DOF,
     check_user_model,
     horizontal_model,
     kinematic_model,
@@ -46,17 +47,7 @@ from seatrial.ident.studies.monte_carlo import Case, run_replicates
 
 MISSION_SEED = 20  # the mission is the same for all replicates
 # Table 5, 3 DOF: the identified boat. The estimates of d_u and d_vv of Table 1 would be at their bound of zero.
-HULL = {
-    "m_u": 43.0775,
-    "m_v": 49.8655,
-    "m_r": 13.5756,
-    "d_u": 8.4193,
-    "d_v": 81.3337,
-    "d_r": 6.4794,
-    "d_uu": 27.8441,
-    "d_vv": 11.7343,
-    "d_rr": 19.9464,
-}
+HULL = TABLE_5_3DOF
 N_DELAYS = round(0.2 / DELAY_STEP) + 1  # up to twice the true delay
 
 
@@ -188,10 +179,10 @@ def noise_case(seconds: float = 300.0) -> Case:
 def optimal_design_case(seconds: float = 300.0) -> Case:
     """Return the optimal design for the nine parameters of Table 1, to test whether fits reach the predicted errors."""
     rates = {"position": 5.0, "ground_velocity": 5.0}
-    task = DesignProblem(
+    problem = DesignProblem(
         horizontal_model(current=False), StepInput(round(seconds / 5.0), 2, seconds, 1.0, GRID), rates=rates
     )
-    case = designed_case(design(task, evaluations=2000))
+    case = designed_case(design(problem, evaluations=2000))
     return replace(case, about=f"{seconds:g} s, designed steps of at least 1 s, AHRS 10 Hz, GNSS 5 Hz, no current")
 
 
@@ -421,7 +412,7 @@ def designed_case(designed: Design, name: str = "designed") -> Case:
 
     Damping is not bounded at zero, because a bound makes the errors one-sided.
     """
-    fine = designed.task.finer
+    fine = designed.problem.finer
     unbounded = [replace(p, bounds=(-INF, INF)) for p in fine.model.parameters if p.transform == "none"]
     u = fine.actuation.inputs(designed.command_on(fine)[:, :, None])[:, :, 0]
     model = replace(fine.observed(fine.model.replace_parameters(*unbounded)), second_order=True)
@@ -449,13 +440,13 @@ def repeat_design(made: Design, n: int, seed: int) -> list[RepeatStatistics]:
     rows = [row for k in range(0, n, BATCH) for row in run_replicates(case, range(k, min(k + BATCH, n)), seed)]
     good = [row for row in rows if row.get("converged")]
     return [
-        _delivered(made, name, np.array([row["d"][name] for row in good])) for name in made.task.observed_parameters
+        _delivered(made, name, np.array([row["d"][name] for row in good])) for name in made.problem.observed_parameters
     ]
 
 
 def _delivered(made: Design, name: str, d: Array) -> RepeatStatistics:
     """Return the errors of one parameter, from the errors d (n,) in the coordinate of the estimator."""
-    p, predicted = made.task.model.parameter(name), made.predicted[name]
+    p, predicted = made.problem.model.parameter(name), made.predicted[name]
     z = d * p.slope(p.value) / predicted  # d is in the estimator's coordinate
     regular = np.abs(z) < MAX_ERROR
     n = int(regular.sum())

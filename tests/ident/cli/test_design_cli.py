@@ -14,7 +14,8 @@ from seatrial.daq.config.mission_file import dump_mission, load_mission, parse_m
 from seatrial.daq.errors import SeatrialError
 from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.estimation.model_file import load_model
-from seatrial.ident.experiment_design.task import COAST_S, REST_S, prior_from_fit
+from seatrial.ident.experiment_design.prior import prior_from_fit
+from seatrial.ident.experiment_design.problem import COAST_S, REST_S
 from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.workflows.design import DesignRequest, hypotheses, make_task, with_effect
 

@@ -10,8 +10,8 @@ from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.experiment_design.discrimination import separation
 from seatrial.ident.experiment_design.excitation import StepInput
 from seatrial.ident.experiment_design.optimal_design import design
+from seatrial.ident.experiment_design.problem import GRID, DesignProblem
 from seatrial.ident.experiment_design.rows import row_spacing
-from seatrial.ident.experiment_design.task import GRID, DesignProblem
 from seatrial.ident.model.structure import Model
 from seatrial.ident.models.horizontal import horizontal_model
 from tests.ident.toys import follower, values_of
