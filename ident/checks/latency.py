@@ -33,7 +33,7 @@ from seatrial.daq.checks import OK, Finding
 from seatrial.ident.checks.sensors import (
     DELAY_FAULT,
     DELAY_WARNING,
-    STEP,
+    SENSOR_GRID_S,
     Channels,
     LagErrors,
     LagEstimate,
@@ -155,13 +155,15 @@ def _thrust_times(attitude: LagEstimate | None, velocity: LagEstimate | None, pu
 
 def _level(lag: float, half: float, fault_from: float = DELAY_FAULT) -> str:
     """Return the level of a delay [s] with its half 95 % interval [s]; OK if it is small or not clear of zero."""
-    if lag < DELAY_WARNING - STEP / 2 or lag - half < MIN_DISTANCE:
+    if lag < DELAY_WARNING - SENSOR_GRID_S / 2 or lag - half < MIN_DISTANCE:
         return OK
     return delay_level(lag, half, fault_from)
 
 
 def _known(found: LagEstimate | None) -> bool:
-    return found is not None and found.r2 > MIN_R2 and found.se < MAX_SE and abs(found.lag) < MAX_LAG - 2 * STEP
+    return (
+        found is not None and found.r2 > MIN_R2 and found.se < MAX_SE and abs(found.lag) < MAX_LAG - 2 * SENSOR_GRID_S
+    )
 
 
 def _half(*found: LagEstimate) -> float:
@@ -208,7 +210,7 @@ def _motion(c: Channels, thrusts: Sequence[Channel], half_r: float = HEADING_HAL
     """Return the motion while thrusts are known; None if the log is too short."""
     names = [n for n in ("psi", "r", "vx", "vy", "u", "v", "x", "y") if n in c]
     t = grid(*thrusts, *(c[n] for n in names))
-    if t.size * STEP < MIN_DURATION:
+    if t.size * SENSOR_GRID_S < MIN_DURATION:
         return None
     psi = np.interp(t, c["psi"].t, np.unwrap(c["psi"].value)) if "psi" in c else None
     half = 0.0
@@ -232,8 +234,8 @@ def _motion(c: Channels, thrusts: Sequence[Channel], half_r: float = HEADING_HAL
 
 def _slope(s: Array, half: float) -> Array:
     """Return the derivative (n,) of a signal on the grid: its mean rate from ``half`` s before to ``half`` s after."""
-    k = round(half / STEP)
-    return (np.pad(s, k, mode="edge")[2 * k :] - np.pad(s, k, mode="edge")[: -2 * k]) / (2.0 * k * STEP)
+    k = round(half / SENSOR_GRID_S)
+    return (np.pad(s, k, mode="edge")[2 * k :] - np.pad(s, k, mode="edge")[: -2 * k]) / (2.0 * k * SENSOR_GRID_S)
 
 
 def _yaw_after_thrust(c: Channels, push: ThrustSignals) -> LagEstimate | None:
@@ -284,11 +286,11 @@ def _lag(
     mean = (lambda s: _slope(cumulative_integral(m.t, s), smooth)) if smooth else (lambda s: s)
     own = [cumulative_integral(m.t, mean(s)) for s in terms]
     late = [cumulative_integral(m.t, mean(s)) for s in pushes]
-    width, most = round(window / STEP), round(MAX_LAG / STEP)
-    every = max(round(EVERY / STEP), y.size // MAX_ROWS)
+    width, most = round(window / SENSOR_GRID_S), round(MAX_LAG / SENSOR_GRID_S)
+    every = max(round(EVERY / SENSOR_GRID_S), y.size // MAX_ROWS)
     at = np.arange(most, y.size - most - width, every)
     at = at[_without_pause(c, m.t, at, width)]
-    if at.size * every * STEP < MIN_DURATION:
+    if at.size * every * SENSOR_GRID_S < MIN_DURATION:
         return None
     errors = LagErrors(np.linspace(-MAX_LAG, MAX_LAG, 2 * most + 1), at.size)
     target = y[at + width] - y[at]

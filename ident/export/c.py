@@ -14,7 +14,7 @@ restrict return short signed sizeof static struct switch typedef union unsigned 
 sin cos tan asin acos atan sinh cosh tanh asinh acosh atanh sqrt exp log log1p expm1 erf atan2 hypot fmod remainder
 copysign pow fabs fmin fmax floor ceil y0 y1 yn j0 j1 jn gamma signgam NAN INFINITY HUGE_VAL"""
 TAKEN = frozenset(WORDS.split())
-STEP = """
+STEP_FUNCTION = """
 /* States after dt [s], at most 0.1 s, for constant inputs: one step of Runge-Kutta 4. x_next may be the array x. */
 static inline void NAME_step(const double x[], const double u[], const double p[], double dt, double x_next[])
 {
@@ -63,7 +63,7 @@ def write(c: Content) -> str:
             ),
             _function(c, "f", "dx", c.programs[0], "Rates of the states [unit/s]."),
             _function(c, "h", "y", c.programs[1], "Sensor outputs without noise."),
-            STEP.replace("NAME", c.name),
+            STEP_FUNCTION.replace("NAME", c.name),
             "#endif",
             "",
         ]

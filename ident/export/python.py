@@ -12,7 +12,7 @@ from seatrial.ident.export.codegen import write as write_lines
 FUNCTION_CALL = re.compile(r"\b([a-z][a-z0-9]*)\(")
 BUILT_IN = {"abs", "min", "max", "float"}
 RESERVED = {"x", "u", "p", "dt", "f", "h", "step", "inf", "nan"}
-STEP = '''
+STEP_FUNCTION = '''
 def step(x, u, dt, p=P):
     """Return the states after dt [s], at most 0.1 s, for constant inputs: one step of Runge-Kutta 4."""
     k1 = f(x, u, p)
@@ -31,7 +31,7 @@ def write(c: Content) -> str:
                 c, "f", c.programs[0], "Return the rates of the states [unit/s]; x and u are sequences of numbers."
             ),
             _function(c, "h", c.programs[1], "Return the sensor outputs without noise."),
-            STEP,
+            STEP_FUNCTION,
         ]
     )
     imported = sorted(

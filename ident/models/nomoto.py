@@ -76,10 +76,11 @@ from seatrial.ident.models.horizontal import (
 )
 from seatrial.ident.models.thruster import delay_weights
 
-STEP, TAPS = 0.05, range(-2, 12)  # s between the copies of the inputs, and their shifts: 0.1 s earlier to 0.55 s later
+TAP_STEP_S = 0.05  # s between the copies of the inputs
+TAPS = range(-2, 12)  # shifts of the copies: 0.1 s earlier to 0.55 s later
 STAMP_ERROR_TIME_S = 0.1  # s, correlation time of the time errors of the inputs
 # s: upper bound of -tau_n; upper bound of the delay of a sensor. The upper bound of tau_n is half of the latter.
-LARGEST_LEAD_S, LARGEST_DELAY_S = -STEP * TAPS[0], 0.3
+LARGEST_LEAD_S, LARGEST_DELAY_S = -TAP_STEP_S * TAPS[0], 0.3
 LARGEST_SPREAD_S = 0.15  # s, upper bound of sigma_gnss
 ROOT_2 = float(np.sqrt(2.0))
 LINEARITY = Parameter(
@@ -224,7 +225,7 @@ def nomoto_model(
     """
     # The inputs are not averaged: GNSS samples are not averaged either, and contain the quick motion of a light vehicle
     now = pair("n", "", hold, prefilter=False)
-    past = tuple(replace(i.delayed(k, STEP), name=_past(i.name, k)) for i in now for k in TAPS if k)
+    past = tuple(replace(i.delayed(k, TAP_STEP_S), name=_past(i.name, k)) for i in now for k in TAPS if k)
     parameters = tuple(p for p in HULL if p.name in ("m_u", "d_u", "d_uu"))
     parameters += (*(CURRENT if current else ()), *THRUST, LINEARITY, *STEERING, *TIMING)
     parameters += tuple(replace(p, free=False, considered=True, origin=BUILT_IN) for p in DATASHEET)
@@ -255,8 +256,8 @@ def nomoto_model(
 
 
 def _past(name: str, k: int) -> str:
-    """Return the name of the input k steps of ``STEP`` ago."""
-    return f"{name}~{k}x{STEP:g}s" if k else name
+    """Return the name of the input k steps of ``TAP_STEP_S`` ago."""
+    return f"{name}~{k}x{TAP_STEP_S:g}s" if k else name
 
 
 def _static_thrust(p: Any, n: Any) -> Any:
@@ -280,14 +281,16 @@ def _inputs(s: Signals, ago: Any) -> list[Any]:
 
     The current estimate of their time errors is included.
     """
-    weights = delay_weights((s.p.tau_n + s.p.dt_n + ago) / STEP - TAPS[0], len(TAPS))
+    weights = delay_weights((s.p.tau_n + s.p.dt_n + ago) / TAP_STEP_S - TAPS[0], len(TAPS))
     inputs = []
     for side in SIDES:
         copies = [getattr(s.u, _past(f"n_{side}", k)) for k in TAPS]
         value = sum(w * n for w, n in zip(weights, copies, strict=True))
         if hasattr(s.x, STAMP_ERROR_PREFIX + side):
             extended = [2 * copies[0] - copies[1], *copies, 2 * copies[-1] - copies[-2]]
-            change = [(late - early) / (2 * STEP) for early, late in zip(extended[:-2], extended[2:], strict=True)]
+            change = [
+                (late - early) / (2 * TAP_STEP_S) for early, late in zip(extended[:-2], extended[2:], strict=True)
+            ]
             delay = s.p.sigma_n * getattr(s.x, STAMP_ERROR_PREFIX + side) * np.exp(-ago / STAMP_ERROR_TIME_S)
             value = value + delay * sum(w * d for w, d in zip(weights, change, strict=True))
         inputs.append(value)

@@ -205,7 +205,7 @@ CASES: dict[str, Callable[..., Case]] = {
     "noise": noise_case,
     "designed": optimal_design_case,
 }
-STEP = 0.1  # s, default sample interval of sensors if the file has no rate; that of GNSS is twice as long
+SENSOR_INTERVAL_S = 0.1  # s, default sample interval of sensors if the file has no rate; that of GNSS is twice as long
 HOLD = (3.0, 10.0)  # s, shortest and longest time of a level
 GNSS = ("position", "ground_velocity")
 SECONDS = 400.0  # default length of a mission
@@ -322,7 +322,8 @@ def _marked(case: Case, path: Path) -> Case:
 def _of_model(saved: SavedModel, source: str, seconds: float, seed: int) -> Case:
     """Return a case of a fitted model, with random levels of its inputs within the ranges of its data."""
     model, ranges = saved.model, saved.validity
-    rates = {s.name: saved.rates.get(s.name, (0.5 if s.name in GNSS else 1.0) / STEP) for s in model.sensors}
+    default = {s.name: (0.5 if s.name in GNSS else 1.0) / SENSOR_INTERVAL_S for s in model.sensors}
+    rates = {name: saved.rates.get(name, hz) for name, hz in default.items()}
     step = _row_step(model, max(rates.values()))
     t = _clock(seconds, step)
     rng = np.random.default_rng(seed)
@@ -370,7 +371,7 @@ def _row_step(model: Model, fastest: float) -> float:
     It is short enough for the model and for the fastest sensor [Hz]. The delays of input copies are multiples of it;
     otherwise rounding would hide the delay.
     """
-    return divided(copy_spacing(model, STEP), min(model.max_step, 1.05 / fastest))
+    return divided(copy_spacing(model, SENSOR_INTERVAL_S), min(model.max_step, 1.05 / fastest))
 
 
 def _measured(levels: Array, step: float) -> Array:

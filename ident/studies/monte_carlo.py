@@ -18,6 +18,7 @@ bounds in the metric of that information (Self and Liang 1987, Andrews 1999).
 from __future__ import annotations
 
 import hashlib
+import json
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -132,6 +133,32 @@ def run_replicates(case: Case, numbers: Sequence[int], seed: int, method: Method
         except (ValueError, ArithmeticError, np.linalg.LinAlgError) as problem:  # a failure is counted in the summary
             row |= {"error": f"{type(problem).__name__}: {problem}"}
         rows.append(row)
+    return rows
+
+
+def read_replicates(path: Path) -> list[Row]:
+    """Read the replicates of earlier runs of a study.
+
+    Parameters
+    ----------
+    path
+        File of JSON lines, one replicate in each. It need not exist.
+
+    Returns
+    -------
+    list of Row
+        Rows of `run_replicates` with the keys ``key`` (hash of case, seed and estimator) and ``code`` (hash of the
+        code). Failed replicates, lines that are no valid JSON (for example the last one of a stopped run) and lines
+        without these keys are left out. The list is empty if there is no file.
+    """
+    rows = []
+    for text in path.read_text(encoding="utf-8").splitlines() if path.exists() else ():
+        try:
+            row = json.loads(text)
+        except json.JSONDecodeError:
+            continue
+        if isinstance(row, dict) and {"k", "key", "code"} <= set(row) and "error" not in row:
+            rows.append(row)
     return rows
 
 

@@ -26,6 +26,7 @@ from seatrial.ident.studies import (
     counts,
     estimator_code_hash,
     make_case,
+    read_replicates,
     run_replicates,
     summarise,
 )
@@ -127,19 +128,6 @@ def _timed(case: Case, numbers: Sequence[int], seed: int, method: Method) -> tup
     began = time.process_time()
     rows = run_replicates(case, numbers, seed, method)
     return time.process_time() - began, rows
-
-
-def read_replicates(out: Path) -> list[Row]:
-    """Read the replicates of earlier runs, without incomplete lines and failed replicates."""
-    rows = []
-    for text in out.read_text(encoding="utf-8").splitlines() if out.exists() else ():
-        try:
-            row = json.loads(text)
-        except json.JSONDecodeError:
-            continue
-        if isinstance(row, dict) and {"k", "key", "code"} <= set(row) and "error" not in row:
-            rows.append(row)
-    return rows
 
 
 @dataclass(frozen=True)

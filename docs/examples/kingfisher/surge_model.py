@@ -27,7 +27,7 @@ import numpy as np
 from seatrial.ident.model import INF, Input, Model, Output, Parameter, Sensor, State, plain_model, tap_name
 from seatrial.ident.models import delay_weights
 
-STEP, N_DELAYS = 0.1, 16  # s, and number of delayed taps of an input, which seatrial makes; tap k is k steps old
+TAP_STEP_S, N_DELAYS = 0.1, 16  # s, and number of delayed taps of an input, which seatrial makes; tap k is k steps old
 SMALL = 1e-6  # N; makes the root smooth at zero thrust
 
 BODY = (
@@ -40,7 +40,9 @@ RUN = (
     Parameter("s_u", 0.02, "m/s/sqrt(s)", "process noise of surge speed", "log"),
     Parameter("e_u", 0.015, "m/s", "noise of the speed over ground", "log", per_record=True),
 )
-DELAY = Parameter("tau", 0.7, "s", "delay from command to measured speed", bounds=(0, STEP * (N_DELAYS - 1)), step=0.02)
+DELAY = Parameter(
+    "tau", 0.7, "s", "delay from command to measured speed", bounds=(0, TAP_STEP_S * (N_DELAYS - 1)), step=0.02
+)
 LAG = Parameter("T", 0.2, "s", "lag of the thrust", "log", bounds=(0.02, 10.0))
 LOSS = Parameter("k", 0.5, "sqrt(N) s/m", "thrust lost to advance", step=0.02)
 CUBIC = Parameter("d_uuu", 1.0, "kg s/m2", "cubic damping", bounds=(0, INF), step=0.3)
@@ -50,7 +52,7 @@ SHIFT = Parameter("d", 0.0, "", "dead band on the water less that on the bench",
 def delayed_input(u: Any, name: str, tau: Any) -> Any:
     """Return an input ``tau`` seconds ago, by cubic convolution of its delayed taps."""
     taps = [getattr(u, tap_name(name, k)) for k in range(N_DELAYS)]
-    return sum(w * c for w, c in zip(delay_weights(tau / STEP, N_DELAYS), taps, strict=True))
+    return sum(w * c for w, c in zip(delay_weights(tau / TAP_STEP_S, N_DELAYS), taps, strict=True))
 
 
 def make(*more: Parameter) -> Model:

@@ -30,6 +30,7 @@ from seatrial.ident.studies.monte_carlo import (
     Row,
     counts,
     hashed_files,
+    read_replicates,
     run_replicates,
     summarise,
     variance_change_by_bounds,
@@ -285,14 +286,14 @@ def test_killed_study_keeps_finished_replicates(tmp_path: Path) -> None:
     running = subprocess.Popen([sys.executable, "-m", "seatrial", *words], stderr=subprocess.DEVNULL)
     try:
         until = time.monotonic() + 120.0
-        while not study.read_replicates(out):
+        while not read_replicates(out):
             assert time.monotonic() < until
             assert running.poll() is None
             time.sleep(0.02)
     finally:
         running.kill()
         running.wait()
-    found = study.read_replicates(out)
+    found = read_replicates(out)
     assert 1 <= len(found) < 20
     assert [r["k"] for r in found] == list(range(len(found)))
     reporter = Kept()
