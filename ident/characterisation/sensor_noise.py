@@ -53,11 +53,11 @@ class NoiseFit:
     walk, walk_error
         Random walk [unit/sqrt(s)] and its standard error. The error is NaN if no random walk was found (see ``flags``).
     c, sd_innovation
-        Coefficient and standard deviation of the innovation form at the median interval.
+        Coefficient c, -1 to 0, and standard deviation [unit] of the innovation form at the median interval.
     log_likelihood
         Log-likelihood of the samples.
     innovations : Array (n,)
-        Standardised innovations.
+        Innovations divided by their standard deviation.
     t : Array (n,)
         Times from the first sample [s].
     resolution
@@ -69,7 +69,8 @@ class NoiseFit:
     departures
         Departures of the innovations from whiteness.
     flags
-        Problems of the estimates, as texts.
+        Problems of the estimates, as texts ``white: PROBLEM`` or ``walk: PROBLEM``; for example an estimate at its
+        bound, which means that no such noise was found.
     """
 
     name: str
@@ -115,12 +116,15 @@ class NoiseFit:
 
     @property
     def heavy_tailed(self) -> bool:
-        """Return whether the innovations have heavy tails, significantly and enough to matter."""
+        """Return whether the innovations have heavy tails: their kurtosis is significantly above 3, and above 4."""
         return _heavy_tailed(self.innovations)
 
     @property
     def coarse(self) -> bool:
-        """Return whether the noise is small compared with the resolution, which then determines the estimates."""
+        """Return whether the resolution of the samples exceeds two standard deviations of the innovations.
+
+        The resolution then determines the estimates, and not the noise.
+        """
         return self.resolution > COARSE * self.sd_innovation
 
     @property
@@ -131,7 +135,8 @@ class NoiseFit:
     def psd(self, frequency: Array) -> Array:
         """Return the one-sided power spectral density [unit^2/Hz] of the sampled noise at ``frequency`` (n,) [Hz].
 
-        It is that of white noise plus a random walk, including aliasing.
+        It is that of white noise plus a random walk, including aliasing. It is infinite at frequency zero if there is a
+        random walk.
         """
         dt = self.interval
         wave = 4.0 * np.sin(np.pi * frequency * dt) ** 2
@@ -144,7 +149,7 @@ def estimate_noise(channel: Channel, name: str = "") -> NoiseFit:
     Parameters
     ----------
     channel
-        Samples of the axis. NaN samples are left out.
+        Samples of the axis. Samples that are not finite, and samples whose time does not increase, are left out.
     name
         Name of the axis, by default the source of the channel.
 
@@ -170,7 +175,7 @@ def estimate_noise(channel: Channel, name: str = "") -> NoiseFit:
     if scale == 0:
         raise ValueError(f"{name}: all samples are the same")
     y = (y - y[0]) / scale  # values near one for any unit
-    model = _start(y, dt)
+    model = _model_with_initial_values(y, dt)
     record = Record(name, t - t[0], np.empty((t.size, 0)), np.empty((t.size, 0)), y[:, None], (), ("y",))
     found = fit(model, [record])
     run = Likelihood(found.model).filter(record, found.record_values[0])
@@ -204,7 +209,7 @@ def estimate_noise(channel: Channel, name: str = "") -> NoiseFit:
 
 
 def _kurtosis(e: Array) -> float:
-    """Return the kurtosis of e (n,), whose mean is zero."""
+    """Return the kurtosis of e (n,), whose mean is zero; 3 for normal samples."""
     return float(np.mean(e**4) / np.mean(e**2) ** 2)
 
 
@@ -228,6 +233,11 @@ def innovation_form(white: float, walk: float, dt: float) -> tuple[float, float]
     dt
         Sample interval [s].
 
+    Returns
+    -------
+    tuple of float
+        Coefficient c, -1 to 0, and standard deviation of the innovations [unit].
+
     Notes
     -----
     The differences have variance ``q^2 dt + 2 r^2 = (1 + c^2) s^2`` and covariance ``-r^2 = c s^2``; -1 <= c <= 0.
@@ -237,10 +247,11 @@ def innovation_form(white: float, walk: float, dt: float) -> tuple[float, float]
     return float(-r / S), float(np.sqrt(S))
 
 
-def _start(y: Array, dt: float) -> Model:
-    """Return the noise model with initial values from the moments of the differences.
+def _model_with_initial_values(y: Array, dt: float) -> Model:
+    """Return the noise model with initial values for a fit to the scaled samples y (n,) at the interval ``dt`` [s].
 
-    Their variance is ``q^2 dt + 2 r^2``, and the covariance of neighbours is ``-r^2``.
+    The initial values follow from the moments of the differences of the samples: their variance is ``q^2 dt + 2 r^2``,
+    and the covariance of neighbours is ``-r^2``, with random walk q and white noise r.
     """
     d = np.diff(y)
     variance, covariance = float(d @ d) / d.size, float(d[1:] @ d[:-1]) / (d.size - 1)
@@ -252,12 +263,14 @@ def _start(y: Array, dt: float) -> Model:
 
 @cache
 def noise_model(low_walk: float) -> Model:
-    """Return the noise model of one axis at rest, in units of its scale.
+    """Return the model of the noise of one axis at rest: white noise plus a random walk, in units of a scale.
+
+    The scale is the standard deviation of the differences of the samples. The result is cached.
 
     Parameters
     ----------
     low_walk
-        Lower bound of the random walk [1/sqrt(s)], which counts as zero.
+        Lower bound of the random walk [1/sqrt(s)]. An estimate at this bound counts as zero.
     """
     model = plain_model(
         "noise",
@@ -300,7 +313,7 @@ def band_spectrum(frequency: Array, density: Array, n_segments: int = N_SEGMENTS
     Parameters
     ----------
     frequency : Array (n,)
-        Frequencies [Hz].
+        Frequencies [Hz], evenly spaced, above zero.
     density : Array (n,)
         One-sided density [unit^2/Hz].
     n_segments
@@ -311,7 +324,7 @@ def band_spectrum(frequency: Array, density: Array, n_segments: int = N_SEGMENTS
     Returns
     -------
     BandSpectrum
-        Mean density of each band with its 95 % interval.
+        Mean density of each band with its 95 % interval. Bands without a frequency are left out.
 
     Notes
     -----
@@ -335,9 +348,9 @@ def welch(channel: Channel, n_segments: int = N_SEGMENTS) -> tuple[Array, Array]
     Parameters
     ----------
     channel
-        Samples of the channel.
+        Samples of the channel, finite. The spacing is taken as their median interval.
     n_segments
-        Number of half-overlapping segments.
+        Number of half-overlapping segments, each of at least 16 samples. A straight line is removed from each.
 
     Returns
     -------
