@@ -33,7 +33,7 @@ static inline void NAME_step(const double x[], const double u[], const double p[
 
 
 def write(c: Content) -> str:
-    """Return the text of the header file."""
+    """Return the text of the C99 header file of a model."""
     guard = f"{c.name.upper()}_MODEL_H"
     head = [line.replace("*/", "* /").replace("/*", "/ *") for line in header(c, "C99")]
     return "\n".join(
@@ -46,16 +46,16 @@ def write(c: Content) -> str:
             "",
             "#include <math.h>",
             "",
-            *_names(c),
+            *_index_enumerations(c),
             "",
-            *_table(c, "parameters", [(v, comment(c, i)) for i, v in enumerate(c.values)], "default of p"),
-            *_table(
+            *_array_lines(c, "parameters", [(v, comment(c, i)) for i, v in enumerate(c.values)], "default of p"),
+            *_array_lines(
                 c,
                 "state_noise",
                 [(v, n) for n, v in zip(c.states, c.state_noise, strict=True)],
                 "diffusion of each state [unit/sqrt(s)]",
             ),
-            *_table(
+            *_array_lines(
                 c,
                 "output_noise",
                 [(v, n) for n, v in zip(c.outputs, c.output_noise, strict=True)],
@@ -70,7 +70,7 @@ def write(c: Content) -> str:
     )
 
 
-def _names(c: Content) -> list[str]:
+def _index_enumerations(c: Content) -> list[str]:
     """Return enumerations of the indices (NAME_x_STATE etc.) and of the sizes NAME_NX, NAME_NU, NAME_NY, NAME_NP."""
     lines = []
     for letter, names in (("x", c.states), ("u", c.inputs), ("y", c.outputs), ("p", c.parameters)):
@@ -79,21 +79,26 @@ def _names(c: Content) -> list[str]:
     return lines
 
 
-def _table(c: Content, name: str, rows: Sequence[tuple[float, str]], description: str) -> list[str]:
-    """Return an array of values with a comment beside each; ``description`` is the comment above the array.
+def _array_lines(c: Content, name: str, rows: Sequence[tuple[float, str]], description: str) -> list[str]:
+    """Return the lines of a C array NAME_``name`` of values, with a comment beside each.
 
-    C has no arrays without elements, so an empty table gets one zero.
+    ``rows`` are pairs of value and comment. ``description`` is the comment above the array. C has
+    no arrays without elements, so an empty array gets one zero.
     """
     values = [f"    {C.number(v)}, /* {text.replace('*/', '* /').replace('/*', '/ *')} */" for v, text in rows]
     return [f"/* {description} */", f"static const double {c.name}_{name}[] = {{", *(values or ["    0.0"]), "};"]
 
 
 def _function(c: Content, name: str, result: str, program: Program, description: str) -> str:
-    """Return the text of one function of (x, u, p) that writes to the array ``result``."""
+    """Return the text of one C function of (x, u, p) that writes to the array argument ``result``.
+
+    ``name`` is ``f`` for the rates of the states or ``h`` for the outputs. Arguments that the program does not use are
+    cast to void, which avoids a compiler warning. ``description`` is the comment above the function.
+    """
     lines, ends = write_lines(program, C, [*TAKEN, *program.used])
     arguments = [(s, f"x[{c.name}_x_{n}]") for s, n in zip(c.symbols[0], c.states, strict=True)]
     arguments += [(s, f"u[{c.name}_u_{n}]") for s, n in zip(c.symbols[1], c.inputs, strict=True)]
-    ids = dict(zip([p.name for p in c.own], c.parameters, strict=True))
+    ids = dict(zip([p.name for p in c.exported_parameters], c.parameters, strict=True))
     arguments += [
         (s, f"p[{c.name}_p_{ids[p.name]}]")
         for s, p in zip(c.symbols[2], c.model.parameters, strict=True)

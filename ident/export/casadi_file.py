@@ -38,7 +38,7 @@ if __name__ == "__main__":
 
 
 def write(c: Content) -> str:
-    """Return the text of the Python file."""
+    """Return the text of the Python file that builds the CasADi functions of a model."""
     head = header(c, "CasADi")
     head += [
         "",
@@ -65,7 +65,7 @@ def write(c: Content) -> str:
 
 
 def _function(c: Content, name: str, program: Program) -> str:
-    """Return the text of one Python function of symbols (x, u, p)."""
+    """Return the text of one Python function ``name`` of CasADi symbols (x, u, p) that returns the list of results."""
     lines, results = write_lines(program, CASADI, [*RESERVED, *program.used])
     named = ["    p = dict(zip(P, ca.vertsplit(p)))"] if any(s in program.used for s in c.symbols[2]) else []
     return "\n".join(

@@ -24,7 +24,7 @@ def export(saved: SavedModel, target: str, *, name: str | None = None, nuisance:
     saved : SavedModel
         Model with its provenance, standard errors and validity.
     target : str
-        ``python``, ``casadi``, ``c`` or ``ros2``.
+        ``python``, ``casadi``, ``c`` or ``ros2``; any other text raises KeyError.
     name : str, optional
         Prefix of the functions, or name of the node; by default the model's name.
     nuisance : bool

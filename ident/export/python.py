@@ -24,7 +24,7 @@ def step(x, u, dt, p=P):
 
 
 def write(c: Content) -> str:
-    """Return the text of the Python file."""
+    """Return the text of the Python file of a model, which imports only ``math``."""
     body = "\n".join(
         [
             _function(
@@ -63,10 +63,10 @@ def constants(c: Content) -> list[str]:
     valid = [f"    {json.dumps(n)}: ({low!r}, {high!r})," for n, (low, high) in c.validity.items()]
     units = (("STATE", c.model.states), ("INPUT", c.model.inputs), ("OUTPUT", c.model.outputs))
     return [
-        f"STATES = {_tuple(c.states)}",
-        f"INPUTS = {_tuple(c.inputs)}",
-        f"OUTPUTS = {_tuple(c.outputs)}",
-        *[f"{kind}_UNITS = {_tuple([signal.unit for signal in part])}" for kind, part in units],
+        f"STATES = {_tuple_text(c.states)}",
+        f"INPUTS = {_tuple_text(c.inputs)}",
+        f"OUTPUTS = {_tuple_text(c.outputs)}",
+        *[f"{kind}_UNITS = {_tuple_text([signal.unit for signal in part])}" for kind, part in units],
         "P = {  # value [unit] +- standard error, meaning",
         *rows,
         "}",
@@ -82,8 +82,8 @@ def constants(c: Content) -> list[str]:
     ]
 
 
-def _tuple(items: Sequence[str]) -> str:
-    """Return a tuple of texts as Python, with eight texts a line if there are more."""
+def _tuple_text(items: Sequence[str]) -> str:
+    """Return a tuple of texts as Python code; with more than eight texts there are eight in each line of code."""
     words = [json.dumps(item, ensure_ascii=False) for item in items]
     if len(words) > 8:
         return "(\n" + "".join(f"    {', '.join(words[k : k + 8])},\n" for k in range(0, len(words), 8)) + ")"
@@ -91,32 +91,35 @@ def _tuple(items: Sequence[str]) -> str:
 
 
 def unpacked(c: Content, program: Program) -> list[str]:
-    """Return lines of Python that assign the states, inputs and parameters which a program uses to its symbols."""
+    """Return indented lines of Python that unpack the arguments x, u and p into the symbols of a program.
+
+    States and inputs are taken by index, parameters by name. Symbols that the program does not use are left out.
+    """
     xs, us, ps = c.symbols
     rows = [(s, f"x[{i}]") for i, s in enumerate(xs)] + [(s, f"u[{j}]") for j, s in enumerate(us)]
     lines = [
         f"    {', '.join(s for s, _ in group)} = {', '.join(v for _, v in group)}"
         for part in (rows[: len(xs)], rows[len(xs) :])
-        for group in _grouped(part, program)
+        for group in _groups_of_four(part, program)
     ]
-    key_of = dict(zip([p.name for p in c.own], c.parameters, strict=True))
+    key_of = dict(zip([p.name for p in c.exported_parameters], c.parameters, strict=True))
     parameters = [
         (s, f'p["{key_of[q.name]}"]') for s, q in zip(ps, c.model.parameters, strict=True) if q.name in key_of
     ]
     return lines + [
         f"    {', '.join(s for s, _ in group)} = {', '.join(v for _, v in group)}"
-        for group in _grouped(parameters, program)
+        for group in _groups_of_four(parameters, program)
     ]
 
 
-def _grouped(rows: list[tuple[str, str]], program: Program) -> list[list[tuple[str, str]]]:
-    """Return the rows (symbol, value) that a program uses, in groups of at most four."""
+def _groups_of_four(rows: list[tuple[str, str]], program: Program) -> list[list[tuple[str, str]]]:
+    """Return the pairs (symbol, value) that a program uses, in groups of at most four, in their order."""
     used = [row for row in rows if row[0] in program.used]
     return [used[i : i + 4] for i in range(0, len(used), 4)]
 
 
 def _function(c: Content, name: str, program: Program, docstring: str) -> str:
-    """Return the text of one function of (x, u, p)."""
+    """Return the text of one Python function ``name`` of (x, u, p) that returns the list of results."""
     lines, results = write_lines(program, PYTHON, [*RESERVED, *_math_functions(), *BUILT_IN, *program.used])
     returned = [f"        {r}," for r in results]
     return "\n".join(

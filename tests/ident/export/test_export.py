@@ -98,7 +98,7 @@ def test_ros2_values_are_exact(name: str) -> None:
         assert table["process_noise"] == dict(zip(c.states, c.state_noise, strict=True))
         assert table["measurement_noise"] == dict(zip(c.outputs, c.output_noise, strict=True))
         assert (tuple(table["states"]), tuple(table["outputs"])) == (c.states, c.outputs)
-        assert table["units"] == {n: p.unit for n, p in zip(c.parameters, c.own, strict=True)}
+        assert table["units"] == {n: p.unit for n, p in zip(c.parameters, c.exported_parameters, strict=True)}
         assert table.get("validity", {}) == ({"u": [-0.5, 1.2]} if "u" in c.states else {})
 
 
@@ -188,7 +188,7 @@ def test_correlated_errors_are_in_the_noise_of_their_outputs(target: str) -> Non
     assert noise["r"] == pytest.approx(math.hypot(v["e_r"], v["A_r"]))
     assert "psi (3 s), r (0.1 s), x (3 s), y (3 s)." in " ".join(export(saved(model), target).split())
     kept = content(saved(model), nuisance=True)
-    assert (kept.output_noise[kept.outputs.index("x")], kept.lasting) == (0.001, {})
+    assert (kept.output_noise[kept.outputs.index("x")], kept.noise_time_scale) == (0.001, {})
     bench = thruster_model()
     force, values = content(saved(bench)).output_noise[-1], bench.values
     assert force == pytest.approx(math.hypot(values["e_f"], values["q_f"] * math.sqrt(values["tau_f"] / 2)))
@@ -218,7 +218,7 @@ def test_coupled_estimator_errors_have_the_size_of_their_simulation() -> None:
         area += gain**2 * v[f"A_{name}"] ** 2 / v[f"tau_{name}"]
     assert noise["vx"] == noise["vy"] == pytest.approx(math.hypot(speed.std(), white["e_vxy"]), rel=0.03)
     assert noise["x"] == pytest.approx(math.hypot(place.std(), white["e_xy"]), rel=0.03)
-    assert c.lasting["x"] == pytest.approx(area / place.var(), rel=0.06)
+    assert c.noise_time_scale["x"] == pytest.approx(area / place.var(), rel=0.06)
 
 
 def test_omitted_sideslip_is_noise_of_both_axes() -> None:
@@ -231,7 +231,7 @@ def test_omitted_sideslip_is_noise_of_both_axes() -> None:
         (("vx", "vy"), dict(zip(c.outputs, c.output_noise, strict=True)), values["e_vxy"], spread),
     ):
         assert noise[names[0]] == pytest.approx(noise[names[1]]) == pytest.approx(math.hypot(own, whole / math.sqrt(2)))
-    assert c.silent == ("stamp_error_left", "stamp_error_right")
+    assert c.states_without_noise == ("stamp_error_left", "stamp_error_right")
     assert "have no effect at rest: stamp_error_left, stamp_error_right." in " ".join(export(saved(model), "c").split())
 
 
