@@ -173,7 +173,7 @@ def estimate_noise(channel: Channel, name: str = "") -> NoiseFit:
     dt = float(np.median(np.diff(t)))
     scale = float(np.std(np.diff(y)))
     if scale == 0:
-        raise ValueError(f"{name}: all samples are the same")
+        raise ValueError(f"{name}: all samples are the same, so there is no noise to estimate; check the sensor")
     y = (y - y[0]) / scale  # values near one for any unit
     model = _model_with_initial_values(y, dt)
     record = Record(name, t - t[0], np.empty((t.size, 0)), np.empty((t.size, 0)), y[:, None], (), ("y",))

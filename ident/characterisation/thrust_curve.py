@@ -438,7 +438,10 @@ def thrust_channels(channels: Mapping[str, Channel], curve: ThrustCurve) -> dict
     for side in ("left", "right"):
         name = next((n for n in (f"n_cmd_{side}", f"n_{side}") if n in channels), None)
         if name is None:
-            raise ValueError(f"no command for the thrust curve: there is no n_cmd_{side} and no n_{side}")
+            raise ValueError(
+                f"no command for the thrust curve: the log has neither n_cmd_{side} nor n_{side}; record the commands "
+                "of both thrusters"
+            )
         command = channels[name]
         found[f"f_{side}"] = Channel(command.t, curve.thrust_of_one(command.value), "N", command.source)
         outward = np.sign(command.value) * curve.curve.slope(command.value) / curve.thrusters
@@ -542,11 +545,18 @@ def load_curve(path: Path) -> ThrustCurve | None:
         thrusters, uncertainty = int(table["thrusters"]), table.get("calibration")
         calibration = None if uncertainty is None else float(uncertainty)
     except (KeyError, TypeError, ValueError) as problem:
-        raise SeatrialError(f"{path}: not a complete curve: {problem}") from problem
+        raise SeatrialError(
+            f"{path}: the thrust curve is incomplete or has a wrong type of value: {problem}"
+        ) from problem
     if not (n.size == force.size == se.size >= 2 and thrusters >= 1 and np.all(np.diff(n) > 0)):
-        raise SeatrialError(f"{path}: a curve needs two or more rising n, with as many force and se")
+        raise SeatrialError(
+            f"{path}: a thrust curve needs two or more commands n in rising order, with as many values of force and "
+            "se, and one or more thrusters"
+        )
     if not all(np.isfinite(a).all() for a in (n, force, se)):
-        raise SeatrialError(f"{path}: n, force and se of a curve have to be finite numbers")
+        raise SeatrialError(f"{path}: n, force and se of a thrust curve have to be finite numbers; fit the curve again")
     if calibration is not None and not 0.0 < calibration < 1.0:
-        raise SeatrialError(f"{path}: calibration is a relative standard uncertainty, more than 0 and less than 1")
+        raise SeatrialError(
+            f"{path}: calibration is {calibration:g}, but a relative standard uncertainty is between 0 and 1"
+        )
     return ThrustCurve(Curve(n, force, se), thrusters, calibration)

@@ -225,7 +225,8 @@ def thruster_name(loaded: LoadedLog) -> str:
     if len(moved) != 1:
         found = ", ".join(moved) if moved else "none"
         raise SeatrialError(
-            f"{loaded.about['path']}: thrusters with commands and shaft speed: {found}; name one with --thruster"
+            f"{loaded.about['path']}: there is not exactly one thruster with commands and a measured shaft speed, but "
+            f"{found}; name one with --thruster"
         )
     return moved[0]
 

@@ -256,7 +256,10 @@ def separation(model_a: Model, model_b: Model, problem: DesignProblem, command: 
     first, second = (float(r(command[:, :, None], REFITS)[0]) for r in _both_hypotheses(model_a, model_b, problem))
     if not np.isfinite([first, second]).all():
         names = " and ".join(" + ".join([m.name, *(e.name for e in m.effects)]) for m in (model_a, model_b))
-        raise SeatrialError(f"{names} cannot be compared: a simulation diverges on rows of {problem.grid:g} s")
+        raise SeatrialError(
+            f"the models {names} cannot be compared: a simulation diverges with an interval of {problem.grid:g} s "
+            "between rows; check their parameter values, or give a shorter `grid` of the DesignProblem in Python"
+        )
     return first, second
 
 
@@ -290,7 +293,10 @@ def discriminate(
         the result diverges.
     """
     if [s.name for s in model_a.sensors] != [s.name for s in model_b.sensors]:
-        raise SeatrialError(f"models {model_a.name} and {model_b.name} have different sensors: they cannot be compared")
+        raise SeatrialError(
+            f"models {model_a.name} and {model_b.name} have different sensors, so their predictions cannot be "
+            "compared; give models with the same sensors"
+        )
     evaluator = DesignEvaluator(problem)
     pairs = _both_hypotheses(model_a, model_b, problem)
 
@@ -305,7 +311,8 @@ def discriminate(
     found = search_design(problem.steps, evaluate, evaluations, problem.seed, None, progress, n_start=128)
     if found.violation > 0:
         raise SeatrialError(
-            "no sequence that keeps to the limits was found; give a larger --area, weaker limits or a longer --duration"
+            "no step sequence that keeps to the limits was found; give a larger --area, weaker limits or a longer "
+            "--duration"
         )
     levels, durations = (a[..., 0] for a in problem.steps.unpack(found.z[None]))
     made = DiscriminationDesign(problem, levels, durations, (0.0, 0.0), found)

@@ -294,12 +294,17 @@ class DesignEvaluator:
         if limits.area is not None:
             for name, side in zip(("x", "y"), limits.area, strict=True):
                 if name not in names:
-                    raise SeatrialError(f"model {model.name} has no position {name}: --area does not apply to it")
+                    raise SeatrialError(
+                        f"model {model.name} has no position {name}, so the limit --area cannot be checked; "
+                        "leave it out"
+                    )
                 i = names.index(name)
                 total += np.maximum((high[:, i] - low[:, i]) / side - 1.0, 0.0)
         if limits.speed is not None:
             if "speed2" not in names:
-                raise SeatrialError(f"model {model.name} has no surge speed: --max-speed does not apply to it")
+                raise SeatrialError(
+                    f"model {model.name} has no surge speed, so the limit --max-speed cannot be checked; leave it out"
+                )
             total += np.maximum(np.sqrt(high[:, names.index("speed2")]) / limits.speed - 1.0, 0.0)
         total[~np.isfinite(total)] = DIVERGED
         return total

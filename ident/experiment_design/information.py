@@ -207,7 +207,7 @@ class Experiments:
         """
         counts = {a.shape[axis] for a, axis, full in ((u, 2, 3), (values, 0, 2)) if a is not None and a.ndim == full}
         if len(counts) > 1:
-            raise ValueError(f"inputs and parameter values must be equally many, got {sorted(counts)}")
+            raise ValueError(f"the numbers of inputs and of parameter values must agree, but are {sorted(counts)}")
         n = counts.pop() if counts else 1
         width = self._batch.tracks[0].plan.width * CHUNK
         return n, [slice(first, min(first + width, n)) for first in range(0, n, width)]
@@ -313,7 +313,8 @@ def sensor_mask(model: Model, n_rows: int, every: Mapping[str, int]) -> Mask:
     """
     unknown = set(every) - {s.name for s in model.sensors}
     if unknown:
-        raise ValueError(f"model {model.name} has no sensor {sorted(unknown)[0]!r}")
+        names = ", ".join(s.name for s in model.sensors)
+        raise ValueError(f"model {model.name} has no sensor {sorted(unknown)[0]!r}; it has {names}")
     mask = np.zeros(n_rows, np.uint32)
     for bit, sensor in enumerate(model.sensors):
         mask[:: every.get(sensor.name, 1)] |= np.uint32(1 << bit)

@@ -66,7 +66,7 @@ def in_current(model: Model, values: Array, largest: float, rng: np.random.Gener
         return values
     names = [p.name for p in model.parameters]
     if not set(CURRENT) <= set(names):
-        raise SeatrialError(f"model {model.name} has no current: --current does not apply to it")
+        raise SeatrialError(f"model {model.name} has no ocean current, so --current cannot be simulated; leave it out")
     speed, toward = largest * np.sqrt(rng.uniform(size=len(values))), 2.0 * np.pi * rng.uniform(size=len(values))
     found = values.copy()
     found[:, [names.index(n) for n in CURRENT]] = np.column_stack([speed * np.cos(toward), speed * np.sin(toward)])

@@ -765,7 +765,8 @@ class _Writer:
             return self.syntax.templates[node.code]
         except KeyError:
             raise ValueError(
-                f"the model uses an operation (CasADi operation code {node.code}) that cannot be exported"
+                f"the model uses an operation (CasADi operation code {node.code}) that cannot be exported, for example "
+                "a table or a solver; write it with functions of numpy"
             ) from None
 
     def run(self) -> list[str]:

@@ -331,8 +331,8 @@ def case_from_file(source: str, seconds: float | None, seed: int) -> Case:
     case = load_object(source)
     if isinstance(case, Model):
         raise SeatrialError(
-            f"{file}: {name} is a Model; a study also needs a mission: "
-            "make it a seatrial.ident.studies.monte_carlo.Case"
+            f"{file}: {name} is a Model without a mission; "
+            "give a seatrial.ident.studies.monte_carlo.Case, which has both"
         )
     if not isinstance(case, Case):
         raise SeatrialError(f"{file}: {name} is no seatrial.ident.studies.monte_carlo.Case but {type(case).__name__}")

@@ -224,7 +224,7 @@ def test_each_hypothesis_of_a_discrimination_has_only_its_own_effect() -> None:
         (("horizontal", "--steps", "100"), 1, "do not fit"),
         (("horizontal", "--rate", "position=0"), 2, "position=0 is not above 0 Hz"),
         (("horizontal", "--discriminate", "delay,lag", "--average-over", "4"), 2, "is not averaged over samples"),
-        (("horizontal:shaft:no-current", "--current", "0.2"), 1, "--current does not apply"),
+        (("horizontal:shaft:no-current", "--current", "0.2"), 1, "--current cannot be simulated"),
         (("catamaran",), 1, "no model 'catamaran'"),
         (
             ("kinematic:shaft",),

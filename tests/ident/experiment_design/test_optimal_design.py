@@ -124,7 +124,7 @@ def test_impossible_limits_give_a_one_line_error() -> None:
         StepInput(100, 2, 60.0, 1.0, GRID)
     with pytest.raises(SeatrialError, match="'q' cannot be estimated"):
         design(boat_task(chosen=("q",)), evaluations=600)
-    with pytest.raises(SeatrialError, match="--area does not apply"):
+    with pytest.raises(SeatrialError, match="--area cannot be checked"):
         design(
             DesignProblem(yaw_model(), StepInput(8, 1, 40.0, 1.0, GRID), limits=DesignLimits(area=(9.0, 9.0))),
             evaluations=600,

@@ -113,7 +113,7 @@ def test_current_moves_the_boats() -> None:
     assert np.abs(found[:, at].mean(axis=0)).max() < 0.02
     np.testing.assert_array_equal(np.delete(found, at, axis=1), np.delete(boats, at, axis=1))
     assert in_current(model, boats, 0.0, np.random.default_rng(1)) is boats
-    with pytest.raises(SeatrialError, match="--current does not apply"):
+    with pytest.raises(SeatrialError, match="--current cannot be simulated"):
         in_current(horizontal_model(current=False), boats, 0.1, np.random.default_rng(1))
     still = np.zeros((300, 2, 1))
     low, high = TrackExtent(model, np.arange(300) * GRID, found[:3], [1])(still)
