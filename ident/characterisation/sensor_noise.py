@@ -129,7 +129,10 @@ class NoiseFit:
 
     @property
     def rejected(self) -> bool:
-        """Return whether the innovations are not white, significantly and enough to matter."""
+        """Return whether the innovations are not white, so that the model of the noise is rejected.
+
+        A departure from whiteness must be significant (p below 0.001) and large enough to matter.
+        """
         return self.departures.matter
 
     def psd(self, frequency: Array) -> Array:

@@ -134,8 +134,9 @@ def find_levels(command: Channel, force: Channel, settle: float = 1.5) -> Levels
 def hold_advice(command: Channel, force: Channel, settle: float) -> str:
     """Return the second half of an error message: how long the command is held, and what to do.
 
-    The text names the typical hold [s], the time and the number of readings that remain after ``settle`` [s], and a
-    shorter time to settle or a longer hold. The typical hold is the median of the holds, weighted by their length.
+    ``command`` and ``force`` are the channels of the log. The text names the typical hold [s], the time and the number
+    of readings that remain after ``settle`` [s], and a shorter time to settle or a longer hold. The typical hold is the
+    median of the holds, weighted by their length.
     """
     end = float(max(command.t[-1], force.t[-1]))
     holds = np.sort([s.duration for s in steady_segments(command.t, command.value, end)])
@@ -450,9 +451,9 @@ def thrust_channels(channels: Mapping[str, Channel], curve: ThrustCurve) -> dict
 
 
 def sum_of_held(left: Channel, right: Channel) -> Channel:
-    """Return the sum of two channels whose samples hold until the next, at the union of their times.
+    """Return the sum of two channels, ``left`` and ``right``, whose samples hold until the next.
 
-    The unit and the source are those of the first channel.
+    The sum is given at the union of their times. Its unit and its source are those of ``left``.
     """
     t = np.union1d(left.t, right.t)
     return Channel(t, sample_and_hold(left, t) + sample_and_hold(right, t), left.unit, left.source)

@@ -182,6 +182,11 @@ def first_guess(records: Sequence[Record], model: Model) -> dict[str, float]:
 def shaft_guess(records: Sequence[Record]) -> tuple[float, float]:
     """Return delay [s] and pole [1/s] of the best first-order response of the shaft speed to the command.
 
+    Parameters
+    ----------
+    records
+        Records of bench runs with command and shaft speed.
+
     Notes
     -----
     The best response has the smallest mean absolute error on a grid of delays and poles. A search from one initial
@@ -211,7 +216,9 @@ def _lag_data(r: Record) -> LagData:
 
 
 def thruster_name(loaded: LoadedLog) -> str:
-    """Return the name of the only thruster of a log that was commanded and whose shaft speed was measured.
+    """Return the name of the only thruster of a loaded log that was commanded and whose shaft speed was measured.
+
+    A thruster whose command is constant does not count.
 
     Raises
     ------
@@ -234,7 +241,7 @@ def thruster_name(loaded: LoadedLog) -> str:
 def check_signs(loaded: LoadedLog, name: str) -> None:
     """Check signs and units of a bench log before a fit: shaft speed against command, and force against shaft speed.
 
-    Channels that the log lacks are not checked. ``name`` is the name of the thruster.
+    ``loaded`` is the log, and ``name`` is the name of the thruster. Channels that the log lacks are not checked.
 
     Raises
     ------
@@ -253,7 +260,7 @@ def check_signs(loaded: LoadedLog, name: str) -> None:
 
 
 def thruster_channels(loaded: LoadedLog, model: Model, name: str) -> dict[str, Channel]:
-    """Return the channels of the thruster ``name`` in a log, as a thruster model names them.
+    """Return the channels of the thruster ``name`` in a loaded log, with the names that a thruster model gives them.
 
     They are the delayed copies of the command ``n_cmd_0``, ``n_cmd_1``, ..., the shaft speed ``n`` and, with a load
     cell, the force ``force`` [N].

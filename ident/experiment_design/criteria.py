@@ -84,10 +84,20 @@ class Criterion:
 
 
 def characteristic_steps(model: Model, names: tuple[str, ...]) -> Array:
-    """Return the characteristic step of each named parameter (q,), in its unit: the smallest change that matters.
+    """Return the characteristic step of each parameter: the smallest change that matters.
 
-    It is the ``step`` of the parameter in the model. Without one it is 1 % of the size of its value, or 1 if the value
-    is zero.
+    Parameters
+    ----------
+    model
+        The model.
+    names
+        Names of q parameters.
+
+    Returns
+    -------
+    Array (q,)
+        Step in the unit of each parameter: its ``step`` in the model. Without one it is 1 % of the size of its value,
+        or 1 if the value is zero.
     """
     parameters = [model.parameter(n) for n in names]
     return np.array([p.step or 0.01 * abs(p.value) or 1.0 for p in parameters])

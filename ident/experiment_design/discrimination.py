@@ -301,6 +301,7 @@ def discriminate(
     pairs = _both_hypotheses(model_a, model_b, problem)
 
     def evaluate(z: Array) -> tuple[Array, Array]:
+        """Return log T (n,) of the worse hypothesis and the violation (n,) of the limits, at search points z."""
         command = problem.commands(z)
         parts: Sequence[Array] = [
             np.minimum(*(r(command[:, :, k : k + 32]) for r in pairs)) for k in range(0, command.shape[2], 32)

@@ -100,7 +100,7 @@ class ThrusterResponse:
 
     @property
     def full_thrust(self) -> float:
-        """Forward thrust of one thruster at full command [N]."""
+        """Forward thrust of one thruster at full command [N]: ``c1 + c2``."""
         return self.curve["c1"] + self.curve["c2"]
 
     @property
@@ -228,7 +228,7 @@ class ThrusterResponse:
         return left + right if name == "X" else ARM * (left - right)
 
     def _force(self, n: Array) -> Array:
-        """Return the thrust [N] of one thruster at normalised shaft speeds n: ``c1 n|n| + c2 n^2``."""
+        """Return the thrust [N] of one thruster at normalised shaft speeds n of any shape: ``c1 n|n| + c2 n^2``."""
         return np.asarray(self.curve["c1"] * n * np.abs(n) + self.curve["c2"] * n * n)
 
     def _delayed(self, value: Array, seconds: float) -> Array:
@@ -338,7 +338,7 @@ class StepInput:
         return levels, np.diff(whole, axis=0, prepend=0.0) * self.grid
 
     def random(self, n: int, rng: np.random.Generator) -> Array:
-        """Draw random search points (n, size) within the bounds.
+        """Draw random search points (n, size) within the bounds with a random generator ``rng``.
 
         The levels of a point are drawn in one of four ways with equal chance: uniform, near full thrust (0.6 to 1 of
         ``n_max``), similar on all channels (straight with small turns), or uniform with a reduced range. The relative

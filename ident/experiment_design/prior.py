@@ -122,9 +122,18 @@ def prior_matrix(model: Model, observed: Sequence[str], nuisances: Sequence[str]
 
 
 def prior_from_fit(saved: SavedModel) -> ParameterPrior:
-    """Return the prior after a fit: normal, with the covariance of the shared parameters that have a standard error.
+    """Return the prior that follows from a fitted model, for the design of the next experiment.
 
-    Its information is the pseudo-inverse of the covariance. Its inflation is that of the fit.
+    Parameters
+    ----------
+    saved
+        Fitted model with its covariance.
+
+    Returns
+    -------
+    ParameterPrior
+        Normal prior with the covariance of the shared dynamic parameters that have a standard error. Its information is
+        the pseudo-inverse of the covariance. Its inflation is that of the fit.
     """
     fitted = saved.covariance(dynamic_parameters(saved.model))
     information = scaled_pseudo_inverse(fitted.covariance)

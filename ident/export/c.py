@@ -32,10 +32,10 @@ static inline void NAME_step(const double x[], const double u[], const double p[
 """
 
 
-def write(c: Content) -> str:
-    """Return the text of the C99 header file of a model."""
-    guard = f"{c.name.upper()}_MODEL_H"
-    head = [line.replace("*/", "* /").replace("/*", "/ *") for line in header(c, "C99")]
+def write(content: Content) -> str:
+    """Return the text of the C99 header file of a model, from its collected content."""
+    guard = f"{content.name.upper()}_MODEL_H"
+    head = [line.replace("*/", "* /").replace("/*", "/ *") for line in header(content, "C99")]
     return "\n".join(
         [
             "/*",
@@ -46,62 +46,69 @@ def write(c: Content) -> str:
             "",
             "#include <math.h>",
             "",
-            *_index_enumerations(c),
+            *_index_enumerations(content),
             "",
-            *_array_lines(c, "parameters", [(v, comment(c, i)) for i, v in enumerate(c.values)], "default of p"),
             *_array_lines(
-                c,
+                content, "parameters", [(v, comment(content, i)) for i, v in enumerate(content.values)], "default of p"
+            ),
+            *_array_lines(
+                content,
                 "state_noise",
-                [(v, n) for n, v in zip(c.states, c.state_noise, strict=True)],
+                [(v, n) for n, v in zip(content.states, content.state_noise, strict=True)],
                 "diffusion of each state [unit/sqrt(s)]",
             ),
             *_array_lines(
-                c,
+                content,
                 "output_noise",
-                [(v, n) for n, v in zip(c.outputs, c.output_noise, strict=True)],
+                [(v, n) for n, v in zip(content.outputs, content.output_noise, strict=True)],
                 "standard deviation of the noise of each output [unit]",
             ),
-            _function(c, "f", "dx", c.programs[0], "Rates of the states [unit/s]."),
-            _function(c, "h", "y", c.programs[1], "Sensor outputs without noise."),
-            STEP_FUNCTION.replace("NAME", c.name),
+            _function(content, "f", "dx", content.programs[0], "Rates of the states [unit/s]."),
+            _function(content, "h", "y", content.programs[1], "Sensor outputs without noise."),
+            STEP_FUNCTION.replace("NAME", content.name),
             "#endif",
             "",
         ]
     )
 
 
-def _index_enumerations(c: Content) -> list[str]:
+def _index_enumerations(content: Content) -> list[str]:
     """Return enumerations of the indices (NAME_x_STATE etc.) and of the sizes NAME_NX, NAME_NU, NAME_NY, NAME_NP."""
     lines = []
-    for letter, names in (("x", c.states), ("u", c.inputs), ("y", c.outputs), ("p", c.parameters)):
-        members = [f"    {c.name}_{letter}_{n}," for n in names]
-        lines += ["enum {", *members, f"    {c.name}_N{letter.upper()}", "};"]
+    for letter, names in (
+        ("x", content.states),
+        ("u", content.inputs),
+        ("y", content.outputs),
+        ("p", content.parameters),
+    ):
+        members = [f"    {content.name}_{letter}_{n}," for n in names]
+        lines += ["enum {", *members, f"    {content.name}_N{letter.upper()}", "};"]
     return lines
 
 
-def _array_lines(c: Content, name: str, rows: Sequence[tuple[float, str]], description: str) -> list[str]:
+def _array_lines(content: Content, name: str, rows: Sequence[tuple[float, str]], description: str) -> list[str]:
     """Return the lines of a C array NAME_``name`` of values, with a comment beside each.
 
     ``rows`` are pairs of value and comment. ``description`` is the comment above the array. C has
     no arrays without elements, so an empty array gets one zero.
     """
     values = [f"    {C.number(v)}, /* {text.replace('*/', '* /').replace('/*', '/ *')} */" for v, text in rows]
-    return [f"/* {description} */", f"static const double {c.name}_{name}[] = {{", *(values or ["    0.0"]), "};"]
+    return [f"/* {description} */", f"static const double {content.name}_{name}[] = {{", *(values or ["    0.0"]), "};"]
 
 
-def _function(c: Content, name: str, result: str, program: Program, description: str) -> str:
+def _function(content: Content, name: str, result: str, program: Program, description: str) -> str:
     """Return the text of one C function of (x, u, p) that writes to the array argument ``result``.
 
     ``name`` is ``f`` for the rates of the states or ``h`` for the outputs. Arguments that the program does not use are
     cast to void, which avoids a compiler warning. ``description`` is the comment above the function.
     """
     lines, ends = write_lines(program, C, [*TAKEN, *program.used])
-    arguments = [(s, f"x[{c.name}_x_{n}]") for s, n in zip(c.symbols[0], c.states, strict=True)]
-    arguments += [(s, f"u[{c.name}_u_{n}]") for s, n in zip(c.symbols[1], c.inputs, strict=True)]
-    ids = dict(zip([p.name for p in c.exported_parameters], c.parameters, strict=True))
+    arguments = [(s, f"x[{content.name}_x_{n}]") for s, n in zip(content.symbols[0], content.states, strict=True)]
+    arguments += [(s, f"u[{content.name}_u_{n}]") for s, n in zip(content.symbols[1], content.inputs, strict=True)]
+    ids = dict(zip([p.name for p in content.exported_parameters], content.parameters, strict=True))
     arguments += [
-        (s, f"p[{c.name}_p_{ids[p.name]}]")
-        for s, p in zip(c.symbols[2], c.model.parameters, strict=True)
+        (s, f"p[{content.name}_p_{ids[p.name]}]")
+        for s, p in zip(content.symbols[2], content.model.parameters, strict=True)
         if p.name in ids
     ]
     used = [f"    const double {s} = {value};" for s, value in arguments if s in program.used]
@@ -110,13 +117,13 @@ def _function(c: Content, name: str, result: str, program: Program, description:
         for letter in "xup"
         if not any(v.startswith(f"{letter}[") and s in program.used for s, v in arguments)
     ]
-    letter, names = ("x", c.states) if name == "f" else ("y", c.outputs)
-    out = [f"    {result}[{c.name}_{letter}_{n}] = {end};" for n, end in zip(names, ends, strict=True)]
+    letter, names = ("x", content.states) if name == "f" else ("y", content.outputs)
+    out = [f"    {result}[{content.name}_{letter}_{n}] = {end};" for n, end in zip(names, ends, strict=True)]
     return "\n".join(
         [
             "",
             f"/* {description} */",
-            f"static inline void {c.name}_{name}(const double x[], const double u[], const double p[], "
+            f"static inline void {content.name}_{name}(const double x[], const double u[], const double p[], "
             f"double {result}[])",
             "{",
             *used,

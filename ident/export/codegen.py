@@ -1,8 +1,8 @@
 """Content and code generation of exported models.
 
-``content`` collects what all targets need: valid identifiers, parameter values, noise; ``header`` writes the comment at
-the top of a file. ``programs`` and ``write`` turn the expression graph of a model into straight-line code: one
-assignment after the other, in any language that has a ``Syntax`` (plain Python, C99, Python with CasADi).
+``collect_content`` collects what all targets need: valid identifiers, parameter values, noise. ``header`` writes the
+comment at the top of a file. ``programs`` and ``write`` turn the expression graph of a model into straight-line code:
+one assignment after the other, in any language that has a ``Syntax`` (plain Python, C99, Python with CasADi).
 
 Common subexpressions are computed once. Signals of the model (forces, thrusts) keep their names, and ``cos(psi)``
 becomes ``cos_psi``; other intermediate results are numbered.
@@ -107,7 +107,7 @@ class Content:
         return {names[k]: v for k, v in self.saved.validity.items() if k in names}
 
 
-def content(saved: SavedModel, *, name: str | None = None, nuisance: bool = False) -> Content:
+def collect_content(saved: SavedModel, *, name: str | None = None, nuisance: bool = False) -> Content:
     """Collect everything that the exporters need of a saved model.
 
     Parameters
@@ -275,39 +275,39 @@ def equivalent_noise(whole: Model, kept: Model) -> EquivalentNoise:
     )
 
 
-def header(c: Content, target: str) -> list[str]:
+def header(content: Content, target: str) -> list[str]:
     """Return the lines of the comment at the top of an exported file, without the comment signs of the language.
 
     They describe the model, its provenance, states, inputs, outputs, range of validity, and remarks on noise and
     parameters. ``target`` is the name of the language, for the first line.
     """
-    made = c.saved.provenance
-    lines = [f"{c.model.name}: fitted model, exported to {target} by seatrial.", ""]
+    made = content.saved.provenance
+    lines = [f"{content.model.name}: fitted model, exported to {target} by seatrial.", ""]
     lines += [f"{label}: {made[key]}" for label, key in (("made by", "made_by"), ("created", "created")) if key in made]
     lines += [f"fitted to: {log}" for log in made.get("logs", [])]
-    if c.model.effects:
-        lines.append("effects: " + ", ".join(e.name for e in c.model.effects))
+    if content.model.effects:
+        lines.append("effects: " + ", ".join(e.name for e in content.model.effects))
     lines += ["", "Rates dx/dt = f(x, u; p), outputs y = h(x, u; p); SI units and radians."]
     lines += ["States x, inputs u, outputs y:"]
     lines += [
         f"  x[{i}] {n} {_unit_text(s.unit)} {s.meaning}".rstrip()
-        for i, (n, s) in enumerate(zip(c.states, c.model.states, strict=True))
+        for i, (n, s) in enumerate(zip(content.states, content.model.states, strict=True))
     ]
-    lines += _input_lines(c)
+    lines += _input_lines(content)
     lines += [
         f"  y[{i}] {n} {_unit_text(o.unit)}" + (", an angle" if o.angle else "")
-        for i, (n, o) in enumerate(zip(c.outputs, c.model.outputs, strict=True))
+        for i, (n, o) in enumerate(zip(content.outputs, content.model.outputs, strict=True))
     ]
-    if c.validity:
+    if content.validity:
         lines += ["", "Range of the estimation data (the model is not validated beyond this range):"]
-        lines += [f"  {n} from {low:.4g} to {high:.4g}" for n, (low, high) in c.validity.items()]
-    return [" ".join(line.splitlines()) for line in lines + _remark_lines(c)]
+        lines += [f"  {n} from {low:.4g} to {high:.4g}" for n, (low, high) in content.validity.items()]
+    return [" ".join(line.splitlines()) for line in lines + _remark_lines(content)]
 
 
-def _input_lines(c: Content) -> list[str]:
+def _input_lines(content: Content) -> list[str]:
     """Return the header lines of the inputs, with an explanation of delayed input taps if there are any."""
-    lines, taps = [], [i for i in c.model.inputs if i.tap]
-    for j, (n, i) in enumerate(zip(c.inputs, c.model.inputs, strict=True)):
+    lines, taps = [], [i for i in content.model.inputs if i.tap]
+    for j, (n, i) in enumerate(zip(content.inputs, content.model.inputs, strict=True)):
         if i.tap:
             lines.append(f"  u[{j}] {n}: {i.tap_of}, {i.delay:g} s ago")
         else:
@@ -335,27 +335,29 @@ def _input_meaning(signal: Input) -> str:
     return ""
 
 
-def _remark_lines(c: Content) -> list[str]:
+def _remark_lines(content: Content) -> list[str]:
     """Return the header lines about removed states, their noise, relative parameters, and per-record parameters."""
     lines = []
-    if c.removed_states:
+    if content.removed_states:
         lines += [
             "",
-            f"Left out, as a controller does not need them: {', '.join(c.removed_states)}",
+            f"Left out, as a controller does not need them: {', '.join(content.removed_states)}",
             "(disturbance forces and sensor offsets; the option `--with-disturbance-states` keeps them).",
             "The process noise includes the effect of the forces over times longer than their correlation time.",
         ]
-    if c.states_without_noise:
-        lines.append(f"Included in no noise, because they have no effect at rest: {', '.join(c.states_without_noise)}.")
-    if c.noise_time_scale:
-        lasting = ", ".join(f"{n} ({tau:.2g} s)" for n, tau in c.noise_time_scale.items())
+    if content.states_without_noise:
+        lines.append(
+            f"Included in no noise, because they have no effect at rest: {', '.join(content.states_without_noise)}."
+        )
+    if content.noise_time_scale:
+        lasting = ", ".join(f"{n} ({tau:.2g} s)" for n, tau in content.noise_time_scale.items())
         lines += [
             f"The output noise includes their variance. It is correlated over these times: {lasting}.",
             "A filter that assumes white noise should use samples that far apart, or keep the states.",
         ]
-    if ratios := thrust_scale_of(c.saved.model).caveats:
+    if ratios := thrust_scale_of(content.saved.model).caveats:
         lines += ["", *ratios]
-    per_record = [n for n, p in zip(c.parameters, c.exported_parameters, strict=True) if p.per_record]
+    per_record = [n for n, p in zip(content.parameters, content.exported_parameters, strict=True) if p.per_record]
     if per_record:
         lines += [
             "",
@@ -370,13 +372,13 @@ def _unit_text(unit: str) -> str:
     return f"[{unit}]" if unit else "[-]"
 
 
-def comment(c: Content, i: int) -> str:
+def comment(content: Content, i: int) -> str:
     """Return the comment beside the exported parameter with index ``i``: unit, standard error and meaning, in one line.
 
     A parameter with an assumed standard deviation shows this. A fixed parameter shows the origin of its value instead.
     """
-    p = c.exported_parameters[i]
-    error = c.errors[i] if p.considered_sd is None else p.considered_sd
+    p = content.exported_parameters[i]
+    error = content.errors[i] if p.considered_sd is None else p.considered_sd
     origin = f"+- {error:.3g}" if math.isfinite(error) else "" if p.free else f"{p.provenance},"
     return " ".join(" ".join(part for part in (_unit_text(p.unit), origin, p.meaning) if part).split())
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from seatrial.ident.estimation import SavedModel
 from seatrial.ident.export import c, casadi_file, python, ros2
-from seatrial.ident.export.codegen import Content, content
+from seatrial.ident.export.codegen import Content, collect_content
 
 TARGETS: dict[str, Callable[[Content], str]] = {
     "python": python.write,
@@ -35,4 +35,4 @@ def export(saved: SavedModel, target: str, *, name: str | None = None, nuisance:
     ValueError
         If the model uses an operation that cannot be exported.
     """
-    return TARGETS[target](content(saved, name=name, nuisance=nuisance))
+    return TARGETS[target](collect_content(saved, name=name, nuisance=nuisance))

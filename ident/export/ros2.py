@@ -9,49 +9,52 @@ from collections.abc import Iterable, Mapping, Sequence
 from seatrial.ident.export.codegen import Content, comment, header
 
 
-def write(c: Content) -> str:
+def write(content: Content) -> str:
     """Return the text of the YAML file of a model, with the parameters of a ROS 2 node.
 
     Empty lists are left out, because ROS 2 cannot infer their type. Parameters without a standard error are left out of
     ``standard_errors``.
     """
-    own = [p.name for p in c.exported_parameters]
-    units = {n: p.unit for n, p in zip(c.parameters, c.exported_parameters, strict=True)}
-    errors = {n: e for n, e in zip(c.parameters, c.errors, strict=True) if math.isfinite(e)}
-    rows = [f"model: {_quoted(c.model.name)}"]
-    if c.model.effects:
-        rows.append(f"effects: {_quoted_list(e.name for e in c.model.effects)}")
+    own = [p.name for p in content.exported_parameters]
+    units = {n: p.unit for n, p in zip(content.parameters, content.exported_parameters, strict=True)}
+    errors = {n: e for n, e in zip(content.parameters, content.errors, strict=True) if math.isfinite(e)}
+    rows = [f"model: {_quoted(content.model.name)}"]
+    if content.model.effects:
+        rows.append(f"effects: {_quoted_list(e.name for e in content.model.effects)}")
     for kind, names, part in (
-        ("state", c.states, c.model.states),
-        ("input", c.inputs, c.model.inputs),
-        ("output", c.outputs, c.model.outputs),
+        ("state", content.states, content.model.states),
+        ("input", content.inputs, content.model.inputs),
+        ("output", content.outputs, content.model.outputs),
     ):
         if names:
             rows += [f"{kind}s: {_quoted_list(names)}", f"{kind}_units: {_quoted_list(signal.unit for signal in part)}"]
-    if c.angles:
-        rows.append(f"angles: {_quoted_list(c.angles)}")
+    if content.angles:
+        rows.append(f"angles: {_quoted_list(content.angles)}")
     if own:
-        comments = [comment(c, i) for i in range(len(own))]
+        comments = [comment(content, i) for i in range(len(own))]
         rows += [
             "parameters:",
             *(
                 f"  {_yaml_key(n)}: {_number_text(v)}  # {s}"
-                for n, v, s in zip(c.parameters, c.values, comments, strict=True)
+                for n, v, s in zip(content.parameters, content.values, comments, strict=True)
             ),
         ]
         rows += ["units:", *(f"  {_yaml_key(n)}: {_quoted(unit)}" for n, unit in units.items())]
     rows += _mapping_lines("standard_errors", errors)
-    rows += _mapping_lines("process_noise", dict(zip(c.states, c.state_noise, strict=True)), "diffusion, unit/sqrt(s)")
     rows += _mapping_lines(
-        "measurement_noise", dict(zip(c.outputs, c.output_noise, strict=True)), "standard deviation, unit"
+        "process_noise", dict(zip(content.states, content.state_noise, strict=True)), "diffusion, unit/sqrt(s)"
     )
-    if c.validity:
+    rows += _mapping_lines(
+        "measurement_noise", dict(zip(content.outputs, content.output_noise, strict=True)), "standard deviation, unit"
+    )
+    if content.validity:
         rows.append("validity:")
         rows += [
-            f"  {_yaml_key(n)}: [{_number_text(low)}, {_number_text(high)}]" for n, (low, high) in c.validity.items()
+            f"  {_yaml_key(n)}: [{_number_text(low)}, {_number_text(high)}]"
+            for n, (low, high) in content.validity.items()
         ]
-    top = ["# " + line if line else "#" for line in header(c, "ROS 2 (parameters of a node)")]
-    return "\n".join([*top, f"{c.name}:", "  ros__parameters:", *("    " + row for row in rows), ""])
+    top = ["# " + line if line else "#" for line in header(content, "ROS 2 (parameters of a node)")]
+    return "\n".join([*top, f"{content.name}:", "  ros__parameters:", *("    " + row for row in rows), ""])
 
 
 def _mapping_lines(name: str, values: Mapping[str, float], remark: str = "") -> list[str]:

@@ -109,7 +109,7 @@ class Outage:
 
     @property
     def duration(self) -> float:
-        """Duration [s]."""
+        """Duration of the outage [s]."""
         return self.end - self.start
 
 

@@ -297,7 +297,7 @@ def make_case(
 
 
 def is_file(source: str) -> bool:
-    """Return whether the argument MODEL of the command is a file: ``NAME.toml`` or ``FILE.py:NAME``."""
+    """Return whether ``source``, the argument MODEL of the command, is a file: ``NAME.toml`` or ``FILE.py:NAME``."""
     return source.endswith(".toml") or ":" in source
 
 

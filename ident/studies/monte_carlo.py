@@ -96,7 +96,7 @@ class Case:
     reml: bool = True
 
     def at(self, truth: Mapping[str, float]) -> Case:
-        """Return the case with other true values of the named parameters."""
+        """Return the case with other true values; ``truth`` has them by name of the parameter."""
         return replace(self, model=self.model.with_values(truth))
 
 
@@ -461,7 +461,7 @@ class ReplicateCounts:
 
 
 def counts(rows: Sequence[Row]) -> ReplicateCounts:
-    """Count the rows of `run_replicates` by their success, and summarise their CPU times."""
+    """Count the replicates by their success, and summarise their CPU times; ``rows`` are those of `run_replicates`."""
     good = [r for r in rows if "error" not in r]
     return ReplicateCounts(
         replicates=len(rows),

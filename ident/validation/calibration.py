@@ -127,7 +127,10 @@ def _independent_errors(z: Array) -> float:
 
 
 def one_step_calibration(model: Model, run: FilterResult) -> dict[str, Array]:
-    """Return the standardised innovations (n_rows,) of a filter run by channel; NaN in rows without a sample."""
+    """Return the standardised innovations (n_rows,) of a filter run of a model, by channel.
+
+    They are one-step prediction errors over their standard deviations; NaN in rows without a sample.
+    """
     return {o.name: run.standardised[:, j] for j, o in enumerate(model.outputs)}
 
 
@@ -211,7 +214,7 @@ def horizon_forecasts(
 
 
 def horizon_calibration(forecasts: Mapping[str, Forecast]) -> dict[str, Array]:
-    """Return the standardised errors (n,) over the horizon by channel; infinite for diverged predictions."""
+    """Return the standardised errors (n,) of forecasts, by channel; infinite for diverged predictions."""
     return {name: _standardised_errors(f.e, f.sd, np.ones(f.e.size, dtype=bool)) for name, f in forecasts.items()}
 
 
@@ -237,7 +240,7 @@ def _first_measured_row(measured: NDArray[np.bool_], due: NDArray[np.int64]) -> 
 
 
 def simulation_calibration(model: Model, record: Record, run: SimulationRun) -> dict[str, Array]:
-    """Return the standardised errors of a simulation after its first 15 s, by channel.
+    """Return the standardised errors of the simulation ``run`` of a record after its first 15 s, by channel.
 
     Each array has one element per row after these 15 s: NaN without a measurement, infinite for a diverged prediction.
     """

@@ -374,17 +374,20 @@ class WhitenessDiagnostics(NamedTuple):
 
     @property
     def share(self) -> float:
-        """Share of the variance that is significantly predictable, by the regression or as a spectral line."""
+        """Share of the variance, 0 to 1, that is predictable: the larger one of regression and spectral line.
+
+        A line that is not significant counts as zero.
+        """
         return max(self.predictable.share, self.line.share if self.line.p < SIGNIFICANCE else 0.0)
 
     @property
     def matter(self) -> bool:
-        """Return whether any of the departures is significant and large enough to matter."""
+        """Return whether any of the three departures is significant and large enough to matter."""
         return any(part.matters for part in self)
 
     @property
     def significant(self) -> bool:
-        """Return whether any of the departures is significant."""
+        """Return whether any of the three departures is significant (p below 0.001), even if it is small."""
         return any(part.p < SIGNIFICANCE for part in self)
 
 
