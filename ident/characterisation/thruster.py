@@ -114,6 +114,7 @@ def fit_thruster(model: Model, records: Sequence[Record], options: EstimationOpt
         likelihood, values = Likelihood(fitted.model), fitted.record_values
 
         def log_likelihood(d: float, likelihood: Likelihood = likelihood, values: Array = values) -> float:
+            """Return the log-likelihood of all records with the end ``d`` of the dead zone (share of full command)."""
             tried = values.copy()
             tried[:, at] = d
             return sum(likelihood.value(r, v) for r, v in zip(records, tried, strict=True))
@@ -209,6 +210,7 @@ def _lag_data(r: Record) -> LagData:
     n, row = r.y[seen, 0], np.clip(np.round((r.t[seen] - r.t[0]) / GRID_STEP).astype(int), 0, t.size - 1)
 
     def misfit(lagged: Array, delay: float) -> float:
+        """Return the sum of absolute errors of the lagged command (n,), ``delay`` [s] later, at the measured speeds."""
         past = np.maximum(row - round(delay / GRID_STEP), -1)
         return float(np.abs(n - np.append(lagged, 0.0)[past]).sum())  # index -1, before the start: shaft at rest
 

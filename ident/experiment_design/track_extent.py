@@ -29,6 +29,7 @@ def with_noise_inputs(model: Model) -> tuple[Model, list[str]]:
     noisy = [s for s in model.states if s.noise != 0.0]
 
     def add_noise(s: Signals) -> None:
+        """Add each noise input to the rate of its state, in place."""
         for state in noisy:
             s.rate[state.name] = s.rate[state.name] + getattr(s.u, f"w_{state.name}")
 
