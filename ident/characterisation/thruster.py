@@ -30,7 +30,7 @@ N_SEARCHES = 3  # searches over the dead zone, each with the other parameters of
 
 
 def fit_with_delay_on_grid(
-    model: Model, records: list[Record], again: Callable[[Model], list[Record]], options: EstimationOptions
+    model: Model, records: list[Record], make_records: Callable[[Model], list[Record]], options: EstimationOptions
 ) -> tuple[Fit, list[Record]]:
     """Fit a thruster model, then fit it again with the delay on one of the delayed copies of the command.
 
@@ -40,7 +40,7 @@ def fit_with_delay_on_grid(
         Thruster model.
     records
         Records of the bench runs.
-    again
+    make_records
         Function of a thruster model that makes the records of the same runs with the delayed copies of that model.
     options
         Options of the estimation.
@@ -60,7 +60,7 @@ def fit_with_delay_on_grid(
     step = pace_with_copy_at(fitted.model.values["tau"], delay_step(model))
     if step:
         exact = thruster_model(step, force="thrust" in model.provides)
-        records = again(exact)
+        records = make_records(exact)
         values = {n: v for n, v in fitted.model.values.items() if n in exact.values}
         kept = [fitted.model.parameter(n) for n in ("d", "c2") if n in values]  # d was freed, c2 may be fixed
         fitted = fit(exact.with_values(values).replace_parameters(*kept), records, plain)

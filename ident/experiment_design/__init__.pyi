@@ -30,5 +30,5 @@ from .problem import REST_S as REST_S
 from .problem import DesignLimits as DesignLimits
 from .problem import DesignProblem as DesignProblem
 from .rows import copy_spacing as copy_spacing
-from .rows import divided as divided
+from .rows import divided_spacing as divided_spacing
 from .rows import row_spacing as row_spacing

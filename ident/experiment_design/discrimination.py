@@ -30,8 +30,8 @@ from seatrial.ident.experiment_design.information import (
     parallel,
     prior_information,
     sensor_mask,
-    square,
     start_in_lanes,
+    symmetric_matrices,
     with_covariance,
 )
 from seatrial.ident.experiment_design.optimal_design import search_design
@@ -166,7 +166,7 @@ class HypothesisPair:
 
         chunks = [slice(a, min(a + width * CHUNK, n)) for a in range(0, n, width * CHUNK)]
         ee, g, triangle = (np.concatenate(c) for c in zip(*parallel(work, chunks, 2), strict=True))
-        return ee[:, 0], g, square(triangle, len(self.free))
+        return ee[:, 0], g, symmetric_matrices(triangle, len(self.free))
 
 
 def _solve(F: Array, g: Array) -> Array:

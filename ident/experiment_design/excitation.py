@@ -288,10 +288,10 @@ class StepInput:
     n_max: float = 1.0
 
     def __post_init__(self) -> None:
-        if self.n_steps * self.least > self.rows:
-            least = f"{self.least * self.grid:g} s" + (  # rounded up to whole rows
+        if self.n_steps * self.least_rows > self.n_rows:
+            least = f"{self.least_rows * self.grid:g} s" + (  # rounded up to whole rows
                 f" ({self.shortest:g} s in steps of {self.grid:g} s)"
-                if abs(self.least * self.grid - self.shortest) > 1e-6
+                if abs(self.least_rows * self.grid - self.shortest) > 1e-6
                 else ""
             )
             raise SeatrialError(
@@ -300,12 +300,12 @@ class StepInput:
             )
 
     @property
-    def rows(self) -> int:
+    def n_rows(self) -> int:
         """Total duration in rows of the grid."""
         return round(self.duration / self.grid)
 
     @property
-    def least(self) -> int:
+    def least_rows(self) -> int:
         """Least duration of a step in rows of the grid, rounded up."""
         return max(int(np.ceil(self.shortest / self.grid - 1e-9)), 1)
 
@@ -332,9 +332,9 @@ class StepInput:
         n_levels = self.n_steps * self.n_channels
         levels = z[:, :n_levels].reshape(-1, self.n_steps, self.n_channels).transpose(1, 2, 0)
         shares = z[:, n_levels:].T
-        spare = self.rows - self.n_steps * self.least  # rows beyond the least durations, divided by the shares
+        spare = self.n_rows - self.n_steps * self.least_rows  # rows beyond the least durations, divided by the shares
         shared = np.round(np.cumsum(shares / shares.sum(axis=0), axis=0) * spare)
-        whole = shared + self.least * np.arange(1, self.n_steps + 1)[:, None]
+        whole = shared + self.least_rows * np.arange(1, self.n_steps + 1)[:, None]
         return levels, np.diff(whole, axis=0, prepend=0.0) * self.grid
 
     def random(self, n: int, rng: np.random.Generator) -> Array:

@@ -139,7 +139,7 @@ class Experiments:
 
         parts = parallel(work, chunks, self.threads)
         triangle, low, high = (np.concatenate(column)[:n] for column in zip(*parts, strict=True))
-        return ExperimentResults(square(triangle, q), low, high)
+        return ExperimentResults(symmetric_matrices(triangle, q), low, high)
 
     def extents(self, u: Array, values: Array | None = None) -> tuple[Array, Array]:
         """Return only the minimum and the maximum (n, k) of the quantities ``extremes``, several times faster.
@@ -364,7 +364,7 @@ def _interval_ends(linear: NDArray[np.bool_], u: Array, axis: int = -1) -> Array
     return np.where(linear.reshape(shape), np.concatenate([u[1:], u[-1:]]), u)
 
 
-def square(triangle: Array, q: int) -> Array:
+def symmetric_matrices(triangle: Array, q: int) -> Array:
     """Convert upper triangles by rows (n, q (q + 1) / 2) to symmetric matrices (n, q, q)."""
     full = np.empty((len(triangle), q, q))
     i, j = np.triu_indices(q)

@@ -259,9 +259,9 @@ def design(
     (value,), (singular,) = evaluator.mean_criterion(rounded)
     (beyond,) = evaluator.violation(rounded)
     if value <= SINGULAR or singular > 0:
-        raise SeatrialError(_uninformative(problem, float(singular)))
+        raise SeatrialError(_no_information_message(problem, float(singular)))
     if beyond > 10.0**-LEVEL_DIGITS:
-        raise SeatrialError(_too_tight(problem, float(beyond)))
+        raise SeatrialError(_limits_message(problem, float(beyond)))
     information = evaluator.information(problem.actuation.inputs(rounded))[0]
     return Design(problem, levels, durations, float(value), information, found)
 
@@ -361,7 +361,7 @@ def search_design(
     return PatternSearch(evaluate, steps.low, steps.high, seed, together, above).run(warm, evaluations, progress)
 
 
-def _uninformative(problem: DesignProblem, singular: float) -> str:
+def _no_information_message(problem: DesignProblem, singular: float) -> str:
     """Return the error message for a design that does not inform all chosen parameters.
 
     ``singular`` is the share of the parameter samples with a singular information matrix, 0 to 1. The message gives it
@@ -377,7 +377,7 @@ def _uninformative(problem: DesignProblem, singular: float) -> str:
     )
 
 
-def _too_tight(problem: DesignProblem, violation: float) -> str:
+def _limits_message(problem: DesignProblem, violation: float) -> str:
     """Return the error message for limits that no sequence keeps; ``violation`` is the summed relative excess."""
     limits = problem.limits
     options = [f"--area {limits.area[0]:g}x{limits.area[1]:g}"] if limits.area else []

@@ -41,9 +41,9 @@ def row_spacing(members: Sequence[tuple[Model, Array]], longest: float, n_max: f
         Spacing [s]: ``longest`` over a whole number. It is at most the smallest delay of the delayed input taps, and at
         most 1.4 over the fastest pole, or 0.005 s if the pole is faster than 280 1/s.
     """
-    copies = divided(longest, min(copy_spacing(model, longest) for model, _ in members))
+    copies = divided_spacing(longest, min(copy_spacing(model, longest) for model, _ in members))
     pole = max(fastest_pole(model, boats, n_max) for model, boats in members)
-    return divided(copies, max(STABLE / pole, SHORTEST) if pole > 0.0 else copies)
+    return divided_spacing(copies, max(STABLE / pole, SHORTEST) if pole > 0.0 else copies)
 
 
 def copy_spacing(model: Model, longest: float) -> float:
@@ -54,7 +54,7 @@ def copy_spacing(model: Model, longest: float) -> float:
     return min([longest, *(abs(i.delay) for i in model.inputs if i.tap)])
 
 
-def divided(spacing: float, most: float) -> float:
+def divided_spacing(spacing: float, most: float) -> float:
     """Divide a spacing by the smallest whole number with which the result is at most ``most``, and return the result.
 
     Both are in the same unit, for example s.

@@ -112,7 +112,7 @@ class Navigation:
         return tuple(s.name for s in self.model.states)
 
     @cached_property
-    def _rowwise(self) -> VectorisedModel:
+    def _compiled(self) -> VectorisedModel:
         """Compiled model that is evaluated for many rows at once."""
         return VectorisedModel(self.model)
 
@@ -131,24 +131,24 @@ class Navigation:
         P : Array (n_rows, 2, 2)
             Covariances [m2], without measurement noise.
         """
-        j = self._columns
+        j = self._position_columns
         # the compiled model returns the rates of all states, then the outputs
-        y = self._rowwise(estimate.x, self.record.u, self.values)[:, len(self.states) :][:, j]
-        H = self._rowwise.output_jacobian(estimate.x, self.record.u, self.values)[:, j]
+        y = self._compiled(estimate.x, self.record.u, self.values)[:, len(self.states) :][:, j]
+        H = self._compiled.output_jacobian(estimate.x, self.record.u, self.values)[:, j]
         return y, np.einsum("kij,kjl,kml->kim", H, estimate.P, H)
 
     @property
     def fixes(self) -> Array:
         """Measured positions (n_rows, 2) [m], with the withheld ones; NaN in rows without a fix."""
-        return self.record.y[:, self._columns]
+        return self.record.y[:, self._position_columns]
 
     @property
     def fix_variance(self) -> Array:
         """Measurement-noise variance of a fix, north and east (2,) [m2]."""
-        return self.run.R[self._columns]
+        return self.run.R[self._position_columns]
 
     @cached_property
-    def _columns(self) -> list[int]:
+    def _position_columns(self) -> list[int]:
         """Indices of the position, x (north) and y (east), among the outputs."""
         names = [o.name for o in self.model.outputs]
         return [names.index(n) for n in POSITION]

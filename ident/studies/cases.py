@@ -28,7 +28,7 @@ from seatrial.ident.experiment_design import (
     StepInput,
     copy_spacing,
     design,
-    divided,
+    divided_spacing,
 )
 from seatrial.ident.model import INF, Model
 from seatrial.ident.models import (
@@ -283,7 +283,7 @@ def make_case(
     else:
         case = CASES[name](**({} if seconds is None else {"seconds": seconds}))
     try:
-        case = case.at(truth or {})
+        case = case.with_truth(truth or {})
         case = replace(case, model=case.model.with_free(free)) if free else case
     except (KeyError, ValueError) as problem:
         raise SeatrialError(str(problem.args[0])) from problem
@@ -426,7 +426,7 @@ def _row_interval(model: Model, fastest: float) -> float:
     It is short enough for the model and for the fastest sensor, whose rate is ``fastest`` [Hz]. It divides the smallest
     delay of the delayed input taps by a whole number; otherwise rounding would hide the delay.
     """
-    return divided(copy_spacing(model, SENSOR_INTERVAL_S), min(model.max_step, 1.05 / fastest))
+    return divided_spacing(copy_spacing(model, SENSOR_INTERVAL_S), min(model.max_step, 1.05 / fastest))
 
 
 def _lagged_levels(levels: Array, step: float) -> Array:

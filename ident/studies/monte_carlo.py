@@ -95,7 +95,7 @@ class Case:
     about: str = ""
     reml: bool = True
 
-    def at(self, truth: Mapping[str, float]) -> Case:
+    def with_truth(self, truth: Mapping[str, float]) -> Case:
         """Return the case with other true values; ``truth`` has them by name of the parameter."""
         return replace(self, model=self.model.with_values(truth))
 
@@ -460,7 +460,7 @@ class ReplicateCounts:
     cpu_simulation: float
 
 
-def counts(rows: Sequence[Row]) -> ReplicateCounts:
+def count_replicates(rows: Sequence[Row]) -> ReplicateCounts:
     """Count the replicates by their success, and summarise their CPU times; ``rows`` are those of `run_replicates`."""
     good = [r for r in rows if "error" not in r]
     return ReplicateCounts(

@@ -253,12 +253,12 @@ def simulation_calibration(model: Model, record: Record, run: SimulationRun) -> 
     }
 
 
-def pooled_calibration(parts: Sequence[Mapping[str, Array]], *, together: bool = False) -> dict[str, Calibration]:
+def pooled_calibration(by_record: Sequence[Mapping[str, Array]], *, together: bool = False) -> dict[str, Calibration]:
     """Test the calibration of every channel over several records.
 
     Parameters
     ----------
-    parts
+    by_record
         Standardised errors of each record, by channel. NaN (no measurement) is left out.
     together
         Whether the errors of all channels are correlated with each other. Each channel then has the smallest effective
@@ -270,12 +270,12 @@ def pooled_calibration(parts: Sequence[Mapping[str, Array]], *, together: bool =
     dict of str to Calibration
         Calibration by channel. Channels without an error are left out.
     """
-    kept = [[z[~np.isnan(z)] for z in p.values()] for p in parts]
+    kept = [[z[~np.isnan(z)] for z in p.values()] for p in by_record]
     counts = [[_independent_errors(z) for z in series if z.size] for series in kept]
     least = float(sum(min(c) for c in counts if c)) if together else None
     found = {}
-    for name in dict.fromkeys(n for p in parts for n in p):
-        calibration = calibration_test([p[name] for p in parts if name in p], least)
+    for name in dict.fromkeys(n for p in by_record for n in p):
+        calibration = calibration_test([p[name] for p in by_record if name in p], least)
         if calibration is not None:
             found[name] = calibration
     return found

@@ -196,7 +196,7 @@ def simulation_run(
 
 
 def pooled_errors(
-    parts: Sequence[Mapping[str, PredictionErrors]], ends: Sequence[float] | None = None
+    by_record: Sequence[Mapping[str, PredictionErrors]], ends: Sequence[float] | None = None
 ) -> dict[str, PredictionErrors]:
     """Concatenate the errors of several records. The times are shifted so that the records follow each other.
 
@@ -204,7 +204,7 @@ def pooled_errors(
 
     Parameters
     ----------
-    parts
+    by_record
         Errors of each record, by channel.
     ends
         Last times of the records [s], by default those of their errors. Give them if two models are compared, so that
@@ -216,21 +216,21 @@ def pooled_errors(
         Errors by channel.
     """
     if ends is None:
-        lengths = [_last_time(p) + RECORD_GAP_S if p else 0.0 for p in parts]
+        lengths = [_last_time(p) + RECORD_GAP_S if p else 0.0 for p in by_record]
     else:
         lengths = [end + RECORD_GAP_S for end in ends]
     starts = np.cumsum([0.0, *lengths])
     found: dict[str, PredictionErrors] = {}
-    for name in dict.fromkeys(n for p in parts for n in p):
-        of_channel = [(p[name], start) for p, start in zip(parts, starts, strict=False) if name in p]
+    for name in dict.fromkeys(n for p in by_record for n in p):
+        of_channel = [(p[name], start) for p, start in zip(by_record, starts, strict=False) if name in p]
         columns = zip(*((e.t + start, e.e, e.about) for e, start in of_channel), strict=True)
         found[name] = PredictionErrors(*(np.concatenate(column) for column in columns))
     return found
 
 
-def _last_time(part: Mapping[str, PredictionErrors]) -> float:
+def _last_time(errors: Mapping[str, PredictionErrors]) -> float:
     """Return the last time [s] of the errors of one record over all channels; 0 if there are none."""
-    return max((float(e.t[-1]) for e in part.values()), default=0.0)
+    return max((float(e.t[-1]) for e in errors.values()), default=0.0)
 
 
 @dataclass(frozen=True)

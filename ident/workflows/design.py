@@ -332,7 +332,7 @@ def make_task(source: str, request: DesignRequest) -> DesignProblem:
         )
     n_channels = len(ThrusterResponse(model, np.array([0.0, 1.0])).channels)
     steps = StepInput(1, n_channels, request.duration, request.shortest, GRID, request.n_max)
-    n_steps = request.steps or min(max(8, round(request.duration / STEP_S)), max(steps.rows // steps.least, 1))
+    n_steps = request.steps or min(max(8, round(request.duration / STEP_S)), max(steps.n_rows // steps.least_rows, 1))
     task = DesignProblem(
         model,
         replace(steps, n_steps=n_steps),

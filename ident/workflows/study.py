@@ -23,7 +23,7 @@ from seatrial.ident.studies import (
     Case,
     ParameterCoverage,
     Row,
-    counts,
+    count_replicates,
     estimator_code_hash,
     make_case,
     read_replicates,
@@ -230,7 +230,7 @@ def run_studies(request: StudyRequest, command: str, reporter: Reporter) -> Stud
 
 def part(case: Case, rows: Sequence[Row], method: Method) -> ModelStudy:
     """Return the entry of one study in ``studies``."""
-    truth, n = case.model.values, counts(rows)
+    truth, n = case.model.values, count_replicates(rows)
     return ModelStudy(
         model=case.name,
         about=case.about,
