@@ -136,7 +136,7 @@ def prior_from_fit(saved: SavedModel) -> ParameterPrior:
         the pseudo-inverse of the covariance. Its inflation is that of the fit.
     """
     fitted = saved.covariance(dynamic_parameters(saved.model))
-    information = scaled_pseudo_inverse(fitted.covariance)
+    information = None if fitted.covariance is None else scaled_pseudo_inverse(fitted.covariance)
     return ParameterPrior(
         fitted.names, covariance=fitted.covariance, information=information, inflation=saved.inflation
     )
