@@ -258,7 +258,7 @@ def test_curve_is_restored_from_its_file(tmp_path: Path) -> None:
     assert found is not None
     assert (found.thrusters, found.calibration) == (2, 0.02)
     np.testing.assert_allclose(found.curve.force, curve.force, rtol=1e-6)
-    np.testing.assert_allclose(found.of_one(COMMANDS), curve(COMMANDS) / 2, rtol=1e-6)
+    np.testing.assert_allclose(found.thrust_of_one(COMMANDS), curve(COMMANDS) / 2, rtol=1e-6)
     other = tmp_path / "other.toml"
     other.write_text('format = "seatrial-model 1"\n')
     assert load_curve(other) is None
@@ -282,8 +282,8 @@ def test_thrust_from_commands(tmp_path: Path) -> None:
     right = Channel(np.array([0.0, 0.5]), np.array([0.4, 0.5]))
     found = thrust_channels({"n_left": left, "n_right": right}, curve)
     assert found["X"].t.tolist() == [0.0, 0.5, 1.0]
-    np.testing.assert_allclose(found["f_left"].value, curve.of_one(left.value))
-    want = curve.of_one(np.array([0.4, 0.4, -0.4])) + curve.of_one(np.array([0.4, 0.5, 0.5]))
+    np.testing.assert_allclose(found["f_left"].value, curve.thrust_of_one(left.value))
+    want = curve.thrust_of_one(np.array([0.4, 0.4, -0.4])) + curve.thrust_of_one(np.array([0.4, 0.5, 0.5]))
     np.testing.assert_allclose(found["X"].value, want)
     # A command shifted outwards by d changes the force by d X_n, forward and in reverse.
     inward = Channel(left.t, left.value - 1e-6 * np.sign(left.value))
@@ -294,7 +294,7 @@ def test_thrust_from_commands(tmp_path: Path) -> None:
     np.testing.assert_allclose(step, 1e-6 * (left_only["X_n"].value - zero["X_n"].value), rtol=1e-3)
     command = thrust_channels({"n_left": right, "n_cmd_left": left, "n_right": right}, curve)
     # A command has priority over a shaft speed.
-    np.testing.assert_allclose(command["f_left"].value, curve.of_one(left.value))
+    np.testing.assert_allclose(command["f_left"].value, curve.thrust_of_one(left.value))
     with pytest.raises(ValueError, match="no n_cmd_right and no n_right"):
         thrust_channels({"n_left": left}, curve)
 
