@@ -295,7 +295,7 @@ def test_thrust_from_commands(tmp_path: Path) -> None:
     command = thrust_channels({"n_left": right, "n_cmd_left": left, "n_right": right}, curve)
     # A command has priority over a shaft speed.
     np.testing.assert_allclose(command["f_left"].value, curve.thrust_of_one(left.value))
-    with pytest.raises(ValueError, match="no n_cmd_right and no n_right"):
+    with pytest.raises(ValueError, match="neither n_cmd_right nor n_right"):
         thrust_channels({"n_left": left}, curve)
 
 
