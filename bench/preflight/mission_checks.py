@@ -15,7 +15,7 @@ from seatrial.daq.errors import SeatrialError
 from seatrial.daq.rig import Rig
 
 FloatArray = npt.NDArray[np.float64]
-STEP = 0.05  # s, of the simulated track
+TRACK_STEP_S = 0.05  # s, of the simulated track
 MASSES = ("m_u", "m_v", "m_r")
 NEEDED = (*MASSES, "d_u", "d_v", "d_r", "c1")  # parameters of [vehicle] that a simulated track needs
 CLOSE = 0.8  # fraction of the fence's radius beyond which a track is near the fence
@@ -116,7 +116,7 @@ def track(mission: Mission, rig: Rig) -> tuple[FloatArray, FloatArray, FloatArra
     p = {"c2": 0.0, "d_uu": 0.0, "d_vv": 0.0, "d_rr": 0.0, **rig.vehicle}
     y_thruster = [rig.thruster(name).position_m[1] for name in mission.thrusters]
     t_cmd, n_cmd = mission.setpoints()
-    t = np.arange(0.0, mission.end + STEP, STEP)
+    t = np.arange(0.0, mission.end + TRACK_STEP_S, TRACK_STEP_S)
     n = n_cmd[np.clip(np.searchsorted(t_cmd, t, side="right") - 1, 0, None)] * (t >= t_cmd[0])[:, None]
     f = p["c1"] * n * np.abs(n) + p["c2"] * n * n
     forces, moments = f.sum(axis=1).tolist(), (-f @ np.array(y_thruster)).tolist()
@@ -152,11 +152,18 @@ def _next_state(state: tuple[float, ...], thrust: float, moment: float, p: Mappi
     u_next = _next_velocity(u, thrust + p["m_v"] * v * r, p["m_u"], p["d_u"], p["d_uu"])
     v_next = _next_velocity(v, -p["m_u"] * u * r, p["m_v"], p["d_v"], p["d_vv"])
     r_next = _next_velocity(r, moment - (p["m_v"] - p["m_u"]) * u * v, p["m_r"], p["d_r"], p["d_rr"])
-    psi += STEP * r_next
+    psi += TRACK_STEP_S * r_next
     if not math.isfinite(psi):
         return (math.nan,) * 6
     c, s = math.cos(psi), math.sin(psi)
-    return x + STEP * (c * u_next - s * v_next), y + STEP * (s * u_next + c * v_next), psi, u_next, v_next, r_next
+    return (
+        x + TRACK_STEP_S * (c * u_next - s * v_next),
+        y + TRACK_STEP_S * (s * u_next + c * v_next),
+        psi,
+        u_next,
+        v_next,
+        r_next,
+    )
 
 
 def _next_velocity(speed: float, force: float, mass: float, d: float, dd: float) -> float:
@@ -176,4 +183,4 @@ def _next_velocity(speed: float, force: float, mass: float, d: float, dd: float)
         Linear and quadratic damping.
     """
     slope = max(d + 2.0 * dd * abs(speed), 0.0)
-    return speed + STEP * (force - (d + dd * abs(speed)) * speed) / (mass + STEP * slope)
+    return speed + TRACK_STEP_S * (force - (d + dd * abs(speed)) * speed) / (mass + TRACK_STEP_S * slope)

@@ -27,7 +27,7 @@ from seatrial.ident.numerics.linear_algebra import Array
 from seatrial.ident.numerics.signal_processing import first_order_lag
 from seatrial.ident.studies.cases import random_levels
 
-STEP = 0.05  # s between AHRS samples
+AHRS_INTERVAL_S = 0.05  # s between AHRS samples
 FIX = 4  # AHRS samples per GNSS fix
 ROLL = (2 * np.pi * 0.55, 0.12, 0.06)  # natural frequency (rad/s), damping ratio, rad per m/s2 of sway acceleration
 PITCH = (2 * np.pi * 0.70, 0.12, 0.0004)  # natural frequency (rad/s), damping ratio, rad per N of thrust
@@ -141,9 +141,9 @@ def sail(truth: Mapping[str, float], seconds: float, seed: int) -> Sailed:
     seed : int
         Seed of commands and noise.
     """
-    t: Array = np.asarray(np.arange(round(seconds / STEP) + 1) * STEP)
+    t: Array = np.asarray(np.arange(round(seconds / AHRS_INTERVAL_S) + 1) * AHRS_INTERVAL_S)
     command = random_levels(t, lambda rng: rng.uniform(-0.4, 1.0, 2), (3.0, 9.0), seed)
-    n = first_order_lag(command, 1.0 / SHAFT_POLE, STEP)
+    n = first_order_lag(command, 1.0 / SHAFT_POLE, AHRS_INTERVAL_S)
     model = rolling_boat(truth)
     values = np.array([list(model.values.values())])
     rng = np.random.default_rng([seed, 5])

@@ -19,9 +19,10 @@ from functools import partial
 
 import numpy as np
 
+from seatrial.ident.experiment_design.evaluator import DesignEvaluator
 from seatrial.ident.experiment_design.excitation import StepInput
 from seatrial.ident.experiment_design.optimal_design import Design, search_design
-from seatrial.ident.experiment_design.task import DesignProblem
+from seatrial.ident.experiment_design.problem import DesignProblem
 from seatrial.ident.numerics.linear_algebra import Array
 
 FINEST = 2.0  # s, mean duration of the steps in the search
@@ -68,17 +69,19 @@ def upper_bound(made: Design, *, rounds: int = 2, evaluations: int = 14_000, see
     ValueError
         If the criterion is not log det of the information of all parameters, or the track has limits.
     """
-    task = made.task
-    if task.criterion != "D" or task.chosen or task.robust or task.limits.bind:
+    problem = made.problem
+    if problem.criterion != "D" or problem.chosen or problem.robust or problem.limits.bind:
         raise ValueError("the bound is for D-optimal designs of all parameters without limits")
-    finer = _problem_with_finer_steps(task)
-    M, q = made.information + task.prior, len(task.free)
-    reached = float(task.measure(M[None])[0])
-    warm, found, rng = as_point(finer.steps, made.command, task.grid)[None], [], np.random.default_rng([seed, 23])
+    finer, criterion = _problem_with_finer_steps(problem), made.evaluator.criterion
+    of_finer = DesignEvaluator(finer)
+    M, q = made.information + made.evaluator.prior_information, len(problem.free)
+    reached = float(criterion(M[None])[0])
+    warm, found, rng = as_point(finer.steps, made.command, problem.grid)[None], [], np.random.default_rng([seed, 23])
 
     def information(z: Array) -> Array:
         """Return the information (n, q, q) of the inputs at points z (n, size) of the search space."""
-        return finer.experiments(finer.actuation.inputs(finer.commands(z))).information + finer.prior
+        u = finer.actuation.inputs(finer.commands(z))
+        return np.asarray(of_finer.experiments(u).information + of_finer.prior_information)
 
     for k in range(rounds):
         judge = partial(_trace_criterion, information, np.asarray(np.linalg.inv(M)))
@@ -87,7 +90,7 @@ def upper_bound(made: Design, *, rounds: int = 2, evaluations: int = 14_000, see
         best = search_design(finer.steps, judge, evaluations, seed + k, starts, None)
         found.append(reached + max(best.value, float(q)) - q)  # the trace of the design itself is q
         mixed = (1 - MIXES[:, None, None]) * M + MIXES[:, None, None] * information(best.z[None])
-        values = task.measure(mixed)
+        values = criterion(mixed)
         M, reached = mixed[int(np.argmax(values))], float(values.max())
         warm = np.vstack([warm[:1], best.z[None]])
     return Bound(min(found), tuple(found))
@@ -113,11 +116,11 @@ def _trace_criterion(information: Callable[[Array], Array], W: Array, z: Array) 
     return np.einsum("ij,nij->n", W, information(z)), np.zeros(len(z))
 
 
-def _problem_with_finer_steps(task: DesignProblem) -> DesignProblem:
+def _problem_with_finer_steps(problem: DesignProblem) -> DesignProblem:
     """Return the problem with at least one step of the input per 2 s (FINEST) and shorter shortest steps."""
-    steps = task.steps
+    steps = problem.steps
     n_steps = max(steps.n_steps, round(steps.duration / FINEST))
-    return replace(task, steps=replace(steps, n_steps=n_steps, shortest=min(steps.shortest, 2 * steps.grid)))
+    return replace(problem, steps=replace(steps, n_steps=n_steps, shortest=min(steps.shortest, 2 * steps.grid)))
 
 
 def as_point(steps: StepInput, command: Array, grid: float) -> Array:

@@ -11,6 +11,7 @@ import numpy as np
 
 from benchmarks.thesis.design_bound import Bound, upper_bound
 from benchmarks.thesis.figures import Chart, Curve, Drawing, Part
+from seatrial.ident.experiment_design.evaluator import DesignEvaluator
 from seatrial.ident.experiment_design.excitation import StepInput
 from seatrial.ident.experiment_design.optimal_design import (
     BaselineSignal,
@@ -22,7 +23,7 @@ from seatrial.ident.experiment_design.optimal_design import (
     predicted_errors,
     predicted_track,
 )
-from seatrial.ident.experiment_design.task import DesignProblem
+from seatrial.ident.experiment_design.problem import DesignProblem
 from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.numerics.linear_algebra import Array
 from seatrial.ident.studies.cases import RepeatStatistics, repeat_design
@@ -86,7 +87,7 @@ class Experiment:
     @property
     def value(self) -> float:
         """Log det of the information of the design at the nominal parameters."""
-        return float(self.judge.judge(self.command[:, :, None])[0][0])
+        return float(DesignEvaluator(self.judge).evaluate(self.command[:, :, None])[0][0])
 
     @property
     def command(self) -> Array:
@@ -117,15 +118,15 @@ def experiment(title: str, *, process_noise: bool, seed: int, evaluations: int) 
     began = time.process_time()
     model = horizontal_model(current=False)
     if process_noise:
-        task = DesignProblem(model, StepInput(120, 2, SECONDS, 1.0, GRID), seed=seed)
+        problem = DesignProblem(model, StepInput(120, 2, SECONDS, 1.0, GRID), seed=seed)
     else:  # rows of 0.4 s to save time, since 16 parameter samples are simulated for each input
         coarse = 2 * GRID
-        task = DesignProblem(
+        problem = DesignProblem(
             model, StepInput(60, 2, SECONDS, 2.0, coarse), process_noise=False, robust=16, seed=seed, grid=coarse
         )
-    made = design(task, evaluations=evaluations)
+    made = design(problem, evaluations=evaluations)
     search_cpu = time.process_time() - began
-    judge = replace(task, grid=GRID, robust=0, steps=replace(task.steps, grid=GRID))
+    judge = replace(problem, grid=GRID, robust=0, steps=replace(problem.steps, grid=GRID))
     found = baseline_signals(judge, seed=seed)
     began = time.process_time()
     commands = {"design": made.command_on(judge)} | {k: r.command for k, r in found.items()}
@@ -207,7 +208,7 @@ def _error_table(oe: Experiment, pe: Experiment) -> list[str]:
     The columns are the design for output error (by both predictions), the design for prediction error, and its best
     baseline.
     """
-    names = pe.made.task.observed_parameters
+    names = pe.made.problem.observed_parameters
     best = max(pe.found.values(), key=lambda r: r.value)
     fine = pe.judge.finer
     at = np.searchsorted(pe.judge.t, fine.t + 1e-9, side="right") - 1
@@ -275,10 +276,10 @@ def _chapter_figures(oe: Experiment, pe: Experiment) -> Part:
 
 def _input_drawing(title: str, designed: Experiment, until: float) -> Drawing:
     """Return a figure of commands and shaft speeds of a design, from the start until ``until`` [s]."""
-    task, rows = designed.judge, designed.judge.t <= until
+    problem, rows = designed.judge, designed.judge.t <= until
     command = designed.command[rows]
-    shaft = task.actuation.shaft(designed.command[:, :, None])[rows, :, 0]
-    t = task.t[rows]
+    shaft = problem.actuation.shaft(designed.command[:, :, None])[rows, :, 0]
+    t = problem.t[rows]
     charts = [
         Chart(
             f"{name}, -1..1",
@@ -287,7 +288,7 @@ def _input_drawing(title: str, designed: Experiment, until: float) -> Drawing:
                 Curve("shaft speed", t, shaft[:, k], "other"),
             ],
         )
-        for k, name in enumerate(task.actuation.channels)
+        for k, name in enumerate(problem.actuation.channels)
     ]
     return Drawing(title, "s", charts)
 

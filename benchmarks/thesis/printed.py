@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-TABLE_2 = {"a": 2.794, "c1": 40.05, "c2": 1.11}
+from seatrial.ident.models.published_values import TABLE_2 as TABLE_2
+from seatrial.ident.models.published_values import TABLE_5_3DOF
+
 TABLE_3 = {
     "OE": {"m_r": 6.0708, "d_r": 1.4452, "d_rr": 18.4697},
     "PE": {"m_r": 6.6458, "d_r": 2.1412, "d_rr": 17.0322},
@@ -12,17 +14,7 @@ TABLE_4 = {
     "PE": {"m_u": 39.8006, "d_u": 0.0002, "d_uu": 31.5035},
 }
 TABLE_5 = {
-    "3DOF": {
-        "m_u": 43.0775,
-        "m_v": 49.8655,
-        "m_r": 13.5756,
-        "d_u": 8.4193,
-        "d_v": 81.3337,
-        "d_r": 6.4794,
-        "d_uu": 27.8441,
-        "d_vv": 11.7343,
-        "d_rr": 19.9464,
-    },
+    "3DOF": TABLE_5_3DOF,
     "6DOF K": {
         "m_u": 40.6120,
         "m_v": 46.3097,

@@ -35,7 +35,7 @@ MOST_DIGITS = 6  # digits of counts after the decimal point, at most
 # White noise of a sample above which an AHRS is too noisy for a fit: a few times that of a VN-100 on a boat.
 NOISE = {"yaw": (math.radians(2.0), "rad"), "r": (0.05, "rad/s")}
 GRAVITY, GRAVITY_PART = 9.81, 0.15  # m/s2, and the part of it by which the specific force may differ
-STEP = 0.1  # of full command; a larger change must change the shaft speed
+LARGE_COMMAND_CHANGE = 0.1  # of full command; a larger change must change the shaft speed
 NO_FIX = 0.05  # part of the samples that may lack a position
 FEW_SATELLITES = 6
 REPEATED = 0.02  # part of the samples of an imported signal that may not be later than the previous one
@@ -491,7 +491,7 @@ def _check_shaft_speeds(log: Log) -> Iterator[Finding]:
             for a, b in zip(first[held], last[held], strict=True):
                 # Commands of the last second do not count, because the shaft responds with a delay.
                 during = n_cmd[np.searchsorted(t_cmd, t[a], "right") : np.searchsorted(t_cmd, t[b] - 1.0)]
-                if during.size > 1 and np.ptp(during) > STEP:
+                if during.size > 1 and np.ptp(during) > LARGE_COMMAND_CHANGE:
                     text = f"{rpm[a]:.0f} rev/min for {t[b] - t[a]:.1f} s while its command changed"
                     yield Finding(
                         FAULT,

@@ -42,7 +42,7 @@ class ZeroDrift(NamedTuple):
 
     @property
     def text(self) -> str:
-        """Sentences for reports that describe the drift."""
+        """Description of the drift in two sentences, for reports: first and last zero, range, and the correction."""
         first, last = float(self.force[0]), float(self.force[-1])
         return (
             f"The load cell's zero drifts: {first:.3g} N at {self.t[0]:.0f} s, {last:.3g} N at {self.t[-1]:.0f} s; its "
@@ -50,8 +50,11 @@ class ZeroDrift(NamedTuple):
             "linear between the rests."
         )
 
-    def taken_off(self, force: Channel) -> Channel:
-        """Return the force without the drift, and with the mean of the zeros."""
+    def without_drift(self, force: Channel) -> Channel:
+        """Return a force channel [N] without the drift. The mean of the zeros stays in the force.
+
+        The drift is linear between the rests, and constant before the first and after the last one.
+        """
         drift = np.interp(force.t, self.t, self.force - self.force.mean())
         return replace(force, value=force.value - drift)
 
@@ -62,14 +65,15 @@ def zero_drift(command: Channel, force: Channel, settle: float) -> ZeroDrift | N
     Parameters
     ----------
     command, force
-        Channels of a bench run; the force in N.
+        Channels of a bench run: command of the thruster, -1 to 1, and force of the load cell [N].
     settle
         Time at the beginning of each rest that is left out [s].
 
     Returns
     -------
     ZeroDrift or None
-        None if there are fewer than two rests, or if their zeros differ by no more than errors and moving water.
+        Zeros at the rests, in their order. None if there are fewer than two rests with ten readings over 1 s, or if the
+        largest difference of their zeros is below four standard errors or 2 % of the range of the force.
     """
     rests = []
     for steady in steady_segments(command.t, command.value, float(force.t[-1])):

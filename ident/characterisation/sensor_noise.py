@@ -55,11 +55,11 @@ class NoiseFit:
     walk, walk_error
         Random walk [unit/sqrt(s)] and its standard error. The error is NaN if no random walk was found (see ``flags``).
     c, sd_innovation
-        Coefficient and standard deviation of the innovation form at the median interval.
+        Coefficient c, -1 to 0, and standard deviation [unit] of the innovation form at the median interval.
     log_likelihood
         Log-likelihood of the samples.
     innovations : Array (n,)
-        Standardised innovations.
+        Innovations divided by their standard deviation.
     t : Array (n,)
         Times from the first sample [s].
     resolution
@@ -71,7 +71,8 @@ class NoiseFit:
     departures
         Departures of the innovations from whiteness.
     flags
-        Problems of the estimates, as texts.
+        Problems of the estimates, as texts ``white: PROBLEM`` or ``walk: PROBLEM``; for example an estimate at its
+        bound, which means that no such noise was found.
     """
 
     name: str
@@ -117,23 +118,30 @@ class NoiseFit:
 
     @property
     def heavy_tailed(self) -> bool:
-        """Return whether the innovations have heavy tails, significantly and enough to matter."""
+        """Return whether the innovations have heavy tails: their kurtosis is significantly above 3, and above 4."""
         return _heavy_tailed(self.innovations)
 
     @property
     def coarse(self) -> bool:
-        """Return whether the noise is small compared with the resolution, which then determines the estimates."""
+        """Return whether the resolution of the samples exceeds two standard deviations of the innovations.
+
+        The resolution then determines the estimates, and not the noise.
+        """
         return self.resolution > COARSE * self.sd_innovation
 
     @property
     def rejected(self) -> bool:
-        """Return whether the innovations are not white, significantly and enough to matter."""
+        """Return whether the innovations are not white, so that the model of the noise is rejected.
+
+        A departure from whiteness must be significant (p below 0.001) and large enough to matter.
+        """
         return self.departures.matter
 
     def psd(self, frequency: Array) -> Array:
         """Return the one-sided power spectral density [unit^2/Hz] of the sampled noise at ``frequency`` (n,) [Hz].
 
-        It is that of white noise plus a random walk, including aliasing.
+        It is that of white noise plus a random walk, including aliasing. It is infinite at frequency zero if there is a
+        random walk.
         """
         dt = self.interval
         wave = 4.0 * np.sin(np.pi * frequency * dt) ** 2
@@ -181,7 +189,7 @@ def estimate_noise(channel: Channel, name: str = "") -> NoiseFit:
             "or record with a finer resolution"
         )
     y = (y - y[0]) / scale  # values near one for any unit
-    model = _start(_differences(y, parts), dt)
+    model = _model_with_initial_values(_differences(y, parts), dt)
     empty = (np.empty((part.stop - part.start, 0)) for part in parts)
     records = [
         Record(name, t[part] - t[part.start], none, none, (y[part] - y[part.start])[:, None], (), ("y",))
@@ -234,7 +242,7 @@ def _differences(y: Array, parts: Sequence[slice]) -> Array:
 
 
 def _kurtosis(e: Array) -> float:
-    """Return the kurtosis of e (n,), whose mean is zero."""
+    """Return the kurtosis of e (n,), whose mean is zero; 3 for normal samples."""
     return float(np.mean(e**4) / np.mean(e**2) ** 2)
 
 
@@ -258,6 +266,11 @@ def innovation_form(white: float, walk: float, dt: float) -> tuple[float, float]
     dt
         Sample interval [s].
 
+    Returns
+    -------
+    tuple of float
+        Coefficient c, -1 to 0, and standard deviation of the innovations [unit].
+
     Notes
     -----
     The differences have variance ``q^2 dt + 2 r^2 = (1 + c^2) s^2`` and covariance ``-r^2 = c s^2``; -1 <= c <= 0.
@@ -267,11 +280,11 @@ def innovation_form(white: float, walk: float, dt: float) -> tuple[float, float]
     return float(-r / S), float(np.sqrt(S))
 
 
-def _start(d: Array, dt: float) -> Model:
-    """Return the noise model with initial values from the moments of the differences d (n,) of neighbouring samples.
+def _model_with_initial_values(d: Array, dt: float) -> Model:
+    """Return the noise model with initial values for a fit to scaled samples at the interval ``dt`` [s].
 
-    Their variance is ``q^2 dt + 2 r^2`` with the sample interval ``dt`` [s], and the covariance of neighbours is
-    ``-r^2``.
+    The initial values follow from the moments of the differences d (n,) of neighbouring samples: their variance is
+    ``q^2 dt + 2 r^2``, and the covariance of neighbours is ``-r^2``, with random walk q and white noise r.
     """
     variance, covariance = float(d @ d) / d.size, float(d[1:] @ d[:-1]) / (d.size - 1)
     white = np.sqrt(np.clip(-covariance, 1e-4 * variance, 0.4999 * variance))
@@ -282,12 +295,14 @@ def _start(d: Array, dt: float) -> Model:
 
 @cache
 def noise_model(low_walk: float) -> Model:
-    """Return the noise model of one axis at rest, in units of its scale.
+    """Return the model of the noise of one axis at rest: white noise plus a random walk, in units of a scale.
+
+    The scale is the standard deviation of the differences of the samples. The result is cached.
 
     Parameters
     ----------
     low_walk
-        Lower bound of the random walk [1/sqrt(s)], which counts as zero.
+        Lower bound of the random walk [1/sqrt(s)]. An estimate at this bound counts as zero.
     """
     model = plain_model(
         "noise",
@@ -330,7 +345,7 @@ def band_spectrum(frequency: Array, density: Array, n_segments: int = N_SEGMENTS
     Parameters
     ----------
     frequency : Array (n,)
-        Frequencies [Hz].
+        Frequencies [Hz], evenly spaced, above zero.
     density : Array (n,)
         One-sided density [unit^2/Hz].
     n_segments
@@ -341,7 +356,7 @@ def band_spectrum(frequency: Array, density: Array, n_segments: int = N_SEGMENTS
     Returns
     -------
     BandSpectrum
-        Mean density of each band with its 95 % interval.
+        Mean density of each band with its 95 % interval. Bands without a frequency are left out.
 
     Notes
     -----
@@ -367,7 +382,7 @@ def welch(channel: Channel, n_segments: int = N_SEGMENTS) -> tuple[Array, Array]
     channel
         Samples of the channel. Only the longest part between gaps (`silent_times`) is used.
     n_segments
-        Number of half-overlapping segments.
+        Number of half-overlapping segments, each of at least 16 samples. A straight line is removed from each.
 
     Returns
     -------

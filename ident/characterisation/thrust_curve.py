@@ -50,7 +50,7 @@ class Levels:
     Attributes
     ----------
     n : Array (n_levels,)
-        Commands.
+        Commands, -1 to 1, in ascending order.
     force : Array (n_levels,)
         Mean forces [N], less the offset.
     se : Array (n_levels,)
@@ -82,12 +82,12 @@ class Levels:
 
     @property
     def at_rest(self) -> NDArray[np.bool_]:
-        """Return whether a level is the rest that gave the load cell's zero, Array (n_levels,)."""
+        """Mask (n_levels,) that is true for the level at rest that gave the zero of the load cell."""
         return np.asarray((self.n == 0.0) & (self.offset is not None))
 
     @property
     def error(self) -> Array:
-        """Standard errors (n_levels,) [N], including that of the load cell's zero, which all levels share."""
+        """Standard errors (n_levels,) [N], with that of the load cell's zero, which all levels but the rest share."""
         return np.hypot(self.se, np.where(self.at_rest, 0.0, self.offset_se))
 
 
@@ -97,21 +97,22 @@ def find_levels(command: Channel, force: Channel, settle: float = 1.5) -> Levels
     Parameters
     ----------
     command
-        Channel of the command.
+        Channel of the command, -1 to 1.
     force
-        Channel of the force [N].
+        Channel of the force [N]. Readings that are not finite are left out.
     settle
         Time after each change of the command that is left out [s].
 
     Returns
     -------
     Levels
-        One level for each command. Several visits to a command are one level.
+        One level for each command, in ascending order. Several visits to a command are one level. If there is a level
+        at rest, its force has been subtracted from all levels.
 
     Raises
     ------
     ValueError
-        If no command is held long enough.
+        If no command is held for ``settle`` seconds and 20 readings of the force.
 
     Notes
     -----
@@ -128,13 +129,15 @@ def find_levels(command: Channel, force: Channel, settle: float = 1.5) -> Levels
     if not visits:
         message = f"the command is nowhere held for {settle:g} s and {MIN_SAMPLES} readings of the force"
         raise ValueError(f"{message}; {hold_advice(command, force, settle)}")
-    return _zeroed(_merged(sorted(visits)))
+    return _without_offset(_merged_visits(sorted(visits)))
 
 
 def hold_advice(command: Channel, force: Channel, settle: float) -> str:
-    """Return how long the command is held, how much of it ``settle`` [s] leaves, and what to do, for a message.
+    """Return the second half of an error message: how long the command is held, and what to do.
 
-    The time is the median of the holds, weighted by their length.
+    ``command`` and ``force`` are the channels of the log. The text names the typical hold [s], the time and the number
+    of readings that remain after ``settle`` [s], and a shorter time to settle or a longer hold. The typical hold is the
+    median of the holds, weighted by their length.
     """
     end = float(max(command.t[-1], force.t[-1]))
     holds = np.sort([s.duration for s in steady_segments(command.t, command.value, end)])
@@ -151,8 +154,8 @@ def hold_advice(command: Channel, force: Channel, settle: float) -> str:
     return f"{message}: hold each level for more than {settle + MIN_SAMPLES / rate:.2g} s (seatrial bench steps --hold)"
 
 
-def falls(n: Array, force: Array, error: float = 0.0) -> bool:
-    """Return whether a force clearly falls as n rises, by more than chance.
+def clearly_falls(n: Array, force: Array, error: float = 0.0) -> bool:
+    """Return whether a force clearly falls as n rises: its correlation with ``n|n|`` is below -0.5.
 
     Parameters
     ----------
@@ -161,7 +164,8 @@ def falls(n: Array, force: Array, error: float = 0.0) -> bool:
     force : Array (n_samples,)
         Forces [N].
     error
-        Standard error of the forces [N].
+        Standard error of the forces [N]. The result is False if the range of the forces is at most five times as
+        large, because it may then be chance. It is also False if n does not change.
     """
     drive = n * np.abs(n)
     if not (np.ptp(drive) > 0.0 and np.ptp(force) > BEYOND_ERROR * error):
@@ -169,10 +173,13 @@ def falls(n: Array, force: Array, error: float = 0.0) -> bool:
     return bool(np.corrcoef(drive, force)[0, 1] < REVERSED)
 
 
-def _merged(visits: Sequence[tuple[float, float, float, int, float]]) -> Levels:
-    """Merge the visits to each command (command, force, error, number of readings, autocorrelation time) into levels.
+def _merged_visits(visits: Sequence[tuple[float, float, float, int, float]]) -> Levels:
+    """Merge the visits to each command into levels, without subtraction of the force at rest.
 
-    The variance between visits is common to all levels except the rest, which has no thrust that could scatter.
+    ``visits`` are tuples in ascending order of the command: command, mean force [N], its standard error [N], number of
+    readings, and their autocorrelation time [samples]. Commands that differ by 0.001 or less from their neighbour are
+    one level. The variance between visits is common to all levels except the rest, which has no thrust that could
+    scatter.
     """
     n, force, se, count, memory = np.array(visits).T
     se = np.maximum(se, 1e-9)
@@ -194,9 +201,10 @@ def _merged(visits: Sequence[tuple[float, float, float, int, float]]) -> Levels:
 
 
 def _between_visits(force: Array, se: Array, level: NDArray[np.int_]) -> tuple[float, int]:
-    """Return the variance [N^2] between visits (n_visits,) to one level, and its degrees of freedom.
+    """Return the variance [N^2] between visits to the same level beyond their errors, and its degrees of freedom.
 
-    The errors of the visits are subtracted. The variance is pooled over the levels (method of moments).
+    ``force`` [N], standard errors ``se`` [N] and labels ``level`` have one element per visit (n_visits,). The variance
+    is pooled over the levels (method of moments). It is 0 if no level was visited twice.
     """
     _, group, size = np.unique(level, return_inverse=True, return_counts=True)
     dof = level.size - size.size
@@ -205,8 +213,11 @@ def _between_visits(force: Array, se: Array, level: NDArray[np.int_]) -> tuple[f
     return max(float(deviation @ deviation) - by_errors, 0.0) / max(dof, 1), dof
 
 
-def _zeroed(levels: Levels) -> Levels:
-    """Subtract the force at rest from all levels, if there is a level at rest."""
+def _without_offset(levels: Levels) -> Levels:
+    """Return the levels less the force at rest, which becomes their offset; unchanged if there is no level at rest.
+
+    The command of the level at rest is set to exactly 0.
+    """
     rest = np.abs(levels.n) < LEVEL_TOLERANCE
     if not rest.any():
         return levels
@@ -217,16 +228,16 @@ def _zeroed(levels: Levels) -> Levels:
 
 @dataclass(frozen=True)
 class Curve:
-    """Monotone curve of the force, constant beyond its ends.
+    """Monotone curve of the force against the command, constant beyond its ends.
 
     Attributes
     ----------
     n : Array (n_knots,)
-        Commands at the knots.
+        Commands at the knots, in ascending order.
     force : Array (n_knots,)
-        Forces [N].
+        Forces at the knots [N].
     se : Array (n_knots,)
-        Standard errors [N].
+        Standard errors of these forces [N].
     """
 
     n: Array
@@ -243,7 +254,10 @@ class Curve:
         return np.where(inside, interpolate.PchipInterpolator(self.n, self.force).derivative()(n), 0.0)
 
     def error(self, n: Array) -> Array:
-        """Return the standard error [N] at commands n (n_samples,), linear between the knots."""
+        """Return the standard error [N] of the force at commands n (n_samples,).
+
+        It is linear between the knots, and constant beyond the ends.
+        """
         return np.interp(n, self.n, self.se)
 
 
@@ -261,8 +275,11 @@ def fit_curve(levels: Levels) -> Curve:
 
 
 def curve_left_out(levels: Levels) -> float:
-    """Return the RMS error [N] of the inner levels, each predicted by the curve through all other levels."""
-    return _left_out(levels, lambda n, f, at: np.asarray(_through(n, f)(at)))
+    """Return the RMS error [N] of the inner levels, each predicted by the curve through all other levels.
+
+    The first and the last level are not predicted. NaN if there are fewer than three levels.
+    """
+    return _left_out_error(levels, lambda n, f, at: np.asarray(_monotone_curve(n, f)(at)))
 
 
 @dataclass(frozen=True)
@@ -274,15 +291,15 @@ class Quadratic:
     c1, c2
         Coefficients [N]; c2 is None if all commands have one sign.
     covariance : Array (n_coefficients, n_coefficients)
-        Covariance, scaled by the misfit and with the error of the load cell's zero.
+        Covariance of the coefficients [N^2], scaled by the misfit and with the error of the load cell's zero.
     rms, largest
-        RMS and largest misfit [N].
+        RMS misfit [N], and the misfit with the largest absolute value [N]: measured minus fitted force.
     at
         Command of the largest misfit.
     p, df
         Probability of such a misfit by chance, given the errors of the levels, and the degrees of freedom.
     left_out
-        RMS error of levels that were left out [N].
+        RMS error [N] of the inner levels, each predicted from all other levels; NaN with fewer than three levels.
     """
 
     c1: float
@@ -297,7 +314,7 @@ class Quadratic:
 
     @property
     def formula(self) -> str:
-        """Formula for reports."""
+        """Formula for reports: ``c1 n|n| + c2 n²``, or ``c1 n|n|`` if all commands have one sign."""
         return "c1 n|n|" if self.c2 is None else "c1 n|n| + c2 n²"
 
     def __call__(self, n: Array) -> Array:
@@ -306,7 +323,7 @@ class Quadratic:
 
 
 def fit_quadratic(levels: Levels) -> Quadratic:
-    """Fit the quadratic to the levels by least squares with equal weights.
+    """Fit the quadratic ``c1 n|n| + c2 n^2`` to the levels by least squares with equal weights, and test its misfit.
 
     Notes
     -----
@@ -317,7 +334,7 @@ def fit_quadratic(levels: Levels) -> Quadratic:
     """
     n, force, moving = levels.n, levels.force, ~levels.at_rest
     both = bool(n.min() < 0.0 < n.max())
-    B = _basis(n, both)
+    B = _quadratic_basis(n, both)
     solve = np.linalg.pinv(B)
     theta = solve @ force
     misfit = force - B @ theta
@@ -336,17 +353,23 @@ def fit_quadratic(levels: Levels) -> Quadratic:
         float(n[worst]),
         float(stats.f.sf(square / df, df, levels.dof) if levels.dof else stats.chi2.sf(square, df)),
         df,
-        _left_out(levels, lambda n, f, at: _basis(at, both) @ np.linalg.pinv(_basis(n, both)) @ f),
+        _left_out_error(
+            levels, lambda n, f, at: _quadratic_basis(at, both) @ np.linalg.pinv(_quadratic_basis(n, both)) @ f
+        ),
     )
 
 
 def adequate(quadratic: Quadratic) -> bool:
-    """Return whether the quadratic fits within the errors of the levels (at 1 %)."""
+    """Return whether the quadratic fits within the errors of the levels: its p value is above 0.01."""
     return quadratic.p > ADEQUATE
 
 
-def _left_out(levels: Levels, predict: Callable[[Array, Array, Array], Array]) -> float:
-    """Return the RMS error [N] of the inner levels, each predicted from all other levels, NaN without inner levels."""
+def _left_out_error(levels: Levels, predict: Callable[[Array, Array, Array], Array]) -> float:
+    """Return the RMS error [N] of the inner levels, each predicted from all other levels; NaN if there are none.
+
+    ``predict(n, force, at)`` returns the force [N] at a command ``at`` (1,) from the commands and forces of the other
+    levels.
+    """
     missed = []
     for k in range(1, levels.n.size - 1):
         keep = np.arange(levels.n.size) != k
@@ -355,26 +378,29 @@ def _left_out(levels: Levels, predict: Callable[[Array, Array, Array], Array]) -
     return float(np.sqrt(np.mean(np.square(missed)))) if missed else float("nan")
 
 
-def _through(n: Array, force: Array) -> interpolate.PchipInterpolator:
-    """Return the monotone cubic through the isotonic regression of the levels."""
+def _monotone_curve(n: Array, force: Array) -> interpolate.PchipInterpolator:
+    """Return the monotone cubic (Fritsch and Carlson) through the isotonic regression of forces [N] at commands n."""
     return interpolate.PchipInterpolator(n, optimize.isotonic_regression(force).x)
 
 
-def _basis(n: Array, both: bool) -> Array:
-    """Return ``n|n|`` and ``n^2``, or ``n|n|`` alone if all commands have one sign."""
+def _quadratic_basis(n: Array, both: bool) -> Array:
+    """Return the columns ``n|n|`` and ``n^2`` (n_levels, 2), or ``n|n|`` alone (n_levels, 1) if ``both`` is false.
+
+    ``both``: commands have both signs. With one sign the two columns are proportional.
+    """
     return np.column_stack([n * np.abs(n), n * n])[:, : 1 + both]
 
 
 @dataclass(frozen=True)
 class ThrustCurve:
-    """Force against command of several thrusters together.
+    """Static thrust curve: force against command of several thrusters together.
 
     Attributes
     ----------
     curve
-        Force [N] of all thrusters.
+        Force [N] of all thrusters together.
     thrusters
-        Number of thrusters at the same command.
+        Number of thrusters, which all had the same command.
     calibration
         Relative standard uncertainty of the load cell's force, None if it is unknown.
     """
@@ -383,8 +409,8 @@ class ThrustCurve:
     thrusters: int
     calibration: float | None = None
 
-    def of_one(self, n: Array) -> Array:
-        """Return the force of one thruster [N] at commands n (n_samples,)."""
+    def thrust_of_one(self, n: Array) -> Array:
+        """Return the force [N] of one thruster at commands n (n_samples,): that of all, divided by their number."""
         return np.asarray(self.curve(n) / self.thrusters)
 
 
@@ -415,18 +441,21 @@ def thrust_channels(channels: Mapping[str, Channel], curve: ThrustCurve) -> dict
         name = next((n for n in (command_of(side), shaft_speed_of(side)) if n in channels), None)
         if name is None:
             raise ValueError(
-                f"the thrust curve needs the command of each thruster, but there is no signal n_cmd_{side} and no "
-                f"n_{side}"
+                f"no command for the thrust curve: the log has neither n_cmd_{side} nor n_{side}; record the commands "
+                "of both thrusters"
             )
         command = channels[name]
-        found[thrust_of(side)] = Channel(command.t, curve.of_one(command.value), "N", command.source)
+        found[thrust_of(side)] = Channel(command.t, curve.thrust_of_one(command.value), "N", command.source)
         outward = np.sign(command.value) * curve.curve.slope(command.value) / curve.thrusters
         slopes.append(Channel(command.t, outward, "N", command.source))
-    return found | {"X": total(found["f_left"], found["f_right"]), "X_n": total(*slopes)}
+    return found | {"X": sum_of_held(found["f_left"], found["f_right"]), "X_n": sum_of_held(*slopes)}
 
 
-def total(left: Channel, right: Channel) -> Channel:
-    """Return the sum of two held signals, at the times of both."""
+def sum_of_held(left: Channel, right: Channel) -> Channel:
+    """Return the sum of two channels, ``left`` and ``right``, whose samples hold until the next.
+
+    The sum is given at the union of their times. Its unit and its source are those of ``left``.
+    """
     t = np.union1d(left.t, right.t)
     return Channel(t, sample_and_hold(left, t) + sample_and_hold(right, t), left.unit, left.source)
 
@@ -434,16 +463,20 @@ def total(left: Channel, right: Channel) -> Channel:
 def save_curve(
     path: Path, curve: ThrustCurve, levels: Levels, quadratic: Quadratic, provenance: Mapping[str, Any]
 ) -> None:
-    """Write a curve, the levels it goes through, and the quadratic it was compared with.
+    """Write a thrust curve to a TOML file, with the levels it goes through and the quadratic it was compared with.
 
     Parameters
     ----------
     path
-        File to write.
-    curve, levels, quadratic
-        Curve, levels and quadratic.
+        File to write. Its format is in docs/formats/curve.md.
+    curve
+        The curve.
+    levels
+        Measured levels.
+    quadratic
+        Quadratic fitted to the levels.
     provenance
-        Origin of the data.
+        Origin of the data: a table of TOML values.
     """
     document = tomlkit.document()
     document["format"] = FORMAT
@@ -452,17 +485,17 @@ def save_curve(
         document["calibration"] = float(f"{curve.calibration:.4g}")
     document["provenance"] = dict(provenance)
     document["curve"] = {
-        "n": _rounded(curve.curve.n),
-        "force": _rounded(curve.curve.force),
-        "se": _rounded(curve.curve.se),
+        "n": _seven_digits(curve.curve.n),
+        "force": _seven_digits(curve.curve.force),
+        "se": _seven_digits(curve.curve.se),
         "between": "monotone cubic (Fritsch and Carlson); constant beyond the ends",
     }
     document["measured"] = {
-        "n": _rounded(levels.n),
-        "force": _rounded(levels.force),
-        "se": _rounded(levels.error),
+        "n": _seven_digits(levels.n),
+        "force": _seven_digits(levels.force),
+        "se": _seven_digits(levels.error),
         "n_samples": [int(k) for k in levels.n_samples],
-        "memory": _rounded(levels.memory),
+        "memory": _seven_digits(levels.memory),
     } | ({} if levels.offset is None else {"offset": float(f"{levels.offset:.7g}")})
     document["quadratic"] = (
         {
@@ -478,23 +511,30 @@ def save_curve(
     write_output(path, tomlkit.dumps(document))
 
 
-def _rounded(values: Sequence[float] | Array) -> list[float]:
-    """Return the values rounded to seven digits."""
+def _seven_digits(values: Sequence[float] | Array) -> list[float]:
+    """Return the values rounded to seven significant digits."""
     return [float(f"{v:.7g}") for v in values]
 
 
 def load_curve(path: Path) -> ThrustCurve | None:
-    """Read a curve from a file.
+    """Read a thrust curve from a file that `save_curve` wrote.
+
+    Parameters
+    ----------
+    path
+        TOML file.
 
     Returns
     -------
     ThrustCurve or None
-        None if the file is not readable as TOML or has another format.
+        None if the file cannot be read, is no TOML, or has another ``format``. A reader of other formats then reports
+        the error.
 
     Raises
     ------
     SeatrialError
-        If the curve is incomplete or invalid.
+        If the curve is incomplete, or if its numbers are out of range: fewer than two commands, commands that do not
+        rise, values that are not finite, or an uncertainty that is not between 0 and 1.
     """
     try:
         table = parse_toml(read_text(path), path).values
@@ -507,14 +547,18 @@ def load_curve(path: Path) -> ThrustCurve | None:
         thrusters, uncertainty = int(table["thrusters"]), table.get("calibration")
         calibration = None if uncertainty is None else float(uncertainty)
     except (KeyError, TypeError, ValueError) as problem:
-        raise SeatrialError(f"{path}: the thrust curve in this file is incomplete: {problem}") from problem
+        raise SeatrialError(
+            f"{path}: the thrust curve is incomplete or has a wrong type of value: {problem}"
+        ) from problem
     if not (n.size == force.size == se.size >= 2 and thrusters >= 1 and np.all(np.diff(n) > 0)):
         raise SeatrialError(
-            f"{path}: the lists n, force and se of a thrust curve must be equally long, with two or more values, and n "
-            "must rise; correct the file"
+            f"{path}: a thrust curve needs two or more commands n in rising order, with as many values of force and "
+            "se, and one or more thrusters"
         )
     if not all(np.isfinite(a).all() for a in (n, force, se)):
-        raise SeatrialError(f"{path}: n, force and se of a thrust curve must be finite numbers; correct the file")
+        raise SeatrialError(f"{path}: n, force and se of a thrust curve have to be finite numbers; fit the curve again")
     if calibration is not None and not 0.0 < calibration < 1.0:
-        raise SeatrialError(f"{path}: calibration is a relative standard uncertainty, more than 0 and less than 1")
+        raise SeatrialError(
+            f"{path}: calibration is {calibration:g}, but a relative standard uncertainty is between 0 and 1"
+        )
     return ThrustCurve(Curve(n, force, se), thrusters, calibration)

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from seatrial.daq.errors import SeatrialError
-from seatrial.ident.characterisation.thrust_curve import MIN_SAMPLES, REVERSED_LOAD_CELL, falls
+from seatrial.ident.characterisation.thrust_curve import MIN_SAMPLES, REVERSED_LOAD_CELL, clearly_falls
 from seatrial.ident.checks import check_shafts, invalidates_fit
 from seatrial.ident.data import Channel, LoadedLog, LogSegment, Record
 from seatrial.ident.estimation import EstimationOptions, Fit, Likelihood, fit
@@ -30,7 +30,7 @@ N_SEARCHES = 3  # searches over the dead zone, each with the other parameters of
 
 
 def fit_with_delay_on_grid(
-    model: Model, records: list[Record], again: Callable[[Model], list[Record]], options: EstimationOptions
+    model: Model, records: list[Record], make_records: Callable[[Model], list[Record]], options: EstimationOptions
 ) -> tuple[Fit, list[Record]]:
     """Fit a thruster model, then fit it again with the delay on one of the delayed copies of the command.
 
@@ -40,15 +40,16 @@ def fit_with_delay_on_grid(
         Thruster model.
     records
         Records of the bench runs.
-    again
-        Function that makes the records for a model with other delayed copies.
+    make_records
+        Function of a thruster model that makes the records of the same runs with the delayed copies of that model.
     options
         Options of the estimation.
 
     Returns
     -------
     tuple
-        The fit, and the records that belong to the fit.
+        The fit with the given options, and the records that belong to it. If the fitted delay is shorter than half of
+        the spacing of the copies, there is no second fit, and the records are the given ones.
 
     Notes
     -----
@@ -59,16 +60,20 @@ def fit_with_delay_on_grid(
     step = pace_with_copy_at(fitted.model.values["tau"], delay_step(model))
     if step:
         exact = thruster_model(step, force="thrust" in model.provides)
-        records = again(exact)
+        records = make_records(exact)
         values = {n: v for n, v in fitted.model.values.items() if n in exact.values}
         kept = [fitted.model.parameter(n) for n in ("d", "c2") if n in values]  # d was freed, c2 may be fixed
         fitted = fit(exact.with_values(values).replace_parameters(*kept), records, plain)
-    fitted = _restricted(fitted, records) if options.reml else fitted
+    fitted = _fit_restricted(fitted, records) if options.reml else fitted
     return replace(fitted, options=options), records
 
 
-def _restricted(plain: Fit, records: Sequence[Record]) -> Fit:
-    """Fit by restricted likelihood from the maximum of the plain likelihood; sum the effort of both fits."""
+def _fit_restricted(plain: Fit, records: Sequence[Record]) -> Fit:
+    """Fit by restricted likelihood (REML), from the maximum of the plain likelihood in the fit ``plain``.
+
+    Iterations, evaluations and CPU time of the result are the sums of both fits. If the second fit did not converge,
+    the message is its own; otherwise it is that of ``plain``.
+    """
     found = fit(plain.model, records, EstimationOptions(reml=True))
     return replace(
         found,
@@ -92,7 +97,12 @@ def fit_thruster(model: Model, records: Sequence[Record], options: EstimationOpt
     records
         Records of the bench runs.
     options
-        Options of the estimation.
+        Options of the first fit. Later fits have default options.
+
+    Returns
+    -------
+    Fit
+        The last fit, in which the end of the dead zone ``d`` is free.
     """
     if "thrust" in model.provides and len(directions(records)) < len(WAYS):
         model = model.replace_parameters(model.parameter("c2").at(0.0).fixed())
@@ -103,12 +113,13 @@ def fit_thruster(model: Model, records: Sequence[Record], options: EstimationOpt
     for _ in range(N_SEARCHES):
         likelihood, values = Likelihood(fitted.model), fitted.record_values
 
-        def value(d: float, likelihood: Likelihood = likelihood, values: Array = values) -> float:
+        def log_likelihood(d: float, likelihood: Likelihood = likelihood, values: Array = values) -> float:
+            """Return the log-likelihood of all records with the end ``d`` of the dead zone (share of full command)."""
             tried = values.copy()
             tried[:, at] = d
             return sum(likelihood.value(r, v) for r, v in zip(records, tried, strict=True))
 
-        before, found = found, max(DEAD_ZONES, key=value)
+        before, found = found, max(DEAD_ZONES, key=log_likelihood)
         if abs(found - before) < 2 * DEAD_ZONES[1]:
             break
         fitted = fit(fitted.model.replace_parameters(fitted.model.parameter("d").at(found).freed()), records)
@@ -116,7 +127,10 @@ def fit_thruster(model: Model, records: Sequence[Record], options: EstimationOpt
 
 
 def directions(records: Sequence[Record]) -> tuple[float, ...]:
-    """Return the directions in which the shaft turned: 1 forward, -1 reverse."""
+    """Return the directions in which the shaft turned: 1 (forward) first, then -1 (reverse).
+
+    A direction counts with at least 20 samples, over all records, faster than 5 % of full speed.
+    """
     n = np.concatenate([r.y[:, 0] for r in records])
     return tuple(direction for direction in WAYS if np.count_nonzero(direction * n > LEAST_SPEED) >= MIN_SAMPLES)
 
@@ -146,7 +160,12 @@ def steady_thrust(fitted: Fit, n: Array) -> tuple[Array, Array]:
 
 
 def first_guess(records: Sequence[Record], model: Model) -> dict[str, float]:
-    """Return initial values: thrust coefficients by least squares of force on measured shaft speed, delay and pole."""
+    """Return initial values of the parameters of a thruster model by name: delay ``tau`` [s] and pole ``a`` [1/s].
+
+    For a model with a force they also have the thrust coefficients ``c1`` (at least 0.1 N) and, if it is free, ``c2``
+    [N], and the offset ``bias`` [N] of the load cell. These follow from least squares of the force on the measured
+    shaft speed, interpolated to the times of the force.
+    """
     tau, a = shaft_guess(records)
     guess = {"tau": tau, "a": a}
     if "thrust" not in model.provides:
@@ -164,6 +183,11 @@ def first_guess(records: Sequence[Record], model: Model) -> dict[str, float]:
 def shaft_guess(records: Sequence[Record]) -> tuple[float, float]:
     """Return delay [s] and pole [1/s] of the best first-order response of the shaft speed to the command.
 
+    Parameters
+    ----------
+    records
+        Records of bench runs with command and shaft speed.
+
     Notes
     -----
     The best response has the smallest mean absolute error on a grid of delays and poles. A search from one initial
@@ -175,13 +199,18 @@ def shaft_guess(records: Sequence[Record]) -> tuple[float, float]:
 
 
 def _lag_data(r: Record) -> LagData:
-    """Return the command on the grid, and the misfit of a delayed lag: its absolute errors at the measured speeds."""
+    """Return the data for a search of delay and lag in a record: the command every 0.05 s, and a misfit function.
+
+    The misfit of a lagged command at a delay [s] is the sum of its absolute errors from the measured shaft speeds. The
+    shaft is at rest before the start of the record.
+    """
     t = np.arange(r.t[0], r.t[-1], GRID_STEP)
     command = r.u[np.clip(np.searchsorted(r.t, t, side="right") - 1, 0, None), r.inputs.index("n_cmd_0")]
     seen = np.isfinite(r.y[:, 0])
     n, row = r.y[seen, 0], np.clip(np.round((r.t[seen] - r.t[0]) / GRID_STEP).astype(int), 0, t.size - 1)
 
     def misfit(lagged: Array, delay: float) -> float:
+        """Return the sum of absolute errors of the lagged command (n,), ``delay`` [s] later, at the measured speeds."""
         past = np.maximum(row - round(delay / GRID_STEP), -1)
         return float(np.abs(n - np.append(lagged, 0.0)[past]).sum())  # index -1, before the start: shaft at rest
 
@@ -189,7 +218,9 @@ def _lag_data(r: Record) -> LagData:
 
 
 def thruster_name(loaded: LoadedLog) -> str:
-    """Return the name of the only thruster of a log that was commanded and whose shaft speed was measured.
+    """Return the name of the only thruster of a loaded log that was commanded and whose shaft speed was measured.
+
+    A thruster whose command is constant does not count.
 
     Raises
     ------
@@ -208,12 +239,14 @@ def thruster_name(loaded: LoadedLog) -> str:
 
 
 def check_signs(loaded: LoadedLog, name: str) -> None:
-    """Check sign and unit before a fit: the response of the shaft to its command, and of the force to the shaft.
+    """Check signs and units of a bench log before a fit: shaft speed against command, and force against shaft speed.
+
+    ``loaded`` is the log, and ``name`` is the name of the thruster. Channels that the log lacks are not checked.
 
     Raises
     ------
     SeatrialError
-        If a sign or unit is wrong; the message says what to do.
+        If a sign or unit is wrong. The message says what to do.
     """
     c, where = loaded.run.channels, loaded.about["path"]
     for f in check_shafts({n: c[n] for n in (command_of(name), shaft_speed_of(name)) if n in c}):
@@ -222,12 +255,15 @@ def check_signs(loaded: LoadedLog, name: str) -> None:
     if "force" in c and shaft_speed_of(name) in c:
         seen = np.isfinite(c["force"].value)
         n = np.interp(c["force"].t[seen], c[shaft_speed_of(name)].t, c[shaft_speed_of(name)].value)
-        if falls(n, c["force"].value[seen]):
+        if clearly_falls(n, c["force"].value[seen]):
             raise SeatrialError(f"{where}: {REVERSED_LOAD_CELL}")
 
 
 def thruster_channels(loaded: LoadedLog, model: Model, name: str) -> dict[str, Channel]:
-    """Return the channels of one thruster: ``n_cmd_0`` ..., ``n`` and, with a load cell, ``force``.
+    """Return the channels of the thruster ``name`` in a loaded log, with the names that a thruster model gives them.
+
+    They are the delayed copies of the command ``n_cmd_0``, ``n_cmd_1``, ..., the shaft speed ``n`` and, with a load
+    cell, the force ``force`` [N].
 
     Raises
     ------

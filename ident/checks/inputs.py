@@ -11,7 +11,7 @@ from itertools import permutations
 import numpy as np
 
 from seatrial.daq.checks import FAULT, WARNING, Finding
-from seatrial.ident.checks.sensors import STEP, Channels
+from seatrial.ident.checks.sensors import SENSOR_GRID_S, Channels
 from seatrial.ident.checks.shafts import Response, response
 from seatrial.ident.data import Channel, sample_and_hold
 from seatrial.ident.model import (
@@ -141,12 +141,12 @@ def _moving_average(channel: Channel) -> Array:
     """
     if channel.t.size < 2:
         return np.empty(0)
-    t = np.arange(channel.t[0], channel.t[-1], STEP)
-    width = round(SMOOTHED_S / STEP)
+    t = np.arange(channel.t[0], channel.t[-1], SENSOR_GRID_S)
+    width = round(SMOOTHED_S / SENSOR_GRID_S)
     if t.size <= width:
         return np.empty(0)
     whole = np.append(0.0, np.cumsum(np.interp(t, channel.t, channel.value)))
-    return np.asarray((whole[width:] - whole[:-width])[:: round(EVERY_S / STEP)] / width)
+    return np.asarray((whole[width:] - whole[:-width])[:: round(EVERY_S / SENSOR_GRID_S)] / width)
 
 
 def _count_rises(curve: Array, least: float) -> int:
@@ -181,9 +181,9 @@ def _stuck_against_command(shaft: Channel, command: Channel) -> tuple[float, flo
         value, begin, end = float(shaft.value[a]), float(shaft.t[a]), float(shaft.t[b])
         if abs(value) < TURNING or b - a < STUCK_SAMPLES or end - begin < STUCK_S:
             continue
-        grid = np.arange(begin, end, STEP)
+        grid = np.arange(begin, end, SENSOR_GRID_S)
         against = np.sign(value) * sample_and_hold(command, grid) < AGAINST * abs(value)
-        if _longest_run(against) * STEP >= AGAINST_S and (found is None or end - begin > found[2] - found[1]):
+        if _longest_run(against) * SENSOR_GRID_S >= AGAINST_S and (found is None or end - begin > found[2] - found[1]):
             found = value, begin, end
     return found
 
@@ -213,7 +213,7 @@ def check_frozen_force(c: Channels) -> Iterator[Finding]:
     begin, end = float(force.t[first[k]]), float(force.t[last[k]])
     if last[k] - first[k] < STUCK_SAMPLES or end - begin < STUCK_S:
         return
-    grid = np.arange(begin, end, STEP)
+    grid = np.arange(begin, end, SENSOR_GRID_S)
     # A load cell of coarse resolution may not show the thrust of a smaller change.
     if max(float(np.ptp(sample_and_hold(command, grid))) for command in commands) > COMMAND_CHANGE:
         since = f"{end - begin:.1f} s, from {begin - force.t[0]:.1f} s on"

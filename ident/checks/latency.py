@@ -33,7 +33,7 @@ from seatrial.daq.checks import OK, Finding
 from seatrial.ident.checks.sensors import (
     DELAY_FAULT,
     DELAY_WARNING,
-    STEP,
+    SENSOR_GRID_S,
     Channels,
     LagErrors,
     LagEstimate,
@@ -179,7 +179,7 @@ def _level_of_delay(lag: float, half: float, fault_from: float = DELAY_FAULT) ->
 
     Else ``fault`` from ``fault_from`` [s] on or if the whole interval is large, and ``warning`` otherwise.
     """
-    if lag < DELAY_WARNING - STEP / 2 or lag - half < MIN_DISTANCE:
+    if lag < DELAY_WARNING - SENSOR_GRID_S / 2 or lag - half < MIN_DISTANCE:
         return OK
     return delay_level(lag, half, fault_from)
 
@@ -189,7 +189,9 @@ def _is_well_estimated(found: LagEstimate | None) -> bool:
 
     False for None.
     """
-    return found is not None and found.r2 > MIN_R2 and found.se < MAX_SE and abs(found.lag) < MAX_LAG - 2 * STEP
+    return (
+        found is not None and found.r2 > MIN_R2 and found.se < MAX_SE and abs(found.lag) < MAX_LAG - 2 * SENSOR_GRID_S
+    )
 
 
 def _half_interval(*found: LagEstimate) -> float:
@@ -266,7 +268,7 @@ def _motion_on_grid(c: Channels, thrusts: Sequence[Channel], half_r: float = HEA
     """
     names = [n for n in ("psi", "r", "vx", "vy", "u", "v", "x", "y") if n in c]
     t = common_grid(*thrusts, *(c[n] for n in names))
-    if t.size * STEP < MIN_DURATION:
+    if t.size * SENSOR_GRID_S < MIN_DURATION:
         return None
     psi = np.interp(t, c["psi"].t, np.unwrap(c["psi"].value)) if "psi" in c else None
     half = 0.0
@@ -293,8 +295,8 @@ def _mean_rate(s: Array, half: float) -> Array:
 
     Near both ends the signal is continued with its end value.
     """
-    k = round(half / STEP)
-    return (np.pad(s, k, mode="edge")[2 * k :] - np.pad(s, k, mode="edge")[: -2 * k]) / (2.0 * k * STEP)
+    k = round(half / SENSOR_GRID_S)
+    return (np.pad(s, k, mode="edge")[2 * k :] - np.pad(s, k, mode="edge")[: -2 * k]) / (2.0 * k * SENSOR_GRID_S)
 
 
 def _yaw_after_thrust(c: Channels, push: ThrustSignals) -> LagEstimate | None:
@@ -377,11 +379,11 @@ def _lag_behind_thrust(
     mean = (lambda s: _mean_rate(cumulative_integral(m.t, s), smooth)) if smooth else (lambda s: s)
     own = [cumulative_integral(m.t, mean(s)) for s in terms]
     late = [cumulative_integral(m.t, mean(s)) for s in pushes]
-    width, most = round(window / STEP), round(MAX_LAG / STEP)
-    every = max(round(EVERY / STEP), y.size // MAX_ROWS)
+    width, most = round(window / SENSOR_GRID_S), round(MAX_LAG / SENSOR_GRID_S)
+    every = max(round(EVERY / SENSOR_GRID_S), y.size // MAX_ROWS)
     at = np.arange(most, y.size - most - width, every)
     at = at[_increments_without_pause(c, m.t, at, width)]
-    if at.size * every * STEP < MIN_DURATION:
+    if at.size * every * SENSOR_GRID_S < MIN_DURATION:
         return None
     errors = LagErrors(np.linspace(-MAX_LAG, MAX_LAG, 2 * most + 1), at.size)
     target = y[at + width] - y[at]

@@ -35,7 +35,7 @@ from seatrial.ident.checks.motion import (
 )
 from seatrial.ident.checks.outliers import check_outliers
 from seatrial.ident.checks.sensors import (
-    STEP,
+    SENSOR_GRID_S,
     WINDOW,
     Channels,
     check_time_scale,
@@ -389,10 +389,10 @@ def _rate_pair(
     """
     whole, rate = both
     start, end = max(whole.t[0], rate.t[0]), min(whole.t[-1], rate.t[-1])
-    t = np.arange(start, end - window, 2.0 * STEP)
-    grid = np.arange(start, end, STEP)
+    t = np.arange(start, end - window, 2.0 * SENSOR_GRID_S)
+    grid = np.arange(start, end, SENSOR_GRID_S)
     of_rate = np.interp(grid, rate.t, rate.value)
-    integral = np.append(0.0, np.cumsum(0.5 * STEP * (of_rate[1:] + of_rate[:-1]))) if grid.size else grid
+    integral = np.append(0.0, np.cumsum(0.5 * SENSOR_GRID_S * (of_rate[1:] + of_rate[:-1]))) if grid.size else grid
     one = (np.interp(t + window, whole.t, whole.value) - np.interp(t, whole.t, whole.value)) / window
     other = (np.interp(t + window, grid, integral) - np.interp(t, grid, integral)) / window if grid.size else t
     return SensorPair(title, unit, names, t + window / 2, one, other)

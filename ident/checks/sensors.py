@@ -17,9 +17,9 @@ from seatrial.ident.data import Channel
 from seatrial.ident.numerics import Array, cumulative_integral
 
 Channels = Mapping[str, Channel]
-STEP = 0.05  # s, of the common grid
+SENSOR_GRID_S = 0.05  # s, of the common grid
 WINDOW = 1.0  # s, over which signals are differenced
-LAGS = np.arange(-2.0, 2.0 + STEP / 2, STEP)  # s, values of the search
+LAGS = np.arange(-2.0, 2.0 + SENSOR_GRID_S / 2, SENSOR_GRID_S)  # s, values of the search
 DELAY_WARNING, DELAY_FAULT = 0.3, 0.6  # s; delays from these values on give a warning, a fault
 KNOWN_LATE = 0.2  # s; a delay whose whole 95 % interval is above this value biases masses and damping: a fault
 MIN_ERROR_REDUCTION = 0.3  # of the squared error; a lag that removes less may be chance
@@ -290,7 +290,7 @@ def heading_match(c: Channels) -> Match | None:
         return None
     turned = np.interp(t, psi.t, np.unwrap(psi.value, period=_full_turn(psi.value)))
     integral = cumulative_integral(t, np.interp(t, r.t, r.value))
-    width = round(WINDOW / STEP)
+    width = round(WINDOW / SENSOR_GRID_S)
     moved = [float(np.std(s[width:] - s[:-width])) for s in (turned, integral)]
     if max(moved) < MIN_YAW_RATE_SD * WINDOW or min(moved) < 1e-9:
         return None
@@ -461,12 +461,12 @@ def sensor_delay(
     """
     late, early, late_source = (first, second, first_source) if found.lag > 0 else (second, first, second_source)
     interval = delay_interval(abs(found.lag), found.half)
-    if found.gain > MIN_ERROR_REDUCTION and abs(found.lag) >= DELAY_WARNING - STEP / 2:
+    if found.gain > MIN_ERROR_REDUCTION and abs(found.lag) >= DELAY_WARNING - SENSOR_GRID_S / 2:
         level = delay_level(abs(found.lag), np.inf if confounded else found.half)
         text = f"{late} comes {abs(found.lag):.2f} s after {early} ({interval})"
         advice = "check its filters, output rate and time stamps"
         yield Finding(level, "sensor-late", "late", late_source, text, advice)
-    elif found.half > UNKNOWN_DELAY or abs(found.lag) >= DELAY_WARNING - STEP / 2:
+    elif found.half > UNKNOWN_DELAY or abs(found.lag) >= DELAY_WARNING - SENSOR_GRID_S / 2:
         text = f"the delay between {first} and {second} is not known ({interval})"
         yield Finding("ok", "delay-unknown", "late", first_source, text)
     else:
@@ -491,29 +491,32 @@ def _best_lag(columns: list[Array], regressors: list[list[Array]], window: float
     Match
         ``scale`` is the factor of the first regressor. A positive lag: the columns come after the regressors.
     """
-    width, most = round(window / STEP), round(float(LAGS[-1]) / STEP)
+    width, most = round(window / SENSOR_GRID_S), round(float(LAGS[-1]) / SENSOR_GRID_S)
     at = np.arange(most, columns[0].size - most - width, max(1, width // 2))
     y = np.concatenate([column[at + width] - column[at] for column in columns])
     best, unmoved = Match(np.nan, np.nan, -np.inf), -np.inf
     errors = LagErrors(LAGS, at.size)
     for lag in LAGS:
-        late = at - round(float(lag) / STEP)
+        late = at - round(float(lag) / SENSOR_GRID_S)
         X = np.column_stack([np.concatenate([s[late + width] - s[late] for s in arrays]) for arrays in regressors])
         beta, *_ = np.linalg.lstsq(X, y, rcond=None)
         e = y - X @ beta
         errors.add(X, y)
         r2 = 1.0 - float(e @ e) / max(float(y @ y), 1e-300)
-        if abs(lag) < STEP / 2:
+        if abs(lag) < SENSOR_GRID_S / 2:
             unmoved = r2
         if r2 > best.r2:
             best = Match(float(beta[0]), float(lag), r2)
     return best._replace(
-        gain=1.0 - (1.0 - best.r2) / max(1.0 - unmoved, 1e-12), half=float(np.hypot(errors.estimate().half, STEP / 2))
+        gain=1.0 - (1.0 - best.r2) / max(1.0 - unmoved, 1e-12),
+        half=float(np.hypot(errors.estimate().half, SENSOR_GRID_S / 2)),
     )
 
 
 def common_grid(*channels: Channel) -> Array:
-    """Return times (n,) [s] at steps of 0.05 s in the span that all channels cover; empty if they do not overlap.
+    """Return times (n,) [s] at steps of `SENSOR_GRID_S` in the span that all channels cover.
+
+    The result is empty if they do not overlap.
 
     Parameters
     ----------
@@ -521,7 +524,7 @@ def common_grid(*channels: Channel) -> Array:
         At least one channel.
     """
     start, end = max(c.t[0] for c in channels), min(c.t[-1] for c in channels)
-    return np.arange(start, end, STEP)
+    return np.arange(start, end, SENSOR_GRID_S)
 
 
 def _full_turn(psi: Array) -> float:

@@ -19,9 +19,9 @@ from seatrial.ident.data import Channel, sample_and_hold
 from seatrial.ident.model import command_of, commanded_thrusters, shaft_speed_of
 from seatrial.ident.numerics import Array, LagData, LagFit, first_order_lag, fit_first_order_lag, steady_segments
 
-STEP = 0.05  # s, of the common grid of command and shaft, and of delays
+SHAFT_GRID_S = 0.05  # s, of the common grid of command and shaft, and of delays
 # Values of the search for the response.
-DELAYS = tuple(np.arange(0.0, 3.0 + STEP / 2, STEP).tolist())  # s
+DELAYS = tuple(np.arange(0.0, 3.0 + SHAFT_GRID_S / 2, SHAFT_GRID_S).tolist())  # s
 TIME_CONSTANTS = (0.0, 0.07, 0.14, 0.3, 0.6, 1.2)  # s
 DEAD_BANDS = np.array([0.0, *np.arange(0.02, 0.41, 0.01)])  # of full command
 MAX_DELAY, MAX_DEAD_BAND = 0.6, 0.15  # s; of full command: largest usual values of an ESC
@@ -132,7 +132,7 @@ def _shaft_findings(name: str, command: Channel, shaft: Channel) -> Iterator[Fin
             "shaft",
             name,
             "command and shaft speed overlap for too short a time to estimate the response of the shaft",
-            f"record both for {DELAYS[-1] + 2.0 * MIN_SAMPLES * STEP:.0f} s or more",
+            f"record both for {DELAYS[-1] + 2.0 * MIN_SAMPLES * SHAFT_GRID_S:.0f} s or more",
         )
         return
     if found is NoResponse.STILL:
@@ -150,7 +150,7 @@ def _shaft_findings(name: str, command: Channel, shaft: Channel) -> Iterator[Fin
         return
     of_steps = list(_step_findings(name, command, shaft))
     yield from of_steps
-    if found.delay_known and found.delay > MAX_DELAY + STEP / 2:
+    if found.delay_known and found.delay > MAX_DELAY + SHAFT_GRID_S / 2:
         yield Finding(
             "fault",
             "shaft-late",
@@ -231,7 +231,7 @@ def response(commands: Channel, shaft: Channel) -> Response | NoResponse:
     searched.
     """
     longest = len(DELAYS) - 1
-    grid = np.arange(max(commands.t[0], shaft.t[0]), min(commands.t[-1] + 5.0, shaft.t[-1]), STEP)
+    grid = np.arange(max(commands.t[0], shaft.t[0]), min(commands.t[-1] + 5.0, shaft.t[-1]), SHAFT_GRID_S)
     t = grid[longest:]
     if grid.size == 0:
         return NoResponse.TOO_SHORT
@@ -246,7 +246,7 @@ def response(commands: Channel, shaft: Channel) -> Response | NoResponse:
 
     # A dead shaft needs no fit, so the first seconds count too. The second part finds a shaft that dies after them.
     for part in (slice(None), slice(longest, None)):
-        if STEP * np.count_nonzero(commanded[part]) >= MIN_COMMANDED_S and quiet(turned[part][answering[part]]):
+        if SHAFT_GRID_S * np.count_nonzero(commanded[part]) >= MIN_COMMANDED_S and quiet(turned[part][answering[part]]):
             return NoResponse.STILL
     if t.size < MIN_SAMPLES or quiet(turned[longest:]):
         return NoResponse.TOO_SHORT
@@ -257,7 +257,7 @@ def response(commands: Channel, shaft: Channel) -> Response | NoResponse:
     n = turned[longest:] if used.all() else np.where(used, turned[longest:], 0.0)
 
     def delayed(lagged: Array, delay: float, seen: NDArray[np.bool_]) -> Array:
-        late = longest - round(delay / STEP)
+        late = longest - round(delay / SHAFT_GRID_S)
         x = lagged[late : late + seen.size]
         return x if seen.all() else np.where(seen, x, 0.0)
 
@@ -271,7 +271,7 @@ def response(commands: Channel, shaft: Channel) -> Response | NoResponse:
             return _scaled_misfit(delayed(lagged, delay, used_part), n_part, total_part)[0]
 
         data = LagData(_zero_in_dead_band(command_part, band), misfit)
-        return fit_first_order_lag([data], DELAYS[at], TIME_CONSTANTS, STEP, hold="backward", start="steady")
+        return fit_first_order_lag([data], DELAYS[at], TIME_CONSTANTS, SHAFT_GRID_S, hold="backward", start="steady")
 
     linear = fitted(slice(None), 0.0)
     k = DELAYS.index(linear.delay)
@@ -280,13 +280,13 @@ def response(commands: Channel, shaft: Channel) -> Response | NoResponse:
         if (with_band := fitted(slice(max(k - 3, 0), k + 4), b)).misfit < best.misfit:
             best, band = with_band, b
     lagged = first_order_lag(
-        _zero_in_dead_band(command, band), best.time_constant, STEP, hold="backward", start="steady"
+        _zero_in_dead_band(command, band), best.time_constant, SHAFT_GRID_S, hold="backward", start="steady"
     )
     gain = 1.0 - best.misfit / max(linear.misfit, 1e-300)
     total = float(n @ n)
     misfit, scale = _scaled_misfit(delayed(lagged, best.delay, used), n, total)
     # A constant command shows no delay. The same holds if all its steps lie before the first time of the fit.
-    limit = round(MAX_DELAY / STEP) + 1
+    limit = round(MAX_DELAY / SHAFT_GRID_S) + 1
     alternative = fitted(slice(0, limit) if DELAYS.index(best.delay) >= limit else slice(limit, None), band)
     clear = best.misfit * max(CLEARLY, CLEARLY_VARIANCES / n_part.size)
     known = bool(np.ptp(command[longest:]) > MIN_STEP) and alternative.misfit - best.misfit > clear

@@ -27,7 +27,7 @@ from seatrial.ident.estimation import FilterResult
 from seatrial.ident.model import EffectKind, ForceCurve, Model, Parameter, segment_name
 from seatrial.ident.numerics import Array, scaled_eigen
 
-BLOCK = 5.0  # s, block length of the block-robust version
+ROBUST_BLOCK_S = 5.0  # s, block length of the block-robust version
 N_COLUMNS = 96  # columns propagated at once; they fit the cache of the processor
 WHOLE, PART = 8192, 2048  # rows: a record longer than the first is processed in parts of at least the second
 
@@ -564,7 +564,7 @@ def whole_blocks(t: Array, block: float) -> list[slice]:
     return [slice(*pair) for pair in pairwise([*edges, t.size])]
 
 
-def block_index(t: Array, block: float = BLOCK) -> NDArray[np.int64]:
+def block_index(t: Array, block: float = ROBUST_BLOCK_S) -> NDArray[np.int64]:
     """Return the index of the block of time of each time t (n,) [s]: t / block, rounded down. ``block`` is in s."""
     return np.floor(t / block).astype(np.int64)
 

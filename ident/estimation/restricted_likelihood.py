@@ -24,7 +24,7 @@ from seatrial.ident.estimation.fisher_scoring import Evaluation, Optimum, Proble
 from seatrial.ident.estimation.standard_errors import DROP_95
 from seatrial.ident.numerics import Array, scaled_eigen, unit_diagonal
 
-STEP = 0.05  # step of a logarithm in finite differences; the log-determinant is nearly linear over it
+LOG_DIFFERENCE_STEP = 0.05  # step of a logarithm in finite differences; the log-determinant is nearly linear over it
 MIN_LOG_INFORMATION = 1.0  # with less information on its logarithm, a noise is not even known in order of magnitude
 PRIOR_ONLY = 0.5  # a parameter is known from its prior if the prior has a larger share of the information
 NULL_SPACE_TOLERANCE = 1e-9  # smaller eigenvalues of the information scaled to unit diagonal contain no information
@@ -68,8 +68,8 @@ def apply_reml(problem: Problem, maximum: Optimum) -> Optimum:
     slope = np.zeros(maximum.z.size)
     for k in noise.tolist():
         moved = maximum.z.copy()
-        moved[k] += STEP
-        slope[k] = -0.5 * (_information_log_det(problem, moved, dynamics) - base) / STEP
+        moved[k] += LOG_DIFFERENCE_STEP
+        slope[k] = -0.5 * (_information_log_det(problem, moved, dynamics) - base) / LOG_DIFFERENCE_STEP
     if not np.isfinite(slope).all():
         return maximum
     hessian = maximum.at.hessian * np.outer(~prior_only, ~prior_only) + np.diag(

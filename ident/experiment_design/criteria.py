@@ -23,19 +23,30 @@ SINGULAR = -1e9  # criterion of an information matrix that is singular or not fi
 class Criterion:
     """Optimality criterion of chosen parameters. The other parameters are nuisance parameters.
 
+    A call returns the criterion of information matrices. All parameters are divided by their characteristic steps.
     D is the log determinant of the information about the chosen parameters, with nuisance parameters projected out. Ds
-    is D of a subset of the parameters. A is minus the logarithm of the mean variance. E is the logarithm of the
-    smallest eigenvalue of the information.
+    is computed as D; its name says that the chosen parameters are a subset. A is minus the logarithm of the mean
+    variance of the chosen parameters. E is minus the logarithm of the largest eigenvalue of their covariance.
+
+    Attributes
+    ----------
+    kind
+        D, A, E or Ds.
+    chosen
+        Indices of the chosen parameters in the information matrix.
+    scale : Array (q,)
+        Characteristic step of each parameter, in its unit.
     """
 
     kind: Kind
-    chosen: tuple[int, ...]  # indices of the chosen parameters
-    scale: Array  # (q,), characteristic step of each parameter in its unit
+    chosen: tuple[int, ...]
+    scale: Array
 
     def __call__(self, information: Array) -> Array:
         """Return the criterion (n,) of information matrices (n, q, q) in the units of the parameters.
 
-        It is ``SINGULAR`` for a matrix that is singular or not finite.
+        A larger value is better. It is ``SINGULAR`` (-1e9) for a matrix that is singular, that is not finite, or that
+        has a diagonal element of zero or below.
         """
         F = information * np.outer(self.scale, self.scale)
         good = np.isfinite(F).all(axis=(1, 2)) & (np.diagonal(F, axis1=1, axis2=2) > 0).all(axis=1)
@@ -44,7 +55,10 @@ class Criterion:
         return np.where(np.isfinite(found), found, SINGULAR)
 
     def _value(self, F: Array) -> Array:
-        """Return the criterion (n,) of finite scaled information matrices (n, q, q)."""
+        """Return the criterion (n,) of finite information matrices F (n, q, q) in characteristic steps.
+
+        The diagonal of F must be positive. The criterion of a singular matrix is ``SINGULAR`` (-1e9).
+        """
         if not len(F):
             return np.zeros(0)
         # Determinant and inverse are computed with a unit diagonal, since units differ by many powers of ten.
@@ -70,6 +84,20 @@ class Criterion:
 
 
 def characteristic_steps(model: Model, names: tuple[str, ...]) -> Array:
-    """Return the characteristic steps (q,): the smallest change of each parameter that matters, in its unit."""
+    """Return the characteristic step of each parameter: the smallest change that matters.
+
+    Parameters
+    ----------
+    model
+        The model.
+    names
+        Names of q parameters.
+
+    Returns
+    -------
+    Array (q,)
+        Step in the unit of each parameter: its ``step`` in the model. Without one it is 1 % of the size of its value,
+        or 1 if the value is zero.
+    """
     parameters = [model.parameter(n) for n in names]
     return np.array([p.step or 0.01 * abs(p.value) or 1.0 for p in parameters])

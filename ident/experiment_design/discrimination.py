@@ -22,6 +22,7 @@ import numpy as np
 from seatrial.daq.errors import SeatrialError
 from seatrial.ident.estimation import dynamic_parameters
 from seatrial.ident.experiment_design.criteria import SINGULAR
+from seatrial.ident.experiment_design.evaluator import DesignEvaluator
 from seatrial.ident.experiment_design.excitation import ThrusterResponse
 from seatrial.ident.experiment_design.information import (
     in_lanes,
@@ -29,12 +30,12 @@ from seatrial.ident.experiment_design.information import (
     parallel,
     prior_information,
     sensor_mask,
-    square,
     start_in_lanes,
+    symmetric_matrices,
     with_covariance,
 )
 from seatrial.ident.experiment_design.optimal_design import search_design
-from seatrial.ident.experiment_design.task import DesignProblem
+from seatrial.ident.experiment_design.problem import DesignProblem
 from seatrial.ident.model import Model
 from seatrial.ident.numerics import Array, SearchResult
 
@@ -45,39 +46,63 @@ RELIABLE_T = 30.0  # with a larger T a fit hardly ever prefers the wrong model
 
 @dataclass(frozen=True)
 class HypothesisPair:
-    """T as a function of commands: model ``fitted`` on the data of model ``truth``."""
+    """T statistic of commands: how badly one model explains the data of another.
+
+    A call returns T: the least sum of squared normalised innovations of the filter of the model ``fitted`` on
+    undisturbed data of the model ``truth``, over the parameters of ``fitted``.
+
+    Attributes
+    ----------
+    fitted
+        Model whose filter is applied and whose parameters are refitted, with its nominal values and noise.
+    truth
+        Model that generates the data, at its own values.
+    problem
+        Design problem, which gives rows, sensor rates and thruster response. Its own model is not used.
+    """
 
     fitted: Model
     truth: Model
-    task: DesignProblem
+    problem: DesignProblem
 
     @cached_property
     def free(self) -> tuple[str, ...]:
-        """Names of the free parameters of the fitted model: shared dynamic and per-record nuisance parameters."""
+        """Names of the q parameters of ``fitted`` that are refitted: shared dynamic ones, then free per-record ones."""
         own = [p.name for p in self.fitted.parameters if p.free and p.per_record]
         return (*dynamic_parameters(self.fitted), *own)
 
     @cached_property
     def _prior(self) -> Array:
-        """Prior information (q, q) about the parameters ``free``."""
+        """Prior information (q, q) about the parameters ``free``, in their units; zero for one without a prior."""
         return prior_information([self.fitted.parameter(n) for n in self.free])
 
     def __call__(self, command: Array, refits: int = 0) -> Array:
         """Return T (n,) of commands (n_rows, n_channels, n).
 
-        Without ``refits`` it is T to first order. With them it is the least T of so many Gauss-Newton steps.
+        Parameters
+        ----------
+        command
+            Commands, -1 to 1, on the rows of the problem.
+        refits
+            Number of Gauss-Newton steps of the refit. With 0, the result is T to first order, from one linearisation at
+            the nominal values.
+
+        Returns
+        -------
+        Array (n,)
+            The least sum that the steps reach, prior included; never below 0. Not finite if a simulation diverges.
         """
         n = command.shape[2]
         values = np.tile([p.value for p in self.fitted.parameters], (n, 1))
         columns = [list(self.fitted.values).index(name) for name in self.free]
         initial, bounds = values[:, columns].copy(), np.array([self.fitted.parameter(m).bounds for m in self.free]).T
         u, u_true = (
-            ThrusterResponse(m, self.task.t, self.task.steps.n_max, self.task.slew).inputs(command)
+            ThrusterResponse(m, self.problem.t, self.problem.steps.n_max, self.problem.slew).inputs(command)
             for m in (self.fitted, self.truth)
         )
         best = np.full(n, np.inf)
         for k in range(refits + 1):
-            ee, g, F = self._run(u, u_true, values)
+            ee, g, F = self._innovation_sums(u, u_true, values)
             change = values[:, columns] - initial
             current = ee + np.einsum("ni,ij,nj->n", change, self._prior, change)
             slope = g - change @ self._prior
@@ -89,19 +114,29 @@ class HypothesisPair:
             values[:, columns] = np.clip(values[:, columns] + step, *bounds)
         raise AssertionError("unreachable")
 
-    def _run(self, u: Array, u_true: Array, values: Array) -> tuple[Array, Array, Array]:
-        """Return the sums e' S^-1 e (n,), g (n, q) and F (n, q, q) of the equation above.
+    def _innovation_sums(self, u: Array, u_true: Array, values: Array) -> tuple[Array, Array, Array]:
+        """Run the filter of the fitted model on data of the true model, and return the sums of its innovations.
 
-        ``u``, ``u_true``: inputs (n_rows, n_inputs, n) of the fitted and of the true model. ``values``: parameters (n,
-        n_parameters) of the fitted model.
+        Parameters
+        ----------
+        u, u_true
+            Inputs (n_rows, n_inputs, n) of the fitted and of the true model.
+        values
+            Parameters (n, n_parameters) of the fitted model.
+
+        Returns
+        -------
+        tuple of Array
+            The sums over time e' S^-1 e (n,), de' S^-1 e (n, q) and de' S^-1 de (n, q, q). e are the innovations, S is
+            their covariance, and de are the sensitivities of the predicted outputs to the parameters ``free``.
         """
         from seatrial.ident.engine import discrimination_batch_for  # imported late, since it loads CasADi
 
         kernel = discrimination_batch_for(
-            self.fitted, self.free, self.truth, covariance=self.task.process_noise
+            self.fitted, self.free, self.truth, covariance=self.problem.process_noise
         ).unexplained
-        width, n, t = kernel.plan.width, u.shape[2], self.task.t
-        mask = sensor_mask(self.fitted, t.size, self.task.every)
+        width, n, t = kernel.plan.width, u.shape[2], self.problem.t
+        mask = sensor_mask(self.fitted, t.size, self.problem.every)
         h = np.append(np.diff(t), 0.0)
         truth = np.array([[p.value for p in self.truth.parameters]])
         size = kernel.plan.sizes["low"]
@@ -112,7 +147,7 @@ class HypothesisPair:
             p_true = in_lanes(np.repeat(truth, lanes.stop - lanes.start, axis=0).T[None], groups, width)[0]
             s = start_in_lanes(self.fitted, p)
             arguments = {
-                "s": with_covariance(self.fitted, s, p) if self.task.process_noise else s,
+                "s": with_covariance(self.fitted, s, p) if self.problem.process_noise else s,
                 "p": p,
                 "p_true": p_true,
                 "s_true": start_in_lanes(self.truth, p_true),
@@ -131,13 +166,14 @@ class HypothesisPair:
 
         chunks = [slice(a, min(a + width * CHUNK, n)) for a in range(0, n, width * CHUNK)]
         ee, g, triangle = (np.concatenate(c) for c in zip(*parallel(work, chunks, 2), strict=True))
-        return ee[:, 0], g, square(triangle, len(self.free))
+        return ee[:, 0], g, symmetric_matrices(triangle, len(self.free))
 
 
 def _solve(F: Array, g: Array) -> Array:
-    """Return F^-1 g (n, q) for each row; zero for rows that are not finite and directions without information.
+    """Return the Gauss-Newton step F^-1 g (n, q) of each of n experiments.
 
-    F (n, q, q) is scaled to a unit diagonal and slightly regularised.
+    Each information matrix of F (n, q, q) is scaled to a unit diagonal and slightly regularised. The step is zero for
+    an experiment whose F or gradient g (n, q) is not finite.
     """
     good = np.asarray(np.isfinite(F).all(axis=(1, 2)) & np.isfinite(g).all(axis=1))
     F, g = F.copy(), g.copy()
@@ -150,42 +186,62 @@ def _solve(F: Array, g: Array) -> Array:
 
 @dataclass(frozen=True)
 class DiscriminationDesign:
-    """Experiment that discriminates two models a and b."""
+    """Experiment that discriminates two models a and b.
 
-    task: DesignProblem
-    levels: Array  # (n_steps, n_channels)
-    durations: Array  # (n_steps,) [s]
-    separation: tuple[float, float]  # T after refits: b is true and a is fitted; a is true and b is fitted
+    Attributes
+    ----------
+    problem
+        Design problem that was searched.
+    levels : Array (n_steps, n_channels)
+        Level of each step on each channel, -1 to 1.
+    durations : Array (n_steps,)
+        Duration of each step [s].
+    separation
+        T after refits: first if b is true and a is fitted, then if a is true and b is fitted.
+    found
+        Result of the search: best point and number of evaluations.
+    """
+
+    problem: DesignProblem
+    levels: Array
+    durations: Array
+    separation: tuple[float, float]
     found: SearchResult = field(repr=False)
 
     @property
     def command(self) -> Array:
-        """Command (n_rows, n_channels) on the rows of the design problem."""
-        return self.task.actuation.limited(self.levels[:, :, None], self.durations[:, None])[:, :, 0]
+        """Command (n_rows, n_channels), -1 to 1, with the slew limit, on the rows of the design problem."""
+        return self.problem.actuation.limited(self.levels[:, :, None], self.durations[:, None])[:, :, 0]
 
     @property
     def clear(self) -> bool:
-        """Return whether a fit is expected to prefer the true model, whichever of the two it is."""
+        """Return whether a fit is expected to prefer the true model, whichever of the two it is: both T exceed 30."""
         return min(self.separation) > RELIABLE_T
 
 
-def _both(model_a: Model, model_b: Model, task: DesignProblem) -> tuple[HypothesisPair, HypothesisPair]:
-    """Return the pairs with a fitted and b true, and with b fitted and a true."""
-    a, b = task.observed(model_a), task.observed(model_b)
-    return HypothesisPair(a, b, task), HypothesisPair(b, a, task)
+def _both_hypotheses(model_a: Model, model_b: Model, problem: DesignProblem) -> tuple[HypothesisPair, HypothesisPair]:
+    """Return two pairs of models: a fitted to data of b, and b fitted to data of a.
+
+    The measurement noise of both models is scaled for the sample rates on the rows of the problem.
+    """
+    a, b = problem.observed(model_a), problem.observed(model_b)
+    return HypothesisPair(a, b, problem), HypothesisPair(b, a, problem)
 
 
-def separation(model_a: Model, model_b: Model, task: DesignProblem, command: Array) -> tuple[float, float]:
-    """Return T of a command, for both models as the true one.
+def separation(model_a: Model, model_b: Model, problem: DesignProblem, command: Array) -> tuple[float, float]:
+    """Return the separation T of two models by a command, for each model as the true one.
+
+    T is the expected value of twice the log-likelihood ratio against the wrong model after its refit with six
+    Gauss-Newton steps.
 
     Parameters
     ----------
     model_a, model_b
         The models with fitted values.
-    task
-        Design problem with rows and sensors.
+    problem
+        Design problem, which gives rows, sensor rates and thruster response.
     command
-        Command (n_rows, n_channels).
+        Command (n_rows, n_channels), -1 to 1.
 
     Returns
     -------
@@ -197,56 +253,68 @@ def separation(model_a: Model, model_b: Model, task: DesignProblem, command: Arr
     SeatrialError
         If a simulation diverges.
     """
-    first, second = (float(r(command[:, :, None], REFITS)[0]) for r in _both(model_a, model_b, task))
+    first, second = (float(r(command[:, :, None], REFITS)[0]) for r in _both_hypotheses(model_a, model_b, problem))
     if not np.isfinite([first, second]).all():
         names = " and ".join(" + ".join([m.name, *(e.name for e in m.effects)]) for m in (model_a, model_b))
-        raise SeatrialError(f"{names} cannot be compared: a simulation diverges on rows of {task.grid:g} s")
+        raise SeatrialError(
+            f"the models {names} cannot be compared: a simulation diverges with an interval of {problem.grid:g} s "
+            "between rows; check their parameter values, or give a shorter `grid` of the DesignProblem in Python"
+        )
     return first, second
 
 
 def discriminate(
     model_a: Model,
     model_b: Model,
-    task: DesignProblem,
+    problem: DesignProblem,
     *,
     evaluations: int = 4000,
     progress: Callable[[int, float], None] | None = None,
 ) -> DiscriminationDesign:
-    """Search the T-optimal step sequence for two models.
+    """Search the T-optimal step sequence for two models: the one with the largest T, whichever model is true.
+
+    The search maximises the smaller of the two T to first order. The result also has both T after refits.
 
     Parameters
     ----------
     model_a, model_b
         The models with fitted values, also of their effects. With both effects at zero the models would be equal.
-    task
-        Design problem with the limits. Its model is used for the limits only.
+    problem
+        Design problem with input class, sensor rates and limits. Its model is used for the limits only.
     evaluations
         Number of evaluations of T.
     progress
-        Function of the number of evaluations and the best value, called during the search.
+        Function of the number of evaluations and the best logarithm of T, called during the search.
 
     Raises
     ------
     SeatrialError
-        If the models cannot be compared, or if no sequence that was found keeps to the limits.
+        If the models have different sensors, if no sequence that was found keeps to the limits, or if a simulation of
+        the result diverges.
     """
     if [s.name for s in model_a.sensors] != [s.name for s in model_b.sensors]:
-        raise SeatrialError(f"models {model_a.name} and {model_b.name} have different sensors: they cannot be compared")
-    pairs = _both(model_a, model_b, task)
+        raise SeatrialError(
+            f"models {model_a.name} and {model_b.name} have different sensors, so their predictions cannot be "
+            "compared; give models with the same sensors"
+        )
+    evaluator = DesignEvaluator(problem)
+    pairs = _both_hypotheses(model_a, model_b, problem)
 
-    def judge(z: Array) -> tuple[Array, Array]:
-        command = task.commands(z)
+    def evaluate(z: Array) -> tuple[Array, Array]:
+        """Return log T (n,) of the worse hypothesis and the violation (n,) of the limits, at search points z."""
+        command = problem.commands(z)
         parts: Sequence[Array] = [
             np.minimum(*(r(command[:, :, k : k + 32]) for r in pairs)) for k in range(0, command.shape[2], 32)
         ]
         T = np.concatenate(parts)
-        return np.where(np.isfinite(T), np.log(np.maximum(T, 1e-12)), SINGULAR), task.violation(command)
+        return np.where(np.isfinite(T), np.log(np.maximum(T, 1e-12)), SINGULAR), evaluator.violation(command)
 
-    found = search_design(task.steps, judge, evaluations, task.seed, None, progress, n_start=128)
+    found = search_design(problem.steps, evaluate, evaluations, problem.seed, None, progress, n_start=128)
     if found.violation > 0:
         raise SeatrialError(
-            "no sequence that keeps to the limits was found; give a larger --area, weaker limits or a longer --duration"
+            "no step sequence that keeps to the limits was found; give a larger --area, weaker limits or a longer "
+            "--duration"
         )
-    levels, durations = (a[..., 0] for a in task.steps.unpack(found.z[None]))
-    made = DiscriminationDesign(task, levels, durations, (0.0, 0.0), found)
-    return replace(made, separation=separation(model_a, model_b, task, made.command))
+    levels, durations = (a[..., 0] for a in problem.steps.unpack(found.z[None]))
+    made = DiscriminationDesign(problem, levels, durations, (0.0, 0.0), found)
+    return replace(made, separation=separation(model_a, model_b, problem, made.command))

@@ -16,12 +16,12 @@ from scipy import signal
 from seatrial.daq.errors import SeatrialError
 from seatrial.ident.data import TIME_INPUT, WORK_INPUT, WORK_UNIT
 from seatrial.ident.model import COMMAND, SHAFT_SPEED, THRUSTER_FORCE, Model, ModelKind, SignalId, command_of
+from seatrial.ident.models import ARM, TABLE_2
 from seatrial.ident.numerics import Array, first_order_lag
 
 SIDES = ("left", "right")
-SHAFT_POLE = 2.794  # 1/s, thesis Table 2
-THRUST = {"c1": 40.05, "c2": 1.11}  # N, thesis Table 2
-ARM = 0.15  # m, thesis section 4
+SHAFT_POLE = TABLE_2["a"]  # 1/s
+THRUST = {name: TABLE_2[name] for name in ("c1", "c2")}  # N
 # Quantities that thrusters produce: commands, shaft speeds, thrusts, their sum and its change, and their moment.
 COMMANDED = {COMMAND, SHAFT_SPEED, THRUSTER_FORCE, "X", "X_n", "N"}
 COMMON_MODE, DIFFERENTIAL_MODE = (("X",), ("n",)), (("N",),)  # inputs of models of surge alone, and of yaw alone
@@ -38,7 +38,8 @@ def reason_without_mission(model: Model) -> str:
     Returns
     -------
     str
-        End of a sentence, empty if thrusters produce all inputs of the model.
+        Reason as a clause without a capital letter and without a full stop, for the end of an error message. Empty if
+        the model has inputs and thrusters produce all of them. Delayed taps, time and work do not count as inputs.
     """
     if model.kind is ModelKind.BENCH:
         return "it describes a thruster on its bench, for which `seatrial bench` runs the plans"
@@ -53,51 +54,84 @@ def reason_without_mission(model: Model) -> str:
 
 
 def _input_names(model: Model) -> list[str]:
-    """Return the inputs of a model that are no delayed taps and do not follow from time or work."""
+    """Return the names of the inputs of a model, without delayed taps, the time input and the work input."""
     return [i.name for i in model.inputs if not i.tap and i.name not in (TIME_INPUT, WORK_INPUT)]
 
 
 @dataclass(frozen=True)
 class ThrusterResponse:
-    """Response from commands to the inputs of a model."""
+    """Response of the thrusters: from commands to the inputs of a model.
+
+    A command n_ref, -1 to 1, passes the slew limit and the first-order lag of the shaft. The shaft speed n, -1 to 1,
+    gives the thrust ``c1 n|n| + c2 n^2`` if the model has forces as inputs.
+
+    Attributes
+    ----------
+    model
+        Model whose inputs are computed.
+    t : Array (n_rows,)
+        Times of the rows [s], evenly spaced.
+    n_max
+        Largest command, 0 to 1.
+    slew
+        Largest rate of change of a command [1/s].
+    pole
+        Pole of the shafts [1/s]; inf: the shaft speed equals the command.
+    curve
+        Thrust coefficients ``c1`` and ``c2`` of one thruster [N].
+    """
 
     model: Model
-    t: Array  # (n_rows,) [s], evenly spaced
-    n_max: float = 1.0  # largest command
-    slew: float = np.inf  # 1/s, limit on the rate of change of a command
-    pole: float = SHAFT_POLE  # 1/s, of the shafts
-    curve: Mapping[str, float] = field(default_factory=lambda: THRUST)  # N, thrust coefficients c1 and c2
+    t: Array
+    n_max: float = 1.0
+    slew: float = np.inf
+    pole: float = SHAFT_POLE
+    curve: Mapping[str, float] = field(default_factory=lambda: THRUST)
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """Names of the channels: the two thrusters, or the inputs of a model with other inputs."""
+        """Names of the channels of a command.
+
+        They are ``left`` and ``right`` for a model whose two inputs belong to these sides or are surge force X and yaw
+        moment N. Otherwise they are the names of the inputs.
+        """
         names = _input_names(self.model)
         two = len(names) == 2 and all(n in ("X", "N") or SignalId.parse(n).source in SIDES for n in names)
         return SIDES if two else tuple(names)
 
     @property
     def full_thrust(self) -> float:
-        """Forward thrust of one thruster at full command [N]."""
+        """Forward thrust of one thruster at full command [N]: ``c1 + c2``."""
         return self.curve["c1"] + self.curve["c2"]
 
     @property
     def thrusters(self) -> tuple[str, ...]:
-        """Thrusters that a mission commands. A model of surge or yaw alone also needs both thrusters."""
+        """Names of the thrusters that a mission commands.
+
+        They are the channels. A model of surge or yaw alone has one channel but needs both thrusters, left and right.
+        """
         return SIDES if self.channels in (*COMMON_MODE, *DIFFERENTIAL_MODE) else self.channels
 
     def for_thrusters(self, levels: Array) -> Array:
-        """Convert levels of the channels (n_rows, n_channels) to levels of the thrusters (n_rows, n_thrusters)."""
+        """Convert levels of the channels (n_rows, n_channels) to levels of the thrusters (n_rows, n_thrusters).
+
+        For a model of surge alone, both thrusters have the level of the channel. For a model of yaw alone, the left
+        thruster has the level and the right one has its negative. Otherwise the levels are returned unchanged.
+        """
         if self.channels in COMMON_MODE:
             return np.hstack([levels, levels])
         return np.hstack([levels, -levels]) if self.channels in DIFFERENTIAL_MODE else levels
 
     def limited(self, levels: Array, durations: Array) -> Array:
-        """Return the commands of step sequences with the slew limit, starting from zero.
+        """Return the commands of n step sequences on the rows, with the slew limit.
+
+        With a finite slew limit a command starts from zero and approaches each level at the largest rate. A step may
+        end before its level is reached. After the last step its level is held.
 
         Parameters
         ----------
         levels
-            Level of each step (n_steps, n_channels, n).
+            Level of each step (n_steps, n_channels, n), -1 to 1.
         durations
             Duration of each step (n_steps, n) [s].
 
@@ -125,34 +159,57 @@ class ThrusterResponse:
 
     @property
     def shafts_are_states(self) -> bool:
-        """Return whether the model has commands as inputs and contains the lag of the shafts."""
+        """Return whether the shaft speeds are states of the model, so that its inputs are commands."""
         return any(i.name == command_of("left") for i in self.model.inputs)
 
     def shaft(self, command: Array) -> Array:
-        """Return the shaft speeds: the first-order response to held commands, exact at the evenly spaced rows.
+        """Return the shaft speeds: the first-order response to commands that are held between rows, starting from zero.
 
         Parameters
         ----------
         command
-            Commands (n_rows, n_channels, n).
+            Commands (n_rows, n_channels, n), -1 to 1.
+
+        Returns
+        -------
+        Array (n_rows, n_channels, n)
+            Normalised shaft speeds, -1 to 1, exact at the rows. With an infinite pole they are the commands.
         """
         if not np.isfinite(self.pole):
             return command
         return first_order_lag(command, 1.0 / self.pole, float(self.t[1] - self.t[0]))
 
     def inputs(self, command: Array) -> Array:
-        """Return the inputs of the model (n_rows, n_inputs, n) for commands (n_rows, n_channels, n)."""
+        """Return the inputs of the model for commands.
+
+        Parameters
+        ----------
+        command
+            Commands (n_rows, n_channels, n), -1 to 1, with the slew limit already applied.
+
+        Returns
+        -------
+        Array (n_rows, n_inputs, n)
+            Inputs in the order and in the units of the model: shaft speeds, commands, forces [N] or moments [N m], and
+            their delayed taps. A model that contains the lag of the shafts gets the commands.
+        """
         n = dict(zip(self.channels, self.shaft(command).transpose(1, 0, 2), strict=True))
         if self.shafts_are_states:
             n = dict(zip([command_of(c) for c in self.channels], command.transpose(1, 0, 2), strict=True))
         columns = [
-            self._earlier(self._column(i.tap_of, n), i.delay) if i.tap else self._column(i.name, n)
+            self._delayed(self._column(i.tap_of, n), i.delay) if i.tap else self._column(i.name, n)
             for i in self.model.inputs
         ]
         return np.ascontiguousarray(np.stack(columns, axis=1))
 
     def _column(self, name: str, n: Mapping[str, Array]) -> Array:
-        """Return one input (n_rows, n) by its name, from the shaft speeds (n_rows, n) of the channels."""
+        """Return one input (n_rows, n) of the model by its name, from the shaft speeds (n_rows, n) of the channels.
+
+        The time input is ``t``. The work input is the integral of ``|n|^3`` over time, summed over the channels. An
+        input ``n_SIDE`` is a shaft speed, and ``f_SIDE`` is a thrust [N]. ``X`` is the sum of both thrusts [N]. ``N``
+        is the moment [N m] of both thrusts at arms of 0.15 m, positive for more thrust on the left. A model of surge
+        alone has the same speed on both sides; a model of yaw alone has opposite speeds.
+        """
         if name == TIME_INPUT:
             return np.broadcast_to(self.t[:, None], next(iter(n.values())).shape)
         if name == WORK_INPUT:
@@ -172,23 +229,26 @@ class ThrusterResponse:
         return left + right if name == "X" else ARM * (left - right)
 
     def _force(self, n: Array) -> Array:
-        """Return the thrust [N] of shaft speeds n."""
+        """Return the thrust [N] of one thruster at normalised shaft speeds n of any shape: ``c1 n|n| + c2 n^2``."""
         return np.asarray(self.curve["c1"] * n * np.abs(n) + self.curve["c2"] * n * n)
 
-    def _earlier(self, value: Array, seconds: float) -> Array:
-        """Return the signal delayed by ``seconds``; before the start it has its initial value."""
+    def _delayed(self, value: Array, seconds: float) -> Array:
+        """Return a signal (n_rows, n) delayed by ``seconds``, interpolated linearly between the rows.
+
+        Before the start the delayed signal has the initial value.
+        """
         at = np.maximum(self.t - seconds, self.t[0])
         row = np.clip(np.searchsorted(self.t, at + 1e-9, side="right") - 1, 0, self.t.size - 2)
         part = ((at - self.t[row]) / (self.t[row + 1] - self.t[row]))[:, None]
         return np.asarray(value[row] * (1 - part) + value[row + 1] * part)
 
     def energy(self, command: Array) -> Array:
-        """Return the mean of ``|n|^3`` over time and channels (n,), which is the share of full power.
+        """Return the share of full power (n,), 0 to 1: the mean of ``|n_ref|^3`` over time and channels.
 
         Parameters
         ----------
         command
-            Commands (n_rows, n_channels, n).
+            Commands n_ref (n_rows, n_channels, n), -1 to 1.
         """
         return np.asarray((np.abs(command) ** 3).mean(axis=(0, 1)))
 
@@ -197,21 +257,42 @@ class ThrusterResponse:
 class StepInput:
     """Input class of the search: steps with free levels and durations in a fixed total time (thesis chapter 5).
 
-    A search point z (n_steps (n_channels + 1),) contains the levels and then the relative durations between 0 and 1.
+    A search point z (n_steps (n_channels + 1),) contains the levels of all steps and then their relative durations
+    between 0.02 and 1. Each step has the least duration, and the remaining time is divided by the relative durations.
+
+    Attributes
+    ----------
+    n_steps
+        Number of steps.
+    n_channels
+        Number of channels of a command.
+    duration
+        Duration of all steps together [s].
+    shortest
+        Least duration of a step [s].
+    grid
+        Interval between rows [s]. Durations are whole multiples of it.
+    n_max
+        Largest size of a level, 0 to 1.
+
+    Raises
+    ------
+    SeatrialError
+        If steps of the least duration do not fit into the total duration.
     """
 
     n_steps: int
     n_channels: int
-    duration: float  # s, of all steps
-    shortest: float  # s, least duration of a step
-    grid: float  # s; durations are whole multiples of it
-    n_max: float = 1.0  # largest level
+    duration: float
+    shortest: float
+    grid: float
+    n_max: float = 1.0
 
     def __post_init__(self) -> None:
-        if self.n_steps * self.least > self.rows:
-            least = f"{self.least * self.grid:g} s" + (  # rounded up to whole rows
+        if self.n_steps * self.least_rows > self.n_rows:
+            least = f"{self.least_rows * self.grid:g} s" + (  # rounded up to whole rows
                 f" ({self.shortest:g} s in steps of {self.grid:g} s)"
-                if abs(self.least * self.grid - self.shortest) > 1e-6
+                if abs(self.least_rows * self.grid - self.shortest) > 1e-6
                 else ""
             )
             raise SeatrialError(
@@ -220,12 +301,12 @@ class StepInput:
             )
 
     @property
-    def rows(self) -> int:
+    def n_rows(self) -> int:
         """Total duration in rows of the grid."""
         return round(self.duration / self.grid)
 
     @property
-    def least(self) -> int:
+    def least_rows(self) -> int:
         """Least duration of a step in rows of the grid, rounded up."""
         return max(int(np.ceil(self.shortest / self.grid - 1e-9)), 1)
 
@@ -236,29 +317,33 @@ class StepInput:
 
     @property
     def low(self) -> Array:
-        """Lower bounds of a search point (size,)."""
+        """Lower bounds of a search point (size,): ``-n_max`` for levels, 0.02 for relative durations."""
         return np.append(np.full(self.n_steps * self.n_channels, -self.n_max), np.full(self.n_steps, 0.02))
 
     @property
     def high(self) -> Array:
-        """Upper bounds of a search point (size,)."""
+        """Upper bounds of a search point (size,): ``n_max`` for levels, 1 for relative durations."""
         return np.append(np.full(self.n_steps * self.n_channels, self.n_max), np.ones(self.n_steps))
 
     def unpack(self, z: Array) -> tuple[Array, Array]:
-        """Return levels (n_steps, n_channels, n) and durations (n_steps, n) [s] of search points z (n, size)."""
+        """Return levels (n_steps, n_channels, n) and durations (n_steps, n) [s] of search points z (n, size).
+
+        The durations are rounded to whole rows, and their sum is the total duration.
+        """
         n_levels = self.n_steps * self.n_channels
         levels = z[:, :n_levels].reshape(-1, self.n_steps, self.n_channels).transpose(1, 2, 0)
         shares = z[:, n_levels:].T
-        spare = self.rows - self.n_steps * self.least  # rows beyond the least durations, divided by the shares
+        spare = self.n_rows - self.n_steps * self.least_rows  # rows beyond the least durations, divided by the shares
         shared = np.round(np.cumsum(shares / shares.sum(axis=0), axis=0) * spare)
-        whole = shared + self.least * np.arange(1, self.n_steps + 1)[:, None]
+        whole = shared + self.least_rows * np.arange(1, self.n_steps + 1)[:, None]
         return levels, np.diff(whole, axis=0, prepend=0.0) * self.grid
 
     def random(self, n: int, rng: np.random.Generator) -> Array:
-        """Return random search points (n, size).
+        """Draw random search points (n, size) within the bounds with a random generator ``rng``.
 
-        Each point has levels of one of four kinds: uniform, near full thrust, similar on all channels (straight with
-        small turns), or uniform with a reduced range.
+        The levels of a point are drawn in one of four ways with equal chance: uniform, near full thrust (0.6 to 1 of
+        ``n_max``), similar on all channels (straight with small turns), or uniform with a reduced range. The relative
+        durations are log-normal with a random spread.
         """
         kind = rng.integers(4, size=(n, 1, 1))
         shape = (n, self.n_steps, self.n_channels)
@@ -272,7 +357,7 @@ class StepInput:
 
 
 def prbs(t: Array, clock: float, n_channels: int, amplitude: float, rng: np.random.Generator) -> Array:
-    """Return pseudo-random binary sequences (Ljung 1999, section 13.3).
+    """Return pseudo-random binary sequences, independent for each channel (Ljung 1999, section 13.3).
 
     Parameters
     ----------
@@ -283,7 +368,7 @@ def prbs(t: Array, clock: float, n_channels: int, amplitude: float, rng: np.rand
     n_channels
         Number of channels.
     amplitude
-        Size of the signal.
+        Size of the signal, which is ``amplitude`` or ``-amplitude`` with equal chance.
     rng
         Random generator.
 
@@ -296,14 +381,15 @@ def prbs(t: Array, clock: float, n_channels: int, amplitude: float, rng: np.rand
 
 
 def rgs(t: Array, corner: float, n_channels: int, sd: float, n_max: float, rng: np.random.Generator) -> Array:
-    """Return low-pass filtered random Gaussian sequences (Ljung 1999, section 13.3).
+    """Return low-pass filtered random Gaussian sequences, independent for each channel (Ljung 1999, section 13.3).
 
     Parameters
     ----------
     t
-        Times (n_rows,) [s].
+        Times (n_rows,) [s], evenly spaced.
     corner
-        Corner frequency of the second-order low-pass filter [Hz].
+        Corner frequency of the second-order Butterworth low-pass filter [Hz]. It is reduced to 0.99 of the Nyquist
+        frequency if it is higher.
     n_channels
         Number of channels.
     sd

@@ -34,33 +34,60 @@ MISSIONS = 4  # missions per task of a thread
 
 @dataclass(frozen=True)
 class ExperimentResults:
-    """Results of n experiments."""
+    """Results of n simulated experiments.
 
-    information: Array  # (n, q, q), about the free parameters in their units
-    low: Array  # (n, k), minimum of states and squared speed, with the names `Experiments.extremes`
-    high: Array  # (n, k), maximum of the same
+    Attributes
+    ----------
+    information : Array (n, q, q)
+        Fisher information about the q free parameters, in their units; NaN for an experiment that diverges.
+    low, high : Array (n, k)
+        Minimum and maximum over time of the k quantities `Experiments.extremes`: the states, and the squared speed.
+    """
+
+    information: Array
+    low: Array
+    high: Array
 
 
 class Experiments:
     """Simulated experiments of one model on common times, computed in batches.
 
-    Inputs are arrays (n_rows, n_inputs, n) with time first and experiments last, or (n_rows, n_inputs) if all
-    experiments have the same inputs.
+    A call returns information and extremes. Inputs are arrays (n_rows, n_inputs, n) with time first and experiments
+    last, or (n_rows, n_inputs) if all experiments have the same inputs.
 
     Parameters
     ----------
     model
         The model.
     free
-        Names of the parameters of the information.
+        Names of the q parameters of the information.
     t
-        Times (n_rows,) [s].
+        Times of the rows (n_rows,) [s].
     every
-        Number of rows between two samples of a sensor, by sensor; default 1.
+        Number of rows from one sample to the next, by sensor; 1 for a sensor that is not named.
     process_noise
         Whether the information is that of prediction error. Else it is that of output error.
     threads
         Number of threads.
+
+    Attributes
+    ----------
+    model, free, t, threads
+        As the parameters.
+    extremes
+        Names of the k quantities whose minimum and maximum are found: the states, then ``speed2`` [m2/s2], the squared
+        speed, if the model has a surge speed.
+    h : Array (n_rows,)
+        Interval from each row to the next [s]; 0 for the last row.
+    mask : Array (n_rows,)
+        Bits of the sensors that have a sample in each row.
+    values : Array (n_parameters,)
+        Parameter values of the model.
+
+    Raises
+    ------
+    ValueError
+        If ``every`` names a sensor that the model lacks.
     """
 
     def __init__(
@@ -84,7 +111,7 @@ class Experiments:
         self._index = {p.name: i for i, p in enumerate(model.parameters)}
 
     def __call__(self, u: Array, values: Array | None = None) -> ExperimentResults:
-        """Return information and extents of experiments. The information is NaN if an experiment diverges.
+        """Return information and extremes of n experiments. The information is NaN if an experiment diverges.
 
         Parameters
         ----------
@@ -92,6 +119,11 @@ class Experiments:
             Inputs (n_rows, n_inputs, n) or (n_rows, n_inputs).
         values
             Parameter values (n, n_parameters) or (n_parameters,). By default they are those of the model.
+
+        Raises
+        ------
+        ValueError
+            If the numbers of inputs and of parameter values differ.
         """
         n, chunks = self._chunks(u, values)
         kernel = self._batch.information[u.ndim == 3]
@@ -103,27 +135,33 @@ class Experiments:
                 arguments["s"] = with_covariance(self.model, arguments["s"], arguments["p"])
             arguments["X"] = self._slopes(arguments["p"])
             results = self._run(kernel, arguments, k)
-            return _flat(results["fisher"]), _flat(results["low"]), _flat(results["high"])
+            return _from_lanes(results["fisher"]), _from_lanes(results["low"]), _from_lanes(results["high"])
 
         parts = parallel(work, chunks, self.threads)
         triangle, low, high = (np.concatenate(column)[:n] for column in zip(*parts, strict=True))
-        return ExperimentResults(square(triangle, q), low, high)
+        return ExperimentResults(symmetric_matrices(triangle, q), low, high)
 
     def extents(self, u: Array, values: Array | None = None) -> tuple[Array, Array]:
-        """Return only ``low`` and ``high`` (n, k), several times faster; parameters as in the call."""
+        """Return only the minimum and the maximum (n, k) of the quantities ``extremes``, several times faster.
+
+        The arguments are those of a call: inputs ``u`` and parameter values ``values`` of n experiments.
+        """
         n, chunks = self._chunks(u, values)
         kernel = self._batch.tracks[u.ndim == 3]
 
         def work(lanes: slice) -> tuple[Array, Array]:
             results = self._run(kernel, self._arguments(u, values, lanes), len(self.extremes))
-            return _flat(results["low"]), _flat(results["high"])
+            return _from_lanes(results["low"]), _from_lanes(results["high"])
 
         parts = parallel(work, chunks, self.threads)
         low, high = (np.concatenate(column)[:n] for column in zip(*parts, strict=True))
         return low, high
 
     def extents_in_noise(self, u: Array, noise: Array, values: Array) -> tuple[Array, Array]:
-        """Return ``low`` and ``high`` (n, n_values, k) of missions with the same parameter samples and the same noise.
+        """Return the minimum and the maximum (n, n_values, k) of the quantities ``extremes`` in n missions.
+
+        Each mission is simulated with the same ``n_values`` parameter samples, each with its own noise, which is the
+        same in all missions.
 
         Parameters
         ----------
@@ -151,7 +189,7 @@ class Experiments:
                 results = self._run(
                     kernel, arguments | {"u": shared, "u_next": _interval_ends(common, shared), "s": start.copy()}, k
                 )
-                found.append((_flat(results["low"])[:n_values], _flat(results["high"])[:n_values]))
+                found.append((_from_lanes(results["low"])[:n_values], _from_lanes(results["high"])[:n_values]))
             return found
 
         n = u.shape[2]
@@ -160,16 +198,25 @@ class Experiments:
         return np.array(low), np.array(high)
 
     def _chunks(self, u: Array, values: Array | None) -> tuple[int, list[slice]]:
-        """Return the number of experiments and their division into calls of the kernel."""
+        """Return the number of experiments, and the slices of experiments for one call of the kernel each.
+
+        Raises
+        ------
+        ValueError
+            If the numbers of inputs and of parameter values differ.
+        """
         counts = {a.shape[axis] for a, axis, full in ((u, 2, 3), (values, 0, 2)) if a is not None and a.ndim == full}
         if len(counts) > 1:
-            raise ValueError(f"inputs and parameter values must be equally many, got {sorted(counts)}")
+            raise ValueError(f"the numbers of inputs and of parameter values must agree, but are {sorted(counts)}")
         n = counts.pop() if counts else 1
         width = self._batch.tracks[0].plan.width * CHUNK
         return n, [slice(first, min(first + width, n)) for first in range(0, n, width)]
 
     def _arguments(self, u: Array, values: Array | None, lanes: slice) -> dict[str, Array]:
-        """Return the arguments of a kernel for some of the experiments, arranged in vector lanes."""
+        """Return the arguments of a kernel by name for the slice ``lanes`` of the experiments.
+
+        Arrays that differ between experiments are arranged in vector lanes, as `in_lanes` does.
+        """
         width, n = self._batch.tracks[0].plan.width, lanes.stop - lanes.start
         groups = -(-n // width)
         values = self.values if values is None else values
@@ -186,13 +233,20 @@ class Experiments:
         }
 
     def _run(self, kernel: Kernel, arguments: dict[str, Array], k: int) -> dict[str, Array]:
-        """Run a kernel with empty extents of k quantities, and return its results."""
+        """Run a kernel on all rows and return its results by name.
+
+        The k minima and maxima start at plus and minus infinity.
+        """
         groups, _, width = arguments["p"].shape
         bounds = {"low": np.full((groups, k, width), np.inf), "high": np.full((groups, k, width), -np.inf)}
         return kernel(self.t.size, self.mask, {**arguments, **bounds}, groups=groups)
 
     def _slopes(self, p: Array) -> Array:
-        """Return the derivative of the initial state with respect to the free parameters, in lanes."""
+        """Return the derivative of the initial state with respect to the free parameters.
+
+        ``p``: parameters in lanes (groups, n_parameters, width). The result (groups, q n_states, width) is 1 where a
+        free parameter is the initial value of a state, else 0.
+        """
         X = np.zeros((p.shape[0], len(self.free), len(self.model.states), p.shape[2]))
         for i, state in enumerate(self.model.states):
             if state.x0 in self.free:
@@ -201,7 +255,10 @@ class Experiments:
 
 
 def start_in_lanes(model: Model, p: Array) -> Array:
-    """Return the mean of the initial state (groups, n_states, width) at parameters p (groups, n_parameters, width)."""
+    """Return the mean of the initial state (groups, n_states, width) at parameters p (groups, n_parameters, width).
+
+    The last axis has the vector lanes: one experiment in each.
+    """
     names = [q.name for q in model.parameters]
     s = np.zeros((p.shape[0], len(model.states), p.shape[2]))
     for i, state in enumerate(model.states):
@@ -215,11 +272,16 @@ def with_covariance(model: Model, mean: Array, p: Array) -> Array:
     Parameters
     ----------
     model
-        The model.
+        The model, which defines the initial standard deviation of each state.
     mean
         Mean of the initial state (groups, n_states, width).
     p
         Parameters (groups, n_parameters, width).
+
+    Returns
+    -------
+    Array (groups, n_states + n_states (n_states + 1) / 2, width)
+        The covariance is diagonal.
     """
     n, names = len(model.states), [q.name for q in model.parameters]
     s = np.zeros((p.shape[0], n + n * (n + 1) // 2, p.shape[2]))
@@ -233,6 +295,8 @@ def with_covariance(model: Model, mean: Array, p: Array) -> Array:
 def sensor_mask(model: Model, n_rows: int, every: Mapping[str, int]) -> Mask:
     """Return a mask (n_rows,) with one bit for each sensor that has a sample in the row.
 
+    Bit 0 is the first sensor of the model. Every sensor has a sample in the first row.
+
     Parameters
     ----------
     model
@@ -240,7 +304,7 @@ def sensor_mask(model: Model, n_rows: int, every: Mapping[str, int]) -> Mask:
     n_rows
         Number of rows.
     every
-        Number of rows between two samples of a sensor, by sensor; default 1.
+        Number of rows from one sample to the next, by sensor; 1 for a sensor that is not named.
 
     Raises
     ------
@@ -249,7 +313,8 @@ def sensor_mask(model: Model, n_rows: int, every: Mapping[str, int]) -> Mask:
     """
     unknown = set(every) - {s.name for s in model.sensors}
     if unknown:
-        raise ValueError(f"model {model.name} has no sensor {sorted(unknown)[0]!r}")
+        names = ", ".join(s.name for s in model.sensors)
+        raise ValueError(f"model {model.name} has no sensor {sorted(unknown)[0]!r}; it has {names}")
     mask = np.zeros(n_rows, np.uint32)
     for bit, sensor in enumerate(model.sensors):
         mask[:: every.get(sensor.name, 1)] |= np.uint32(1 << bit)
@@ -257,9 +322,10 @@ def sensor_mask(model: Model, n_rows: int, every: Mapping[str, int]) -> Mask:
 
 
 def in_lanes(a: Array, groups: int, width: int) -> Array:
-    """Arrange an array (n_rows, k, n) in vector lanes (n_rows, groups, k, width).
+    """Arrange an array (n_rows, k, n) of n experiments in vector lanes (n_rows, groups, k, width).
 
-    An incomplete group is filled with copies of its last column.
+    A group is the ``width`` experiments that the processor computes at once. The last group is filled up with copies of
+    the last experiment.
     """
     missing = groups * width - a.shape[2]
     if missing:
@@ -273,7 +339,7 @@ def interval_ends(model: Model, u: Array, axis: int = -1) -> Array:
     Parameters
     ----------
     model
-        The model, which defines the hold of each input.
+        The model, which defines the hold of each input: constant or linear between rows.
     u
         Inputs at the rows (n_rows, ...).
     axis
@@ -282,19 +348,23 @@ def interval_ends(model: Model, u: Array, axis: int = -1) -> Array:
     Returns
     -------
     Array
-        Of the shape of ``u``: the value of the next row for linear inputs, else the same value.
+        Of the shape of ``u``: the value of the next row for linear inputs, else the same value. In the last row it is
+        always the same value.
     """
     return _interval_ends(np.array([i.hold == "linear" for i in model.inputs]), u, axis)
 
 
 def _interval_ends(linear: NDArray[np.bool_], u: Array, axis: int = -1) -> Array:
-    """Return `interval_ends` by the mask of linear inputs (n_inputs,)."""
+    """Return the inputs at the end of each interval, of the shape of u (n_rows, ...).
+
+    ``linear`` (n_inputs,) is true for inputs that are linear between rows. ``axis`` is the axis of the inputs in ``u``.
+    """
     shape = [1] * u.ndim
     shape[axis] = linear.size
     return np.where(linear.reshape(shape), np.concatenate([u[1:], u[-1:]]), u)
 
 
-def square(triangle: Array, q: int) -> Array:
+def symmetric_matrices(triangle: Array, q: int) -> Array:
     """Convert upper triangles by rows (n, q (q + 1) / 2) to symmetric matrices (n, q, q)."""
     full = np.empty((len(triangle), q, q))
     i, j = np.triu_indices(q)
@@ -303,9 +373,10 @@ def square(triangle: Array, q: int) -> Array:
 
 
 def parallel(work: Callable[[slice], T], chunks: Sequence[slice], threads: int) -> list[T]:
-    """Return the results of ``work`` for each chunk, in order, computed on several threads.
+    """Return the results of ``work`` for each of the slices ``chunks``, in their order, computed on several threads.
 
-    Threads are useful here because the kernels release the global interpreter lock.
+    With fewer than two threads or slices it runs in the calling thread. Threads are useful here because the kernels
+    release the global interpreter lock.
     """
     if threads < 2 or len(chunks) < 2:
         return [work(c) for c in chunks]
@@ -313,8 +384,8 @@ def parallel(work: Callable[[slice], T], chunks: Sequence[slice], threads: int) 
         return list(pool.map(work, chunks))
 
 
-def _flat(a: Array) -> Array:
-    """Convert lanes (groups, k, width) to rows (groups width, k)."""
+def _from_lanes(a: Array) -> Array:
+    """Convert vector lanes (groups, k, width) to one row for each experiment (groups * width, k)."""
     return np.asarray(a.transpose(0, 2, 1).reshape(-1, a.shape[1]))
 
 
@@ -333,15 +404,25 @@ def planned_record(
     model
         The model.
     t
-        Times (n_rows,) [s].
+        Times of the rows (n_rows,) [s].
     u
-        Inputs (n_rows, n_inputs).
+        Inputs (n_rows, n_inputs), in the units of the model.
     every
-        Number of rows between two samples of a sensor, by sensor; default 1.
+        Number of rows from one sample to the next, by sensor; 1 for a sensor that is not named.
     values
         Parameter values (n_parameters,), by default those of the model.
     name
         Name of the record.
+
+    Returns
+    -------
+    Record
+        Inputs, and outputs that are NaN in rows without a sample of their sensor.
+
+    Raises
+    ------
+    ValueError
+        If ``every`` names a sensor that the model lacks.
     """
     end = interval_ends(model, u)
     columns = tuple(i.name for i in model.inputs), tuple(o.name for o in model.outputs)
@@ -357,7 +438,7 @@ def planned_record(
 def prediction_information(
     model: Model, record: Record, values: Array | None = None, free: Sequence[str] | None = None
 ) -> Array:
-    """Return the prediction-error information of a record.
+    """Return the Fisher information of a record by prediction error, without prior information.
 
     Parameters
     ----------
@@ -373,13 +454,17 @@ def prediction_information(
     Returns
     -------
     Array (q, q)
+        In the units of the parameters.
     """
     values = np.array([p.value for p in model.parameters]) if values is None else values
     return Likelihood(model).scores(record, values, free).information
 
 
 def prior_information(parameters: Sequence[Parameter]) -> Array:
-    """Return the diagonal matrix of the prior information (q, q) about the parameters, in their units."""
+    """Return the diagonal matrix of the prior information (q, q) about parameters, in their units.
+
+    An element is 1 over the variance of the prior of a parameter at its value; 0 for a parameter without a prior.
+    """
     found = np.zeros(len(parameters))
     for i, p in enumerate(parameters):
         prior = p.free_prior()
@@ -394,14 +479,15 @@ def errors_of(information: Array) -> Array:
     Parameters
     ----------
     information
-        Information matrices (..., q, q).
+        Information matrices (..., q, q), in the units of the parameters.
 
     Returns
     -------
     Array (..., q)
-        Standard errors. They are inf for a parameter without information, and for a parameter that cannot be separated
-        from others: the part of its unit vector in the null space is above ``NULL_PART``. The errors of the other
-        parameters are computed with the pseudo-inverse.
+        Standard errors in the units of the parameters. They are inf for a parameter without information, and for a
+        parameter that cannot be separated from others: the part of its unit vector in the null space is 0.1
+        (``NULL_PART``) or more. The errors of the other parameters are computed with the pseudo-inverse. All are inf
+        for a matrix with elements that are not finite.
     """
     size = np.sqrt(np.maximum(np.diagonal(information, axis1=-2, axis2=-1), 0.0))
     found = np.full(size.shape, np.inf)
@@ -420,17 +506,32 @@ def errors_of(information: Array) -> Array:
 
 @dataclass(frozen=True)
 class InformationSegment:
-    """Information of one segment of a log about q parameters."""
+    """Information about q parameters in one segment (interval of time) of a record.
 
-    record: str  # name of the record
-    t_from: float  # s
-    t_to: float  # s
-    information: Array  # (q, q)
-    # (q,), factor by which each standard error would grow without the segment. 1: the segment has no information;
-    # inf: only this segment informs the parameter.
+    Attributes
+    ----------
+    record
+        Name of the record.
+    t_from, t_to
+        Start and end of the segment [s], in the time of the record.
+    information : Array (q, q)
+        Information that the segment adds to the segments before it in its record, without the priors.
+    weight : Array (q,)
+        Factor by which the standard error of each parameter would grow without the segment. 1: the segment has no
+        information; inf: only this segment informs the parameter; NaN: no segment does.
+    alone : Array (q,)
+        Standard errors from this segment and the priors alone; inf if they do not determine the parameter.
+    whole : Array (q,)
+        Standard errors from all segments of all records and the priors.
+    """
+
+    record: str
+    t_from: float
+    t_to: float
+    information: Array
     weight: Array
-    alone: Array  # (q,), standard errors from this segment alone
-    whole: Array  # (q,), standard errors from all segments of all records
+    alone: Array
+    whole: Array
 
 
 def segment_information(
@@ -442,7 +543,7 @@ def segment_information(
     values: Sequence[Array] | None = None,
     inflation: Mapping[str, float] | None = None,
 ) -> list[InformationSegment]:
-    """Return the prediction-error information of each segment of the records.
+    """Return the Fisher information of each segment (interval of ``seconds``) of the records, by prediction error.
 
     Parameters
     ----------
@@ -451,9 +552,10 @@ def segment_information(
     records
         The records.
     names
-        Parameters of the result.
+        Names of the q parameters of the result.
     seconds
-        Length of a segment [s].
+        Length of a segment [s]. The last segment of a record has 0.5 to 1.5 times this length. A record of up to 1.5
+        times this length is one segment.
     values
         Values of ``model.parameters`` (n_parameters,) for each record, by default those of the model.
     inflation
@@ -462,9 +564,9 @@ def segment_information(
 
     Returns
     -------
-    list
-        The segments of all records. The information of a segment is what it adds to the segments before it in its
-        record. Per-record nuisance parameters (current, biases) and noise parameters are unknown.
+    list of InformationSegment
+        The segments of all records, in their order. The information of a segment is what it adds to the segments before
+        it in its record. Per-record nuisance parameters (current, biases) and noise parameters are unknown.
     """
     nuisances = [p for p in model.parameters if p.free and p.name not in names]
     shared = [*names, *[p.name for p in nuisances if not p.per_record]]
@@ -495,16 +597,24 @@ def segment_information(
 def _increments(
     model: Model, record: Record, values: Array | None, free: Sequence[str], seconds: float
 ) -> list[tuple[float, float, Array]]:
-    """Return start and end [s] of each segment of a record, and the information (q, q) that the segment adds."""
+    """Return start and end [s] of each segment of a record, and the information (n, n) that the segment adds.
+
+    The n parameters are ``free``. The information of a segment is that of the record up to the end of the segment minus
+    that up to its start.
+    """
     starts = np.arange(0.0, max(record.duration - seconds / 2, seconds / 2), seconds)  # one for a short record
     edges = np.append(starts, record.duration) + record.t[0]
     past = edges[-1] + 1.0  # the last row belongs to the last segment
     ends = [record.part(record.t[0], past if k == edges.size - 1 else float(edges[k])) for k in range(1, edges.size)]
-    totals = parallel(partial(_total, model, ends, values, free), [slice(k, k + 1) for k in range(len(ends))], 2)
+    totals = parallel(
+        partial(_record_information, model, ends, values, free), [slice(k, k + 1) for k in range(len(ends))], 2
+    )
     steps = np.diff(np.concatenate([np.zeros((1, len(free), len(free))), totals]), axis=0)
     return [(float(a), float(b), F) for a, b, F in zip(edges[:-1], edges[1:], steps, strict=True)]
 
 
-def _total(model: Model, ends: Sequence[Record], values: Array | None, free: Sequence[str], which: slice) -> Array:
-    """Return the information of the first of the selected records."""
-    return prediction_information(model, ends[which.start], values, free)
+def _record_information(
+    model: Model, records: Sequence[Record], values: Array | None, free: Sequence[str], selected: slice
+) -> Array:
+    """Return the information (q, q) about the parameters ``free`` in the first record of the slice ``selected``."""
+    return prediction_information(model, records[selected.start], values, free)

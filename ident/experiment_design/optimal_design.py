@@ -21,6 +21,7 @@ import numpy as np
 from seatrial.daq.errors import SeatrialError
 from seatrial.ident.estimation import SampledInputs, simulate, simulate_stochastic
 from seatrial.ident.experiment_design.criteria import SINGULAR
+from seatrial.ident.experiment_design.evaluator import N_TRACKS, DesignEvaluator
 from seatrial.ident.experiment_design.excitation import StepInput, prbs, rgs
 from seatrial.ident.experiment_design.information import (
     errors_of,
@@ -28,11 +29,11 @@ from seatrial.ident.experiment_design.information import (
     prediction_information,
     prior_information,
 )
-from seatrial.ident.experiment_design.task import N_TRACKS, DesignProblem
+from seatrial.ident.experiment_design.problem import DesignProblem
 from seatrial.ident.numerics import Array, Evaluate, EvaluateAbove, PatternSearch, SearchResult
 
 N_START, N_RESTARTS = 512, 4  # random sequences, and the best of them from which a search starts
-BLOCK = 100.0  # s, shortest block of a long experiment that is designed separately
+SHORTEST_DESIGN_BLOCK_S = 100.0  # s, shortest block of a long experiment that is designed separately and repeated
 LEVEL_DIGITS = 3  # decimal digits of a level in mission.toml
 N_BAND = 64  # simulated boats for the band of the track
 Progress = Callable[[int, float], None]
@@ -40,128 +41,178 @@ Progress = Callable[[int, float], None]
 
 @dataclass(frozen=True)
 class Design:
-    """Best design of a search."""
+    """Best step sequence that a search found, with its information.
 
-    task: DesignProblem
-    levels: Array  # (n_steps, n_channels)
-    durations: Array  # (n_steps,) [s]
-    value: float  # criterion, with the prior information
-    information: Array  # (q, q), about the parameters `task.free`, without the prior information
+    Attributes
+    ----------
+    problem
+        Design problem that was searched.
+    levels : Array (n_steps, n_channels)
+        Level of each step on each channel, -1 to 1.
+    durations : Array (n_steps,)
+        Duration of each step [s].
+    value
+        Optimality criterion, with the prior information.
+    information : Array (q, q)
+        Information of the experiment about the parameters ``problem.free``, without the prior information.
+    found
+        Result of the search: best point and number of evaluations.
+    """
+
+    problem: DesignProblem
+    levels: Array
+    durations: Array
+    value: float
+    information: Array
     found: SearchResult
 
-    def command_on(self, task: DesignProblem) -> Array:
-        """Return the command (n_rows, n_channels) on the rows of a task."""
-        return task.actuation.limited(self.levels[:, :, None], self.durations[:, None])[:, :, 0]
+    @cached_property
+    def evaluator(self) -> DesignEvaluator:
+        """Evaluator of the design problem."""
+        return DesignEvaluator(self.problem)
+
+    def command_on(self, problem: DesignProblem) -> Array:
+        """Return the command (n_rows, n_channels), -1 to 1, with the slew limit, on the rows of another problem.
+
+        The other problem differs from that of the design in the spacing of its rows only.
+        """
+        return problem.actuation.limited(self.levels[:, :, None], self.durations[:, None])[:, :, 0]
 
     @property
     def command(self) -> Array:
-        """Command (n_rows, n_channels) on the rows of the design problem."""
-        return self.command_on(self.task)
+        """Command (n_rows, n_channels), -1 to 1, with the slew limit, on the rows of the design problem."""
+        return self.command_on(self.problem)
 
     @property
     def before(self) -> dict[str, float]:
-        """Standard errors before the experiment by parameter; inf if there is no information."""
-        return self._by_name(self.task.prior)
+        """Standard errors before the experiment, by observed parameter; inf for one without prior information."""
+        return self._errors_by_name(self.evaluator.prior_information)
 
     @property
     def errors(self) -> dict[str, float]:
-        """Standard errors after the experiment by parameter, by the information of the design with known noise."""
-        return self._by_name(self.information + self.task.prior)
+        """Standard errors after the experiment, by observed parameter.
+
+        They follow from the information in the search, which treats the noise parameters as known.
+        """
+        return self._errors_by_name(self.information + self.evaluator.prior_information)
 
     @cached_property
     def predicted(self) -> dict[str, float]:
-        """Standard errors that a fit can reach after the experiment, by parameter (`predicted_errors`)."""
-        return predicted_errors(self.task, self.command_on(self.task.finer))
+        """Standard errors that a fit can reach after the experiment, by observed parameter.
 
-    def _by_name(self, information: Array) -> dict[str, float]:
-        """Return the standard errors of the parameters `task.learned` by an information matrix (q, q)."""
-        q = len(self.task.observed_parameters)
-        return dict(zip(self.task.observed_parameters, errors_of(information)[:q].tolist(), strict=True))
+        They follow from prediction error with all sensors at their rates and with unknown noise parameters.
+        """
+        return predicted_errors(self.problem, self.command_on(self.problem.finer))
+
+    def _errors_by_name(self, information: Array) -> dict[str, float]:
+        """Return the standard error of each observed parameter, from information (q, q) about ``problem.free``."""
+        q = len(self.problem.observed_parameters)
+        return dict(zip(self.problem.observed_parameters, errors_of(information)[:q].tolist(), strict=True))
 
 
-def predicted_errors(task: DesignProblem, command: Array) -> dict[str, float]:
+def predicted_errors(problem: DesignProblem, command: Array) -> dict[str, float]:
     """Return the standard errors that a fit can reach after an experiment.
 
     Parameters
     ----------
-    task
+    problem
         Design problem.
     command
-        Command (n_rows, n_channels) on the rows of ``task.finer``.
+        Command (n_rows, n_channels), -1 to 1, on the rows of ``problem.finer``, which are as frequent as the samples of
+        the fastest sensor.
 
     Returns
     -------
     dict
-        Standard errors of the parameters ``task.learned`` by name.
+        Standard error of each parameter that the sensors observe, by name, in the unit of the parameter. It is inf for
+        a parameter that cannot be separated from others.
 
     Notes
     -----
-    The information is that of prediction error with all sensors at their rates, and with unknown noise parameters.
+    The information is always that of prediction error, with all sensors at their rates and with unknown noise
+    parameters, also for a problem of output error. It includes the prior information, and is reduced by the inflation
+    of the standard errors in earlier logs.
     """
-    fine, q = task.finer, len(task.observed_parameters)
-    model = fine.observed(task.model)
+    evaluator = DesignEvaluator(problem)
+    fine, q = problem.finer, len(problem.observed_parameters)
+    model = fine.observed(problem.model)
     u = fine.actuation.inputs(command[:, :, None])[:, :, 0]
     record = planned_record(model, fine.t, u, fine.every)
     free = [
-        *task.observed_parameters,
-        *[p.name for p in model.parameters if p.free and p.name not in task.observed_parameters],
+        *problem.observed_parameters,
+        *[p.name for p in model.parameters if p.free and p.name not in problem.observed_parameters],
     ]
-    inflation = np.array([task.inflation.get(n, 1.0) for n in free])
+    inflation = np.array([evaluator.prior.inflation.get(n, 1.0) for n in free])
     F = prediction_information(model, record, free=free) / np.outer(inflation, inflation)
     F = F + prior_information([model.parameter(n) for n in free])
-    F[:q, :q] = (
-        F[:q, :q] - prior_information([model.parameter(n) for n in task.observed_parameters]) + task.prior[:q, :q]
-    )
-    return dict(zip(task.observed_parameters, errors_of(F)[:q].tolist(), strict=True))
+    of_model = prior_information([model.parameter(n) for n in problem.observed_parameters])
+    F[:q, :q] = F[:q, :q] - of_model + evaluator.prior_information[:q, :q]
+    return dict(zip(problem.observed_parameters, errors_of(F)[:q].tolist(), strict=True))
 
 
 @dataclass(frozen=True)
 class Track:
-    """Predicted track, from the rest before the steps to the end of the coasting after them."""
+    """Predicted track, from the rest before the steps to the end of the coasting after them.
 
-    t: Array  # (n,) [s], since the start of the mission
-    x: Array  # (n,) [m] north of the start, nominal boat that starts with heading north
-    y: Array  # (n,) [m] east of the start
-    radius: Array  # (n,) [m], of the circle about the nominal position that holds 95 % of the sampled boats
-    others: Array  # (k, n, 2) [m], positions of boats sampled from the prior, with process noise
-    inside: float | None  # share of the sampled boats that stay in the area; None without an area
-    corner: Array | None  # (2,) [m], south-west corner of the area relative to the start; None without an area
+    Attributes
+    ----------
+    t : Array (n,)
+        Times [s] since the start of the mission.
+    x, y : Array (n,)
+        Position [m] north and east of the start. The nominal boat starts with a heading of north.
+    radius : Array (n,)
+        Radius [m] of the circle about the nominal position that holds 95 % of the sampled boats.
+    others : Array (k, n, 2)
+        Positions (north, east) [m] of k boats sampled from the prior, with process noise.
+    inside
+        Share of the sampled boats that stay in the area during the whole mission; None without an area.
+    corner : Array (2,)
+        South-west corner (north, east) [m] of the area relative to the start; None without an area.
+    """
+
+    t: Array
+    x: Array
+    y: Array
+    radius: Array
+    others: Array
+    inside: float | None
+    corner: Array | None
 
 
 def predicted_track(made: Design, points: int = 61) -> Track | None:
-    """Predict the track of a design by simulation.
+    """Predict the track of a design by simulation of the nominal boat and of 64 sampled boats with process noise.
 
     Parameters
     ----------
     made
         The design.
     points
-        Number of points of the track.
+        Number of points of the track, evenly spaced in time. With fewer rows in the mission there are fewer points.
 
     Returns
     -------
     Track or None
-        None if the model has no position.
+        None if the model has no position ``x`` and ``y``.
     """
-    task = made.task
-    names = [s.name for s in task.model.states]
+    problem = made.problem
+    names = [s.name for s in problem.model.states]
     if not {"x", "y"} <= set(names):
         return None
     columns = [names.index("x"), names.index("y")]
-    t, u = task.t_whole, task.whole_inputs(made.command[:, :, None])[:, :, 0]
-    nominal = simulate(task.model, planned_record(task.model, t, u)).x[:, columns]
-    rngs = [np.random.default_rng([task.seed, 20, k]) for k in range(N_BAND)]
+    t, u = problem.t_whole, problem.whole_inputs(made.command[:, :, None])[:, :, 0]
+    nominal = simulate(problem.model, planned_record(problem.model, t, u)).x[:, columns]
+    rngs = [np.random.default_rng([problem.seed, 20, k]) for k in range(N_BAND)]
     others = simulate_stochastic(
-        task.model,
+        problem.model,
         SampledInputs.linear(t, u),
-        task.boats(N_BAND, 3),
+        made.evaluator.boats(N_BAND, 3),
         rngs,
         x0=np.zeros((N_BAND, len(names))),
-        substep=task.grid / 2,
+        substep=problem.grid / 2,
     )[0][:, :, columns]
-    inside, corner = None, task.corner(made.command)
-    if corner is not None and task.limits.area is not None:
-        kept = (others >= corner) & (others <= corner + np.array(task.limits.area))
+    inside, corner = None, made.evaluator.area_corner(made.command)
+    if corner is not None and problem.limits.area is not None:
+        kept = (others >= corner) & (others <= corner + np.array(problem.limits.area))
         inside = float(np.mean(kept.all(axis=(1, 2))))
     at = np.unique(np.linspace(0, t.size - 1, points).round().astype(int))
     radius = np.quantile(np.hypot(*(others - nominal).transpose(2, 0, 1)), 0.95, axis=0)
@@ -169,85 +220,99 @@ def predicted_track(made: Design, points: int = 61) -> Track | None:
 
 
 def design(
-    task: DesignProblem, *, evaluations: int = 20_000, warm: Array | None = None, progress: Progress | None = None
+    problem: DesignProblem, *, evaluations: int = 20_000, warm: Array | None = None, progress: Progress | None = None
 ) -> Design:
-    """Search the optimal step sequence.
+    """Search the optimal step sequence of a design problem.
 
     Parameters
     ----------
-    task
+    problem
         Design problem.
     evaluations
-        Number of evaluations of the criterion.
+        Number of evaluations of the criterion in the whole search.
     warm
-        Search points (n, size) to start from. By default the search starts from the best of many random sequences, or
-        from a block that is designed first.
+        Search points (n, size) to start from, as `StepInput` describes them. By default the search starts from the best
+        of 512 random sequences. For prediction error it starts from a shorter block that is designed first and
+        repeated, if the experiment can be divided into such blocks of 100 to 200 s.
     progress
         Function of the number of evaluations and the best value, called during the search.
 
     Returns
     -------
     Design
-        The same seed gives the same design.
+        Best sequence, with levels rounded to three decimal digits. The same seed gives the same design.
 
     Raises
     ------
     SeatrialError
-        If no sequence that was found keeps to the limits, or informs all parameters.
+        If no sequence that was found keeps to the limits, or if none informs all parameters.
     """
-    if warm is None and task.process_noise:
-        warm = _block(task, evaluations, progress)
+    if warm is None and problem.process_noise:
+        warm = _repeated_block(problem, evaluations, progress)
         evaluations = evaluations if warm is None else evaluations // 2
-    found = _search(task, evaluations, warm, progress)
-    levels, durations = (a[..., 0] for a in task.steps.unpack(found.z[None]))
-    n_max = task.steps.n_max
+    evaluator = DesignEvaluator(problem)
+    found = _search_within_limits(evaluator, evaluations, warm, progress)
+    levels, durations = (a[..., 0] for a in problem.steps.unpack(found.z[None]))
+    n_max = problem.steps.n_max
     levels = np.clip(levels.round(LEVEL_DIGITS), -n_max, n_max)
-    rounded = task.actuation.limited(levels[:, :, None], durations[:, None])
-    (value,), (singular,) = task.criterion_of(rounded)
-    (beyond,) = task.violation(rounded)
+    rounded = problem.actuation.limited(levels[:, :, None], durations[:, None])
+    (value,), (singular,) = evaluator.mean_criterion(rounded)
+    (beyond,) = evaluator.violation(rounded)
     if value <= SINGULAR or singular > 0:
-        raise SeatrialError(_uninformative(task, float(singular)))
+        raise SeatrialError(_no_information_message(problem, float(singular)))
     if beyond > 10.0**-LEVEL_DIGITS:
-        raise SeatrialError(_too_tight(task, float(beyond)))
-    information = task.information(task.actuation.inputs(rounded))[0]
-    return Design(task, levels, durations, float(value), information, found)
+        raise SeatrialError(_limits_message(problem, float(beyond)))
+    information = evaluator.information(problem.actuation.inputs(rounded))[0]
+    return Design(problem, levels, durations, float(value), information, found)
 
 
-def _block(task: DesignProblem, evaluations: int, progress: Progress | None) -> Array | None:
-    """Return the start of the search for a long experiment: a shorter block, designed separately and repeated.
+def _repeated_block(problem: DesignProblem, evaluations: int, progress: Progress | None) -> Array | None:
+    """Return the start of the search for a long experiment: a shorter experiment that is designed and then repeated.
 
-    The information of a filter adds up over time, so that a good block remains good when it is repeated. A block has
-    fewer steps and is simulated faster, so that its search is more thorough. It takes half of the evaluations. None if
-    the experiment cannot be divided into equal blocks.
+    The shorter experiment (block) has 100 to 200 s and at least 8 steps. Its search takes as much time as half of the
+    evaluations of the long experiment. The information of a filter adds up over time, so that a good block remains good
+    when it is repeated. A block has fewer steps and is simulated faster, so that its search is more thorough.
+
+    Returns
+    -------
+    Array (1, size) or None
+        Search point of the long experiment. None if the experiment cannot be divided into 2 to 12 equal blocks of whole
+        rows and whole steps.
     """
-    steps = task.steps
+    steps = problem.steps
     parts = [
         k
         for k in range(2, 13)
         if steps.n_steps % k == 0
         and steps.n_steps // k >= 8
-        and BLOCK <= steps.duration / k <= 2 * BLOCK
+        and SHORTEST_DESIGN_BLOCK_S <= steps.duration / k <= 2 * SHORTEST_DESIGN_BLOCK_S
         and np.isclose(steps.duration / k / steps.grid, round(steps.duration / k / steps.grid))
     ]
     if not parts:
         return None
-    k = min(parts, key=lambda n: abs(steps.duration / n - 1.4 * BLOCK))
-    short = replace(task, steps=replace(steps, n_steps=steps.n_steps // k, duration=steps.duration / k))
-    z = _search(short, evaluations * k // 2, None, progress).z
+    k = min(parts, key=lambda n: abs(steps.duration / n - 1.4 * SHORTEST_DESIGN_BLOCK_S))
+    short = replace(problem, steps=replace(steps, n_steps=steps.n_steps // k, duration=steps.duration / k))
+    z = _search_within_limits(DesignEvaluator(short), evaluations * k // 2, None, progress).z
     n_levels = short.steps.n_steps * short.steps.n_channels
     return np.append(np.tile(z[:n_levels], k), np.tile(z[n_levels:], k))[None]
 
 
-def _search(task: DesignProblem, evaluations: int, warm: Array | None, progress: Progress | None) -> SearchResult:
-    """Search the step sequence with the largest criterion within the limits."""
+def _search_within_limits(
+    evaluator: DesignEvaluator, evaluations: int, warm: Array | None, progress: Progress | None
+) -> SearchResult:
+    """Search the step sequence with the largest criterion within the limits of the design problem.
+
+    ``warm``: search points (n, size) to start from; None: the best of 512 random points.
+    """
+    problem = evaluator.problem
     return search_design(
-        task.steps,
-        lambda z: task.judge(task.commands(z)),
+        problem.steps,
+        lambda z: evaluator.evaluate(problem.commands(z)),
         evaluations,
-        task.seed,
+        problem.seed,
         warm,
         progress,
-        above=lambda z, least: task.judge_above(task.commands(z), least),
+        above=lambda z, least: evaluator.evaluate_above(problem.commands(z), least),
     )
 
 
@@ -262,26 +327,30 @@ def search_design(
     n_start: int = N_START,
     above: EvaluateAbove | None = None,
 ) -> SearchResult:
-    """Search step sequences with a pattern search.
+    """Search the step sequence with the largest value and no violation, by pattern search.
+
+    The levels and the duration of one step move together.
 
     Parameters
     ----------
     steps
-        Input class.
+        Input class, which defines the search points and their bounds.
     evaluate
-        Function of search points (n, size) that returns value (n,) and violation (n,).
+        Function of search points (n, size) that returns value (n,) and violation (n,); a violation above 0 means that a
+        point is not admissible.
     evaluations
-        Number of evaluations.
+        Number of evaluations of points, without those of the random start points.
     seed
         Seed of the search.
     warm
-        Search points (n, size) to start from. By default they are the best of ``n_start`` random points.
+        Search points (n, size) to start from. None: the best four of ``n_start`` random points.
     progress
         Function of the number of evaluations and the best value, called during the search.
     n_start
         Number of random points.
     above
-        Faster evaluation against a merit, as in `PatternSearch`.
+        Function of search points and a merit (the value of an admissible point) that returns value and violation. It
+        may be inexact, and therefore faster, for points that are not better than the merit.
     """
     if warm is None:
         starts = steps.random(n_start, np.random.default_rng([seed, 13]))
@@ -292,28 +361,30 @@ def search_design(
     return PatternSearch(evaluate, steps.low, steps.high, seed, together, above).run(warm, evaluations, progress)
 
 
-def _uninformative(task: DesignProblem, singular: float) -> str:
-    """Return the message for a design without information about some parameters; ``singular``: share of samples."""
-    names = ", ".join(task.chosen or task.observed_parameters)
-    where = (
-        f" in all of the {task.robust} parameter samples (singular in {100 * singular:.0f} %)" if task.robust else ""
-    )
+def _no_information_message(problem: DesignProblem, singular: float) -> str:
+    """Return the error message for a design that does not inform all chosen parameters.
+
+    ``singular`` is the share of the parameter samples with a singular information matrix, 0 to 1. The message gives it
+    for a robust design only.
+    """
+    names, steps = ", ".join(problem.chosen or problem.observed_parameters), problem.steps
+    where = f" in all of the {problem.robust} parameter samples (singular in {100 * singular:.0f} %)"
     return (
-        f"no sequence of {task.steps.n_steps} steps in {task.steps.duration:g} s was found that informs all of {names}"
-        f"{where}: "
-        f"the sensors cannot separate them, or the simulation diverges on rows of {task.grid:g} s; give "
+        f"no sequence of {steps.n_steps} steps in {steps.duration:g} s was found that informs all of {names}"
+        f"{where if problem.robust else ''}: "
+        f"the sensors cannot separate them, or the simulation diverges on rows of {problem.grid:g} s; give "
         "fewer --parameters, or other --steps"
     )
 
 
-def _too_tight(task: DesignProblem, violation: float) -> str:
-    """Return the message for limits that no sequence keeps; ``violation``: relative excess."""
-    limits = task.limits
+def _limits_message(problem: DesignProblem, violation: float) -> str:
+    """Return the error message for limits that no sequence keeps; ``violation`` is the summed relative excess."""
+    limits = problem.limits
     options = [f"--area {limits.area[0]:g}x{limits.area[1]:g}"] if limits.area else []
     options += [f"--max-speed {limits.speed:g}"] if limits.speed else []
     options += [f"--energy {limits.energy:g}"] if limits.energy else []
     return (
-        f"no sequence of {task.steps.n_steps} steps in {task.steps.duration:g} s was found that keeps to "
+        f"no sequence of {problem.steps.n_steps} steps in {problem.steps.duration:g} s was found that keeps to "
         f"{', '.join(options)} for all of {N_TRACKS} parameter samples (exceeded by {100 * violation:.0f} %); "
         "give more room, a shorter --duration, a smaller --prior-halfwidth, or a model.toml with smaller errors"
     )
@@ -326,22 +397,37 @@ AMPLITUDES = (0.35, 0.6, 1.0)  # of n_max: amplitude or standard deviation
 
 @dataclass(frozen=True)
 class BaselineSignal:
-    """Best baseline signal of one kind."""
+    """Best baseline signal of one kind: pseudo-random binary (PRBS) or random Gaussian (RGS).
+
+    Attributes
+    ----------
+    kind
+        Kind of the signal.
+    command : Array (n_rows, n_channels)
+        Command, -1 to 1, with the slew limit.
+    value
+        Optimality criterion of the command, with the prior information.
+    bandwidth
+        Clock period [s] of a PRBS, corner frequency [Hz] of an RGS.
+    values : Array (n_sequences,)
+        Criterion of each random sequence at its best bandwidth and amplitude.
+    """
 
     kind: Literal["PRBS", "RGS"]
-    command: Array  # (n_rows, n_channels), after the slew limit
-    value: float  # criterion
-    bandwidth: float  # clock period [s] of a PRBS, corner frequency [Hz] of an RGS
-    values: Array  # (n_seeds,), criterion of each seed at its best bandwidth and amplitude
+    command: Array
+    value: float
+    bandwidth: float
+    values: Array
 
 
-def baseline_signals(task: DesignProblem, n: int = 20, seed: int = 1) -> dict[str, BaselineSignal]:
-    """Return the best of n sequences of each kind, each at its best bandwidth and amplitude.
+def baseline_signals(problem: DesignProblem, n: int = 20, seed: int = 1) -> dict[str, BaselineSignal]:
+    """Return the best of n random sequences of each kind, each at its best bandwidth and amplitude.
 
     Parameters
     ----------
-    task
-        Design problem.
+    problem
+        Design problem. Its slew limit applies to the sequences. Its limits of area, speed and energy do not, which
+        favours the baseline.
     n
         Number of sequences of each kind.
     seed
@@ -350,18 +436,19 @@ def baseline_signals(task: DesignProblem, n: int = 20, seed: int = 1) -> dict[st
     Returns
     -------
     dict
-        Best signal of the kinds ``PRBS`` and ``RGS``. Limits of the track do not apply, which favours the baseline.
+        Best signal of each kind, by the names ``PRBS`` and ``RGS``.
     """
-    channels, n_max = len(task.actuation.channels), task.steps.n_max
+    evaluator = DesignEvaluator(problem)
+    channels, n_max = len(problem.actuation.channels), problem.steps.n_max
     makers = {
-        "PRBS": [(c, s, partial(prbs, task.t, c, channels, s * n_max)) for c in CLOCK_PERIODS for s in AMPLITUDES],
-        "RGS": [(c, s, partial(_gaussian, task.t, c, channels, s, n_max)) for c in CORNERS for s in AMPLITUDES],
+        "PRBS": [(c, s, partial(prbs, problem.t, c, channels, s * n_max)) for c in CLOCK_PERIODS for s in AMPLITUDES],
+        "RGS": [(c, s, partial(_rgs_of_share, problem.t, c, channels, s, n_max)) for c in CORNERS for s in AMPLITUDES],
     }
     found: dict[str, BaselineSignal] = {}
     for k, (kind, options) in enumerate(makers.items()):
         raw = np.stack([make(rng=np.random.default_rng([seed, k, i])) for i in range(n) for _, _, make in options], 2)
-        command = _slewed(raw, task.slew, task.grid)
-        value = _criterion(task, command).reshape(n, len(options))
+        command = _with_slew_limit(raw, problem.slew, problem.grid)
+        value = _baseline_criterion(evaluator, command).reshape(n, len(options))
         at = np.unravel_index(int(np.argmax(value)), value.shape)
         best = int(at[0]) * len(options) + int(at[1])
         found[kind] = BaselineSignal(
@@ -374,13 +461,19 @@ def baseline_signals(task: DesignProblem, n: int = 20, seed: int = 1) -> dict[st
     return found
 
 
-def _gaussian(t: Array, corner: float, channels: int, size: float, n_max: float, rng: np.random.Generator) -> Array:
-    """Return `rgs` with the standard deviation as a share of the largest command."""
+def _rgs_of_share(t: Array, corner: float, channels: int, size: float, n_max: float, rng: np.random.Generator) -> Array:
+    """Return random Gaussian sequences (n_rows, n_channels) with the standard deviation ``size * n_max``.
+
+    They are low-pass filtered at the corner frequency [Hz] and clipped at the largest command ``n_max``.
+    """
     return rgs(t, corner, channels, size * n_max, n_max, rng)
 
 
-def _slewed(command: Array, slew: float, step: float) -> Array:
-    """Return commands (n_rows, n_channels, n) that change by at most ``slew`` [1/s], starting from zero."""
+def _with_slew_limit(command: Array, slew: float, step: float) -> Array:
+    """Return commands (n_rows, n_channels, n) that follow the given ones at no more than ``slew`` [1/s].
+
+    Rows are ``step`` [s] apart. The first row is zero. Without a finite limit the commands are returned unchanged.
+    """
     if not np.isfinite(slew):
         return command
     out = np.empty_like(command)
@@ -391,38 +484,57 @@ def _slewed(command: Array, slew: float, step: float) -> Array:
     return out
 
 
-def _criterion(task: DesignProblem, command: Array) -> Array:
-    """Return the criterion (n,) as for a design: a mean if robust, and ``SINGULAR`` if any sample is singular."""
-    value, singular = task.criterion_of(command)
+def _baseline_criterion(evaluator: DesignEvaluator, command: Array) -> Array:
+    """Return the criterion (n,) of commands (n_rows, n_channels, n), as for a design.
+
+    For a robust design it is the mean over the parameter samples. It is ``SINGULAR`` (-1e9) if the information matrix
+    of any sample is singular.
+    """
+    value, singular = evaluator.mean_criterion(command)
     return np.where(singular > 0.0, SINGULAR, value)
 
 
 @dataclass(frozen=True)
 class Robustness:
-    """Criteria of several inputs over the same parameter samples."""
+    """Criteria of several commands over the same parameter samples.
 
-    values: Mapping[str, Array]  # criterion (n,) of each input by name
+    Attributes
+    ----------
+    values
+        Optimality criterion (n_samples,) of each command, by its name.
+    """
+
+    values: Mapping[str, Array]
 
     def share_won(self, ours: str = "design") -> float:
-        """Return the share of the samples in which the input ``ours`` is better than all other inputs."""
+        """Return the share (0 to 1) of the samples in which the command ``ours`` is better than all others.
+
+        A tie counts as not better. Without other commands the share is 1.
+        """
         others = [v for name, v in self.values.items() if name != ours]
         return float(np.mean(self.values[ours] > np.max(others, axis=0))) if others else 1.0
 
 
-def monte_carlo(task: DesignProblem, commands: Mapping[str, Array], n: int = 1000, seed: int = 1) -> Robustness:
-    """Return the criteria of several commands at random parameters.
+def monte_carlo(problem: DesignProblem, commands: Mapping[str, Array], n: int = 1000, seed: int = 1) -> Robustness:
+    """Return the optimality criteria of several commands at the same random parameters.
 
     Parameters
     ----------
-    task
-        Design problem. Its prior is the covariance of a fitted model, else a box about the nominal values.
+    problem
+        Design problem, from whose prior the parameters are drawn.
     commands
-        Commands (n_rows, n_channels) by name.
+        Commands (n_rows, n_channels), -1 to 1, by name.
     n
         Number of parameter samples.
     seed
         Seed of the samples.
+
+    Returns
+    -------
+    Robustness
+        Criterion of each command at each sample. It is ``SINGULAR`` (-1e9) for a singular information matrix.
     """
-    values = task.belief_or_box.sample(task.experiments.model, n, np.random.default_rng([seed, 17]))
-    inputs = {name: task.actuation.inputs(c[:, :, None])[:, :, 0] for name, c in commands.items()}
-    return Robustness({name: task.values(u, values) for name, u in inputs.items()})
+    evaluator = DesignEvaluator(problem)
+    values = evaluator.prior.sample(evaluator.experiments.model, n, np.random.default_rng([seed, 17]))
+    inputs = {name: problem.actuation.inputs(c[:, :, None])[:, :, 0] for name, c in commands.items()}
+    return Robustness({name: evaluator.criterion_values(u, values) for name, u in inputs.items()})

@@ -33,31 +33,37 @@ def row_spacing(members: Sequence[tuple[Model, Array]], longest: float, n_max: f
     longest
         Upper bound of the spacing [s].
     n_max
-        Largest command of the random steps for which the fastest pole is computed.
+        Largest command, 0 to 1, of the random steps along which the fastest pole is computed.
 
     Returns
     -------
     float
-        Spacing [s]: ``longest`` over a whole number. It divides the spacing of the delayed input taps, and is short
-        enough for the fastest pole.
+        Spacing [s]: ``longest`` over a whole number. It is at most the smallest delay of the delayed input taps, and at
+        most 1.4 over the fastest pole, or 0.005 s if the pole is faster than 280 1/s.
     """
-    copies = divided(longest, min(copy_spacing(model, longest) for model, _ in members))
+    copies = divided_spacing(longest, min(copy_spacing(model, longest) for model, _ in members))
     pole = max(fastest_pole(model, boats, n_max) for model, boats in members)
-    return divided(copies, max(STABLE / pole, SHORTEST) if pole > 0.0 else copies)
+    return divided_spacing(copies, max(STABLE / pole, SHORTEST) if pole > 0.0 else copies)
 
 
 def copy_spacing(model: Model, longest: float) -> float:
-    """Return the smallest delay [s] of the delayed input taps of a model, at most ``longest`` [s]."""
+    """Return the smallest delay or lead [s] of the delayed input taps of a model.
+
+    It is at most ``longest`` [s], which is also the result for a model without taps.
+    """
     return min([longest, *(abs(i.delay) for i in model.inputs if i.tap)])
 
 
-def divided(spacing: float, most: float) -> float:
-    """Divide a spacing by the smallest whole number with which the result is at most ``most``."""
+def divided_spacing(spacing: float, most: float) -> float:
+    """Divide a spacing by the smallest whole number with which the result is at most ``most``, and return the result.
+
+    Both are in the same unit, for example s.
+    """
     return spacing / int(np.ceil(spacing / most - 1e-9))
 
 
 def fastest_pole(model: Model, boats: Array, n_max: float) -> float:
-    """Return the fastest pole of a model along simulations with random steps.
+    """Return the fastest pole of a model along simulations of 4 s with random steps of thrust.
 
     Parameters
     ----------
@@ -66,12 +72,13 @@ def fastest_pole(model: Model, boats: Array, n_max: float) -> float:
     boats
         Parameter samples (n, n_parameters).
     n_max
-        Largest command of the random steps.
+        Largest command of the random steps, 0 to 1.
 
     Returns
     -------
     float
-        Largest absolute eigenvalue [1/s] of the Jacobian of the rates; 0 for a model without states.
+        Largest absolute eigenvalue [1/s] of the Jacobian of the rates over all samples and steps. Jacobians that are
+        not finite are left out. 0 for a model without states.
     """
     n, k = len(boats), len(model.states)
     if not k:
@@ -91,9 +98,10 @@ def fastest_pole(model: Model, boats: Array, n_max: float) -> float:
 
 
 def _jacobian(model: Model, x: Array, u: Array, boats: Array) -> Array:
-    """Return the Jacobian of the rates by central differences (n, n_states, n_states).
+    """Return the Jacobians (n, n_states, n_states) of the rates of the states by central differences.
 
-    It is taken at states x (n, n_states), inputs u (n_inputs,) and parameters ``boats`` (n, n_parameters).
+    Rates are along the second axis and states along the third. The Jacobians are taken at states x (n, n_states),
+    common inputs u (n_inputs,) and parameters ``boats`` (n, n_parameters).
     """
     J, steps = np.empty((len(x), x.shape[1], x.shape[1])), 1e-5 * (1.0 + np.abs(x))
 

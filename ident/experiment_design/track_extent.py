@@ -21,13 +21,15 @@ CURRENT = ("V_x", "V_y")
 
 
 def with_noise_inputs(model: Model) -> tuple[Model, list[str]]:
-    """Return the model with process noise as inputs, and the names of the states that have it.
+    """Return the model with process noise as inputs, and the names of the states that have process noise.
 
-    The input ``w_STATE`` [unit of the state / s] is added to the rate of the state.
+    The new inputs follow those of the model. The input ``w_STATE`` [unit of the state / s], linear between rows, is
+    added to the rate of the state. A model without process noise is returned unchanged, with an empty list.
     """
     noisy = [s for s in model.states if s.noise != 0.0]
 
     def add_noise(s: Signals) -> None:
+        """Add each noise input to the rate of its state, in place."""
         for state in noisy:
             s.rate[state.name] = s.rate[state.name] + getattr(s.u, f"w_{state.name}")
 
@@ -50,16 +52,22 @@ def in_current(model: Model, values: Array, largest: float, rng: np.random.Gener
     rng
         Random generator.
 
+    Returns
+    -------
+    Array (n, n_parameters)
+        Copy of the samples in which each has its own current ``V_x`` and ``V_y``. With a radius of 0 it is ``values``
+        itself.
+
     Raises
     ------
     SeatrialError
-        If the model has no current.
+        If the radius is not 0 and the model has no current.
     """
     if largest == 0.0:
         return values
     names = [p.name for p in model.parameters]
     if not set(CURRENT) <= set(names):
-        raise SeatrialError(f"model {model.name} has no current, so --current has no effect; leave it out")
+        raise SeatrialError(f"model {model.name} has no ocean current, so --current cannot be simulated; leave it out")
     speed, toward = largest * np.sqrt(rng.uniform(size=len(values))), 2.0 * np.pi * rng.uniform(size=len(values))
     found = values.copy()
     found[:, [names.index(n) for n in CURRENT]] = np.column_stack([speed * np.cos(toward), speed * np.sin(toward)])
@@ -67,9 +75,20 @@ def in_current(model: Model, values: Array, largest: float, rng: np.random.Gener
 
 
 class TrackExtent:
-    """Track extents of sampled boats (n_boats, n_parameters) on common times t (n_rows,) [s].
+    """Simulator of the extent of the tracks of sampled boats, with process noise.
 
-    The first boat has no process noise.
+    A call returns the minimum and the maximum of each state and of the squared speed, for each mission and boat.
+
+    Parameters
+    ----------
+    model
+        The model.
+    t
+        Times of the rows (n_rows,) [s].
+    boats
+        Parameter samples (n_boats, n_parameters). The first boat has no process noise.
+    seed
+        Seed of the process noise.
     """
 
     def __init__(self, model: Model, t: Array, boats: Array, seed: Sequence[int]) -> None:
@@ -78,17 +97,20 @@ class TrackExtent:
 
     @cached_property
     def _experiments(self) -> Experiments:
-        """Simulated experiments of the model with noise inputs."""
+        """Simulator of the model that has process noise as inputs."""
         return Experiments(self._disturbed, (), self._t, process_noise=False)
 
     @property
     def extremes(self) -> tuple[str, ...]:
-        """Names of the quantities whose extremes are returned."""
+        """Names of the k quantities of a call: the states, then the squared speed ``speed2`` if the model has one."""
         return self._experiments.extremes
 
     @cached_property
     def noise(self) -> Array:
-        """White noise (n_rows, n_noisy, n_boats) [unit/s] whose integral has the diffusion of the model."""
+        """White noise of each noisy state (n_rows, n_noisy, n_boats) [unit of the state / s]; 0 for the first boat.
+
+        Its integral is a random walk with the diffusion of the model.
+        """
         h, states = np.diff(self._t), {s.name: s for s in self._model.states}
         names = [p.name for p in self._model.parameters]
         out = np.zeros((self._t.size, len(self._noisy), len(self._boats)))
@@ -101,5 +123,8 @@ class TrackExtent:
         return out
 
     def __call__(self, u: Array) -> tuple[Array, Array]:
-        """Return minimum and maximum (n, n_boats, k) of ``extremes`` for inputs u (n_rows, n_inputs, n)."""
+        """Return the minimum and the maximum (n, n_boats, k) of the quantities ``extremes`` in n missions.
+
+        ``u``: inputs of the model (n_rows, n_inputs, n), without those of the process noise.
+        """
         return self._experiments.extents_in_noise(u, self.noise, self._boats)

@@ -14,7 +14,7 @@ restrict return short signed sizeof static struct switch typedef union unsigned 
 sin cos tan asin acos atan sinh cosh tanh asinh acosh atanh sqrt exp log log1p expm1 erf atan2 hypot fmod remainder
 copysign pow fabs fmin fmax floor ceil y0 y1 yn j0 j1 jn gamma signgam NAN INFINITY HUGE_VAL"""
 TAKEN = frozenset(WORDS.split())
-STEP = """
+STEP_FUNCTION = """
 /* States after dt [s], at most 0.1 s, for constant inputs: one step of Runge-Kutta 4. x_next may be the array x. */
 static inline void NAME_step(const double x[], const double u[], const double p[], double dt, double x_next[])
 {
@@ -32,10 +32,10 @@ static inline void NAME_step(const double x[], const double u[], const double p[
 """
 
 
-def write(c: Content) -> str:
-    """Return the text of the header file."""
-    guard = f"{c.name.upper()}_MODEL_H"
-    head = [line.replace("*/", "* /").replace("/*", "/ *") for line in header(c, "C99")]
+def write(content: Content) -> str:
+    """Return the text of the C99 header file of a model, from its collected content."""
+    guard = f"{content.name.upper()}_MODEL_H"
+    head = [line.replace("*/", "* /").replace("/*", "/ *") for line in header(content, "C99")]
     return "\n".join(
         [
             "/*",
@@ -46,57 +46,69 @@ def write(c: Content) -> str:
             "",
             "#include <math.h>",
             "",
-            *_names(c),
+            *_index_enumerations(content),
             "",
-            *_table(c, "parameters", [(v, comment(c, i)) for i, v in enumerate(c.values)], "default of p"),
-            *_table(
-                c,
+            *_array_lines(
+                content, "parameters", [(v, comment(content, i)) for i, v in enumerate(content.values)], "default of p"
+            ),
+            *_array_lines(
+                content,
                 "state_noise",
-                [(v, n) for n, v in zip(c.states, c.state_noise, strict=True)],
+                [(v, n) for n, v in zip(content.states, content.state_noise, strict=True)],
                 "diffusion of each state [unit/sqrt(s)]",
             ),
-            *_table(
-                c,
+            *_array_lines(
+                content,
                 "output_noise",
-                [(v, n) for n, v in zip(c.outputs, c.output_noise, strict=True)],
+                [(v, n) for n, v in zip(content.outputs, content.output_noise, strict=True)],
                 "standard deviation of the noise of each output [unit]",
             ),
-            _function(c, "f", "dx", c.programs[0], "Rates of the states [unit/s]."),
-            _function(c, "h", "y", c.programs[1], "Sensor outputs without noise."),
-            STEP.replace("NAME", c.name),
+            _function(content, "f", "dx", content.programs[0], "Rates of the states [unit/s]."),
+            _function(content, "h", "y", content.programs[1], "Sensor outputs without noise."),
+            STEP_FUNCTION.replace("NAME", content.name),
             "#endif",
             "",
         ]
     )
 
 
-def _names(c: Content) -> list[str]:
+def _index_enumerations(content: Content) -> list[str]:
     """Return enumerations of the indices (NAME_x_STATE etc.) and of the sizes NAME_NX, NAME_NU, NAME_NY, NAME_NP."""
     lines = []
-    for letter, names in (("x", c.states), ("u", c.inputs), ("y", c.outputs), ("p", c.parameters)):
-        members = [f"    {c.name}_{letter}_{n}," for n in names]
-        lines += ["enum {", *members, f"    {c.name}_N{letter.upper()}", "};"]
+    for letter, names in (
+        ("x", content.states),
+        ("u", content.inputs),
+        ("y", content.outputs),
+        ("p", content.parameters),
+    ):
+        members = [f"    {content.name}_{letter}_{n}," for n in names]
+        lines += ["enum {", *members, f"    {content.name}_N{letter.upper()}", "};"]
     return lines
 
 
-def _table(c: Content, name: str, rows: Sequence[tuple[float, str]], description: str) -> list[str]:
-    """Return an array of values with a comment beside each; ``description`` is the comment above the array.
+def _array_lines(content: Content, name: str, rows: Sequence[tuple[float, str]], description: str) -> list[str]:
+    """Return the lines of a C array NAME_``name`` of values, with a comment beside each.
 
-    C has no arrays without elements, so an empty table gets one zero.
+    ``rows`` are pairs of value and comment. ``description`` is the comment above the array. C has
+    no arrays without elements, so an empty array gets one zero.
     """
     values = [f"    {C.number(v)}, /* {text.replace('*/', '* /').replace('/*', '/ *')} */" for v, text in rows]
-    return [f"/* {description} */", f"static const double {c.name}_{name}[] = {{", *(values or ["    0.0"]), "};"]
+    return [f"/* {description} */", f"static const double {content.name}_{name}[] = {{", *(values or ["    0.0"]), "};"]
 
 
-def _function(c: Content, name: str, result: str, program: Program, description: str) -> str:
-    """Return the text of one function of (x, u, p) that writes to the array ``result``."""
+def _function(content: Content, name: str, result: str, program: Program, description: str) -> str:
+    """Return the text of one C function of (x, u, p) that writes to the array argument ``result``.
+
+    ``name`` is ``f`` for the rates of the states or ``h`` for the outputs. Arguments that the program does not use are
+    cast to void, which avoids a compiler warning. ``description`` is the comment above the function.
+    """
     lines, ends = write_lines(program, C, [*TAKEN, *program.used])
-    arguments = [(s, f"x[{c.name}_x_{n}]") for s, n in zip(c.symbols[0], c.states, strict=True)]
-    arguments += [(s, f"u[{c.name}_u_{n}]") for s, n in zip(c.symbols[1], c.inputs, strict=True)]
-    ids = dict(zip([p.name for p in c.own], c.parameters, strict=True))
+    arguments = [(s, f"x[{content.name}_x_{n}]") for s, n in zip(content.symbols[0], content.states, strict=True)]
+    arguments += [(s, f"u[{content.name}_u_{n}]") for s, n in zip(content.symbols[1], content.inputs, strict=True)]
+    ids = dict(zip([p.name for p in content.exported_parameters], content.parameters, strict=True))
     arguments += [
-        (s, f"p[{c.name}_p_{ids[p.name]}]")
-        for s, p in zip(c.symbols[2], c.model.parameters, strict=True)
+        (s, f"p[{content.name}_p_{ids[p.name]}]")
+        for s, p in zip(content.symbols[2], content.model.parameters, strict=True)
         if p.name in ids
     ]
     used = [f"    const double {s} = {value};" for s, value in arguments if s in program.used]
@@ -105,13 +117,13 @@ def _function(c: Content, name: str, result: str, program: Program, description:
         for letter in "xup"
         if not any(v.startswith(f"{letter}[") and s in program.used for s, v in arguments)
     ]
-    letter, names = ("x", c.states) if name == "f" else ("y", c.outputs)
-    out = [f"    {result}[{c.name}_{letter}_{n}] = {end};" for n, end in zip(names, ends, strict=True)]
+    letter, names = ("x", content.states) if name == "f" else ("y", content.outputs)
+    out = [f"    {result}[{content.name}_{letter}_{n}] = {end};" for n, end in zip(names, ends, strict=True)]
     return "\n".join(
         [
             "",
             f"/* {description} */",
-            f"static inline void {c.name}_{name}(const double x[], const double u[], const double p[], "
+            f"static inline void {content.name}_{name}(const double x[], const double u[], const double p[], "
             f"double {result}[])",
             "{",
             *used,

@@ -37,14 +37,14 @@ if __name__ == "__main__":
 '''
 
 
-def write(c: Content) -> str:
-    """Return the text of the Python file."""
-    head = header(c, "CasADi")
+def write(content: Content) -> str:
+    """Return the text of the Python file that builds the CasADi functions of a model, from its collected content."""
+    head = header(content, "CasADi")
     head += [
         "",
         "f(x, u, p), h(x, u, p) and step(x, u, dt, p) are casadi.Functions; DEFAULTS is p in the order of P.",
-        f"Run this file to save them: python FILE [FOLDER] writes {c.name}_f.casadi, {c.name}_h.casadi and",
-        f"{c.name}_step.casadi. casadi.Function.load reads them without this file, also in C++ and Matlab.",
+        f"Run this file to save them: python FILE [FOLDER] writes {content.name}_f.casadi, {content.name}_h.casadi and",
+        f"{content.name}_step.casadi. casadi.Function.load reads them without this file, also in C++ and Matlab.",
     ]
     return "\n".join(
         [
@@ -55,25 +55,25 @@ def write(c: Content) -> str:
             "",
             "import casadi as ca",
             "",
-            *constants(c),
+            *constants(content),
             "",
-            _function(c, "_f", c.programs[0]),
-            _function(c, "_h", c.programs[1]),
-            END.replace("NAME", c.name),
+            _function(content, "_f", content.programs[0]),
+            _function(content, "_h", content.programs[1]),
+            END.replace("NAME", content.name),
         ]
     )
 
 
-def _function(c: Content, name: str, program: Program) -> str:
-    """Return the text of one Python function of symbols (x, u, p)."""
+def _function(content: Content, name: str, program: Program) -> str:
+    """Return the text of one Python function ``name`` of CasADi symbols (x, u, p) that returns the list of results."""
     lines, results = write_lines(program, CASADI, [*RESERVED, *program.used])
-    named = ["    p = dict(zip(P, ca.vertsplit(p)))"] if any(s in program.used for s in c.symbols[2]) else []
+    named = ["    p = dict(zip(P, ca.vertsplit(p)))"] if any(s in program.used for s in content.symbols[2]) else []
     return "\n".join(
         [
             "",
             f"def {name}(x, u, p):",
             *named,
-            *unpacked(c, program),
+            *unpacked(content, program),
             *("    " + line for line in lines),
             "    return [",
             *(f"        {r}," for r in results),

@@ -1,8 +1,8 @@
 """Content and code generation of exported models.
 
-``content`` collects what all targets need: valid identifiers, parameter values, noise; ``header`` writes the comment at
-the top of a file. ``programs`` and ``write`` turn the expression graph of a model into straight-line code: one
-assignment after the other, in any language that has a ``Syntax`` (plain Python, C99, Python with CasADi).
+``collect_content`` collects what all targets need: valid identifiers, parameter values, noise. ``header`` writes the
+comment at the top of a file. ``programs`` and ``write`` turn the expression graph of a model into straight-line code:
+one assignment after the other, in any language that has a ``Syntax`` (plain Python, C99, Python with CasADi).
 
 Common subexpressions are computed once. Signals of the model (forces, thrusts) keep their names, and ``cos(psi)``
 becomes ``cos_psi``; other intermediate results are numbered.
@@ -30,7 +30,7 @@ from seatrial.ident.numerics import Array
 
 @dataclass(frozen=True)
 class Content:
-    """A model ready for export.
+    """Content of an exported file: a fitted model with valid identifiers, parameter values and noise.
 
     Attributes
     ----------
@@ -41,18 +41,20 @@ class Content:
     saved : SavedModel
         Saved model, with provenance and validity.
     states, inputs, outputs, parameters : tuple of str
-        Valid identifiers in the order of the model; parameters of noise are left out.
+        Valid identifiers in the order of the model. Parameters on which neither rates nor outputs depend, for example
+        those of noise, are left out.
     values, errors : tuple of float
-        Values and standard errors of ``parameters``; NaN without a standard error.
+        Values and standard errors of ``parameters`` in their units; NaN without a standard error.
     state_noise : tuple of float
         Diffusion of each state [unit/sqrt(s)], with the effect of the removed states.
     output_noise : tuple of float
         Standard deviation of each output's noise [unit], with the effect of the removed states.
-    left_out : tuple of str
+    removed_states : tuple of str
         Names of the removed nuisance states.
-    lasting : mapping
-        By output: integral time scale [s] of the noise that stands for removed states.
-    silent : tuple of str
+    noise_time_scale : mapping
+        Integral time scale [s] of the noise that stands for removed states, by output. Outputs without such noise are
+        left out.
+    states_without_noise : tuple of str
         Removed states that are in neither noise, because they have no effect at rest.
     """
 
@@ -67,12 +69,12 @@ class Content:
     errors: tuple[float, ...]
     state_noise: tuple[float, ...]
     output_noise: tuple[float, ...]
-    left_out: tuple[str, ...]
-    lasting: Mapping[str, float]
-    silent: tuple[str, ...]
+    removed_states: tuple[str, ...]
+    noise_time_scale: Mapping[str, float]
+    states_without_noise: tuple[str, ...]
 
     @cached_property
-    def own(self) -> tuple[Parameter, ...]:
+    def exported_parameters(self) -> tuple[Parameter, ...]:
         """Exported parameters of the model, in the order of ``parameters``."""
         used = parameters_of(self.model)
         return tuple(p for p in self.model.parameters if p.name in used)
@@ -80,7 +82,7 @@ class Content:
     @cached_property
     def symbols(self) -> tuple[list[str], list[str], list[str]]:
         """Identifiers in the code: of the states, of the inputs, and of all parameters of the model."""
-        name_of = dict(zip([p.name for p in self.own], self.parameters, strict=True))
+        name_of = dict(zip([p.name for p in self.exported_parameters], self.parameters, strict=True))
         return (
             [f"x_{n}" for n in self.states],
             [f"u_{n}" for n in self.inputs],
@@ -89,7 +91,7 @@ class Content:
 
     @cached_property
     def programs(self) -> tuple[Program, Program]:
-        """Programs that compute the rates and the outputs."""
+        """Programs that compute the rates of the states and the outputs."""
         return programs(self.model, [*self.symbols, [f"out_{n}" for n in self.outputs]])
 
     @property
@@ -99,13 +101,13 @@ class Content:
 
     @property
     def validity(self) -> dict[str, tuple[float, float]]:
-        """Range of the estimation data by identifier, for the exported states and inputs."""
+        """Range (minimum, maximum) of the estimation data by identifier, for the exported states and inputs."""
         names = dict(zip([s.name for s in self.model.states], self.states, strict=True))
         names |= dict(zip([i.name for i in self.model.inputs], self.inputs, strict=True))
         return {names[k]: v for k, v in self.saved.validity.items() if k in names}
 
 
-def content(saved: SavedModel, *, name: str | None = None, nuisance: bool = False) -> Content:
+def collect_content(saved: SavedModel, *, name: str | None = None, nuisance: bool = False) -> Content:
     """Collect everything that the exporters need of a saved model.
 
     Parameters
@@ -116,6 +118,11 @@ def content(saved: SavedModel, *, name: str | None = None, nuisance: bool = Fals
         Prefix of functions and files; by default the model's name.
     nuisance : bool
         Whether disturbance forces and sensor biases are kept as states.
+
+    Returns
+    -------
+    Content
+        Model, identifiers, values and noise. Removed states are replaced by equivalent white noise.
     """
     model, removed = (saved.model, ()) if nuisance else without_nuisance(saved.model)
     used = parameters_of(model)
@@ -138,13 +145,17 @@ def content(saved: SavedModel, *, name: str | None = None, nuisance: bool = Fals
         tuple(math.hypot(a, b) for a, b in zip(noise, extra.process, strict=True)),
         tuple(math.hypot(a, b) for a, b in zip(white, extra.output, strict=True)),
         tuple(s.name for s in removed),
-        {n: tau for n, tau in zip(outputs, extra.lasting, strict=True) if tau > 0.0},
-        extra.silent,
+        {n: tau for n, tau in zip(outputs, extra.noise_time_scale, strict=True) if tau > 0.0},
+        extra.states_without_noise,
     )
 
 
 def identifiers(names: Iterable[str]) -> tuple[str, ...]:
-    """Return unique identifiers that are valid in any language: ``n_left~3`` becomes ``n_left_ago_3``."""
+    """Return unique identifiers that are valid in any language, in the order of the names.
+
+    ``~`` becomes ``_ago_`` (``n_left~3`` becomes ``n_left_ago_3``), and other invalid characters become ``_``. A name
+    that is empty or starts with a digit gets ``_`` in front. Repeated names get ``_2``, ``_3``, ... at the end.
+    """
     found: list[str] = []
     for name in names:
         valid = re.sub(r"[^A-Za-z0-9_]", "_", name.replace("~", "_ago_"))
@@ -159,14 +170,19 @@ def identifiers(names: Iterable[str]) -> tuple[str, ...]:
 def prefix(name: str) -> str:
     """Return a valid prefix of functions and files.
 
-    The prefix starts with a letter and has no two underscores in a row, as CasADi requires.
+    Invalid characters become underscores. The prefix starts with a letter (``model_`` is put in front if needed) and
+    has no two underscores in a row, as CasADi requires.
     """
     valid = re.sub(r"_+", "_", re.sub(r"[^A-Za-z0-9]", "_", name)).strip("_")
     return valid if valid[:1].isalpha() else f"model_{valid}".rstrip("_")
 
 
 def without_nuisance(model: Model) -> tuple[Model, tuple[State, ...]]:
-    """Return the model without disturbance forces and random-walk sensor biases, and the removed states."""
+    """Return the model without its nuisance effects, and the removed states.
+
+    Nuisance effects are disturbance forces and random-walk sensor biases. Their states, parameters and inputs are
+    removed. An input that another effect also needs is kept.
+    """
     effects = [e for e in model.effects if e.kind.nuisance]
     states = {s.name for e in effects for s in e.states} | {s.name for s in model.states if s.nuisance}
     parameters = {p.name for e in effects for p in e.parameters}
@@ -194,16 +210,16 @@ class EquivalentNoise:
         Diffusion that the removed states add to each state that is kept [unit/sqrt(s)].
     output : Array (n_outputs,)
         Standard deviation that the removed states add to each output [unit].
-    lasting : Array (n_outputs,)
+    noise_time_scale : Array (n_outputs,)
         Integral time scale of the noise added to each output [s]; 0 if no noise is added.
-    silent : tuple of str
+    states_without_noise : tuple of str
         Removed states that have no effect at rest, and are therefore in neither noise.
     """
 
     process: Array
     output: Array
-    lasting: Array
-    silent: tuple[str, ...]
+    noise_time_scale: Array
+    states_without_noise: tuple[str, ...]
 
 
 def equivalent_noise(whole: Model, kept: Model) -> EquivalentNoise:
@@ -215,6 +231,11 @@ def equivalent_noise(whole: Model, kept: Model) -> EquivalentNoise:
         Model with all states.
     kept : Model
         Model without the removed states.
+
+    Returns
+    -------
+    EquivalentNoise
+        Noise of the states and outputs of ``kept``; zero if no removed state decays.
 
     Notes
     -----
@@ -254,42 +275,43 @@ def equivalent_noise(whole: Model, kept: Model) -> EquivalentNoise:
     )
 
 
-def header(c: Content, target: str) -> list[str]:
-    """Return the lines of the comment header: model, provenance, states, inputs, outputs, range of validity, remarks.
+def header(content: Content, target: str) -> list[str]:
+    """Return the lines of the comment at the top of an exported file, without the comment signs of the language.
 
-    ``target`` is the name of the language.
+    They describe the model, its provenance, states, inputs, outputs, range of validity, and remarks on noise and
+    parameters. ``target`` is the name of the language, for the first line.
     """
-    made = c.saved.provenance
-    lines = [f"{c.model.name}: fitted model, exported to {target} by seatrial.", ""]
+    made = content.saved.provenance
+    lines = [f"{content.model.name}: fitted model, exported to {target} by seatrial.", ""]
     lines += [f"{label}: {made[key]}" for label, key in (("made by", "made_by"), ("created", "created")) if key in made]
     lines += [f"fitted to: {log}" for log in made.get("logs", [])]
-    if c.model.effects:
-        lines.append("effects: " + ", ".join(e.name for e in c.model.effects))
+    if content.model.effects:
+        lines.append("effects: " + ", ".join(e.name for e in content.model.effects))
     lines += ["", "Rates dx/dt = f(x, u; p), outputs y = h(x, u; p); SI units and radians."]
     lines += ["States x, inputs u, outputs y:"]
     lines += [
-        f"  x[{i}] {n} {_unit(s.unit)} {s.meaning}".rstrip()
-        for i, (n, s) in enumerate(zip(c.states, c.model.states, strict=True))
+        f"  x[{i}] {n} {_unit_text(s.unit)} {s.meaning}".rstrip()
+        for i, (n, s) in enumerate(zip(content.states, content.model.states, strict=True))
     ]
-    lines += _inputs(c)
+    lines += _input_lines(content)
     lines += [
-        f"  y[{i}] {n} {_unit(o.unit)}" + (", an angle" if o.angle else "")
-        for i, (n, o) in enumerate(zip(c.outputs, c.model.outputs, strict=True))
+        f"  y[{i}] {n} {_unit_text(o.unit)}" + (", an angle" if o.angle else "")
+        for i, (n, o) in enumerate(zip(content.outputs, content.model.outputs, strict=True))
     ]
-    if c.validity:
+    if content.validity:
         lines += ["", "Range of the estimation data (the model is not validated beyond this range):"]
-        lines += [f"  {n} from {low:.4g} to {high:.4g}" for n, (low, high) in c.validity.items()]
-    return [" ".join(line.splitlines()) for line in lines + _remarks(c)]
+        lines += [f"  {n} from {low:.4g} to {high:.4g}" for n, (low, high) in content.validity.items()]
+    return [" ".join(line.splitlines()) for line in lines + _remark_lines(content)]
 
 
-def _inputs(c: Content) -> list[str]:
+def _input_lines(content: Content) -> list[str]:
     """Return the header lines of the inputs, with an explanation of delayed input taps if there are any."""
-    lines, taps = [], [i for i in c.model.inputs if i.tap]
-    for j, (n, i) in enumerate(zip(c.inputs, c.model.inputs, strict=True)):
+    lines, taps = [], [i for i in content.model.inputs if i.tap]
+    for j, (n, i) in enumerate(zip(content.inputs, content.model.inputs, strict=True)):
         if i.tap:
             lines.append(f"  u[{j}] {n}: {i.tap_of}, {i.delay:g} s ago")
         else:
-            lines.append(f"  u[{j}] {n} {_unit(i.unit)}{_described(i)}")
+            lines.append(f"  u[{j}] {n} {_unit_text(i.unit)}{_input_meaning(i)}")
     if taps:
         step = taps[0].delay / taps[0].tap
         lines += [
@@ -299,8 +321,11 @@ def _inputs(c: Content) -> list[str]:
     return lines
 
 
-def _described(signal: Input) -> str:
-    """Return the meaning of an input that is no plain sensor signal or command; otherwise an empty text."""
+def _input_meaning(signal: Input) -> str:
+    """Return the meaning of a time input, a work input or a delayed command, with a comma in front.
+
+    The text is empty for any other input, which is a plain sensor signal or command.
+    """
     if signal.name == TIME_INPUT:
         return ", the time since the start of the run"
     if signal.name == WORK_INPUT:
@@ -310,27 +335,29 @@ def _described(signal: Input) -> str:
     return ""
 
 
-def _remarks(c: Content) -> list[str]:
+def _remark_lines(content: Content) -> list[str]:
     """Return the header lines about removed states, their noise, relative parameters, and per-record parameters."""
     lines = []
-    if c.left_out:
+    if content.removed_states:
         lines += [
             "",
-            f"Left out, as a controller does not need them: {', '.join(c.left_out)}",
+            f"Left out, as a controller does not need them: {', '.join(content.removed_states)}",
             "(disturbance forces and sensor offsets; the option `--with-disturbance-states` keeps them).",
             "The process noise includes the effect of the forces over times longer than their correlation time.",
         ]
-    if c.silent:
-        lines.append(f"Included in no noise, because they have no effect at rest: {', '.join(c.silent)}.")
-    if c.lasting:
-        lasting = ", ".join(f"{n} ({tau:.2g} s)" for n, tau in c.lasting.items())
+    if content.states_without_noise:
+        lines.append(
+            f"Included in no noise, because they have no effect at rest: {', '.join(content.states_without_noise)}."
+        )
+    if content.noise_time_scale:
+        lasting = ", ".join(f"{n} ({tau:.2g} s)" for n, tau in content.noise_time_scale.items())
         lines += [
             f"The output noise includes their variance. It is correlated over these times: {lasting}.",
             "A filter that assumes white noise should use samples that far apart, or keep the states.",
         ]
-    if ratios := thrust_scale_of(c.saved.model).caveats:
+    if ratios := thrust_scale_of(content.saved.model).caveats:
         lines += ["", *ratios]
-    per_record = [n for n, p in zip(c.parameters, c.own, strict=True) if p.per_record]
+    per_record = [n for n, p in zip(content.parameters, content.exported_parameters, strict=True) if p.per_record]
     if per_record:
         lines += [
             "",
@@ -340,16 +367,20 @@ def _remarks(c: Content) -> list[str]:
     return lines
 
 
-def _unit(unit: str) -> str:
+def _unit_text(unit: str) -> str:
+    """Return a unit in brackets; ``[-]`` for an empty unit."""
     return f"[{unit}]" if unit else "[-]"
 
 
-def comment(c: Content, i: int) -> str:
-    """Return the comment of parameter ``i``: unit, standard error or origin of a fixed value, meaning."""
-    p = c.own[i]
-    error = c.errors[i] if p.considered_sd is None else p.considered_sd
+def comment(content: Content, i: int) -> str:
+    """Return the comment beside the exported parameter with index ``i``: unit, standard error and meaning, in one line.
+
+    A parameter with an assumed standard deviation shows this. A fixed parameter shows the origin of its value instead.
+    """
+    p = content.exported_parameters[i]
+    error = content.errors[i] if p.considered_sd is None else p.considered_sd
     origin = f"+- {error:.3g}" if math.isfinite(error) else "" if p.free else f"{p.provenance},"
-    return " ".join(" ".join(part for part in (_unit(p.unit), origin, p.meaning) if part).split())
+    return " ".join(" ".join(part for part in (_unit_text(p.unit), origin, p.meaning) if part).split())
 
 
 ATOM, UNARY, PRODUCT, SUM = 100, 30, 20, 10  # precedence of an expression: a higher number binds more tightly
@@ -399,9 +430,9 @@ class Syntax:
         Operands of a template with precedence ``ATOM`` (a function call) need no parentheses; others get parentheses
         according to the precedences.
     number : callable
-        Function that writes a constant.
+        Function that returns the text of a constant in the language.
     assign : str
-        Template of an assignment.
+        Template of an assignment, with ``{name}`` and ``{value}``.
     """
 
     templates: Mapping[int, tuple[str, int]]
@@ -409,7 +440,7 @@ class Syntax:
     assign: str = "{name} = {value}"
 
 
-def _arithmetic() -> Templates:
+def _arithmetic_templates() -> Templates:
     """Return the templates of the arithmetic operations, which all targets share."""
     return {
         ca.OP_ADD: ("{0} + {1}", SUM),
@@ -423,16 +454,17 @@ def _arithmetic() -> Templates:
     }
 
 
-def _functions(prefix: str) -> Templates:
-    """Return the templates of the shared functions, with a prefix such as ``ca.``."""
+def _function_templates(prefix: str) -> Templates:
+    """Return the templates of the functions that all targets share, with a prefix such as ``ca.`` before each name."""
     unary = {getattr(ca, "OP_" + n.upper()): (f"{prefix}{n}({{0}})", ATOM) for n in SHARED}
     return unary | {getattr(ca, "OP_" + n.upper()): (f"{prefix}{n}({{0}}, {{1}})", ATOM) for n in SHARED_TWO}
 
 
-def _truth(template: str, both: str, either: str) -> Templates:
+def _logic_templates(template: str, both: str, either: str) -> Templates:
     """Return the templates of comparisons and logical operations, whose values are 0 and 1.
 
-    ``template`` converts a condition to a number; ``both`` and ``either`` are the operators "and" and "or".
+    ``template`` converts a condition ``{0}`` to a number. ``both`` and ``either`` are the operators "and" and "or" of
+    the language.
     """
     relations = {ca.OP_LT: "<", ca.OP_LE: "<=", ca.OP_EQ: "==", ca.OP_NE: "!="}
     table = {code: (template.format(f"{{0}} {sign} {{1}}"), ATOM) for code, sign in relations.items()}
@@ -444,9 +476,9 @@ def _truth(template: str, both: str, either: str) -> Templates:
 
 
 PYTHON = Syntax(
-    _arithmetic()
-    | _functions("")
-    | _truth("float({0})", "and", "or")
+    _arithmetic_templates()
+    | _function_templates("")
+    | _logic_templates("float({0})", "and", "or")
     | {
         ca.OP_POW: ("pow({0}, {1})", ATOM),
         ca.OP_CONSTPOW: ("pow({0}, {1})", ATOM),
@@ -458,12 +490,12 @@ PYTHON = Syntax(
         ca.OP_SIGN: ("float(({0} > 0.0) - ({0} < 0.0))", ATOM),
         ca.OP_IF_ELSE_ZERO: ("({1} if {0} else 0.0)", ATOM),
     },
-    lambda value: _number(value, "inf", "nan"),
+    lambda value: _number_text(value, "inf", "nan"),
 )
 C = Syntax(
-    _arithmetic()
-    | _functions("")
-    | _truth("(double)({0})", "&&", "||")
+    _arithmetic_templates()
+    | _function_templates("")
+    | _logic_templates("(double)({0})", "&&", "||")
     | {
         ca.OP_POW: ("pow({0}, {1})", ATOM),
         ca.OP_CONSTPOW: ("pow({0}, {1})", ATOM),
@@ -475,13 +507,13 @@ C = Syntax(
         ca.OP_SIGN: ("(double)(({0} > 0.0) - ({0} < 0.0))", ATOM),
         ca.OP_IF_ELSE_ZERO: ("(({0}) != 0.0 ? ({1}) : 0.0)", ATOM),
     },
-    lambda value: _number(value, "INFINITY", "NAN"),
+    lambda value: _number_text(value, "INFINITY", "NAN"),
     "const double {name} = {value};",
 )
 CASADI = Syntax(
-    _arithmetic()
-    | _functions("ca.")
-    | _truth("({0})", "", "")
+    _arithmetic_templates()
+    | _function_templates("ca.")
+    | _logic_templates("({0})", "", "")
     | {
         ca.OP_NOT: ("ca.logic_not({0})", ATOM),
         ca.OP_AND: ("ca.logic_and({0}, {1})", ATOM),
@@ -496,7 +528,7 @@ CASADI = Syntax(
         ca.OP_SIGN: ("ca.sign({0})", ATOM),
         ca.OP_IF_ELSE_ZERO: ("ca.if_else({0}, {1}, 0.0)", ATOM),
     },
-    lambda value: _number(value, "ca.inf", "ca.nan"),
+    lambda value: _number_text(value, "ca.inf", "ca.nan"),
 )
 ca.GlobalOptions.setNumpyMode(-1)  # plain numpy functions on symbols stay symbolic
 
@@ -506,23 +538,49 @@ SYMBOL, CONSTANT = -1, -2  # codes of nodes that are no operation
 
 @dataclass
 class Node:
-    """Node of an expression graph: a symbol, a constant, or an operation on other nodes."""
+    """Node of an expression graph: a symbol, a constant, or an operation on other nodes.
 
-    code: int  # CasADi's code of the operation; SYMBOL or CONSTANT
-    operands: tuple[int, ...] = ()  # indices of nodes
+    Attributes
+    ----------
+    code
+        CasADi's code of the operation; -1 (``SYMBOL``) for a symbol, -2 (``CONSTANT``) for a constant.
+    operands
+        Indices of the nodes that the operation takes.
+    symbol
+        Identifier of a symbol; otherwise empty.
+    value
+        Value of a constant; otherwise 0.
+    label
+        Preferred name of the variable that holds the result; empty if there is none.
+    uses
+        Number of nodes and results that need the node.
+    """
+
+    code: int
+    operands: tuple[int, ...] = ()
     symbol: str = ""
-    value: float = 0.0  # of a constant
-    label: str = ""  # wanted name of the result
-    uses: int = 0  # number of nodes and results that need the node
+    value: float = 0.0
+    label: str = ""
+    uses: int = 0
 
 
 @dataclass(frozen=True)
 class Program:
-    """Straight-line program that computes the rates or the outputs of a model."""
+    """Straight-line program (without branches and loops) that computes the rates or the outputs of a model.
 
-    nodes: list[Node]  # in the order of computation
-    results: tuple[int, ...]  # index of the node of each result
-    used: frozenset[str] = field(default=frozenset())  # symbols that the results depend on
+    Attributes
+    ----------
+    nodes
+        Nodes in the order of computation.
+    results
+        Index of the node of each result.
+    used
+        Identifiers of the symbols that the results depend on.
+    """
+
+    nodes: list[Node]
+    results: tuple[int, ...]
+    used: frozenset[str] = field(default=frozenset())
 
 
 def programs(model: Model, names: Sequence[Sequence[str]]) -> tuple[Program, Program]:
@@ -533,11 +591,17 @@ def programs(model: Model, names: Sequence[Sequence[str]]) -> tuple[Program, Pro
     model : Model
         Model.
     names : sequence of four sequences of str
-        Identifiers of states, inputs, parameters and outputs in the code.
+        Identifiers of states, inputs, parameters and outputs in the code. Those of the states have a prefix such as
+        ``x_``, which ``rate_`` replaces for the rates.
+
+    Returns
+    -------
+    tuple of Program
+        Program of the rates of all states, and program of all outputs.
     """
     symbols = [[ca.SX.sym(n) for n in part] for part in names[:3]]
     s = model.signals(*symbols)
-    labels = dict(_signals(s))
+    labels = dict(_named_signals(s))
     rates = [ca.SX(s.rate[v.name]) for v in model.states]
     outputs = [ca.SX(s.y[o.name]) for o in model.outputs]
     return (
@@ -547,31 +611,48 @@ def programs(model: Model, names: Sequence[Sequence[str]]) -> tuple[Program, Pro
 
 
 def parameters_of(model: Model) -> set[str]:
-    """Return the names of the parameters that rates or outputs depend on; parameters of noise are not among them."""
+    """Return the names of the parameters of a model that rates of states or outputs depend on.
+
+    Parameters that only determine noise are not among them.
+    """
     parts = (("x", model.states), ("u", model.inputs), ("p", model.parameters), ("y", model.outputs))
     names = [[f"{kind}{i}" for i in range(len(part))] for kind, part in parts]
     used = {symbol for program in programs(model, names) for symbol in program.used}
     return {p.name for name, p in zip(names[2], model.parameters, strict=True) if name in used}
 
 
-def _signals(s: Signals) -> Iterator[tuple[str, Any]]:
-    """Yield name and expression of the signals that a model names: forces, and quantities of each thruster."""
+def _named_signals(s: Signals) -> Iterator[tuple[str, Any]]:
+    """Yield name and symbolic expression of the signals that a model names: forces, and quantities of each thruster.
+
+    Rates and outputs are left out.
+    """
     for name, value in vars(s).items():
         if isinstance(value, ca.SX) and value.is_scalar():
-            yield _word(name), value
+            yield _as_identifier(name), value
         elif isinstance(value, dict) and name not in ("rate", "y"):
-            yield from ((_word(f"{name}_{key}"), item) for key, item in value.items() if isinstance(item, ca.SX))
+            yield from (
+                (_as_identifier(f"{name}_{key}"), item) for key, item in value.items() if isinstance(item, ca.SX)
+            )
 
 
-def _word(name: str) -> str:
-    """Return a name with invalid characters replaced by underscores."""
+def _as_identifier(name: str) -> str:
+    """Return a name with underscores in place of characters that are no letter, digit or underscore."""
     return re.sub(r"[^A-Za-z0-9_]", "_", name)
 
 
 def _program(symbols: list[list[Any]], results: list[Any], labels: Mapping[str, Any], names: Sequence[str]) -> Program:
-    """Return the program that computes the expressions ``results`` of the symbols.
+    """Return the program that computes expressions of symbols.
 
-    ``labels`` are named intermediate expressions; ``names`` are the names of the results.
+    Parameters
+    ----------
+    symbols
+        CasADi symbols of states, inputs and parameters.
+    results
+        CasADi expressions to be computed. Common subexpressions are computed once.
+    labels
+        Intermediate expressions by name; they keep their names.
+    names
+        Names of the results. A result that is also a named intermediate expression keeps that name.
     """
     expressions = ca.cse([ca.densify(e) for e in [*results, *labels.values()]])
     flat = [symbol for part in symbols for symbol in part]
@@ -597,11 +678,14 @@ def _program(symbols: list[list[Any]], results: list[Any], labels: Mapping[str, 
         nodes[end].label = name
     for name, end in zip(names, ends, strict=False):
         nodes[end].label = nodes[end].label or name
-    return _counted(nodes, tuple(ends[: len(results)]))
+    return _with_use_counts(nodes, tuple(ends[: len(results)]))
 
 
-def _counted(nodes: list[Node], results: tuple[int, ...]) -> Program:
-    """Return the program with the number of uses of each node; nodes that no result needs have zero uses."""
+def _with_use_counts(nodes: list[Node], results: tuple[int, ...]) -> Program:
+    """Count the uses of each node, and return the program.
+
+    The nodes are changed in place. Nodes that no result needs have zero uses. ``results`` are indices of nodes.
+    """
     for end in results:
         nodes[end].uses += 1
     used = set()
@@ -615,7 +699,7 @@ def _counted(nodes: list[Node], results: tuple[int, ...]) -> Program:
 
 
 def write(program: Program, syntax: Syntax, taken: Iterable[str]) -> tuple[list[str], list[str]]:
-    """Write a program in a language.
+    """Write a program as the text of a language.
 
     Parameters
     ----------
@@ -632,13 +716,34 @@ def write(program: Program, syntax: Syntax, taken: Iterable[str]) -> tuple[list[
         Assignments, one a line.
     results : list of str
         Expression of each result after the assignments.
+
+    Raises
+    ------
+    ValueError
+        If the language lacks an operation of the program.
     """
     writer = _Writer(program, syntax, set(taken))
     return writer.run(), [writer.text[end][0] for end in program.results]
 
 
 class _Writer:
-    """Writer of a program: decides which nodes become variables, and puts the others into expressions."""
+    """Writer of a program: decides which nodes become variables, and puts the others into expressions.
+
+    A node becomes a variable if it is used more than once, has a label, or is longer than 50 characters.
+
+    Attributes
+    ----------
+    nodes, syntax
+        Nodes of the program, and syntax of the language.
+    taken
+        Names that new variables must not have. Each new variable is added.
+    count
+        Number of the last numbered variable (``t1``, ``t2``, ...).
+    text
+        Expression or variable of each node that has been written, and its precedence, by index of the node.
+    named
+        Indices of the nodes that become variables, whatever their length.
+    """
 
     def __init__(self, program: Program, syntax: Syntax, taken: set[str]) -> None:
         self.nodes, self.syntax, self.taken, self.count = program.nodes, syntax, taken, 0
@@ -651,16 +756,23 @@ class _Writer:
         return self._template(node)[0].count("{0}") > 1
 
     def _template(self, node: Node) -> tuple[str, int]:
-        """Return text and precedence of an operation; raise ValueError if the language lacks the operation."""
+        """Return the template and the precedence of the operation of a node.
+
+        Raises
+        ------
+        ValueError
+            If the language lacks the operation.
+        """
         try:
             return self.syntax.templates[node.code]
         except KeyError:
             raise ValueError(
-                f"the model uses an operation (CasADi operation code {node.code}) that cannot be exported"
+                f"the model uses an operation (CasADi operation code {node.code}) that cannot be exported, for example "
+                "a table or a solver; write it with functions of numpy"
             ) from None
 
     def run(self) -> list[str]:
-        """Return the assignments of the program, and fill ``text``."""
+        """Return the assignments of the program in order, and fill ``text``. Unused nodes are left out."""
         lines = []
         for k, node in enumerate(self.nodes):
             if not node.uses:
@@ -674,7 +786,10 @@ class _Writer:
         return lines
 
     def _expression(self, node: Node) -> tuple[str, int]:
-        """Return the expression of a node and its precedence, with parentheses around operands as needed."""
+        """Return the expression of a node and its precedence, with parentheses around operands as needed.
+
+        The operands must have been written to ``text`` before.
+        """
         if node.code == SYMBOL:
             return node.symbol, ATOM
         if node.code == CONSTANT:
@@ -690,7 +805,11 @@ class _Writer:
         return template.format(*operands), precedence
 
     def _name(self, node: Node) -> str:
-        """Return a new name for a node: its label, a name such as ``cos_psi``, or a number (``t1``)."""
+        """Return a new variable name for a node, and add it to ``taken``.
+
+        It is the label of the node, else a name such as ``cos_psi`` for a function of a named quantity. If neither is
+        free, it is ``t`` and a number.
+        """
         name = node.label
         if not name and len(node.operands) == 1:
             (operand,) = node.operands
@@ -706,8 +825,8 @@ class _Writer:
         return name
 
 
-def _number(value: float, infinite: str, nan: str) -> str:
-    """Return a constant as text with all digits; ``infinite`` and ``nan`` are the names of these values."""
+def _number_text(value: float, infinite: str, nan: str) -> str:
+    """Return a constant as text with all digits; ``infinite`` and ``nan`` are the texts of these values."""
     if math.isnan(value):
         return nan
     return repr(value) if math.isfinite(value) else infinite if value > 0 else f"-{infinite}"

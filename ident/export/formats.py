@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from seatrial.ident.estimation import SavedModel
 from seatrial.ident.export import c, casadi_file, python, ros2
-from seatrial.ident.export.codegen import Content, content
+from seatrial.ident.export.codegen import Content, collect_content
 
 TARGETS: dict[str, Callable[[Content], str]] = {
     "python": python.write,
@@ -24,7 +24,7 @@ def export(saved: SavedModel, target: str, *, name: str | None = None, nuisance:
     saved : SavedModel
         Model with its provenance, standard errors and validity.
     target : str
-        ``python``, ``casadi``, ``c`` or ``ros2``.
+        ``python``, ``casadi``, ``c`` or ``ros2``; any other text raises KeyError.
     name : str, optional
         Prefix of the functions, or name of the node; by default the model's name.
     nuisance : bool
@@ -35,4 +35,4 @@ def export(saved: SavedModel, target: str, *, name: str | None = None, nuisance:
     ValueError
         If the model uses an operation that cannot be exported.
     """
-    return TARGETS[target](content(saved, name=name, nuisance=nuisance))
+    return TARGETS[target](collect_content(saved, name=name, nuisance=nuisance))

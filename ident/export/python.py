@@ -12,7 +12,7 @@ from seatrial.ident.export.codegen import write as write_lines
 FUNCTION_CALL = re.compile(r"\b([a-z][a-z0-9]*)\(")
 BUILT_IN = {"abs", "min", "max", "float"}
 RESERVED = {"x", "u", "p", "dt", "f", "h", "step", "inf", "nan"}
-STEP = '''
+STEP_FUNCTION = '''
 def step(x, u, dt, p=P):
     """Return the states after dt [s], at most 0.1 s, for constant inputs: one step of Runge-Kutta 4."""
     k1 = f(x, u, p)
@@ -23,24 +23,27 @@ def step(x, u, dt, p=P):
 '''
 
 
-def write(c: Content) -> str:
-    """Return the text of the Python file."""
+def write(content: Content) -> str:
+    """Return the text of the Python file of a model, from its collected content. The file imports only ``math``."""
     body = "\n".join(
         [
             _function(
-                c, "f", c.programs[0], "Return the rates of the states [unit/s]; x and u are sequences of numbers."
+                content,
+                "f",
+                content.programs[0],
+                "Return the rates of the states [unit/s]; x and u are sequences of numbers.",
             ),
-            _function(c, "h", c.programs[1], "Return the sensor outputs without noise."),
-            STEP,
+            _function(content, "h", content.programs[1], "Return the sensor outputs without noise."),
+            STEP_FUNCTION,
         ]
     )
     imported = sorted(
         {n for n in FUNCTION_CALL.findall(body) if n in _math_functions()}
         | {n for n in ("inf", "nan") if re.search(rf"\b{n}\b", body)}
     )
-    parts = [*("# " + line if line else "#" for line in header(c, "Python")), ""]
+    parts = [*("# " + line if line else "#" for line in header(content, "Python")), ""]
     parts += [f"from math import {', '.join(imported)}", ""] if imported else []
-    return "\n".join([*parts, *constants(c), "", body])
+    return "\n".join([*parts, *constants(content), "", body])
 
 
 def _math_functions() -> set[str]:
@@ -49,24 +52,24 @@ def _math_functions() -> set[str]:
     return words - BUILT_IN
 
 
-def constants(c: Content) -> list[str]:
+def constants(content: Content) -> list[str]:
     """Return lines of Python that define names, units, parameters, noise and range of validity.
 
-    The export to CasADi uses the same lines.
+    ``content`` is the collected content of the model. The export to CasADi uses the same lines.
     """
     rows = [
-        f"    {json.dumps(n)}: {v!r},  # {comment(c, i)}"
-        for i, (n, v) in enumerate(zip(c.parameters, c.values, strict=True))
+        f"    {json.dumps(n)}: {v!r},  # {comment(content, i)}"
+        for i, (n, v) in enumerate(zip(content.parameters, content.values, strict=True))
     ]
-    diffusion = [f"    {json.dumps(n)}: {v!r}," for n, v in zip(c.states, c.state_noise, strict=True)]
-    deviation = [f"    {json.dumps(n)}: {v!r}," for n, v in zip(c.outputs, c.output_noise, strict=True)]
-    valid = [f"    {json.dumps(n)}: ({low!r}, {high!r})," for n, (low, high) in c.validity.items()]
-    units = (("STATE", c.model.states), ("INPUT", c.model.inputs), ("OUTPUT", c.model.outputs))
+    diffusion = [f"    {json.dumps(n)}: {v!r}," for n, v in zip(content.states, content.state_noise, strict=True)]
+    deviation = [f"    {json.dumps(n)}: {v!r}," for n, v in zip(content.outputs, content.output_noise, strict=True)]
+    valid = [f"    {json.dumps(n)}: ({low!r}, {high!r})," for n, (low, high) in content.validity.items()]
+    units = (("STATE", content.model.states), ("INPUT", content.model.inputs), ("OUTPUT", content.model.outputs))
     return [
-        f"STATES = {_tuple(c.states)}",
-        f"INPUTS = {_tuple(c.inputs)}",
-        f"OUTPUTS = {_tuple(c.outputs)}",
-        *[f"{kind}_UNITS = {_tuple([signal.unit for signal in part])}" for kind, part in units],
+        f"STATES = {_tuple_text(content.states)}",
+        f"INPUTS = {_tuple_text(content.inputs)}",
+        f"OUTPUTS = {_tuple_text(content.outputs)}",
+        *[f"{kind}_UNITS = {_tuple_text([signal.unit for signal in part])}" for kind, part in units],
         "P = {  # value [unit] +- standard error, meaning",
         *rows,
         "}",
@@ -82,41 +85,44 @@ def constants(c: Content) -> list[str]:
     ]
 
 
-def _tuple(items: Sequence[str]) -> str:
-    """Return a tuple of texts as Python, with eight texts a line if there are more."""
+def _tuple_text(items: Sequence[str]) -> str:
+    """Return a tuple of texts as Python code; with more than eight texts there are eight in each line of code."""
     words = [json.dumps(item, ensure_ascii=False) for item in items]
     if len(words) > 8:
         return "(\n" + "".join(f"    {', '.join(words[k : k + 8])},\n" for k in range(0, len(words), 8)) + ")"
     return f"({', '.join(words)}{',' * (len(words) == 1)})"
 
 
-def unpacked(c: Content, program: Program) -> list[str]:
-    """Return lines of Python that assign the states, inputs and parameters which a program uses to its symbols."""
-    xs, us, ps = c.symbols
+def unpacked(content: Content, program: Program) -> list[str]:
+    """Return indented lines of Python that unpack the arguments x, u and p into the symbols of a program.
+
+    States and inputs are taken by index, parameters by name. Symbols that the program does not use are left out.
+    """
+    xs, us, ps = content.symbols
     rows = [(s, f"x[{i}]") for i, s in enumerate(xs)] + [(s, f"u[{j}]") for j, s in enumerate(us)]
     lines = [
         f"    {', '.join(s for s, _ in group)} = {', '.join(v for _, v in group)}"
         for part in (rows[: len(xs)], rows[len(xs) :])
-        for group in _grouped(part, program)
+        for group in _groups_of_four(part, program)
     ]
-    key_of = dict(zip([p.name for p in c.own], c.parameters, strict=True))
+    key_of = dict(zip([p.name for p in content.exported_parameters], content.parameters, strict=True))
     parameters = [
-        (s, f'p["{key_of[q.name]}"]') for s, q in zip(ps, c.model.parameters, strict=True) if q.name in key_of
+        (s, f'p["{key_of[q.name]}"]') for s, q in zip(ps, content.model.parameters, strict=True) if q.name in key_of
     ]
     return lines + [
         f"    {', '.join(s for s, _ in group)} = {', '.join(v for _, v in group)}"
-        for group in _grouped(parameters, program)
+        for group in _groups_of_four(parameters, program)
     ]
 
 
-def _grouped(rows: list[tuple[str, str]], program: Program) -> list[list[tuple[str, str]]]:
-    """Return the rows (symbol, value) that a program uses, in groups of at most four."""
+def _groups_of_four(rows: list[tuple[str, str]], program: Program) -> list[list[tuple[str, str]]]:
+    """Return the pairs (symbol, value) that a program uses, in groups of at most four, in their order."""
     used = [row for row in rows if row[0] in program.used]
     return [used[i : i + 4] for i in range(0, len(used), 4)]
 
 
-def _function(c: Content, name: str, program: Program, docstring: str) -> str:
-    """Return the text of one function of (x, u, p)."""
+def _function(content: Content, name: str, program: Program, docstring: str) -> str:
+    """Return the text of one Python function ``name`` of (x, u, p) that returns the list of results."""
     lines, results = write_lines(program, PYTHON, [*RESERVED, *_math_functions(), *BUILT_IN, *program.used])
     returned = [f"        {r}," for r in results]
     return "\n".join(
@@ -124,7 +130,7 @@ def _function(c: Content, name: str, program: Program, docstring: str) -> str:
             "",
             f"def {name}(x, u, p=P):",
             f'    """{docstring}"""',
-            *unpacked(c, program),
+            *unpacked(content, program),
             *("    " + line for line in lines),
             "    return [",
             *returned,

@@ -41,6 +41,9 @@ from .horizontal import horizontal_model as horizontal_model
 from .horizontal import shift_in_time as shift_in_time
 from .horizontal import symmetric_arms as symmetric_arms
 from .kinematic import kinematic_model as kinematic_model
+from .published_values import ARM as ARM
+from .published_values import TABLE_2 as TABLE_2
+from .published_values import TABLE_5_3DOF as TABLE_5_3DOF
 from .scaling import VesselScale as VesselScale
 from .scaling import force_power as force_power
 from .scaling import is_moment as is_moment

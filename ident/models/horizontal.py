@@ -50,6 +50,7 @@ from seatrial.ident.model import (
     weighted_sum,
 )
 from seatrial.ident.models.dead_zone import outside_dead_zone, transition_width
+from seatrial.ident.models.published_values import ARM, TABLE_1, TABLE_2
 from seatrial.ident.numerics import body_to_ned, ned_to_body
 
 Propulsion = Literal["shaft", "command", "force", "general"]
@@ -58,19 +59,19 @@ BUILT_IN = ParameterOrigin.BUILT_IN
 SYMMETRIC = "symmetric-arms"  # option in the name of a model
 
 HULL = (
-    Parameter("m_u", 37.0, "kg", "surge mass with added mass", "log"),
-    Parameter("m_v", 47.0, "kg", "sway mass with added mass", "log"),
-    Parameter("m_r", 9.69, "kg m2", "yaw inertia with added inertia", "log"),
-    Parameter("d_u", 0.2, "kg/s", "linear surge damping", bounds=(0, INF), step=0.3),
-    Parameter("d_v", 50.0, "kg/s", "linear sway damping", bounds=(0, INF), step=0.5),
-    Parameter("d_r", 4.14, "kg m2/s", "linear yaw damping", bounds=(0, INF), step=0.1),
-    Parameter("d_uu", 25.0, "kg/m", "quadratic surge damping", bounds=(0, INF), step=0.3),
-    Parameter("d_vv", 0.01, "kg/m", "quadratic sway damping", bounds=(0, INF), step=0.5),
-    Parameter("d_rr", 6.23, "kg m2", "quadratic yaw damping", bounds=(0, INF), step=0.1),
+    Parameter("m_u", TABLE_1["m_u"], "kg", "surge mass with added mass", "log"),
+    Parameter("m_v", TABLE_1["m_v"], "kg", "sway mass with added mass", "log"),
+    Parameter("m_r", TABLE_1["m_r"], "kg m2", "yaw inertia with added inertia", "log"),
+    Parameter("d_u", TABLE_1["d_u"], "kg/s", "linear surge damping", bounds=(0, INF), step=0.3),
+    Parameter("d_v", TABLE_1["d_v"], "kg/s", "linear sway damping", bounds=(0, INF), step=0.5),
+    Parameter("d_r", TABLE_1["d_r"], "kg m2/s", "linear yaw damping", bounds=(0, INF), step=0.1),
+    Parameter("d_uu", TABLE_1["d_uu"], "kg/m", "quadratic surge damping", bounds=(0, INF), step=0.3),
+    Parameter("d_vv", TABLE_1["d_vv"], "kg/m", "quadratic sway damping", bounds=(0, INF), step=0.5),
+    Parameter("d_rr", TABLE_1["d_rr"], "kg m2", "quadratic yaw damping", bounds=(0, INF), step=0.1),
 )
 THRUST = (
-    Parameter("c1", 40.05, "N", "thrust at full speed, odd part", "log", free=False, origin=BUILT_IN),
-    Parameter("c2", 1.11, "N", "thrust at full speed, even part", free=False, step=0.1, origin=BUILT_IN),
+    Parameter("c1", TABLE_2["c1"], "N", "thrust at full speed, odd part", "log", free=False, origin=BUILT_IN),
+    Parameter("c2", TABLE_2["c2"], "N", "thrust at full speed, even part", free=False, step=0.1, origin=BUILT_IN),
 )
 DELAY_STEP, N_DELAYS = 0.05, 17  # s, and number of delayed copies of each command: delays up to 0.8 s
 LONGEST_DELAY = DELAY_STEP * (N_DELAYS - 1)  # s
@@ -98,10 +99,10 @@ DEAD_ZONES = StartGrid(("dead_zone",), ((0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0
 SHAFT_STATES = tuple(State(f"n_{side}", "", f"shaft speed {side}, normalised", 1e-3, sd0=0.1) for side in SIDES)
 ARMS = (
     Parameter(
-        "y_left", -0.15, "m", "position of the left thruster, to starboard", free=False, step=0.01, origin=BUILT_IN
+        "y_left", -ARM, "m", "position of the left thruster, to starboard", free=False, step=0.01, origin=BUILT_IN
     ),
     Parameter(
-        "y_right", 0.15, "m", "position of the right thruster, to starboard", free=False, step=0.01, origin=BUILT_IN
+        "y_right", ARM, "m", "position of the right thruster, to starboard", free=False, step=0.01, origin=BUILT_IN
     ),
 )
 UNKNOWN_ARM = (

@@ -79,10 +79,11 @@ from seatrial.ident.models.horizontal import (
 )
 from seatrial.ident.numerics import body_to_ned
 
-STEP, TAPS = 0.05, range(-2, 12)  # s between the copies of the inputs, and their shifts: 0.1 s earlier to 0.55 s later
+TAP_STEP_S = 0.05  # s between the copies of the inputs
+TAPS = range(-2, 12)  # shifts of the copies: 0.1 s earlier to 0.55 s later
 STAMP_ERROR_TIME_S = 0.1  # s, correlation time of the time errors of the inputs
 # s: upper bound of -tau_n; upper bound of the delay of a sensor. The upper bound of tau_n is half of the latter.
-LARGEST_LEAD_S, LARGEST_DELAY_S = -STEP * TAPS[0], 0.3
+LARGEST_LEAD_S, LARGEST_DELAY_S = -TAP_STEP_S * TAPS[0], 0.3
 LARGEST_SPREAD_S = 0.15  # s, upper bound of sigma_gnss
 ROOT_2 = float(np.sqrt(2.0))
 LINEARITY = Parameter(
@@ -227,7 +228,9 @@ def nomoto_model(
     """
     # The inputs are not averaged: GNSS samples are not averaged either, and contain the quick motion of a light vehicle
     now = pair("n", "", hold, prefilter=False)
-    past = tuple(replace(i.delayed(k, STEP), name=tap_name(i.name, k, STEP)) for i in now for k in TAPS if k)
+    past = tuple(
+        replace(i.delayed(k, TAP_STEP_S), name=tap_name(i.name, k, TAP_STEP_S)) for i in now for k in TAPS if k
+    )
     parameters = tuple(p for p in HULL if p.name in ("m_u", "d_u", "d_uu"))
     parameters += (*(CURRENT if current else ()), *THRUST, LINEARITY, *STEERING, *TIMING)
     parameters += tuple(replace(p, free=False, considered=True, origin=BUILT_IN) for p in DATASHEET)
@@ -278,14 +281,16 @@ def _inputs_at(s: Signals, ago: Any) -> list[Any]:
 
     The delay ``tau_n`` and the current estimate of the errors of the time stamps are included.
     """
-    weights = delay_weights((s.p.tau_n + s.p.dt_n + ago) / STEP - TAPS[0], len(TAPS))
+    weights = delay_weights((s.p.tau_n + s.p.dt_n + ago) / TAP_STEP_S - TAPS[0], len(TAPS))
     inputs = []
     for side in SIDES:
-        copies = [getattr(s.u, tap_name(f"n_{side}", k, STEP)) for k in TAPS]
+        copies = [getattr(s.u, tap_name(f"n_{side}", k, TAP_STEP_S)) for k in TAPS]
         value = weighted_sum(weights, copies)
         if hasattr(s.x, STAMP_ERROR_PREFIX + side):
             extended = [2 * copies[0] - copies[1], *copies, 2 * copies[-1] - copies[-2]]
-            change = [(late - early) / (2 * STEP) for early, late in zip(extended[:-2], extended[2:], strict=True)]
+            change = [
+                (late - early) / (2 * TAP_STEP_S) for early, late in zip(extended[:-2], extended[2:], strict=True)
+            ]
             delay = s.p.sigma_n * getattr(s.x, STAMP_ERROR_PREFIX + side) * np.exp(-ago / STAMP_ERROR_TIME_S)
             value = value + delay * weighted_sum(weights, change)
         inputs.append(value)

@@ -23,8 +23,9 @@ from typing import NamedTuple
 
 from seatrial.ident.model import Effect, Model, Parameter, State
 from seatrial.ident.models.disturbances import SIZES
+from seatrial.ident.models.published_values import TABLE_1
 
-MASS, INERTIA = 37.0, 9.69  # kg, kg m2: the boat of the thesis, with added mass (Table 1)
+MASS, INERTIA = TABLE_1["m_u"], TABLE_1["m_r"]  # kg, kg m2: the boat of the thesis, with added mass
 
 
 class Dimension(NamedTuple):

@@ -16,17 +16,32 @@ from seatrial.ident.model import (
     State,
     resolve_initial_states,
 )
+from seatrial.ident.models.published_values import TABLE_1, TABLE_2
 
 HULL = (
-    Parameter("m_u", 37.0, "kg", "surge mass with added mass", "log"),
-    Parameter("d_u", 0.2, "kg/s", "linear surge damping", bounds=(0, INF), step=0.3),
-    Parameter("d_uu", 25.0, "kg/m", "quadratic surge damping", bounds=(0, INF), step=0.3),
+    Parameter("m_u", TABLE_1["m_u"], "kg", "surge mass with added mass", "log"),
+    Parameter("d_u", TABLE_1["d_u"], "kg/s", "linear surge damping", bounds=(0, INF), step=0.3),
+    Parameter("d_uu", TABLE_1["d_uu"], "kg/m", "quadratic surge damping", bounds=(0, INF), step=0.3),
 )
 BUILT_IN = ParameterOrigin.BUILT_IN
 THRUST = (
-    Parameter("c1", 80.1, "N", "thrust of both thrusters at full speed, odd part", "log", free=False, origin=BUILT_IN),
     Parameter(
-        "c2", 2.22, "N", "thrust of both thrusters at full speed, even part", free=False, step=0.1, origin=BUILT_IN
+        "c1",
+        2 * TABLE_2["c1"],
+        "N",
+        "thrust of both thrusters at full speed, odd part",
+        "log",
+        free=False,
+        origin=BUILT_IN,
+    ),
+    Parameter(
+        "c2",
+        2 * TABLE_2["c2"],
+        "N",
+        "thrust of both thrusters at full speed, even part",
+        free=False,
+        step=0.1,
+        origin=BUILT_IN,
     ),
 )
 STATES = (

@@ -36,6 +36,7 @@ from seatrial.ident.model import (
 )
 from seatrial.ident.models.dead_zone import outside_dead_zone
 from seatrial.ident.models.disturbances import TIME, adder, shaft_disturbance
+from seatrial.ident.models.published_values import TABLE_2
 
 COMMAND = "n_cmd"
 DELAY_STEP = 0.0125  # s
@@ -46,14 +47,14 @@ N_DELAYS = 49  # number of copies of the command
 DEAD_ZONE_EDGE = 0.005  # width of the transition at the end of the dead zone, in units of the command
 
 SHAFT = (
-    Parameter("a", 2.794, "1/s", "pole of the shaft speed", "log"),
+    Parameter("a", TABLE_2["a"], "1/s", "pole of the shaft speed", "log"),
     Parameter("d", 0.0, "", "dead zone of the command", bounds=(0.0, 0.5), free=False, step=0.005),
     Parameter("s_n", 0.01, "1/sqrt(s)", "process noise of the shaft speed", "log"),
     Parameter("e_n", 0.005, "", "noise of the shaft speed", "log"),
 )
 FORCE = (
-    Parameter("c1", 40.05, "N", "thrust at full speed, odd part", "log"),
-    Parameter("c2", 1.11, "N", "thrust at full speed, even part", step=0.1),
+    Parameter("c1", TABLE_2["c1"], "N", "thrust at full speed, odd part", "log"),
+    Parameter("c2", TABLE_2["c2"], "N", "thrust at full speed, even part", step=0.1),
     Parameter("bias", 0.0, "N", "offset of the load cell", per_record=True, step=0.1),
     Parameter("e_f", 0.5, "N", "noise of the load cell", "log"),
 )

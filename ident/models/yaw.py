@@ -5,11 +5,12 @@ from __future__ import annotations
 from typing import Literal
 
 from seatrial.ident.model import INF, Input, Model, Output, Parameter, Sensor, Signals, State
+from seatrial.ident.models.published_values import TABLE_1
 
 HULL = (
-    Parameter("m_r", 9.69, "kg m2", "yaw inertia with added inertia", "log"),
-    Parameter("d_r", 4.14, "kg m2/s", "linear yaw damping", bounds=(0, INF), step=0.1),
-    Parameter("d_rr", 6.23, "kg m2", "quadratic yaw damping", bounds=(0, INF), step=0.1),
+    Parameter("m_r", TABLE_1["m_r"], "kg m2", "yaw inertia with added inertia", "log"),
+    Parameter("d_r", TABLE_1["d_r"], "kg m2/s", "linear yaw damping", bounds=(0, INF), step=0.1),
+    Parameter("d_rr", TABLE_1["d_rr"], "kg m2", "quadratic yaw damping", bounds=(0, INF), step=0.1),
     Parameter("s_r", 0.01, "rad/s/sqrt(s)", "process noise of yaw rate", "log"),
 )
 GYRO = Parameter("e_r", 0.005, "rad/s", "noise of the yaw gyro", "log")

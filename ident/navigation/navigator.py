@@ -51,9 +51,9 @@ class Estimate:
     Attributes
     ----------
     x : Array (n_rows, n_states)
-        Means.
+        Means, in the units of the states.
     P : Array (n_rows, n_states, n_states)
-        Covariances.
+        Covariances, in the products of these units.
     """
 
     x: Array
@@ -61,7 +61,7 @@ class Estimate:
 
     @property
     def sd(self) -> Array:
-        """Standard deviations of the states (n_rows, n_states)."""
+        """Standard deviations of the states (n_rows, n_states), in their units."""
         return np.asarray(np.sqrt(np.maximum(np.diagonal(self.P, axis1=1, axis2=2), 0.0)))
 
 
@@ -108,11 +108,12 @@ class Navigation:
 
     @property
     def states(self) -> tuple[str, ...]:
-        """Names of the states."""
+        """Names of the states, in the order of the columns of estimates."""
         return tuple(s.name for s in self.model.states)
 
     @cached_property
-    def _rowwise(self) -> VectorisedModel:
+    def _compiled(self) -> VectorisedModel:
+        """Compiled model that is evaluated for many rows at once."""
         return VectorisedModel(self.model)
 
     def position(self, estimate: Estimate) -> tuple[Array, Array]:
@@ -130,25 +131,25 @@ class Navigation:
         P : Array (n_rows, 2, 2)
             Covariances [m2], without measurement noise.
         """
-        j = self._columns
+        j = self._position_columns
         # the compiled model returns the rates of all states, then the outputs
-        y = self._rowwise(estimate.x, self.record.u, self.values)[:, len(self.states) :][:, j]
-        H = self._rowwise.output_jacobian(estimate.x, self.record.u, self.values)[:, j]
+        y = self._compiled(estimate.x, self.record.u, self.values)[:, len(self.states) :][:, j]
+        H = self._compiled.output_jacobian(estimate.x, self.record.u, self.values)[:, j]
         return y, np.einsum("kij,kjl,kml->kim", H, estimate.P, H)
 
     @property
     def fixes(self) -> Array:
         """Measured positions (n_rows, 2) [m], with the withheld ones; NaN in rows without a fix."""
-        return self.record.y[:, self._columns]
+        return self.record.y[:, self._position_columns]
 
     @property
     def fix_variance(self) -> Array:
         """Measurement-noise variance of a fix, north and east (2,) [m2]."""
-        return self.run.R[self._columns]
+        return self.run.R[self._position_columns]
 
     @cached_property
-    def _columns(self) -> list[int]:
-        """Indices of the position among the outputs."""
+    def _position_columns(self) -> list[int]:
+        """Indices of the position, x (north) and y (east), among the outputs."""
         names = [o.name for o in self.model.outputs]
         return [names.index(n) for n in POSITION]
 
@@ -169,7 +170,8 @@ def navigator(model: Model) -> Model:
     """Return the model with states in place of the per-record parameters of the current.
 
     The initial standard deviation of a state is that of the parameter's prior. A model without per-record current is
-    returned unchanged.
+    returned unchanged. Each parameter is fixed at the mean of its prior, and the state is the deviation from it. The
+    states are constant unless the model has the effect of a random-walk current.
     """
     currents = {p.name: p for p in model.parameters if p.name in CURRENT and p.per_record}
     if set(currents) != set(CURRENT):
@@ -205,7 +207,13 @@ def navigate(
     without_gnss : sequence of (float, float)
         Intervals of ``record.t`` [s] whose GNSS samples are withheld.
     known : ParameterCovariance, optional
-        Covariance of the parameters. Without it, the parameters count as exact.
+        Covariance of the parameters, whose errors widen the covariance of the states. Without it, the parameters count
+        as exact.
+
+    Returns
+    -------
+    Navigation
+        States, their covariance, and which fixes were used.
 
     Raises
     ------
@@ -223,14 +231,14 @@ def navigate(
     record = record.for_model(model)
     likelihood = Likelihood(model)
     values = np.array([p.value for p in model.parameters])
-    reduced, withheld = _withhold(model, record, without_gnss)
+    reduced, withheld = _without_gnss_samples(model, record, without_gnss)
     run = likelihood.filter(reduced, values)
     if not np.isfinite(run.value):
         raise ValueError(
             f"{record.name}: the filter of model {model.name} diverges on this record; check that the model was fitted "
             "to this boat"
         )
-    x, P = _best(run, smoothed)
+    x, P = _best_states(run, smoothed)
     d_pred, d_best = _consider_covariance(likelihood, reduced, values, run, x, known, smoothed)
     kind: Kind = "smoothed" if smoothed else "filtered"
     at = [o.name for o in model.outputs].index(POSITION[0])
@@ -247,18 +255,24 @@ def navigate(
     )
 
 
-def _best(run: FilterResult, smoothed: bool) -> tuple[Array, Array]:
-    """Return means and covariances of the smoother or of the filter."""
+def _best_states(run: FilterResult, smoothed: bool) -> tuple[Array, Array]:
+    """Return means (n_rows, n_states) and covariances (n_rows, n_states, n_states) of the best estimate.
+
+    They are those of the smoother if ``smoothed``, else those of the filter after the samples of each row.
+    """
     if not smoothed:
         return run.x_filt, run.P_filt
     smoother = smooth(run)
     return smoother.x, smoother.P
 
 
-def _withhold(
+def _without_gnss_samples(
     model: Model, record: Record, intervals: Sequence[tuple[float, float]]
 ) -> tuple[Record, NDArray[np.bool_]]:
-    """Return the record without the GNSS samples of the intervals [s], and the rows whose position was withheld.
+    """Return the record without GNSS samples in the intervals, and a mask (n_rows,) of the withheld positions.
+
+    An interval is a pair of times of the record [s]; its end does not belong to it. Positions, velocities and speeds of
+    sensors that have only these outputs are replaced by NaN. The given record is not changed.
 
     Raises
     ------
@@ -292,8 +306,22 @@ def _consider_covariance(
 ) -> tuple[Array, Array]:
     """Return the consider covariances of prediction and best estimate, each (n_rows, n_states, n_states).
 
-    They are the contributions of the parameter errors to the covariances. ``x`` (n_rows, n_states) is the best
-    estimate at the parameters ``values``.
+    They are the contributions of the parameter errors to the covariances. The filter, and the smoother if
+    ``smoothed``, run again with parameters that are moved along each principal direction of their covariance. A
+    direction for which the filter diverges is left out.
+
+    Parameters
+    ----------
+    likelihood, record, values
+        Likelihood of the model, record, and parameter values (n_parameters,).
+    run
+        Filter run at these values.
+    x
+        Best estimate (n_rows, n_states) at these values.
+    known
+        Covariance of the parameters; None: the result is zero.
+    smoothed
+        Whether the best estimate is that of the smoother.
     """
     n = x.shape[1]
     added = np.zeros((2, len(x), n, n))
@@ -303,13 +331,16 @@ def _consider_covariance(
             continue
         moved_best = smoothed_mean(moved_run) if smoothed else moved_run.x_filt
         for k, (a, b) in enumerate(((moved_run.x_pred, run.x_pred), (moved_best, x))):
-            d = _difference(likelihood.model, a, b) / PARAMETER_STEP
+            d = _state_difference(likelihood.model, a, b) / PARAMETER_STEP
             added[k] += d[:, :, None] * d[:, None, :]
     return added[0], added[1]
 
 
-def _difference(model: Model, a: Array, b: Array) -> Array:
-    """Return ``a - b`` of states (n_rows, n_states), with angles wrapped."""
+def _state_difference(model: Model, a: Array, b: Array) -> Array:
+    """Return the difference ``a - b`` of two state trajectories (n_rows, n_states).
+
+    States that are outputs with an angle are wrapped to a half turn.
+    """
     angles = {o.name for o in model.outputs if o.angle}
     d = a - b
     for i, state in enumerate(model.states):

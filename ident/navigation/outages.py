@@ -46,7 +46,7 @@ class OutageErrors:
     Attributes
     ----------
     rms, largest : float
-        Root mean square and largest distance [m].
+        Root mean square and largest distance from the fixes [m].
     inside : float
         Empirical coverage of the 95 % ellipses, 0..1; the ellipses include the measurement noise of a fix.
     n : int
@@ -109,12 +109,15 @@ class Outage:
 
     @property
     def duration(self) -> float:
-        """Duration [s]."""
+        """Duration of the outage [s]."""
         return self.end - self.start
 
 
 def ellipse(P: Array) -> Ellipse:
-    """Return the 95 % confidence ellipse of a position with the covariance ``P`` (2, 2) [m2] of north and east."""
+    """Return the 95 % confidence ellipse of a position with the covariance ``P`` (2, 2) [m2] of north and east.
+
+    Negative eigenvalues, from rounding, count as zero.
+    """
     w, V = np.linalg.eigh(P)
     small, large = np.sqrt(np.maximum(w, 0.0))
     north, east = V[:, 1]
@@ -130,12 +133,12 @@ def circular_error(large: float, small: float) -> float:
     Parameters
     ----------
     large, small : float
-        Standard deviations along the principal axes [m].
+        Standard deviations along the principal axes [m]; ``large`` is not smaller than ``small``.
 
     Returns
     -------
     float
-        Radius [m].
+        Radius [m], 1.96 to 2.45 times ``large``; 0 if ``large`` is not positive.
 
     Notes
     -----
@@ -158,35 +161,48 @@ def circular_error(large: float, small: float) -> float:
 def gnss_outages(navigation: Navigation) -> list[Outage]:
     """Return the GNSS outages of a record in order of time.
 
-    An outage is a time without a used position, longer than three median intervals between fixes and than 2 s.
+    An outage is an interval between two used fixes that is longer than three median intervals between fixes and longer
+    than 2 s. The intervals before the first and after the last used fix also count. Withheld fixes are not used.
     """
     used = np.flatnonzero(navigation.used)
     t = navigation.t
     median = float(np.median(np.diff(t[np.isfinite(navigation.fixes[:, 0])]))) if used.size > 1 else 0.0
     least = max(MIN_INTERVALS * median, MIN_DURATION)
     marks = np.unique([0, *used, len(t) - 1])
-    evaluation = _Evaluation(navigation)
+    evaluation = _OutageEvaluator(navigation)
     return [
         evaluation.outage(int(a), int(b), not navigation.used[b]) for a, b in pairwise(marks) if t[b] - t[a] > least
     ]
 
 
-class _Evaluation:
-    """Evaluation of outages; the positions and covariances of all rows are computed only once."""
+class _OutageEvaluator:
+    """Evaluator of the outages of one record.
+
+    Attributes
+    ----------
+    navigation
+        Result of the navigation along the record.
+    predicted, best
+        Positions (n_rows, 2) [m] and their covariances (n_rows, 2, 2) [m2], of the prediction and of the best estimate.
+        They are computed once for all outages.
+    """
 
     def __init__(self, navigation: Navigation) -> None:
         self.navigation = navigation
         self.predicted, self.best = (navigation.position(e) for e in (navigation.predicted, navigation.best))
 
     def outage(self, first: int, last: int, is_open: bool) -> Outage:
-        """Return the outage between the rows ``first`` and ``last``; ``is_open``: the last row has no used fix."""
+        """Return the outage from the row ``first`` to the row ``last``, with its errors.
+
+        ``is_open`` means that the last row has no used fix, so that no fix follows the outage.
+        """
         n, t = self.navigation, self.navigation.t
         withheld = first + np.flatnonzero(n.withheld[first : last + 1])
         # row of the fix that the prediction is compared with
         compared = last if not is_open else int(withheld[-1]) if withheld.size else None
         error, allowed, inside = None, None, None
         if compared is not None:
-            distance, within = self._errors(self.predicted, np.array([compared]))
+            distance, within = self._distances_from_fixes(self.predicted, np.array([compared]))
             error, inside = float(distance[0]), bool(within[0])
             allowed = ellipse(self.predicted[1][compared] + np.diag(n.fix_variance)).radius
         inner = self.best[1][first : last + 1]
@@ -206,22 +222,41 @@ class _Evaluation:
             allowed,
             inside,
             ellipse(widest).radius,
-            self._summary(self.predicted, withheld),
-            self._summary(self.best, withheld),
+            self._errors_at_fixes(self.predicted, withheld),
+            self._errors_at_fixes(self.best, withheld),
         )
 
-    def _errors(self, estimate: tuple[Array, Array], rows: NDArray[np.intp]) -> tuple[Array, NDArray[np.bool_]]:
-        """Return the distances [m] from the fixes of the rows, and whether the fixes are inside the 95 % ellipses."""
+    def _distances_from_fixes(
+        self, estimate: tuple[Array, Array], rows: NDArray[np.intp]
+    ) -> tuple[Array, NDArray[np.bool_]]:
+        """Compare estimated positions with the fixes of some rows.
+
+        Parameters
+        ----------
+        estimate
+            Positions (n_rows, 2) [m] and their covariances (n_rows, 2, 2) [m2].
+        rows
+            Indices (n,) of rows with a fix.
+
+        Returns
+        -------
+        tuple of Array (n,)
+            Distances from the fixes [m], and whether the fixes are inside the 95 % ellipses. The ellipses include the
+            measurement noise of a fix.
+        """
         e = estimate[0][rows] - self.navigation.fixes[rows]
         S = estimate[1][rows] + np.diag(self.navigation.fix_variance)
         mahalanobis = np.einsum("ki,ki->k", e, np.linalg.solve(S, e[:, :, None])[:, :, 0])  # squared distance
         return np.hypot(e[:, 0], e[:, 1]), mahalanobis <= CHI2
 
-    def _summary(self, estimate: tuple[Array, Array], rows: NDArray[np.intp]) -> OutageErrors | None:
-        """Return the errors against the fixes of the rows, None without rows."""
+    def _errors_at_fixes(self, estimate: tuple[Array, Array], rows: NDArray[np.intp]) -> OutageErrors | None:
+        """Return the errors of the estimated positions against the fixes of the rows; None without rows.
+
+        ``estimate``: positions (n_rows, 2) [m] and their covariances (n_rows, 2, 2) [m2].
+        """
         if not rows.size:
             return None
-        distance, within = self._errors(estimate, rows)
+        distance, within = self._distances_from_fixes(estimate, rows)
         return OutageErrors(
             float(np.sqrt(np.mean(distance**2))), float(distance.max()), float(within.mean()), rows.size
         )

@@ -28,11 +28,12 @@ from seatrial.ident.experiment_design import (
     StepInput,
     copy_spacing,
     design,
-    divided,
+    divided_spacing,
 )
 from seatrial.ident.model import INF, Model
 from seatrial.ident.models import (
     DELAY_STEP,
+    TABLE_5_3DOF,
     check_user_model,
     horizontal_model,
     kinematic_model,
@@ -46,33 +47,23 @@ from seatrial.ident.studies.monte_carlo import Case, run_replicates
 
 MISSION_SEED = 20  # the mission is the same for all replicates
 # Table 5, 3 DOF: the identified boat. The estimates of d_u and d_vv of Table 1 would be at their bound of zero.
-HULL = {
-    "m_u": 43.0775,
-    "m_v": 49.8655,
-    "m_r": 13.5756,
-    "d_u": 8.4193,
-    "d_v": 81.3337,
-    "d_r": 6.4794,
-    "d_uu": 27.8441,
-    "d_vv": 11.7343,
-    "d_rr": 19.9464,
-}
+HULL = TABLE_5_3DOF
 N_DELAYS = round(0.2 / DELAY_STEP) + 1  # up to twice the true delay
 
 
 def random_levels(
     t: Array, levels: Callable[[np.random.Generator], Array], hold: tuple[float, float], seed: int
 ) -> Array:
-    """Return a random step sequence (n_rows, n_inputs).
+    """Return a random step sequence (n_rows, n_inputs). The levels of all inputs change at the same times.
 
     Parameters
     ----------
     t : Array (n_rows,)
         Times of the rows [s].
     levels
-        Function that draws one level of each input.
+        Function of a random generator that draws one level of each input (n_inputs,).
     hold
-        Shortest and longest time of a level [s].
+        Shortest and longest time for which levels are held [s].
     seed
         Seed of the sequence.
     """
@@ -85,36 +76,39 @@ def random_levels(
 
 
 def _shaft_speeds(command: Array, step: float) -> Array:
-    """Return the shaft speeds (n_rows, n) behind commands that are held over each ``step`` [s], from rest."""
+    """Return the shaft speeds (n_rows, n) that follow from commands (n_rows, n), from rest.
+
+    A command is held from one row to the next, ``step`` [s] later. The shaft is a first-order lag.
+    """
     return first_order_lag(command, 1.0 / SHAFT_POLE, step)
 
 
 def surge_case(seconds: float = 300.0) -> Case:
-    """Return the surge case: forward and reverse thrust in steps, position at 10 Hz."""
-    t = _clock(seconds, 0.1)
+    """Return the surge case: forward and reverse thrust in steps, position at 10 Hz, for ``seconds`` [s]."""
+    t = _row_times(seconds, 0.1)
     force = random_levels(t, lambda rng: rng.uniform(-30.0, 80.0, 1), (5.0, 15.0), MISSION_SEED)
-    model = _at(surge_model(), HULL | {"s_u": 0.02, "e_x": 0.05})
+    model = _model_at(surge_model(), HULL | {"s_u": 0.02, "e_x": 0.05})
     return Case(
         "surge", model, SampledInputs.held(t, force), {}, f"{seconds:g} s, thrust in steps of 5-15 s, position 10 Hz"
     )
 
 
 def yaw_case(seconds: float = 300.0) -> Case:
-    """Return the yaw case: differential thrust in steps, gyro at 20 Hz."""
-    t = _clock(seconds, 0.05)
+    """Return the yaw case: yaw moment in steps, gyro at 20 Hz, for ``seconds`` [s]."""
+    t = _row_times(seconds, 0.05)
     moment = random_levels(t, lambda rng: rng.uniform(-12.0, 12.0, 1), (2.0, 8.0), MISSION_SEED)
-    model = _at(yaw_model(), HULL | {"s_r": 0.02, "e_r": 0.01})
+    model = _model_at(yaw_model(), HULL | {"s_r": 0.02, "e_r": 0.01})
     return Case("yaw", model, SampledInputs.held(t, moment), {}, f"{seconds:g} s, moment in steps of 2-8 s, gyro 20 Hz")
 
 
 def horizontal_case(seconds: float = 400.0) -> Case:
-    """Return the horizontal case: both thrusters in steps.
+    """Return the horizontal case: both thrusters in steps, for ``seconds`` [s].
 
     Heading, gyro and accelerometers are sampled at 10 Hz, position and velocity at 5 Hz.
     """
-    t = _clock(seconds, 0.1)
+    t = _row_times(seconds, 0.1)
     n = _shaft_speeds(random_levels(t, lambda rng: rng.uniform(-0.5, 1.0, 2), (3.0, 10.0), MISSION_SEED), 0.1)
-    model = _at(horizontal_model(), HULL | {"s_u": 0.02, "s_v": 0.02, "s_r": 0.01})
+    model = _model_at(horizontal_model(), HULL | {"s_u": 0.02, "s_v": 0.02, "s_r": 0.01})
     return Case(
         "horizontal",
         model,
@@ -125,8 +119,8 @@ def horizontal_case(seconds: float = 400.0) -> Case:
 
 
 def thruster_case(seconds: float = 100.0) -> Case:
-    """Return the thruster case: steps on the bench, with command, shaft speed and force at 80 Hz."""
-    t = _clock(seconds, DELAY_STEP)  # with this step the delayed commands change at rows
+    """Return the thruster case: steps on the bench for ``seconds`` [s]; command, shaft speed and force at 80 Hz."""
+    t = _row_times(seconds, DELAY_STEP)  # with this step the delayed commands change at rows
     command = random_levels(t, lambda rng: rng.uniform(-1.0, 1.0, 1), (1.0, 4.0), MISSION_SEED)[:, 0]
     whole = [np.searchsorted(t, t - k * DELAY_STEP + 1e-9, side="right") - 1 for k in range(N_DELAYS)]
     u = np.column_stack([command[np.maximum(at, 0)] for at in whole])
@@ -137,11 +131,14 @@ def thruster_case(seconds: float = 100.0) -> Case:
 
 
 def kinematic_case(seconds: float = 400.0) -> Case:
-    """Return the horizontal case with measured attitude and rates. The boat rolls by 3 and pitches by 2 degrees."""
-    t = _clock(seconds, 0.1)
+    """Return the horizontal case with measured attitude and body rates, for ``seconds`` [s].
+
+    The boat rolls by 3 and pitches by 2 degrees (amplitudes).
+    """
+    t = _row_times(seconds, 0.1)
     n = _shaft_speeds(random_levels(t, lambda rng: rng.uniform(-0.5, 1.0, 2), (3.0, 10.0), MISSION_SEED), 0.1)
-    model = _at(kinematic_model(), HULL | {"s_u": 0.02, "s_v": 0.02})
-    inputs = SampledInputs.linear(t, np.column_stack([n, simulated_attitude(t, turned(t, n))]))
+    model = _model_at(kinematic_model(), HULL | {"s_u": 0.02, "s_v": 0.02})
+    inputs = SampledInputs.linear(t, np.column_stack([n, simulated_attitude(t, heading_under_thrust(t, n))]))
     return Case(
         "kinematic",
         model,
@@ -152,8 +149,12 @@ def kinematic_case(seconds: float = 400.0) -> Case:
     )
 
 
-def turned(t: Array, n: Array) -> Array:
-    """Return the heading (n_rows,) [rad] under shaft speeds n (n_rows, 2), by the yaw equation without noise."""
+def heading_under_thrust(t: Array, n: Array) -> Array:
+    """Return the heading (n_rows,) [rad] of the boat of Table 5 from its start at heading 0 and at rest.
+
+    It is the yaw equation without noise, integrated by Euler's method. ``t`` (n_rows,) are times [s], and ``n``
+    (n_rows, 2) are the shaft speeds of the left and the right thruster, -1 to 1.
+    """
     model = horizontal_model()
     force = model.values["c1"] * n * np.abs(n) + model.values["c2"] * n**2
     moment = force @ [-model.values["y_left"], -model.values["y_right"]]
@@ -165,7 +166,11 @@ def turned(t: Array, n: Array) -> Array:
 
 
 def simulated_attitude(t: Array, psi: Array) -> Array:
-    """Return phi, theta, psi [rad] and their body rates p, q, r [rad/s], Array (n_rows, 6); Fossen 2011, eq. 2.27."""
+    """Return roll, pitch, heading [rad] and body rates p, q, r [rad/s] of a rolling boat, Array (n_rows, 6).
+
+    Roll is a sine of 0.052 rad and 2.3 s, pitch one of 0.035 rad and 3.1 s. ``t`` (n_rows,) are times [s], and ``psi``
+    (n_rows,) is the heading [rad]. The body rates follow from Fossen 2011, eq. 2.27.
+    """
     phi, theta = 0.052 * np.sin(2 * np.pi * t / 2.3), 0.035 * np.sin(2 * np.pi * t / 3.1)
     d_phi, d_theta, d_psi = (np.gradient(angle, t) for angle in (phi, theta, psi))
     rates = (
@@ -177,8 +182,11 @@ def simulated_attitude(t: Array, psi: Array) -> Array:
 
 
 def noise_case(seconds: float = 300.0) -> Case:
-    """Return the noise case: white noise and a random walk of one axis at rest, as `seatrial ident noise` fits them."""
-    t = _clock(seconds, 0.05)
+    """Return the noise case: one sensor axis at rest at 20 Hz, for ``seconds`` [s].
+
+    It has white noise and a random walk, as `seatrial ident noise` fits them.
+    """
+    t = _row_times(seconds, 0.05)
     model = noise_model(1e-3).with_values({"white": 1.0, "walk": 0.3})
     return Case(
         "noise", model, SampledInputs.held(t, np.empty((t.size, 0))), {}, f"{seconds:g} s at rest, 20 Hz", reml=False
@@ -186,22 +194,28 @@ def noise_case(seconds: float = 300.0) -> Case:
 
 
 def optimal_design_case(seconds: float = 300.0) -> Case:
-    """Return the optimal design for the nine parameters of Table 1, to test whether fits reach the predicted errors."""
+    """Return an optimal design of ``seconds`` [s] for the nine parameters of Table 1 as a case.
+
+    The case tests whether fits reach the standard errors that the design predicts.
+    """
     rates = {"position": 5.0, "ground_velocity": 5.0}
-    task = DesignProblem(
+    problem = DesignProblem(
         horizontal_model(current=False), StepInput(round(seconds / 5.0), 2, seconds, 1.0, GRID), rates=rates
     )
-    case = designed_case(design(task, evaluations=2000))
+    case = designed_case(design(problem, evaluations=2000))
     return replace(case, about=f"{seconds:g} s, designed steps of at least 1 s, AHRS 10 Hz, GNSS 5 Hz, no current")
 
 
-def _clock(seconds: float, step: float) -> Array:
-    """Return the times of the rows [s]."""
+def _row_times(seconds: float, step: float) -> Array:
+    """Return the times of the rows (n_rows,) [s], from 0 to ``seconds`` in steps of ``step`` [s]."""
     return np.asarray(np.arange(round(seconds / step) + 1) * step)
 
 
-def _at(model: Model, values: Mapping[str, float]) -> Model:
-    """Return the model at the values of its own parameters, with the second-order mean of `ident vehicle`."""
+def _model_at(model: Model, values: Mapping[str, float]) -> Model:
+    """Return the model at given parameter values, with the second-order filter mean that `ident vehicle` uses.
+
+    Values of parameters that the model lacks are ignored.
+    """
     return replace(model.with_values({n: v for n, v in values.items() if n in model.values}), second_order=True)
 
 
@@ -214,7 +228,7 @@ CASES: dict[str, Callable[..., Case]] = {
     "noise": noise_case,
     "designed": optimal_design_case,
 }
-STEP = 0.1  # s, default sample interval of sensors if the file has no rate; that of GNSS is twice as long
+SENSOR_INTERVAL_S = 0.1  # s, default sample interval of sensors if the file has no rate; that of GNSS is twice as long
 HOLD = (3.0, 10.0)  # s, shortest and longest time of a level
 GNSS = ("position", "ground_velocity")
 SECONDS = 400.0  # default length of a mission
@@ -239,17 +253,22 @@ def make_case(
     name
         Name of a built-in case, or a file (``model.toml`` or ``FILE.py:NAME``).
     truth
-        Other true values, by parameter.
+        True values that replace those of the case, by name of the parameter.
     free
-        Names of the parameters to estimate, by default all free parameters of the model.
+        Names of the parameters to estimate. Empty: all free parameters of the model.
     seconds
         Length of the mission [s], by default that of the case.
     bounded
         Whether damping is bounded at zero. With False damping may be estimated below zero.
     reml
-        Whether to use restricted maximum likelihood, by default as the commands do, or as the file was fitted.
+        Whether to use restricted maximum likelihood. None: as the commands do, or as the file was fitted.
     mean_order
-        Order of the filter mean, by default as the commands use it, or as the file was fitted.
+        Order of the filter mean, 1 or 2. None: as the commands use it, or as the file was fitted.
+
+    Returns
+    -------
+    Case
+        Mission, and model at the true values.
 
     Raises
     ------
@@ -264,7 +283,7 @@ def make_case(
     else:
         case = CASES[name](**({} if seconds is None else {"seconds": seconds}))
     try:
-        case = case.at(truth or {})
+        case = case.with_truth(truth or {})
         case = replace(case, model=case.model.with_free(free)) if free else case
     except (KeyError, ValueError) as problem:
         raise SeatrialError(str(problem.args[0])) from problem
@@ -278,7 +297,7 @@ def make_case(
 
 
 def is_file(source: str) -> bool:
-    """Return whether the MODEL of the command is a file."""
+    """Return whether ``source``, the argument MODEL of the command, is a file: ``NAME.toml`` or ``FILE.py:NAME``."""
     return source.endswith(".toml") or ":" in source
 
 
@@ -291,49 +310,74 @@ def case_from_file(source: str, seconds: float | None, seed: int) -> Case:
         ``model.toml``: the inputs are random levels within the ranges that the data of the fit covered, and the case is
         estimated as the model was fitted. ``FILE.py:NAME``: a ``Case``, which is estimated as `ident vehicle` does.
     seconds
-        Length of the mission [s], only for a model.toml.
+        Length of the mission [s], only for a model.toml. None: 400 s.
     seed
-        Seed of the mission.
+        Seed of the mission, only for a model.toml.
 
     Raises
     ------
     SeatrialError
-        If there is no such file, or if no mission can be made from it.
+        If there is no such file, if the object is no ``Case``, if no mission can be made from the model, or if
+        ``seconds`` is given for a ``Case``.
     """
     if source.endswith(".toml"):
         path = Path(source)
         if not path.is_file():
             raise SeatrialError(f"{source}: no such file")
         saved = load_model(path)
-        case = _of_model(saved, source, seconds or SECONDS, seed)
-        return _marked(replace(case, reml=saved.reml), path)
+        case = _case_of_fitted_model(saved, source, seconds or SECONDS, seed)
+        return _with_file_hash(replace(case, reml=saved.reml), path)
     file, _, name = source.rpartition(":")
     case = load_object(source)
     if isinstance(case, Model):
         raise SeatrialError(
-            f"{file}: {name} is a Model; a study also needs a mission: "
-            "make it a seatrial.ident.studies.monte_carlo.Case"
+            f"{file}: {name} is a Model without a mission; "
+            "give a seatrial.ident.studies.monte_carlo.Case, which has both"
         )
     if not isinstance(case, Case):
         raise SeatrialError(f"{file}: {name} is no seatrial.ident.studies.monte_carlo.Case but {type(case).__name__}")
     if seconds is not None:
         raise SeatrialError(f"--seconds: the length of {name} is set in {file}; leave the option out")
     check_user_model(case.model, Path(file))
-    return _marked(replace(case, model=replace(case.model, second_order=True)), Path(file))  # as `ident vehicle` does
+    return _with_file_hash(
+        replace(case, model=replace(case.model, second_order=True)), Path(file)
+    )  # as `ident vehicle` does
 
 
-def _marked(case: Case, path: Path) -> Case:
-    """Return the case with a hash of the file in its identity, so that a changed file starts a new study."""
+def _with_file_hash(case: Case, path: Path) -> Case:
+    """Return the case with a hash of the file at ``path`` in the source of its model.
+
+    The source is part of the identity of a study, so that a changed file starts a new study.
+    """
     digest = hashlib.sha256(path.read_bytes()).hexdigest()[:16]
     return replace(case, model=replace(case.model, source=f"{case.model.source} {digest}"))
 
 
-def _of_model(saved: SavedModel, source: str, seconds: float, seed: int) -> Case:
-    """Return a case of a fitted model, with random levels of its inputs within the ranges of its data."""
+def _case_of_fitted_model(saved: SavedModel, source: str, seconds: float, seed: int) -> Case:
+    """Return a case of a fitted model, with random levels of its inputs within the ranges of its data.
+
+    Inputs that are linear between rows are lagged as a shaft would be. Delayed input taps follow from their inputs. The
+    time input is the time since the start.
+
+    Parameters
+    ----------
+    saved, source
+        Fitted model, and its file for messages.
+    seconds
+        Length of the mission [s].
+    seed
+        Seed of the levels.
+
+    Raises
+    ------
+    SeatrialError
+        If the file has no range for an input.
+    """
     model, ranges = saved.model, saved.validity
-    rates = {s.name: saved.rates.get(s.name, (0.5 if s.name in GNSS else 1.0) / STEP) for s in model.sensors}
-    step = _row_step(model, max(rates.values()))
-    t = _clock(seconds, step)
+    default = {s.name: (0.5 if s.name in GNSS else 1.0) / SENSOR_INTERVAL_S for s in model.sensors}
+    rates = {name: saved.rates.get(name, hz) for name, hz in default.items()}
+    step = _row_interval(model, max(rates.values()))
+    t = _row_times(seconds, step)
     rng = np.random.default_rng(seed)
     u = np.empty((t.size, len(model.inputs)))
     for j, signal in enumerate(model.inputs):
@@ -347,8 +391,8 @@ def _of_model(saved: SavedModel, source: str, seconds: float, seed: int) -> Case
                 "write a Case in a Python file instead (docs/how-to/study.md)"
             )
         else:
-            levels = _levels(t, *ranges[signal.name], rng)
-            u[:, j] = _measured(levels, step) if signal.hold == "linear" else levels
+            levels = _held_random_levels(t, *ranges[signal.name], rng)
+            u[:, j] = _lagged_levels(levels, step) if signal.hold == "linear" else levels
     names = [i.name for i in model.inputs]
     for j, signal in enumerate(model.inputs):
         if signal.tap:  # delayed copy; before the start it has the first value
@@ -364,8 +408,11 @@ def _of_model(saved: SavedModel, source: str, seconds: float, seed: int) -> Case
     return Case(f"{model.name}-{Path(source).parent.name or 'own'}", model, SampledInputs(t, u, u_next), every, about)
 
 
-def _levels(t: Array, low: float, high: float, rng: np.random.Generator) -> Array:
-    """Return random levels (n_rows,), each held for a random time within ``HOLD``."""
+def _held_random_levels(t: Array, low: float, high: float, rng: np.random.Generator) -> Array:
+    """Return random levels (n_rows,) between ``low`` and ``high``, each held for a random time of 3 to 10 s (``HOLD``).
+
+    ``t`` (n_rows,) are the times of the rows [s].
+    """
     out, until = np.empty(t.size), 0.0
     while until <= t[-1]:
         out[t >= until - 1e-9] = rng.uniform(low, high)
@@ -373,17 +420,20 @@ def _levels(t: Array, low: float, high: float, rng: np.random.Generator) -> Arra
     return out
 
 
-def _row_step(model: Model, fastest: float) -> float:
-    """Return the spacing of the rows [s].
+def _row_interval(model: Model, fastest: float) -> float:
+    """Return the spacing of the rows [s], which is at most 0.1 s.
 
-    It is short enough for the model and for the fastest sensor [Hz]. The delays of input copies are multiples of it;
-    otherwise rounding would hide the delay.
+    It is short enough for the model and for the fastest sensor, whose rate is ``fastest`` [Hz]. It divides the smallest
+    delay of the delayed input taps by a whole number; otherwise rounding would hide the delay.
     """
-    return divided(copy_spacing(model, STEP), min(model.max_step, 1.05 / fastest))
+    return divided_spacing(copy_spacing(model, SENSOR_INTERVAL_S), min(model.max_step, 1.05 / fastest))
 
 
-def _measured(levels: Array, step: float) -> Array:
-    """Return shaft speeds or thrusts as measured: they follow the levels with a first-order lag, from steady state."""
+def _lagged_levels(levels: Array, step: float) -> Array:
+    """Return shaft speeds or thrusts (n_rows,) that follow levels (n_rows,) with the first-order lag of a shaft.
+
+    They start in steady state at the first level. ``step`` is the spacing of the rows [s].
+    """
     return first_order_lag(levels, 1.0 / SHAFT_POLE, step, start="steady")
 
 
@@ -396,7 +446,7 @@ class RepeatStatistics:
     name
         Name of the parameter.
     predicted
-        Standard error that the design predicted.
+        Standard error that the design predicted, in the unit of the parameter.
     n
         Number of converged fits.
     ratio, interval
@@ -404,7 +454,8 @@ class RepeatStatistics:
     coverage
         Share of the estimates within 1.96 predicted standard errors.
     outliers
-        Number of estimates far from the truth. They are left out of the ratio and included in the coverage.
+        Number of estimates more than 8 predicted standard errors from the truth. They are left out of the ratio and
+        included in the coverage.
     """
 
     name: str
@@ -417,11 +468,12 @@ class RepeatStatistics:
 
 
 def designed_case(designed: Design, name: str = "designed") -> Case:
-    """Return a designed mission as a case, estimated as `ident vehicle` does.
+    """Return a designed mission as a case with this name, estimated as `ident vehicle` does.
 
-    Damping is not bounded at zero, because a bound makes the errors one-sided.
+    The rows are as frequent as the samples of the fastest sensor. No parameter without a transform is bounded, because
+    a bound, for example zero for damping, makes the errors one-sided.
     """
-    fine = designed.task.finer
+    fine = designed.problem.finer
     unbounded = [replace(p, bounds=(-INF, INF)) for p in fine.model.parameters if p.transform == "none"]
     u = fine.actuation.inputs(designed.command_on(fine)[:, :, None])[:, :, 0]
     model = replace(fine.observed(fine.model.replace_parameters(*unbounded)), second_order=True)
@@ -443,19 +495,24 @@ def repeat_design(made: Design, n: int, seed: int) -> list[RepeatStatistics]:
     Returns
     -------
     list of RepeatStatistics
-        Errors of each estimated parameter.
+        Errors of each parameter that the sensors observe. Fits that failed or did not converge are left out.
     """
     case = designed_case(made)
     rows = [row for k in range(0, n, BATCH) for row in run_replicates(case, range(k, min(k + BATCH, n)), seed)]
     good = [row for row in rows if row.get("converged")]
     return [
-        _delivered(made, name, np.array([row["d"][name] for row in good])) for name in made.task.observed_parameters
+        _repeat_statistics(made, name, np.array([row["d"][name] for row in good]))
+        for name in made.problem.observed_parameters
     ]
 
 
-def _delivered(made: Design, name: str, d: Array) -> RepeatStatistics:
-    """Return the errors of one parameter, from the errors d (n,) in the coordinate of the estimator."""
-    p, predicted = made.task.model.parameter(name), made.predicted[name]
+def _repeat_statistics(made: Design, name: str, d: Array) -> RepeatStatistics:
+    """Return the statistics of the errors of one parameter over the repeats of a design.
+
+    ``d`` (n,) are errors (estimate minus truth) in the coordinate of the estimator, for example the logarithm of a
+    positive parameter.
+    """
+    p, predicted = made.problem.model.parameter(name), made.predicted[name]
     z = d * p.slope(p.value) / predicted  # d is in the estimator's coordinate
     regular = np.abs(z) < MAX_ERROR
     n = int(regular.sum())

@@ -18,6 +18,7 @@ bounds in the metric of that information (Self and Liang 1987, Andrews 1999).
 from __future__ import annotations
 
 import hashlib
+import json
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -94,8 +95,8 @@ class Case:
     about: str = ""
     reml: bool = True
 
-    def at(self, truth: Mapping[str, float]) -> Case:
-        """Return the case with other true values."""
+    def with_truth(self, truth: Mapping[str, float]) -> Case:
+        """Return the case with other true values; ``truth`` has them by name of the parameter."""
         return replace(self, model=self.model.with_values(truth))
 
 
@@ -116,10 +117,11 @@ def run_replicates(case: Case, numbers: Sequence[int], seed: int, method: Method
     Returns
     -------
     list of Row
-        One row for each replicate. The row of a failed fit has the key ``error``.
+        One row for each replicate: its number ``k``, the CPU time ``simulation`` [s] of its simulation, and the keys of
+        `estimate`. The row of a failed fit has the key ``error`` instead, with a message.
     """
     rngs = [np.random.default_rng([seed, k]) for k in numbers]
-    truths = np.array([_draw(case.model, rng) for rng in rngs])
+    truths = np.array([_draw_truth(case.model, rng) for rng in rngs])
     began = time.process_time()
     states, y = simulate_stochastic(case.model, case.inputs, truths, rngs)
     simulation = (time.process_time() - began) / len(numbers)
@@ -135,8 +137,49 @@ def run_replicates(case: Case, numbers: Sequence[int], seed: int, method: Method
     return rows
 
 
+def read_replicates(path: Path) -> list[Row]:
+    """Read the replicates of earlier runs of a study.
+
+    Parameters
+    ----------
+    path
+        File of JSON lines, one replicate in each. It need not exist.
+
+    Returns
+    -------
+    list of Row
+        Rows of `run_replicates` with the keys ``key`` (hash of case, seed and estimator) and ``code`` (hash of the
+        code). Failed replicates, lines that are no valid JSON (for example the last one of a stopped run) and lines
+        without these keys are left out. The list is empty if there is no file.
+    """
+    rows = []
+    for text in path.read_text(encoding="utf-8").splitlines() if path.exists() else ():
+        try:
+            row = json.loads(text)
+        except json.JSONDecodeError:
+            continue
+        if isinstance(row, dict) and {"k", "key", "code"} <= set(row) and "error" not in row:
+            rows.append(row)
+    return rows
+
+
 def make_record(case: Case, y: Array, name: str) -> Record:
-    """Return a record with the measurements y (n_rows, n_outputs), NaN at rows at which a sensor does not sample."""
+    """Return a record of a case with simulated measurements.
+
+    Parameters
+    ----------
+    case
+        The case, which gives inputs and sample rates.
+    y
+        Measurements in all rows (n_rows, n_outputs). The array is not changed.
+    name
+        Name of the record.
+
+    Returns
+    -------
+    Record
+        Measurements that are NaN in rows in which their sensor does not sample.
+    """
     model, inputs, seen, column = case.model, case.inputs, np.full(y.shape, np.nan), 0
     for sensor in model.sensors:
         rows, columns = np.s_[:: case.every.get(sensor.name, 1)], np.s_[column : column + len(sensor.outputs)]
@@ -165,9 +208,10 @@ def estimate(case: Case, record: Record, truth: Array, x0: Array, rng: np.random
     Returns
     -------
     Row
-        Errors ``d``, standard errors ``se``, errors ``far`` of the far interval ends, Cramér-Rao ``bound`` and
-        ``flags`` by parameter name, in the coordinate of the estimator. The names are those of ``case.model.free`` and,
-        for output error, ``x0_NAME`` of the initial states.
+        ``converged``, ``iterations`` and CPU time ``cpu`` [s] of the fit. By parameter name, in the coordinate of the
+        estimator: errors ``d`` (estimate minus truth), standard errors ``se``, errors ``far`` of the far interval ends,
+        and Cramér-Rao ``bound``; None for a value that is not finite. ``flags``: problems of estimates, by parameter
+        name. The names are those of the free parameters and, for output error, ``x0_NAME`` of the initial states.
     """
     model = replace(case.model, second_order=case.model.second_order and method == "prediction-error")
     true_values = dict(zip([p.name for p in model.parameters], truth.tolist(), strict=True))
@@ -185,7 +229,7 @@ def estimate(case: Case, record: Record, truth: Array, x0: Array, rng: np.random
     cpu = time.process_time() - began
     parameters = found.parameters
     names = [p.name for p in parameters]
-    z = _coordinates(parameters, found.values)
+    z = _estimator_coordinates(parameters, found.values)
     slope = np.array([p.slope(v) for p, v in zip(parameters, found.values, strict=True)])
     name_of = {p.full_name: p.name for p in parameters}
     true = np.array([p.to_free(true_values[p.name]) for p in parameters])
@@ -194,9 +238,9 @@ def estimate(case: Case, record: Record, truth: Array, x0: Array, rng: np.random
         "iterations": found.iterations,
         "cpu": cpu,
         "d": dict(zip(names, (z - true).tolist(), strict=True)),
-        "se": _finite(names, found.errors / slope),
-        "far": _finite(names, _coordinates(parameters, found.limits) - true),
-        "bound": _finite(names, cramer_rao_errors(model.with_values(true_values), record, found, method, rng)),
+        "se": _finite_by_name(names, found.errors / slope),
+        "far": _finite_by_name(names, _estimator_coordinates(parameters, found.limits) - true),
+        "bound": _finite_by_name(names, cramer_rao_errors(model.with_values(true_values), record, found, method, rng)),
         "flags": {name_of[n]: what for n, what in found.flags},
     }
 
@@ -260,13 +304,17 @@ def variance_change_by_bounds(
     return np.asarray(kept.var(axis=0) - free.var(axis=0))
 
 
-def _coordinates(parameters: Sequence[Parameter], values: Array) -> Array:
-    """Return parameter values (n,) in the coordinates of the estimator."""
+def _estimator_coordinates(parameters: Sequence[Parameter], values: Array) -> Array:
+    """Return parameter values (n,) in the coordinates of the estimator: the logarithm for a positive parameter."""
     return np.array([p.to_free(v) for p, v in zip(parameters, values.tolist(), strict=True)])
 
 
-def _draw(model: Model, rng: np.random.Generator) -> Array:
-    """Draw the true values: per-record and considered parameters from their priors, all others at their values."""
+def _draw_truth(model: Model, rng: np.random.Generator) -> Array:
+    """Draw the true values of all parameters (n_parameters,) of one replicate.
+
+    Free per-record parameters and considered parameters are drawn from their normal priors. All others, and those
+    without a prior, have their values in the model.
+    """
     drawn = {p.name for p in model.parameters if p.free and p.per_record} | {*model.considered}
     return np.array(
         [
@@ -276,8 +324,8 @@ def _draw(model: Model, rng: np.random.Generator) -> Array:
     )
 
 
-def _finite(names: Sequence[str], values: Array) -> dict[str, float | None]:
-    """Return the values by name, None for values that are not finite."""
+def _finite_by_name(names: Sequence[str], values: Array) -> dict[str, float | None]:
+    """Return values (n,) by name, with None for values that are not finite."""
     return {n: float(v) if np.isfinite(v) else None for n, v in zip(names, values, strict=True)}
 
 
@@ -320,13 +368,18 @@ class ParameterCoverage:
 
     @property
     def misses(self) -> tuple[str, ...]:
-        """Names of the statistics outside their aims, with ``(chance?)`` if the 95 % interval reaches into the aim."""
+        """Names of the statistics outside their aims: ``bias``, ``variance`` (over the Cramér-Rao bound), ``coverage``.
+
+        ``(chance?)`` follows a name if the 95 % interval of the statistic reaches into the aim.
+        """
         bias = abs(self.bias) - Z95 * self.bias_error
         low, high = self.bound_interval
         found = [
-            _miss("bias", abs(self.bias) > BIAS, bias > BIAS),
-            _miss("variance", abs(self.bound_ratio - 1) > VARIANCE, low > 1 + VARIANCE or high < 1 - VARIANCE),
-            _miss(
+            _missed_statistic("bias", abs(self.bias) > BIAS, bias > BIAS),
+            _missed_statistic(
+                "variance", abs(self.bound_ratio - 1) > VARIANCE, low > 1 + VARIANCE or high < 1 - VARIANCE
+            ),
+            _missed_statistic(
                 "coverage",
                 not COVERAGE[0] <= self.coverage <= COVERAGE[1],
                 self.coverage_interval[1] < COVERAGE[0] or self.coverage_interval[0] > COVERAGE[1],
@@ -335,20 +388,30 @@ class ParameterCoverage:
         return tuple(f for f in found if f)
 
 
-def _miss(statistic: str, beyond: bool, significant: bool) -> str:
-    """Return the name of a statistic outside its aim, marked if the miss may be chance; empty if it is inside."""
+def _missed_statistic(statistic: str, beyond: bool, significant: bool) -> str:
+    """Return the name of a statistic that is outside its aim (``beyond``); an empty text if it is inside.
+
+    ``(chance?)`` follows the name unless the miss is ``significant``.
+    """
     return "" if not beyond else statistic if significant else f"{statistic} (chance?)"
 
 
 def summarise(rows: Iterable[Row]) -> list[ParameterCoverage]:
-    """Return the statistics of each parameter, without failed and unconverged replicates (see ``counts``)."""
+    """Return the statistics of each parameter over the rows of `run_replicates`.
+
+    Failed and unconverged replicates are left out, and so are parameters with fewer than three usable replicates.
+    """
     good = [r for r in rows if r.get("converged")]
     names = dict.fromkeys(n for r in good for n in r["d"])
-    return [j for n in names if (j := _statistics(n, [r for r in good if n in r["d"]])) is not None]
+    return [j for n in names if (j := _parameter_coverage(n, [r for r in good if n in r["d"]])) is not None]
 
 
-def _statistics(name: str, rows: Sequence[Row]) -> ParameterCoverage | None:
-    """Return the statistics of one parameter, None with fewer than three usable replicates."""
+def _parameter_coverage(name: str, rows: Sequence[Row]) -> ParameterCoverage | None:
+    """Return the statistics of the parameter ``name`` over rows of replicates.
+
+    A row is usable if it has a standard error or a far end of the interval, and a Cramér-Rao bound. The result is None
+    with fewer than three usable rows.
+    """
     usable = [r for r in rows if {r["se"][name], r["far"][name]} != {None} and r["bound"][name] is not None]
     n = len(usable)
     if n < 3:
@@ -383,7 +446,7 @@ class ReplicateCounts:
     Attributes
     ----------
     replicates, failed, unconverged
-        Number of all, failed and unconverged replicates.
+        Number of all replicates, of those whose fit raised an error, and of those whose fit did not converge.
     cpu_fit
         Median CPU time of a fit [s], NaN without fits.
     cpu_simulation
@@ -397,8 +460,8 @@ class ReplicateCounts:
     cpu_simulation: float
 
 
-def counts(rows: Sequence[Row]) -> ReplicateCounts:
-    """Count the rows of ``run_replicates``."""
+def count_replicates(rows: Sequence[Row]) -> ReplicateCounts:
+    """Count the replicates by their success, and summarise their CPU times; ``rows`` are those of `run_replicates`."""
     good = [r for r in rows if "error" not in r]
     return ReplicateCounts(
         replicates=len(rows),
@@ -411,7 +474,7 @@ def counts(rows: Sequence[Row]) -> ReplicateCounts:
 
 @cache
 def estimator_code_hash() -> str:
-    """Return a hash of the code that the results of a study depend on."""
+    """Return a hash (12 hexadecimal digits) of the code that the results of a study depend on. It is cached."""
     digest = hashlib.sha256()
     for path in hashed_files():
         digest.update(path.read_bytes())
@@ -419,6 +482,6 @@ def estimator_code_hash() -> str:
 
 
 def hashed_files() -> list[Path]:
-    """Return the files whose change may change the results of a study."""
+    """Return the Python files whose change may change the results of a study, in order of their paths."""
     root = Path(__file__).parents[1]
     return sorted(path for package in HASHED_PACKAGES for path in (root / package).rglob("*.py"))

@@ -51,7 +51,8 @@ class Calibration:
     low, high
         95 % interval of the scale.
     pit : Array (10,)
-        Shares of the errors in each tenth of the predicted distribution.
+        Shares of the errors in each tenth of the predicted distribution, from its lowest tenth on; all 0.1 if
+        calibrated.
     """
 
     n: int
@@ -65,7 +66,11 @@ class Calibration:
 
     @property
     def verdict(self) -> Verdict:
-        """Verdict by the interval of the scale; ``overconfident`` if the errors are larger than claimed."""
+        """Verdict by the 95 % interval of the scale, the ratio of actual to claimed errors.
+
+        ``overconfident`` if the whole interval is above 1.1, ``underconfident`` if it is below 1 / 1.1, otherwise
+        ``right``. With fewer than eight independent errors it is ``overconfident`` or ``insufficient_data``.
+        """
         if self.low > TOLERANCE:
             return "overconfident"
         if self.n_effective < FEW:
@@ -74,13 +79,13 @@ class Calibration:
 
 
 def calibration_test(series: Sequence[Array], effective: float | None = None) -> Calibration | None:
-    """Test the calibration of standardised errors.
+    """Test the calibration of standardised errors: errors divided by their predicted standard deviations.
 
     Parameters
     ----------
     series : Sequence of Array (n,)
         Standardised errors in time order, one series per record. NaN (no measurement) is left out. Infinite errors
-        (diverged predictions) count.
+        (diverged predictions) count, and make the scale infinite.
     effective
         Number of independent errors, by default from the autocorrelation of each series.
 
@@ -95,7 +100,7 @@ def calibration_test(series: Sequence[Array], effective: float | None = None) ->
     if not sum(z.size for z in kept):
         return None
     z = np.concatenate(kept)
-    effective = sum(_effective(errors) for errors in kept if errors.size) if effective is None else effective
+    effective = sum(_independent_errors(errors) for errors in kept if errors.size) if effective is None else effective
     square = float(np.mean(z**2))
     low, high = (np.sqrt(square * effective / stats.chi2.ppf(q, effective)) for q in (0.975, 0.025))
     pit = np.histogram(stats.norm.cdf(z), BINS, (0.0, 1.0))[0] / z.size
@@ -111,17 +116,21 @@ def calibration_test(series: Sequence[Array], effective: float | None = None) ->
     )
 
 
-def _effective(z: Array) -> float:
-    """Return the number of independent errors among standardised errors z (n,) without NaN.
+def _independent_errors(z: Array) -> float:
+    """Return the number of independent errors (effective sample size) among standardised errors z (n,) without NaN.
 
-    Infinite errors are left out of the autocorrelation; if all errors are infinite, they count as one.
+    Infinite errors are left out of the autocorrelation and of the number. If all errors are infinite, they count as
+    one.
     """
     finite = z[np.isfinite(z)]
     return effective_sample_size(finite) if finite.size else 1.0
 
 
 def one_step_calibration(model: Model, run: FilterResult) -> dict[str, Array]:
-    """Return the standardised innovations of a filter run by channel, each (n_rows,), NaN for rows without a sample."""
+    """Return the standardised innovations (n_rows,) of a filter run of a model, by channel.
+
+    They are one-step prediction errors over their standard deviations; NaN in rows without a sample.
+    """
     return {o.name: run.standardised[:, j] for j, o in enumerate(model.outputs)}
 
 
@@ -134,9 +143,9 @@ class Forecast:
     t : Array (n,)
         Times of the predicted samples [s].
     e : Array (n,)
-        Measured less predicted.
+        Measured less predicted values, in the unit of the channel. Angles are wrapped to a half turn.
     sd : Array (n,)
-        Predicted standard deviations of the errors.
+        Predicted standard deviations of the errors, with the measurement noise, in the same unit.
     """
 
     t: Array
@@ -149,8 +158,9 @@ def horizon_forecasts(
 ) -> dict[str, Forecast]:
     """Predict the channels of a record over a horizon, with standard deviations.
 
-    Predictions start from filtered states, five times per horizon, or less often in long records. The predicted sample
-    is the first at or after the end of the horizon.
+    Predictions use the inputs alone. They start from filtered states, five times per horizon, or less often in records
+    that would have more than 1000 starts. The predicted sample is the first at or after the end of the horizon. It may
+    be later than that by 20 % of the horizon, or by one row if a row is longer.
 
     Parameters
     ----------
@@ -168,7 +178,8 @@ def horizon_forecasts(
     Returns
     -------
     dict of str to Forecast
-        Forecasts by channel; channels without a sample soon enough after the horizon are left out.
+        Forecasts by channel. Channels without a predicted sample are left out. The result is empty if the record is
+        shorter than the horizon.
     """
     likelihood = likelihood or Likelihood(model)
     t, n_rows = record.t, record.n_rows
@@ -177,7 +188,7 @@ def horizon_forecasts(
         return {}
     starts = starts[:: -(-starts.size // MOST_STARTS)]
     due = np.searchsorted(t, t[starts] + seconds - 1e-6)
-    ends = np.array([_next(np.isfinite(record.y[:, j]), due) for j in range(len(model.outputs))])
+    ends = np.array([_first_measured_row(np.isfinite(record.y[:, j]), due) for j in range(len(model.outputs))])
     latest = t[starts] + seconds + max(LATE * seconds, 1.01 * float(np.median(np.diff(t))))
     late = (ends >= n_rows) | (t[np.minimum(ends, n_rows - 1)] > latest)
     ends[late] = -1
@@ -203,14 +214,15 @@ def horizon_forecasts(
 
 
 def horizon_calibration(forecasts: Mapping[str, Forecast]) -> dict[str, Array]:
-    """Return the standardised errors over the horizon by channel."""
-    return {name: _standardised(f.e, f.sd, np.ones(f.e.size, dtype=bool)) for name, f in forecasts.items()}
+    """Return the standardised errors (n,) of forecasts, by channel; infinite for diverged predictions."""
+    return {name: _standardised_errors(f.e, f.sd, np.ones(f.e.size, dtype=bool)) for name, f in forecasts.items()}
 
 
-def _standardised(e: Array, sd: Array, measured: NDArray[np.bool_]) -> Array:
-    """Return errors over their standard deviations.
+def _standardised_errors(e: Array, sd: Array, measured: NDArray[np.bool_]) -> Array:
+    """Return the errors e (n,) over their standard deviations (n,).
 
-    The result is infinite if a sample was measured and its prediction or standard deviation diverged.
+    The result is infinite if a sample was measured (mask ``measured``) and its prediction or standard deviation is not
+    finite. It is NaN for a sample that was not measured.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         z = e / sd
@@ -218,30 +230,36 @@ def _standardised(e: Array, sd: Array, measured: NDArray[np.bool_]) -> Array:
     return np.where(measured & ~(np.isfinite(e) & ~np.isnan(sd)), np.inf, z)
 
 
-def _next(measured: NDArray[np.bool_], due: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the first measured row at or after each row of ``due``, n_rows if there is none."""
+def _first_measured_row(measured: NDArray[np.bool_], due: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the first measured row at or after each row of ``due`` (n,); n_rows where no such row follows.
+
+    ``measured`` (n_rows,) is true for rows with a sample.
+    """
     rows = np.append(np.flatnonzero(measured), measured.size)
     return np.asarray(rows[np.searchsorted(rows, due)])
 
 
 def simulation_calibration(model: Model, record: Record, run: SimulationRun) -> dict[str, Array]:
-    """Return the standardised errors of a simulation after its first 15 s, by channel."""
+    """Return the standardised errors of the simulation ``run`` of a record after its first 15 s, by channel.
+
+    Each array has one element per row after these 15 s: NaN without a measurement, infinite for a diverged prediction.
+    """
     blind = record.t > record.t[0] + WARM_UP
     with np.errstate(invalid="ignore"):  # wrapping an infinite angle
         e = [wrap(record.y[blind, j] - run.y[blind, j], o.angle) for j, o in enumerate(model.outputs)]
     return {
-        o.name: _standardised(e[j], run.sd[blind, j], np.isfinite(record.y[blind, j]))
+        o.name: _standardised_errors(e[j], run.sd[blind, j], np.isfinite(record.y[blind, j]))
         for j, o in enumerate(model.outputs)
     }
 
 
-def pooled_calibration(parts: Sequence[Mapping[str, Array]], *, together: bool = False) -> dict[str, Calibration]:
+def pooled_calibration(by_record: Sequence[Mapping[str, Array]], *, together: bool = False) -> dict[str, Calibration]:
     """Test the calibration of every channel over several records.
 
     Parameters
     ----------
-    parts
-        Standardised errors of each record, by channel.
+    by_record
+        Standardised errors of each record, by channel. NaN (no measurement) is left out.
     together
         Whether the errors of all channels are correlated with each other. Each channel then has the smallest effective
         sample size of all channels. A simulation is such a case: the error of the heading rotates every velocity over
@@ -250,14 +268,14 @@ def pooled_calibration(parts: Sequence[Mapping[str, Array]], *, together: bool =
     Returns
     -------
     dict of str to Calibration
-        Calibration by channel.
+        Calibration by channel. Channels without an error are left out.
     """
-    kept = [[z[~np.isnan(z)] for z in p.values()] for p in parts]
-    counts = [[_effective(z) for z in series if z.size] for series in kept]
+    kept = [[z[~np.isnan(z)] for z in p.values()] for p in by_record]
+    counts = [[_independent_errors(z) for z in series if z.size] for series in kept]
     least = float(sum(min(c) for c in counts if c)) if together else None
     found = {}
-    for name in dict.fromkeys(n for p in parts for n in p):
-        calibration = calibration_test([p[name] for p in parts if name in p], least)
+    for name in dict.fromkeys(n for p in by_record for n in p):
+        calibration = calibration_test([p[name] for p in by_record if name in p], least)
         if calibration is not None:
             found[name] = calibration
     return found

@@ -67,11 +67,11 @@ class HorizonPrediction:
     Attributes
     ----------
     t : Array (n,)
-        Times [s].
+        Times of the predicted samples [s].
     y : Array (n,)
-        Predicted values, NaN if a prediction diverged.
+        Predicted values in the unit of the channel, NaN if a prediction diverged.
     sd : Array (n,)
-        Predicted standard deviations, NaN if the channel has no forecasts.
+        Predicted standard deviations in the unit of the channel, NaN if the channel has no forecasts.
     """
 
     t: Array
@@ -129,7 +129,7 @@ class ChannelResiduals:
 
     @property
     def lags(self) -> Array:
-        """Lags of the autocorrelation, Array (n_lags,) [s]."""
+        """Lags (n_lags,) [s] of the autocorrelation: 1, 2, ... median sample intervals of the channel."""
         return float(np.median(np.diff(self.t))) * np.arange(1.0, self.tests.acf.size + 1.0)
 
 
@@ -170,7 +170,7 @@ class PredictionEvaluation:
     validation
         Evaluation of the validation data, None if there are no validation data.
     residuals
-        Residual analysis of the estimation data.
+        Residual analysis of the estimation data: one entry for each channel of each record.
     """
 
     model: Model
@@ -186,7 +186,10 @@ class PredictionEvaluation:
 
     @property
     def sets(self) -> dict[str, SetEvaluation]:
-        """Evaluations by role; the key ``validation`` is missing if there are no validation data."""
+        """Evaluations by the role of the data, ``estimation`` and ``validation``.
+
+        The key ``validation`` is missing if there are no validation data.
+        """
         both = {"estimation": self.estimation, "validation": self.validation}
         return {role: evaluation for role, evaluation in both.items() if evaluation is not None}
 
@@ -199,27 +202,41 @@ def evaluate(fitted: FittedModel, horizon: float | None = None) -> PredictionEva
     fitted
         The fitted model with its evaluated records.
     horizon
-        Prediction horizon [s], by default that of the model.
+        Prediction horizon [s]. None or 0: that of the model.
 
     Returns
     -------
     PredictionEvaluation
-        Errors, calibration and residual tests.
+        Errors and calibration of all records, and residual tests of the estimation data.
     """
     seconds, likelihood = horizon or fitted.model.horizon, Likelihood(fitted.model)
     return PredictionEvaluation(
         fitted.model,
         seconds,
-        _evaluated(fitted, fitted.estimation, True, seconds, likelihood),
-        _evaluated(fitted, fitted.validation, False, seconds, likelihood) if fitted.validation else None,
+        _evaluate_set(fitted, fitted.estimation, True, seconds, likelihood),
+        _evaluate_set(fitted, fitted.validation, False, seconds, likelihood) if fitted.validation else None,
         tuple(r for v in fitted.estimation for r in residual_tests(fitted.model, v.record, v.run.standardised)),
     )
 
 
-def _evaluated(
+def _evaluate_set(
     fitted: FittedModel, views: Sequence[RecordEvaluation], is_estimation: bool, seconds: float, likelihood: Likelihood
 ) -> SetEvaluation:
-    """Evaluate one set of records; ``fitted`` means that the model was fitted to them."""
+    """Evaluate one set of records: one-step errors, errors over the horizon, simulations, and their calibration.
+
+    Parameters
+    ----------
+    fitted
+        The fitted model.
+    views
+        Records of the set with their parameter values and filter runs.
+    is_estimation
+        Whether the model was fitted to these records. Their per-record parameters then have the uncertainty of the fit.
+    seconds
+        Prediction horizon [s].
+    likelihood
+        Likelihood of the model.
+    """
     model = fitted.model
     simulated = [
         simulation_run(
@@ -243,22 +260,30 @@ def _evaluated(
         calibration.pooled_calibration(from_inputs, together=True),
     )
     records = tuple(
-        RecordPrediction(v.record, {n: _predicted(v.record, n, e, f.get(n)) for n, e in by_name.items()}, by_name, s)
+        RecordPrediction(
+            v.record, {n: _horizon_prediction(v.record, n, e, f.get(n)) for n, e in by_name.items()}, by_name, s
+        )
         for v, by_name, f, s in zip(views, errors_ahead, forecasts, simulated, strict=True)
     )
     mean = {name: PredictionErrors(e.t, e.about) for name, e in errors.horizon.items()}
     return SetEvaluation(records, errors, prediction_change(mean, errors.horizon, seconds), calibrated)
 
 
-def _predicted(record: Record, name: str, errors: PredictionErrors, forecast: Forecast | None) -> HorizonPrediction:
-    """Return the predictions of a channel; their standard deviation is interpolated between the fewer forecasts."""
+def _horizon_prediction(
+    record: Record, name: str, errors: PredictionErrors, forecast: Forecast | None
+) -> HorizonPrediction:
+    """Return the predictions of the channel ``name`` at the times of their errors: measured value minus error.
+
+    Their standard deviation is interpolated linearly between the forecasts, which are fewer. It is NaN without
+    forecasts (None).
+    """
     y = record.y[np.searchsorted(record.t, errors.t), record.outputs.index(name)] - errors.e
     sd = np.full(y.size, np.nan) if forecast is None else np.interp(errors.t, forecast.t, forecast.sd)
     return HorizonPrediction(errors.t, np.where(np.isfinite(y), y, np.nan), sd)
 
 
 def residual_tests(model: Model, record: Record, eps: Array) -> list[ChannelResiduals]:
-    """Test the residuals of one record.
+    """Test the residuals of one record for whiteness and for correlation with the inputs, channel by channel.
 
     Parameters
     ----------
@@ -290,7 +315,7 @@ def residual_tests(model: Model, record: Record, eps: Array) -> list[ChannelResi
 
 
 def shown_inputs(model: Model) -> list[tuple[int, str, str]]:
-    """Return column, name and unit of the inputs that reports show.
+    """Return the column in the inputs, the name and the unit of each input that reports show.
 
     Time, the work input and inputs with an empty label are left out. An input with a label is shown under its label: of
     the delayed copies of a thruster's command, only the command itself is shown.
@@ -314,7 +339,8 @@ def prediction_changes(before: PredictionEvaluation, after: PredictionEvaluation
     Returns
     -------
     dict of str to PredictionChange
-        Change for each role of ``before``, on the records that both models could be evaluated on.
+        Change for each role of the data (``estimation``, ``validation``) in ``before``, on the records that both models
+        could be evaluated on.
     """
     old, new = (
         {role: {r.record.name: r.errors for r in part.records} for role, part in evaluation.sets.items()}
@@ -334,7 +360,7 @@ class SmoothedForce:
     t : Array (n,)
         Times [s].
     mean, sd : Array (n,)
-        Mean and standard deviation, given all data of the record.
+        Mean and standard deviation in the unit of the force, given all data of the record.
     """
 
     record: str
@@ -354,6 +380,11 @@ def smoothed_forces(fitted: FittedModel, forces: Sequence[DisturbanceChannel]) -
         The fitted model with its evaluated records.
     forces
         Disturbance forces; each has a state in the model.
+
+    Returns
+    -------
+    tuple of SmoothedForce
+        One entry for each record and force, record by record.
     """
     states = [s.name for s in fitted.model.states]
     return tuple(

@@ -39,12 +39,13 @@ class PredictionErrors:
     Attributes
     ----------
     t : Array (n,)
-        Times [s].
+        Times of the samples [s].
     e : Array (n,)
-        Measured less predicted. Angles are wrapped to a half turn; diverged predictions are infinite.
+        Measured less predicted values, in the unit of the channel. Angles are wrapped to a half turn; diverged
+        predictions are infinite.
     about : Array (n,)
-        Measured less its mean in the record (circular mean for angles). These are the errors of a prediction by that
-        mean.
+        Measured values less their mean in the record (circular mean for angles). These are the errors of a prediction
+        by that mean.
     """
 
     t: Array
@@ -53,7 +54,7 @@ class PredictionErrors:
 
     @property
     def rms(self) -> float:
-        """RMS prediction error, NaN if there are no errors."""
+        """RMS prediction error in the unit of the channel; NaN if there are no errors, infinite if one diverged."""
         return float(np.sqrt(np.mean(self.e**2))) if self.e.size else float("nan")
 
     @property
@@ -69,12 +70,13 @@ class SimulationRun:
     Attributes
     ----------
     y, sd : Array (n_rows, n_outputs)
-        Predicted outputs and their standard deviations.
+        Predicted outputs and their standard deviations, in the units of the outputs.
     errors
         Prediction errors after the first 15 s, by channel.
     diverged
-        Time [s] at which a channel diverged, by channel. A channel diverges when the prediction is farther from the
-        middle of the measured range than ten times that range.
+        First time [s] at which a channel diverged, by channel. A channel diverges when the prediction is farther from
+        the middle of the measured range than ten times that range. Channels that did not diverge, and angles, are left
+        out.
     """
 
     y: Array
@@ -84,11 +86,13 @@ class SimulationRun:
 
 
 def one_step_errors(model: Model, record: Record, run: FilterResult) -> dict[str, PredictionErrors]:
-    """Return the innovations of a filter run, by channel, in the unit of the channel.
+    """Return the one-step prediction errors (innovations) of a filter run, by channel, in the unit of the channel.
 
     Channels without samples are left out.
     """
-    found = {o.name: _errors(record.t, record.y[:, j], run.e[:, j], o.angle) for j, o in enumerate(model.outputs)}
+    found = {
+        o.name: _channel_errors(record.t, record.y[:, j], run.e[:, j], o.angle) for j, o in enumerate(model.outputs)
+    }
     return {name: e for name, e in found.items() if e.e.size}
 
 
@@ -114,7 +118,7 @@ def horizon_errors(
     Returns
     -------
     dict of str to PredictionErrors
-        Errors by channel, infinite for diverged predictions. Channels without a prediction are left out.
+        Errors by channel in their units, infinite for diverged predictions. Channels without a prediction are left out.
     """
     begin = np.searchsorted(record.t, record.t - seconds + 1e-6, side="right") - 1  # 1 us covers rounding of times
     stride = max(MIN_STRIDE, record.n_rows // MAX_STARTS)
@@ -128,7 +132,7 @@ def horizon_errors(
     for j, (o, end) in enumerate(zip(model.outputs, ends, strict=True)):
         if end.size:
             y = record.y[end, j]
-            errors[o.name] = _errors(record.t[end], y, y - found.y[np.searchsorted(every, end), j], o.angle)
+            errors[o.name] = _channel_errors(record.t[end], y, y - found.y[np.searchsorted(every, end), j], o.angle)
     return errors
 
 
@@ -181,7 +185,7 @@ def simulation_run(
     errors, diverged = {}, {}
     for j, o in enumerate(model.outputs):
         y, at = record.y[blind, j], record.t[blind]
-        e = _errors(at, y, y - predicted[blind, j], o.angle)
+        e = _channel_errors(at, y, y - predicted[blind, j], o.angle)
         if e.e.size:
             errors[o.name] = e
             low, high = np.nanmin(y), np.nanmax(y)
@@ -192,13 +196,15 @@ def simulation_run(
 
 
 def pooled_errors(
-    parts: Sequence[Mapping[str, PredictionErrors]], ends: Sequence[float] | None = None
+    by_record: Sequence[Mapping[str, PredictionErrors]], ends: Sequence[float] | None = None
 ) -> dict[str, PredictionErrors]:
-    """Concatenate the errors of several records; the times of the records follow each other.
+    """Concatenate the errors of several records. The times are shifted so that the records follow each other.
+
+    There are 1000 s between two records.
 
     Parameters
     ----------
-    parts
+    by_record
         Errors of each record, by channel.
     ends
         Last times of the records [s], by default those of their errors. Give them if two models are compared, so that
@@ -210,21 +216,21 @@ def pooled_errors(
         Errors by channel.
     """
     if ends is None:
-        lengths = [_end(p) + RECORD_GAP_S if p else 0.0 for p in parts]
+        lengths = [_last_time(p) + RECORD_GAP_S if p else 0.0 for p in by_record]
     else:
         lengths = [end + RECORD_GAP_S for end in ends]
     starts = np.cumsum([0.0, *lengths])
     found: dict[str, PredictionErrors] = {}
-    for name in dict.fromkeys(n for p in parts for n in p):
-        of_channel = [(p[name], start) for p, start in zip(parts, starts, strict=False) if name in p]
+    for name in dict.fromkeys(n for p in by_record for n in p):
+        of_channel = [(p[name], start) for p, start in zip(by_record, starts, strict=False) if name in p]
         columns = zip(*((e.t + start, e.e, e.about) for e, start in of_channel), strict=True)
         found[name] = PredictionErrors(*(np.concatenate(column) for column in columns))
     return found
 
 
-def _end(part: Mapping[str, PredictionErrors]) -> float:
-    """Return the last time of a record's errors [s], 0 if there are none."""
-    return max((float(e.t[-1]) for e in part.values()), default=0.0)
+def _last_time(errors: Mapping[str, PredictionErrors]) -> float:
+    """Return the last time [s] of the errors of one record over all channels; 0 if there are none."""
+    return max((float(e.t[-1]) for e in errors.values()), default=0.0)
 
 
 @dataclass(frozen=True)
@@ -256,7 +262,15 @@ class ErrorRatio:
 
 @dataclass(frozen=True)
 class ChannelChange(ErrorRatio):
-    """Error ratio of one channel, with its RMS errors before and after in the unit of the channel."""
+    """Error ratio of one channel, with its RMS errors.
+
+    Attributes
+    ----------
+    ratio, low, high
+        RMS error after over before, and its 95 % interval.
+    before, after
+        RMS errors before and after the change, in the unit of the channel.
+    """
 
     before: float
     after: float
@@ -268,6 +282,8 @@ class PredictionChange(ErrorRatio):
 
     Attributes
     ----------
+    ratio, low, high
+        Geometric mean of the ratios, and its 95 % interval; NaN without common errors.
     horizon
         Prediction horizon [s].
     channels
@@ -278,7 +294,7 @@ class PredictionChange(ErrorRatio):
     channels: Mapping[str, ChannelChange]
 
     def named(self, verdict: Literal["fell", "rose"]) -> list[str]:
-        """Return the channels with this verdict, the largest change first."""
+        """Return the names of the channels whose error has this verdict, the largest relative change first."""
         found = [n for n, c in self.channels.items() if c.verdict == verdict]
         return sorted(found, key=lambda n: -abs(np.log(self.channels[n].ratio)))
 
@@ -306,7 +322,7 @@ def prediction_change_by_record(
         Change from ``before`` to ``after``.
     """
     both = [(before[name], after[name]) for name in before if name in after]
-    ends = [max(map(_end, pair)) for pair in both]
+    ends = [max(map(_last_time, pair)) for pair in both]
     old, new = (pooled_errors([pair[k] for pair in both], ends) for k in (0, 1))
     return prediction_change(old, new, horizon)
 
@@ -349,22 +365,24 @@ def prediction_change(
         with np.errstate(divide="ignore", invalid="ignore"):  # a single block leaves no errors
             row[at[1:]] = 0.5 * np.log((of.after.sum() - of.after) / (of.before.sum() - of.before))
         rms = (float(np.sqrt(part.sum() / of.n)) for part in (of.before, of.after))
-        channels[name] = ChannelChange(*_jackknife(row[at]), *rms)
+        channels[name] = ChannelChange(*_ratio_with_interval(row[at]), *rms)
     enough = np.array([of.block.size >= FEWEST_BLOCKS for of in sums.values()])
-    return PredictionChange(*_jackknife(logs[enough if enough.any() else ~enough].mean(axis=0)), horizon, channels)
+    return PredictionChange(
+        *_ratio_with_interval(logs[enough if enough.any() else ~enough].mean(axis=0)), horizon, channels
+    )
 
 
 class _BlockSums(NamedTuple):
-    """Sums of squared errors of a channel by block, at the times that both models have.
+    """Sums of squared errors of a channel by block of time, at the times that both models have.
 
     Attributes
     ----------
     n
         Number of common errors.
     block : Array (n_blocks,)
-        Indices of the blocks.
+        Indices of the blocks of time that contain errors; block 0 starts at time 0.
     before, after : Array (n_blocks,)
-        Sums of squared errors of each model.
+        Sums of squared errors of each model, in the squared unit of the channel.
     """
 
     n: int
@@ -374,7 +392,11 @@ class _BlockSums(NamedTuple):
 
 
 def _block_sums(before: PredictionErrors, after: PredictionErrors, seconds: float) -> _BlockSums:
-    """Sum the squared errors of both models by block of time; errors are limited to `DIVERGED`."""
+    """Sum the squared errors of both models by block of time of ``seconds`` [s].
+
+    Only times that both models have count. Errors are limited to 1e9 in the unit of the channel (`DIVERGED`), also
+    infinite ones.
+    """
     t, i, j = np.intersect1d(before.t, after.t, return_indices=True)
     block, index = np.unique(np.floor(t / seconds), return_inverse=True)
     old, new = (np.minimum(np.abs(e), DIVERGED) ** 2 for e in (before.e[i], after.e[j]))
@@ -382,10 +404,11 @@ def _block_sums(before: PredictionErrors, after: PredictionErrors, seconds: floa
     return _BlockSums(t.size, block, old, new)
 
 
-def _jackknife(logs: Array) -> tuple[float, float, float]:
-    """Return the error ratio and its 95 % interval.
+def _ratio_with_interval(logs: Array) -> tuple[float, float, float]:
+    """Return the error ratio and the limits of its 95 % interval by the jackknife, as (ratio, low, high).
 
-    ``logs`` (1 + n_blocks,) has the logarithm of the ratio of all blocks, then those without each block.
+    ``logs`` (1 + n_blocks,) has the logarithm of the ratio of all blocks of time, then those without each block. The
+    limits are NaN with fewer than four blocks.
     """
     from scipy import stats
 
@@ -396,8 +419,21 @@ def _jackknife(logs: Array) -> tuple[float, float, float]:
     return float(np.exp(logs[0])), float(np.exp(logs[0] - reach)), float(np.exp(logs[0] + reach))
 
 
-def _errors(t: Array, y: Array, e: Array, angle: bool) -> PredictionErrors:
-    """Return the errors of a channel from its samples y (n,), NaN if missing, and errors e (n,)."""
+def _channel_errors(t: Array, y: Array, e: Array, angle: bool) -> PredictionErrors:
+    """Return the errors of a channel at its measured samples.
+
+    Parameters
+    ----------
+    t, y, e
+        Times [s], samples (NaN if missing) and errors, each (n,).
+    angle
+        Whether the channel is an angle [rad]. Errors are then wrapped to a half turn.
+
+    Returns
+    -------
+    PredictionErrors
+        Errors without the missing samples. Errors of 1e9 or more, and NaN, become infinite.
+    """
     seen = np.isfinite(y)
     t, y, e = t[seen], y[seen], wrap(e[seen], angle)
     mean = np.angle(np.exp(1j * y).sum()) if angle else y.mean() if y.size else 0.0

@@ -44,7 +44,7 @@ class Whiteness:
     channel, n
         Name of the channel and number of samples.
     mean, sd
-        Mean and standard deviation of the standardised innovations.
+        Mean and standard deviation of the standardised innovations; 0 and 1 for a right model.
     acf : Array (n_lags,)
         Autocorrelation from lag 1 on.
     band
@@ -58,9 +58,9 @@ class Whiteness:
     normal
         p value of the normality test of D'Agostino and Pearson, NaN with fewer than 20 samples.
     outliers
-        Number of innovations beyond `OUTLIER_SDS` standard deviations.
+        Number of standardised innovations beyond 6 standard deviations (`OUTLIER_SDS`).
     largest
-        Largest absolute innovation.
+        Largest absolute standardised innovation.
     """
 
     channel: str
@@ -100,7 +100,7 @@ def whiteness_test(channel: str, t: Array, e: Array, n_lags: int = N_LAGS) -> Wh
     Returns
     -------
     Whiteness
-        The results. The Ljung-Box statistic uses one lag for every `SAMPLES_PER_LAG` samples, at most ``n_lags``.
+        The results. The Ljung-Box statistic uses one lag for every 20 samples, at least one and at most ``n_lags``.
     """
     n, x = e.size, e - e.mean()
     acf = autocorrelation(e, n_lags)
@@ -127,7 +127,10 @@ def whiteness_test(channel: str, t: Array, e: Array, n_lags: int = N_LAGS) -> Wh
 
 
 def autocorrelation(e: Array, n_lags: int) -> Array:
-    """Return the sample autocorrelation (n_lags,) of an evenly sampled series e (n,), from lag 1 on."""
+    """Return the sample autocorrelation (n_lags,) of an evenly sampled series e (n,), from lag 1 on.
+
+    The mean is subtracted. The result is NaN if all samples are equal.
+    """
     x = e - e.mean()
     return np.asarray([x[k:] @ x[: x.size - k] for k in range(1, n_lags + 1)] / (x @ x))
 
@@ -146,6 +149,11 @@ def ljung_box(acf: Array, n: int, *, n_fitted: int = 0, finite_sample: bool = Fa
     finite_sample
         Whether to correct for short series. The variance of the statistic then exceeds that of chi-squared by a factor
         of about ``1 + 2 n_lags / n``. The correction uses a scaled chi-squared distribution with the same mean.
+
+    Returns
+    -------
+    float
+        Probability of so large a statistic for white noise, 0 to 1.
     """
     n_lags = acf.size
     q = n * (n + 2) * float(np.sum(acf**2 / (n - np.arange(1, n_lags + 1))))
@@ -198,7 +206,7 @@ def cross_correlation(
     Returns
     -------
     CrossCorrelation
-        z over the lags, and the p value of the largest.
+        z at lags of 0 to 3 s, and the p value of the largest. A constant input, or constant innovations, give z = 0.
 
     Notes
     -----
@@ -209,23 +217,25 @@ def cross_correlation(
     bound is tight if it is small, for every input.
     """
     sd = e.std()
-    past = np.array([_moved(np.interp(t - lag, t_u, u)) for lag in LAGS_OF_INPUT])
+    past = np.array([_centred_unit_norm(np.interp(t - lag, t_u, u)) for lag in LAGS_OF_INPUT])
     z = past @ e / sd if sd > 0 else np.zeros(LAGS_OF_INPUT.size)
     largest = float(np.abs(z).max()) / np.sqrt(e.size)
     together = np.abs(np.sum(past[1:] * past[:-1], axis=1))
     coefficients = autoregression(e) if coefficients is None else coefficients
     if coefficients.size and past[0].any():
         # The values of the first two lags are used for all; they differ only by the first seconds of the input.
-        variance, covariance = _coloured(past[:2], coefficients)
+        variance, covariance = _variance_for_coloured(past[:2], coefficients)
         z, together = z / np.sqrt(variance), np.full(z.size - 1, abs(covariance / variance))
-    return CrossCorrelation(channel, input_name, LAGS_OF_INPUT, z, _any_lag(float(np.abs(z).max()), together), largest)
+    return CrossCorrelation(
+        channel, input_name, LAGS_OF_INPUT, z, _largest_z_bound(float(np.abs(z).max()), together), largest
+    )
 
 
-def _coloured(past: Array, coefficients: Array) -> tuple[float, float]:
+def _variance_for_coloured(past: Array, coefficients: Array) -> tuple[float, float]:
     """Return the variance of the correlation of an input with coloured innovations, and its covariance at two lags.
 
     ``past`` (2, n) has the input at two neighbouring lags, each of norm one. The innovations are an autoregression of
-    variance one with these coefficients.
+    variance one with ``coefficients`` (order,), latest first. For white innovations the variance is 1.
     """
     size = 2 * past.shape[1]
     gain = np.abs(np.fft.rfft(np.append(1.0, -coefficients), size)) ** 2
@@ -237,22 +247,25 @@ def _coloured(past: Array, coefficients: Array) -> tuple[float, float]:
     return float(density @ np.abs(first) ** 2), float(density @ (first * second.conj()).real)
 
 
-def _moved(u: Array) -> Array:
-    """Return the input less its mean, scaled to norm one; zeros if the input is constant except for rounding."""
+def _centred_unit_norm(u: Array) -> Array:
+    """Return a signal u (n,) less its mean, scaled to Euclidean norm one.
+
+    The result is zero if the signal is constant except for rounding.
+    """
     size = float(np.abs(u).max(initial=0.0))
     u = u - u.mean()
     norm = float(np.sqrt(u @ u))
     return u / norm if norm > 1e-9 * size * np.sqrt(u.size) else np.zeros(u.size)
 
 
-def _any_lag(highest: float, together: Array) -> float:
+def _largest_z_bound(highest: float, neighbours: Array) -> float:
     """Return an upper bound of the probability that any |z| of the lags exceeds ``highest``.
 
-    ``together`` (n - 1,) has the correlations of neighbouring z, which are standard normal. Hunter's bound is
+    Each z is standard normal. ``neighbours`` (n_lags - 1,) has the correlations of neighbouring z. Hunter's bound is
     ``P(any) <= P(z_0) + sum P(z_k, not z_k-1)``. Each term of the sum is at most
     ``4 T(highest, sqrt((1 - r) / (1 + r)))`` with Owen's T, which also counts z_k-1 below ``-highest``.
     """
-    rho = np.minimum(together, 1.0)
+    rho = np.minimum(neighbours, 1.0)
     each = 4 * special.owens_t(highest, np.sqrt((1 - rho) / (1 + rho)))
     return min(1.0, float(2 * stats.norm.sf(highest) + each.sum()))
 
@@ -288,7 +301,8 @@ def spectral_peak(innovations: Mapping[str, Array], dt: float) -> SpectralPeak |
     Returns
     -------
     SpectralPeak or None
-        None if no channel is at least 2.5 segments long.
+        The peak with the smallest p value. None if no channel has at least 640 samples, of which more than half are not
+        NaN.
 
     Notes
     -----
@@ -299,7 +313,7 @@ def spectral_peak(innovations: Mapping[str, Array], dt: float) -> SpectralPeak |
     1 % have a p value below 0.001, and none below 1e-6. Use the latter as the limit.
     """
     found: list[SpectralPeak] = []
-    seen = {name: _without_gaps(e) for name, e in innovations.items()}
+    seen = {name: _gaps_as_zeros(e) for name, e in innovations.items()}
     long_enough = {name: e for name, e in seen.items() if e.size >= 5 * SEGMENT // 2}
     for name, e in long_enough.items():
         x = e - e.mean()
@@ -308,23 +322,27 @@ def spectral_peak(innovations: Mapping[str, Array], dt: float) -> SpectralPeak |
         frequency, power = frequency[FIRST_BIN:-1], power[FIRST_BIN:-1]
         segments = 2 * x.size // SEGMENT - 1
         dof = 36 * segments**2 / (19 * segments - 1)
-        over = power / _smooth(power) * (stats.chi2.median(dof) / dof)
+        over = power / _smooth_spectrum(power) * (stats.chi2.median(dof) / dof)
         at = int(np.argmax(over))
         p = float(stats.chi2.sf(over[at] * dof, dof)) * power.size * len(long_enough)
         found.append(SpectralPeak(float(frequency[at]), min(1.0, p), name))
     return min(found, key=lambda peak: peak.p, default=None)
 
 
-def _without_gaps(e: Array) -> Array:
-    """Replace missing innovations by zero, their expectation; return an empty array if half or more are missing."""
+def _gaps_as_zeros(e: Array) -> Array:
+    """Return innovations e (n,) with zero, their expectation, in place of missing ones (NaN).
+
+    The result is empty if half or more are missing.
+    """
     measured = np.isfinite(e)
     return np.where(measured, e, 0.0) if measured.mean() > 0.5 else np.zeros(0)
 
 
-def _smooth(power: Array) -> Array:
-    """Return a smooth spectrum, scaled so that the median ratio of the bins to it is one.
+def _smooth_spectrum(power: Array) -> Array:
+    """Return a smooth spectrum (n_bins,) through a power spectrum (n_bins,) that starts at the fourth bin.
 
-    A cubic polynomial in logarithms is fitted with Huber's weights, so that a peak does not raise it.
+    A cubic polynomial in the logarithms of power and frequency is fitted with Huber's weights, so that a peak does not
+    raise it. It is scaled so that the median ratio of the bins to it is one.
     """
     z = np.log(np.arange(FIRST_BIN, FIRST_BIN + power.size))
     basis, y = np.vander(z - z.mean(), 4), np.log(power)
@@ -347,7 +365,7 @@ class WhitenessDiagnostics(NamedTuple):
     line
         Highest spectral line.
     band
-        Octave with the most significant departure; octaves whose departure matters come first.
+        Octave with the most significant departure; octaves whose departure also is large enough to matter come first.
     """
 
     predictable: Predictable
@@ -356,22 +374,25 @@ class WhitenessDiagnostics(NamedTuple):
 
     @property
     def share(self) -> float:
-        """Share of the variance that is significantly predictable, by the regression or as a spectral line."""
+        """Share of the variance, 0 to 1, that is predictable: the larger one of regression and spectral line.
+
+        A line that is not significant counts as zero.
+        """
         return max(self.predictable.share, self.line.share if self.line.p < SIGNIFICANCE else 0.0)
 
     @property
     def matter(self) -> bool:
-        """Return whether any of the departures is significant and large enough to matter."""
+        """Return whether any of the three departures is significant and large enough to matter."""
         return any(part.matters for part in self)
 
     @property
     def significant(self) -> bool:
-        """Return whether any of the departures is significant."""
+        """Return whether any of the three departures is significant (p below 0.001), even if it is small."""
         return any(part.p < SIGNIFICANCE for part in self)
 
 
 class Predictable(NamedTuple):
-    """Share of the variance of innovations that their past predicts.
+    """Share of the variance of innovations that a regression on their past predicts.
 
     Attributes
     ----------
@@ -389,21 +410,21 @@ class Predictable(NamedTuple):
 
     @property
     def matters(self) -> bool:
-        """Return whether the share is significant and above `MAX_PREDICTABLE_SHARE`."""
+        """Return whether the share is significant (p below 0.001) and above 5 % (`MAX_PREDICTABLE_SHARE`)."""
         return self.p < SIGNIFICANCE and self.share > MAX_PREDICTABLE_SHARE
 
 
 class SpectralLine(NamedTuple):
-    """Highest line of a periodogram.
+    """Highest spectral line: the largest bin of a periodogram.
 
     Attributes
     ----------
     frequency
-        Frequency [cycles per sample].
+        Frequency of the bin [cycles per sample].
     share
-        Share of the variance in the bin.
+        Share of the variance in the bin, 0 to 1.
     p
-        p value of Fisher's test.
+        p value of Fisher's test for the largest bin.
     """
 
     frequency: float
@@ -412,12 +433,12 @@ class SpectralLine(NamedTuple):
 
     @property
     def matters(self) -> bool:
-        """Return whether the line is significant and above `MAX_PREDICTABLE_SHARE`."""
+        """Return whether the line is significant (p below 0.001) and has more than 5 % of the variance."""
         return self.p < SIGNIFICANCE and self.share > MAX_PREDICTABLE_SHARE
 
 
 class FrequencyBand(NamedTuple):
-    """Octave of a spectrum.
+    """Octave of a spectrum: a band of frequencies whose upper edge is twice the lower one.
 
     Attributes
     ----------
@@ -436,7 +457,7 @@ class FrequencyBand(NamedTuple):
 
     @property
     def matters(self) -> bool:
-        """Return whether the departure is significant and exceeds a factor of `MAX_DENSITY_RATIO`."""
+        """Return whether the departure is significant (p below 0.001) and is a factor of 2 or more, up or down."""
         return self.p < SIGNIFICANCE and not 1 / MAX_DENSITY_RATIO < self.ratio < MAX_DENSITY_RATIO
 
 
@@ -453,14 +474,15 @@ def whiteness_diagnostics(e: Array) -> WhitenessDiagnostics:
     WhitenessDiagnostics
         Departures in a regression, as a spectral line and by octaves.
     """
-    found = bands(e)
-    return WhitenessDiagnostics(predictable(e), line(e), min(found, key=lambda b: (not b.matters, b.p)))
+    found = octave_bands(e)
+    return WhitenessDiagnostics(predictable_share(e), highest_line(e), min(found, key=lambda b: (not b.matters, b.p)))
 
 
-def predictable(e: Array, most_lags: int = MAX_LAGS) -> Predictable:
-    """Fit a regression of e (n,) on a constant and lags, and return the predicted share of the variance.
+def predictable_share(e: Array, most_lags: int = MAX_LAGS) -> Predictable:
+    """Fit a regression of innovations e (n,) on a constant and their past, and return the predicted share of variance.
 
-    The p value comes from the likelihood ratio, with a Bonferroni correction for the number of orders.
+    The number of lags, at most ``most_lags``, has the least BIC. If no regressor is chosen, the share is 0 and the p
+    value is 1. The p value comes from the likelihood ratio, with a Bonferroni correction for the number of orders.
     """
     found = _regression(e, most_lags)
     n, rest, order, total = found.n, found.left, found.chosen, found.left[0]
@@ -471,9 +493,10 @@ def predictable(e: Array, most_lags: int = MAX_LAGS) -> Predictable:
 
 
 def autoregression(e: Array, most_lags: int = MAX_LAGS) -> Array:
-    """Return the coefficients (order,) of the regression of e (n,) on its past, latest first.
+    """Return the coefficients (order,) of the regression of innovations e (n,) on their past, latest first.
 
-    The order has the least BIC (Schwarz 1978). The result is empty if the innovations are white.
+    The order, at most ``most_lags``, has the least BIC (Schwarz 1978). The result is empty if no lag improves it, as
+    for white innovations.
     """
     found = _regression(e, most_lags)
     if found.chosen < 2:
@@ -483,18 +506,18 @@ def autoregression(e: Array, most_lags: int = MAX_LAGS) -> Array:
 
 
 class _Regression(NamedTuple):
-    """Regression on a constant and lags.
+    """Regression of innovations, scaled to mean square one, on a constant and their past values (lags).
 
     Attributes
     ----------
     n
-        Number of samples.
+        Number of rows of the regression.
     left : Array (n_orders,)
-        Residual sums of squares with the first 0, 1, ... regressors.
+        Residual sums of squares with the first 0, 1, ... regressors: the constant, then lag 1, 2, ...
     chosen
         Number of regressors with the least BIC.
-    factor : Array
-        Cholesky factor of the products of all regressors and, in the last row, the regressed variable.
+    factor : Array (n_orders, n_orders)
+        Lower Cholesky factor of the matrix of products of all regressors and, in the last row, the regressed variable.
     """
 
     n: int
@@ -504,7 +527,10 @@ class _Regression(NamedTuple):
 
 
 def _regression(e: Array, most_lags: int) -> _Regression:
-    """Regress e (n,) on a constant and on up to ``most_lags`` past values, for all orders at once."""
+    """Regress innovations e (n,) on a constant and on up to ``most_lags`` past values, for all orders at once.
+
+    There are at least ten samples per lag. The innovations are scaled to mean square one.
+    """
     e = e / (np.sqrt(np.mean(e**2)) or 1.0)  # the constant regressor is one, so the scale of e has to be one too
     most = min(most_lags, e.size // 10)  # at least ten samples per lag
     windows = np.lib.stride_tricks.sliding_window_view(e, most + 1)[:, ::-1]
@@ -522,8 +548,8 @@ def _regression(e: Array, most_lags: int) -> _Regression:
     return _Regression(n, left, int(np.argmin(n * np.log(left / n) + order * np.log(n))), factor)
 
 
-def line(e: Array) -> SpectralLine:
-    """Find the highest line of the periodogram of e (n,), with Fisher's test (1929).
+def highest_line(e: Array) -> SpectralLine:
+    """Find the highest spectral line in the periodogram of innovations e (n,), with Fisher's test (1929).
 
     The p value is the leading term of Fisher's series, which is accurate if it is small.
     """
@@ -533,10 +559,11 @@ def line(e: Array) -> SpectralLine:
     return SpectralLine((at + 1) / e.size, share, min(1.0, power.size * (1 - share) ** (power.size - 1)))
 
 
-def bands(e: Array) -> list[FrequencyBand]:
-    """Compare the spectral density of e (n,) with white noise in octaves down from half the sampling rate.
+def octave_bands(e: Array) -> list[FrequencyBand]:
+    """Compare the spectral density of innovations e (n,) with white noise in octaves down from half the sampling rate.
 
-    The lowest band includes the mean. The p values are two-sided, with a Bonferroni correction for the number of bands.
+    The bands are in ascending order of frequency. The lowest band begins at frequency zero and includes the mean. The
+    p values are two-sided, with a Bonferroni correction for the number of bands.
     """
     power = np.abs(np.fft.rfft(e)) ** 2 / (e @ e)
     freedom = np.full(power.size, 2.0)
@@ -546,11 +573,25 @@ def bands(e: Array) -> list[FrequencyBand]:
     edges = [power.size]
     while edges[0] // 2 >= MIN_BINS:
         edges.insert(0, edges[0] // 2)
-    return [_band(power, freedom, a, b, len(edges), e.size) for a, b in zip([0, *edges], edges, strict=False)]
+    return [_test_band(power, freedom, a, b, len(edges), e.size) for a, b in zip([0, *edges], edges, strict=False)]
 
 
-def _band(power: Array, freedom: Array, first: int, end: int, n_bands: int, n: int) -> FrequencyBand:
-    """Test the bins ``first`` to ``end`` of a normalised periodogram with ``freedom`` degrees of freedom per bin."""
+def _test_band(power: Array, freedom: Array, first: int, end: int, n_bands: int, n: int) -> FrequencyBand:
+    """Test one band of frequencies: the bins ``first`` to ``end - 1`` of a normalised periodogram.
+
+    Parameters
+    ----------
+    power : Array (n_bins,)
+        Squared Fourier transform over the sum of squares of the n samples; 1 on average for white noise.
+    freedom : Array (n_bins,)
+        Degrees of freedom of each bin, 1 or 2.
+    first, end
+        First bin, and the bin after the last one.
+    n_bands
+        Number of bands that are tested, for the Bonferroni correction.
+    n
+        Number of samples.
+    """
     dof = float(freedom[first:end].sum())
     square = float(power[first:end] @ freedom[first:end])
     p = 2 * n_bands * min(float(stats.chi2.sf(square, dof)), float(stats.chi2.cdf(square, dof)))

@@ -22,6 +22,7 @@ from seatrial.ident.experiment_design import (
     REST_S,
     BaselineSignal,
     Design,
+    DesignEvaluator,
     DesignLimits,
     DesignProblem,
     DiscriminationDesign,
@@ -44,7 +45,7 @@ from seatrial.ident.experiment_design import (
 )
 from seatrial.ident.model import Model, Parameter
 from seatrial.ident.models import make_model
-from seatrial.ident.numerics import Array, scaled_pseudo_inverse
+from seatrial.ident.numerics import Array
 from seatrial.ident.report import typeset_unit, write_design_page
 from seatrial.ident.reporter import Reporter
 from seatrial.ident.results import (
@@ -165,7 +166,7 @@ def make_design(source: str, request: DesignRequest, out: Path, command: str, re
         )
     idle = Segment("static", np.zeros(1), np.zeros((1, len(thrusters))))
     parse_mission(dump_mission(Mission("names", "mission", tuple(thrusters), (idle,), 1.0)), "--thrusters")
-    task.measure  # noqa: B018  # raises the error of a wrong --parameters before the search
+    DesignEvaluator(task).criterion  # noqa: B018  # raises the error of a wrong --parameters before the search
     reporter.progress(
         f"design: {task.steps.n_steps} steps in {task.steps.duration:g} s for {', '.join(_criterion_parameters(task))}"
     )
@@ -234,7 +235,7 @@ def _paths_beside_mission(out: Path) -> dict[str, Path]:
 
 def _design_warnings(made: Design) -> list[ResultWarning]:
     """Return warnings about assumed values, about sensor rates, and about signals beyond the fitted data."""
-    task = made.task
+    task = made.problem
     pole = None if task.actuation.shafts_are_states else task.actuation.pole
     warnings = design_warnings(task.model, task.actuation.full_thrust, pole)
     given_rates = {**task.fitted_rates, **task.rates}
@@ -280,7 +281,7 @@ def beyond_validity(made: Design) -> list[str]:
     A signal leaves the range if it exceeds it by more than 10 % of its width. As in the fitted data, the range of an
     input is from its minimum to its maximum, that of a state from its 1 % to its 99 % quantile.
     """
-    task = made.task
+    task = made.problem
     if not task.validity:
         return []
     t, u = task.t_whole, task.whole_inputs(made.command[:, :, None])[:, :, 0]
@@ -330,7 +331,7 @@ def designed_mission(
     command : str
         Command line, for the provenance.
     """
-    levels = made.task.actuation.for_thrusters(made.levels)
+    levels = made.problem.actuation.for_thrusters(made.levels)
     edges = np.round(REST_S + np.concatenate([[0.0], np.cumsum(made.durations)]), 3)
     segments = (
         Segment("static", np.zeros(1), np.zeros((1, len(thrusters)))),
@@ -340,8 +341,8 @@ def designed_mission(
             round_to_digits(levels, 6).clip(-request.n_max, request.n_max),
         ),
     )
-    units, model = reported_units(made.task.model), made.task.model
-    factors = {name: units.factor(model.parameter(name).unit) for name in made.task.observed_parameters}
+    units, model = reported_units(made.problem.model), made.problem.model
+    factors = {name: units.factor(model.parameter(name).unit) for name in made.problem.observed_parameters}
     predicted, before = (
         {k: float(f"{v * factors[k]:.4g}") for k, v in errors.items() if np.isfinite(v)}
         for errors in (made.predicted, made.before)
@@ -409,7 +410,7 @@ def make_task(source: str, request: DesignRequest) -> DesignProblem:
         )
     n_channels = len(ThrusterResponse(model, np.array([0.0, 1.0])).channels)
     steps = StepInput(1, n_channels, request.duration, request.shortest, GRID, request.n_max)
-    n_steps = request.steps or min(max(8, round(request.duration / STEP_S)), max(steps.rows // steps.least, 1))
+    n_steps = request.steps or min(max(8, round(request.duration / STEP_S)), max(steps.n_rows // steps.least_rows, 1))
     task = DesignProblem(
         model,
         replace(steps, n_steps=n_steps),
@@ -428,16 +429,14 @@ def make_task(source: str, request: DesignRequest) -> DesignProblem:
             "parameters"
         )
     if saved is None:
-        task = replace(task, prior_distribution=ParameterPrior(task.observed_parameters, request.spread))
+        task = replace(task, prior=ParameterPrior(task.observed_parameters, request.spread))
     else:
-        belief = prior_from_fit(saved)
-        earlier = None if belief.covariance is None else scaled_pseudo_inverse(belief.covariance)
-        task = replace(
-            task, prior_distribution=belief, earlier=earlier, inflation=saved.inflation, validity=saved.validity,
-            fitted_rates=saved.rates,
-        )  # fmt: skip
+        task = replace(task, prior=prior_from_fit(saved), validity=saved.validity, fitted_rates=saved.rates)
     compared = hypotheses(model, request.between) if request.between else ()
-    members = [(model, task.boats(N_TRACKS, 2)), *((m, np.array([list(m.values.values())])) for m in compared)]
+    members = [
+        (model, DesignEvaluator(task).boats(N_TRACKS, 2)),
+        *((m, np.array([list(m.values.values())])) for m in compared),
+    ]
     return replace(task, grid=row_spacing(members, GRID, request.n_max))
 
 
@@ -461,8 +460,9 @@ def _discrimination_design(
         evaluations=max(request.evaluations // 8, 500),
         progress=lambda n, merit: reporter.progress(f"design: {n} comparisons, T {np.exp(merit):.3g}"),
     )
-    information = task.information(task.actuation.inputs(made.command[:, :, None]))
-    value = float(task.measure(information + task.prior)[0])
+    evaluator = DesignEvaluator(task)
+    information = evaluator.information(task.actuation.inputs(made.command[:, :, None]))
+    value = float(evaluator.criterion(information + evaluator.prior_information)[0])
     rng = np.random.default_rng([request.seed, 31])
     random = [task.commands(z)[:, :, 0] for z in task.steps.random(8, rng)[:, None]]
     random_criteria = [min(separation(a, b, task, c)) for c in random]
@@ -572,8 +572,8 @@ def _parameter_table(made: Design, baseline: Mapping[str, float]) -> tuple[Desig
 
     ``baseline``: standard error after the baseline signal by name. Values are in reported units.
     """
-    model, before, after = made.task.model, made.before, made.predicted
-    chosen, units = _criterion_parameters(made.task), reported_units(model)
+    model, before, after = made.problem.model, made.before, made.predicted
+    chosen, units = _criterion_parameters(made.problem), reported_units(model)
 
     def reported(errors: Mapping[str, float], p: Parameter) -> float | None:
         return finite(errors[p.name] * units.factor(p.unit))
@@ -584,7 +584,7 @@ def _parameter_table(made: Design, baseline: Mapping[str, float]) -> tuple[Desig
             value=p.value * units.factor(p.unit), before=reported(before, p), after=reported(after, p),
             form=reported(made.errors, p), baseline=reported(baseline, p), chosen=p.name in chosen,
         )
-        for p in (model.parameter(name) for name in made.task.observed_parameters)
+        for p in (model.parameter(name) for name in made.problem.observed_parameters)
     )  # fmt: skip
 
 
@@ -612,7 +612,7 @@ def _design_answer(
         of_value = f" ({100 * share:.2g} %)" if share < 1 else ""
         parts.append(f"{p.name} ±{format_number(after)} {typeset_unit(p.unit)}{of_value}")
     more = f", and {len(rows) - NAMED} more" if len(rows) > NAMED else ""
-    duration = made.task.steps.duration
+    duration = made.problem.steps.duration
     errors = f"After this mission of {duration:g} s the expected standard errors are {', '.join(parts)}{more}"
     return errors if made.value >= baseline.value else f"{warn_worse_than_baseline(baseline, made)} {errors}"
 
@@ -627,10 +627,10 @@ def warn_worse_than_baseline(baseline: BaselineSignal, made: Design) -> str:
     made : Design
         The design.
     """
-    free = ", which ignores the limits," if made.task.limits.bind else ""
+    free = ", which ignores the limits," if made.problem.limits.bind else ""
     return (
-        f"Worse than {baseline.kind}: its {made.task.criterion} criterion is {format_number(made.value)}, the best of "
-        f"20 {baseline.kind}{free} has {format_number(baseline.value)}. Give the search more --evaluations or other "
+        f"Worse than {baseline.kind}: its {made.problem.criterion} criterion is {format_number(made.value)}, the best "
+        f"of 20 {baseline.kind}{free} has {format_number(baseline.value)}. Give the search more --evaluations or other "
         "--steps, a longer mission or wider limits."
     )
 

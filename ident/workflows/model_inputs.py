@@ -15,9 +15,9 @@ from seatrial.ident.characterisation import (
     THRUSTER_RATE,
     ThrustCurve,
     load_curve,
+    sum_of_held,
     thrust_channels,
     thruster_runs,
-    total,
 )
 from seatrial.ident.data import (
     COMMANDS,
@@ -105,7 +105,7 @@ def derived_signals(
             raise SeatrialError(f"{path}: {problem}; the log has {', '.join(sorted(channels))}") from problem
         held |= dict.fromkeys(CURVE_INPUTS, "zero")
     if "X" not in found and {"f_left", "f_right"} <= set(found):
-        found["X"] = total(found["f_left"], found["f_right"])
+        found["X"] = sum_of_held(found["f_left"], found["f_right"])
         held["X"] = "zero"
     if "u" not in found and "speed" in found and source.partition(":")[0] == "surge":
         found["u"] = found["speed"]

@@ -23,9 +23,10 @@ from seatrial.ident.studies import (
     Case,
     ParameterCoverage,
     Row,
-    counts,
+    count_replicates,
     estimator_code_hash,
     make_case,
+    read_replicates,
     run_replicates,
     summarise,
 )
@@ -156,30 +157,6 @@ def _run_timed(case: Case, numbers: Sequence[int], seed: int, method: Method) ->
     return time.process_time() - began, rows
 
 
-def read_replicates(out: Path) -> list[Row]:
-    """Read the replicates of earlier runs, without incomplete lines and failed replicates.
-
-    Parameters
-    ----------
-    out : Path
-        File of JSON lines.
-
-    Returns
-    -------
-    list of Row
-        In the order of the file; empty if the file does not exist.
-    """
-    rows = []
-    for text in out.read_text(encoding="utf-8").splitlines() if out.exists() else ():
-        try:
-            row = json.loads(text)
-        except json.JSONDecodeError:
-            continue
-        if isinstance(row, dict) and {"k", "key", "code"} <= set(row) and "error" not in row:
-            rows.append(row)
-    return rows
-
-
 @dataclass(frozen=True)
 class StudyRequest:
     """Options of Monte Carlo studies of the estimator.
@@ -305,7 +282,7 @@ def model_study(case: Case, rows: Sequence[Row], method: Method) -> ModelStudy:
     method : str
         ``prediction-error`` or ``output-error``.
     """
-    truth, n = case.model.values, counts(rows)
+    truth, n = case.model.values, count_replicates(rows)
     return ModelStudy(
         model=case.name,
         about=case.about,

@@ -22,9 +22,9 @@ from seatrial.ident.characterisation import (
     ThrustCurve,
     adequate,
     check_signs,
+    clearly_falls,
     curve_left_out,
     directions,
-    falls,
     find_levels,
     fit_curve,
     fit_quadratic,
@@ -178,7 +178,7 @@ def _without_zero_drift(
         command, force = channels.get(command_name(x)), channels.get("force")
         drift = zero_drift(command, force, settle) if command is not None and force is not None else None
         if drift is not None and force is not None:
-            x = replace(x, run=replace(x.run, channels={**channels, "force": drift.taken_off(force)}))
+            x = replace(x, run=replace(x.run, channels={**channels, "force": drift.without_drift(force)}))
             lines.append(drift.text if len(loaded) == 1 else f"{x.about['path']}: {drift.text}")
         found.append(x)
     return found, lines
@@ -285,7 +285,7 @@ def static_curve(
         if levels.n.size < 4:
             advice = hold_advice(channels[names[0]], channels["force"], request.settle)
             raise ValueError(f"{levels.n.size} steady commands are too few for a curve, which needs four; {advice}")
-        if falls(levels.n, levels.force, float(levels.error.max())):
+        if clearly_falls(levels.n, levels.force, float(levels.error.max())):
             raise ValueError(REVERSED_LOAD_CELL)
     except ValueError as problem:
         raise SeatrialError(f"{where}: {problem}") from problem

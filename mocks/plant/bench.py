@@ -19,7 +19,7 @@ from seatrial.mocks.random_streams import (
     random_stream,
 )
 
-STEP = 0.0025  # s
+PLANT_STEP_S = 0.0025  # s
 DISTURBANCE_EVERY = 4  # steps; the disturbance force changes at 100 Hz
 SIGMA, TAU = 0.1, 0.3  # N, s; standard deviation and correlation time of the disturbance in a pool at rest
 
@@ -73,7 +73,7 @@ class BenchPlant:
         The shaft. `BenchShaft` is used only if a hidden effect acts on it.
     """
 
-    def __init__(self, bench: Bench, run: int = 0, *, step: float = STEP, disturbed: bool = True) -> None:
+    def __init__(self, bench: Bench, run: int = 0, *, step: float = PLANT_STEP_S, disturbed: bool = True) -> None:
         """Set up the bench at time 0, with the shaft and the water at rest.
 
         Parameters

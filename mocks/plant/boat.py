@@ -14,7 +14,7 @@ from seatrial.mocks.plant.thruster import Inflow, Shaft, ThrusterTruth, thrust
 from seatrial.mocks.plant.weather import Weather
 from seatrial.mocks.random_streams import DISTURBANCE, START, OrnsteinUhlenbeck, normals, random_stream
 
-STEP = 0.005  # s
+PLANT_STEP_S = 0.005  # s
 DISTURBANCE_EVERY = 4  # steps; the disturbance forces change at 50 Hz
 SIGMA = (0.3, 0.3, 0.03)  # N, N, N m; standard deviation of the disturbance forces in calm water
 TAU = 2.0  # s, correlation time of the disturbance forces
@@ -140,7 +140,7 @@ class BoatPlant:
         boat: Boat,
         run: int = 0,
         *,
-        step: float = STEP,
+        step: float = PLANT_STEP_S,
         state: State | None = None,
         disturbed: bool = True,
         n: float = 0.0,

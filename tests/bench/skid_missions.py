@@ -45,14 +45,14 @@ ANGLE = math.radians(70)  # steering angle at full difference
 WITHIN_SE, WITHIN_PERCENT, WITHIN_DEG, WITHIN_M = 3.0, 3.0, 10.0, 1.0
 THERE = {"sideslip"}  # effects of the simulator that the fitted model lacks
 TINY = {"tau_s": 1e-3}  # differences that are too small for a percentage: the truth of tau_s is half a step
-STEP = 1 / 1200  # s, integration step of the simulator: each step drops the velocity that is not along the heading
+ODE_STEP_S = 1 / 1200  # s, of the simulator: each step drops the velocity that is not along the heading
 # GIVEN: thrust that is fixed, so that masses are in kg. TRUTH: the parameters in the source of the simulator.
 GIVEN = {"motorboat-skid": {"c1": 25.0, "c2": 0.0}, "rover-skid": {"c1": 70.0, "c2": 0.0}}
 TRUTH: Mapping[str, Mapping[str, float]] = {
-    "motorboat-skid": {"m_u": 2.0, "d_u": 0.0, "d_uu": 0.5, "tau_s": STEP / 2, "lambda_n": 1.0, "K": 0.0, "K_u": STEER,
-                       "k_3": ANGLE**2 / 6},
-    "rover-skid": {"m_u": 10.0, "d_u": 35.0, "d_uu": 0.0, "tau_s": STEP / 2, "lambda_n": 1.0, "K": math.radians(280),
-                   "K_u": 0.0, "k_3": 0.0},
+    "motorboat-skid": {"m_u": 2.0, "d_u": 0.0, "d_uu": 0.5, "tau_s": ODE_STEP_S / 2, "lambda_n": 1.0, "K": 0.0,
+                       "K_u": STEER, "k_3": ANGLE**2 / 6},
+    "rover-skid": {"m_u": 10.0, "d_u": 35.0, "d_uu": 0.0, "tau_s": ODE_STEP_S / 2, "lambda_n": 1.0,
+                   "K": math.radians(280), "K_u": 0.0, "k_3": 0.0},
 }  # fmt: skip
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from tests.ident.calibration_example import calibration
 
-STEP = 0.1  # Unit: s
+ODE_STEP_S = 0.1  # Unit: s
 SHAFTS = ("n_left", "n_right")
 CHANNELS = (
     ("psi", "rad", 0.012, True),
@@ -55,8 +55,8 @@ def boat(n: tuple[Any, Any], k_J: float) -> dict[str, Any]:
         dr = (0.15 * (f[0] - f[1]) - 4.1 * r - 6.2 * abs(r) * r) / 9.7
         vx, vy = np.cos(psi) * u - np.sin(psi) * v + 0.05, np.sin(psi) * u + np.cos(psi) * v - 0.03
         rows.append((psi, r, du - v * r, x, y, vx, vy))
-        u, v, r, psi = u + STEP * du, v + STEP * dv, r + STEP * dr, psi + STEP * r
-        x, y = x + STEP * vx, y + STEP * vy
+        u, v, r, psi = u + ODE_STEP_S * du, v + ODE_STEP_S * dv, r + ODE_STEP_S * dr, psi + ODE_STEP_S * r
+        x, y = x + ODE_STEP_S * vx, y + ODE_STEP_S * vy
     return dict(zip([c[0] for c in CHANNELS], np.array(rows).T, strict=True))
 
 
@@ -66,7 +66,7 @@ def listed(a: Any) -> list[float | None]:
 
 def record(rng: Any, name: str, role: str, duration: float) -> dict[str, Any]:
     """Return traces, track, inputs, residuals, cross-correlations and residual forces of one record."""
-    t = np.arange(0, duration, STEP)
+    t = np.arange(0, duration, ODE_STEP_S)
     n = commands(t, rng)
     truth, before = boat(n, 6.1), boat(n, 0.0)
     tag = {"record": name, "role": role}
@@ -113,7 +113,7 @@ def whiteness(rng: Any, t: Any, memory: float) -> dict[str, Any]:
     return {
         "t": listed(t),
         "e": listed(e),
-        "lags": listed(lags * STEP),
+        "lags": listed(lags * ODE_STEP_S),
         "acf": listed([float(e[k:] @ e[:-k] / (e @ e)) for k in lags]),
         "band": 1.96 / np.sqrt(t.size),
         "ljung_box_p": 0.31 if white else 3e-41,
@@ -122,7 +122,7 @@ def whiteness(rng: Any, t: Any, memory: float) -> dict[str, Any]:
         "white": white,
         "outliers": 0,
         "largest": float(np.abs(e).max()),
-        "frequency": listed(np.fft.rfftfreq(t.size, STEP)[1:]),
+        "frequency": listed(np.fft.rfftfreq(t.size, ODE_STEP_S)[1:]),
         "cumulative": listed(np.cumsum(power) / power.sum()),
     }
 

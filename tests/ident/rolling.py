@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from seatrial.ident.data.record import Channel
 
 Array = NDArray[np.float64]
-STEP, OUT, FIX = 0.005, 10, 4  # Step [s]; steps between AHRS samples; AHRS samples per fix.
+ODE_STEP_S, OUT, FIX = 0.005, 10, 4  # Step [s]; steps between AHRS samples; AHRS samples per fix.
 M_U, M_V, M_R, D_U, D_UU, D_V, D_R, D_RR, C1, ARM = 37.0, 47.0, 9.69, 4.0, 25.0, 50.0, 4.14, 6.23, 40.05, 0.15
 TRUTH = {"m_u": M_U, "m_v": M_V, "m_r": M_R, "d_u": D_U, "d_uu": D_UU, "d_v": D_V, "d_r": D_R, "d_rr": D_RR}
 NOISE = {
@@ -74,7 +74,7 @@ def sail(boat: Fitted, seconds: float, seed: int) -> tuple[dict[str, Channel], A
     (n, 2) at the fixes.
     """
     rng = np.random.default_rng(seed)
-    t = np.arange(round(seconds / STEP) + 1) * STEP
+    t = np.arange(round(seconds / ODE_STEP_S) + 1) * ODE_STEP_S
     levels = rng.uniform(-0.4, 1.0, (2, round(seconds / 5.0) + 2))
     n = np.array([np.interp(t, np.arange(len(row)) * 5.0, row) for row in levels])
     psi, u, v = _moved(t, n)
@@ -82,14 +82,16 @@ def sail(boat: Fitted, seconds: float, seed: int) -> tuple[dict[str, Channel], A
     R = rotation(phi, theta, psi)
     w = -(R[:, 2, 0] * u + R[:, 2, 1] * v) / R[:, 2, 2]
     water = np.einsum("kij,kj->ki", R, np.column_stack([u, v, w]))
-    current = np.array([0.15, -0.1]) + np.cumsum(boat.wander * np.sqrt(STEP) * rng.normal(size=(t.size, 2)), axis=0)
+    current = np.array([0.15, -0.1]) + np.cumsum(
+        boat.wander * np.sqrt(ODE_STEP_S) * rng.normal(size=(t.size, 2)), axis=0
+    )
     place = np.zeros((t.size, 3))
-    place[1:, :2] = np.cumsum(STEP * ((water[1:] + water[:-1])[:, :2] + current[1:] + current[:-1]) / 2, axis=0)
+    place[1:, :2] = np.cumsum(ODE_STEP_S * ((water[1:] + water[:-1])[:, :2] + current[1:] + current[:-1]) / 2, axis=0)
     antenna = place + R @ np.array(boat.arm)
-    felt = np.gradient(water, STEP, axis=0) - [0.0, 0.0, 9.81]  # Specific force of a body that moves with the current.
+    felt = np.gradient(water, ODE_STEP_S, axis=0) - [0.0, 0.0, 9.81]  # Specific force of a body in the current.
     M = rotation(*boat.mount)  # Rotation from the axes of the AHRS to those of the boat.
     S = R @ M
-    spin = np.swapaxes(S, 1, 2) @ np.gradient(S, STEP, axis=0)
+    spin = np.swapaxes(S, 1, 2) @ np.gradient(S, ODE_STEP_S, axis=0)
     seen = {
         "phi": np.arctan2(S[:, 2, 1], S[:, 2, 2]),
         "theta": -np.arcsin(S[:, 2, 0]),
@@ -99,7 +101,7 @@ def sail(boat: Fitted, seconds: float, seed: int) -> tuple[dict[str, Channel], A
         "r": spin[:, 1, 0],
     }
     force = np.einsum("kji,kj->ki", S, felt)
-    speed = np.gradient(antenna, STEP, axis=0)
+    speed = np.gradient(antenna, ODE_STEP_S, axis=0)
     seen |= {
         "ax": force[:, 0],
         "ay": force[:, 1],
@@ -140,5 +142,5 @@ def _moved(t: Array, n: Array) -> tuple[Array, Array, Array]:
     z = np.zeros((t.size, 4))
     for k in range(t.size - 1):
         a = rate(k, z[k])
-        z[k + 1] = z[k] + STEP / 2 * (a + rate(k + 1, z[k] + STEP * a))
+        z[k + 1] = z[k] + ODE_STEP_S / 2 * (a + rate(k + 1, z[k] + ODE_STEP_S * a))
     return z[:, 0], z[:, 2], z[:, 3]

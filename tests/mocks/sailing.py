@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from seatrial.mocks.plant.boat import STEP, Boat, BoatPlant
+from seatrial.mocks.plant.boat import PLANT_STEP_S, Boat, BoatPlant
 from seatrial.mocks.plant.effect import HiddenEffect
 from seatrial.mocks.plant.hull import Hull, State
 from seatrial.mocks.plant.thruster import ThrusterTruth
@@ -22,7 +22,7 @@ def run(
     plant = BoatPlant(Boat(Hull(), ThrusterTruth(), (0.0, 0.0), effects, 0), state=state, disturbed=False)
     plant.command(0, 0.0, n[0])
     plant.command(1, 0.0, n[1])
-    for _ in range(round(seconds / STEP)):
+    for _ in range(round(seconds / PLANT_STEP_S)):
         plant.advance()
         if each is not None:
             each(plant)

@@ -40,7 +40,7 @@ from seatrial.ident.model import Model
 
 Array = NDArray[np.float64]
 CHANNELS = ("u", "v", "r")
-STEP = 0.05  # s; at full speed the yaw damping is too fast for steps of 0.1 s
+ROW_STEP_S = 0.05  # s; at full speed the yaw damping is too fast for steps of 0.1 s
 MODELS = ("authors", "propeller", "point", "boat")
 WEIGHTS = (0.4, 0.2, 0.1)  # rad; values of e_drift of the model ``boat`` among which --nested chooses
 NO_SCORE = np.full((2, len(CHANNELS)), np.nan)  # `sums` of a fit that did not converge
@@ -50,7 +50,7 @@ MOST_RESTARTS = 3  # restarts of a search that did not converge, each from the e
 def records_of(model: Model, logs: Sequence[Path]) -> list[Record]:
     """Return the records of the logs for a model, with the channel ``drift``."""
     runs = [load_run(path, "estimation").run for path in logs]
-    return [build_record(model, with_drift(run.channels), name=run.name, max_step=STEP) for run in runs]
+    return [build_record(model, with_drift(run.channels), name=run.name, max_step=ROW_STEP_S) for run in runs]
 
 
 def with_drift(channels: Mapping[str, Channel]) -> dict[str, Channel]:

@@ -38,7 +38,7 @@ from seatrial.ident.model import (
     weighted_sum,
 )
 
-STEP, N_DELAYS = 0.1, 16  # s, and number of delayed copies (taps) of an input; tap k is k steps old
+TAP_STEP_S, N_DELAYS = 0.1, 16  # s, and number of delayed copies (taps) of an input; tap k is k steps old
 SMALL = 1e-6  # N; it makes the root smooth at zero thrust
 
 BODY = (
@@ -51,7 +51,9 @@ RUN = (
     Parameter("s_u", 0.02, "m/s/sqrt(s)", "process noise of surge speed", "log"),
     Parameter("e_u", 0.015, "m/s", "noise of the speed over ground", "log", per_record=True),
 )
-DELAY = Parameter("tau", 0.7, "s", "delay from command to measured speed", bounds=(0, STEP * (N_DELAYS - 1)), step=0.02)
+DELAY = Parameter(
+    "tau", 0.7, "s", "delay from command to measured speed", bounds=(0, TAP_STEP_S * (N_DELAYS - 1)), step=0.02
+)
 LAG = Parameter("T", 0.2, "s", "lag of the thrust", "log", bounds=(0.02, 10.0))
 LOSS = Parameter("k", 0.5, "sqrt(N) s/m", "thrust lost to advance", step=0.02)
 CUBIC = Parameter("d_uuu", 1.0, "kg s/m2", "cubic damping", bounds=(0, INF), step=0.3)
@@ -61,7 +63,7 @@ SHIFT = Parameter("d", 0.0, "", "dead band on the water less that on the bench",
 def delayed_input(u: Any, name: str, tau: Any) -> Any:
     """Return an input ``tau`` seconds ago, by cubic convolution of its delayed taps."""
     taps = [getattr(u, tap_name(name, k)) for k in range(N_DELAYS)]
-    return weighted_sum(delay_weights(tau / STEP, N_DELAYS), taps)
+    return weighted_sum(delay_weights(tau / TAP_STEP_S, N_DELAYS), taps)
 
 
 def make(*more: Parameter) -> Model:

@@ -78,7 +78,7 @@ def test_a_light_boat_with_high_damping_reaches_its_steady_speed() -> None:
         ({"m_u": 0.0}, "has m_u not above zero"),
         ({"m_u": -1.0, "m_r": 0.0}, "has m_u and m_r not above zero"),
         ({"m_r": 0.02, "d_r": 0.0, "d_rr": 0.0}, "makes it diverge"),
-        ({"d_u": -740.0}, "makes it diverge"),  # multiplied by STEP it equals m_u
+        ({"d_u": -740.0}, "makes it diverge"),  # multiplied by TRACK_STEP_S it equals m_u
     ],
 )
 def test_an_invalid_vehicle_is_not_predicted(vehicle: dict[str, float], why: str) -> None:

@@ -41,10 +41,10 @@ def test_drift_is_subtracted_between_the_rests(drift: Array) -> None:
     command, force = bench(drift)
     found = zero_drift(command, force, 1.5)
     assert found is not None
-    left = found.taken_off(force).value - C1 * command.value * np.abs(command.value)
+    left = found.without_drift(force).value - C1 * command.value * np.abs(command.value)
     inside = (found.t[0] < T) & (found.t[-1] > T)
     assert np.ptp(np.convolve(left[inside], np.full(40, 1 / 40), "valid")) < 0.15
-    assert found.taken_off(force).value.mean() == pytest.approx(force.value.mean(), abs=0.15)
+    assert found.without_drift(force).value.mean() == pytest.approx(force.value.mean(), abs=0.15)
     assert "linear between the rests" in found.text
 
 

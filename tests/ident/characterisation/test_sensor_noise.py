@@ -18,7 +18,7 @@ from seatrial.ident.characterisation.sensor_noise import (
     welch,
 )
 from seatrial.ident.data.record import Channel
-from seatrial.ident.validation.whiteness import autocorrelation, ljung_box, predictable
+from seatrial.ident.validation.whiteness import autocorrelation, ljung_box, predictable_share
 from tests.measured.data import measured
 
 
@@ -184,9 +184,9 @@ def test_predictable_share_is_that_of_the_truth() -> None:
     """
     rng = np.random.default_rng(9)
     e = signal.lfilter([1.0], [1.0, -0.4], rng.normal(size=20_000))
-    assert predictable(e).share == pytest.approx(0.16, abs=0.015)
-    assert predictable(rng.normal(size=20_000) + 0.5).share == pytest.approx(0.25 / 1.25, abs=0.015)
-    small = predictable(signal.lfilter([1.0], [1.0, -0.1], rng.normal(size=20_000)))
+    assert predictable_share(e).share == pytest.approx(0.16, abs=0.015)
+    assert predictable_share(rng.normal(size=20_000) + 0.5).share == pytest.approx(0.25 / 1.25, abs=0.015)
+    small = predictable_share(signal.lfilter([1.0], [1.0, -0.1], rng.normal(size=20_000)))
     assert small.p < 1e-9
     assert not small.matters  # The correlation is significant, but only 1 % of the variance.
 
@@ -194,7 +194,7 @@ def test_predictable_share_is_that_of_the_truth() -> None:
 def test_predictable_share_is_independent_of_the_unit() -> None:
     e = np.random.default_rng(9).normal(size=2000) + 0.2
     for unit in (1e-8, 1e4, 1e8):
-        np.testing.assert_allclose(predictable(unit * e), predictable(e), rtol=1e-6)
+        np.testing.assert_allclose(predictable_share(unit * e), predictable_share(e), rtol=1e-6)
 
 
 def test_white_noise_has_uniform_p_values() -> None:

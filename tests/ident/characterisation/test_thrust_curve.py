@@ -15,10 +15,10 @@ from seatrial.daq.errors import SeatrialError
 from seatrial.ident.characterisation.thrust_curve import (
     Levels,
     ThrustCurve,
-    _merged,
+    _merged_visits,
     adequate,
+    clearly_falls,
     curve_left_out,
-    falls,
     find_levels,
     fit_curve,
     fit_quadratic,
@@ -181,7 +181,7 @@ def test_common_variance_between_visits_gives_the_test_its_right_size() -> None:
     for _ in range(300):
         force = 40.0 * n * np.abs(n) + 0.5 * rng.standard_normal(n.size)
         rows = zip(n, force, np.full(n.size, 0.05), np.full(n.size, 100), np.ones(n.size), strict=True)
-        levels = _merged(sorted(rows))
+        levels = _merged_visits(sorted(rows))
         rejected += not adequate(fit_quadratic(levels))
         z.append((levels.force - 40.0 * levels.n * np.abs(levels.n)) / levels.error)
     assert levels.dof == 12
@@ -191,7 +191,7 @@ def test_common_variance_between_visits_gives_the_test_its_right_size() -> None:
 
 def test_scatter_at_rest_does_not_estimate_the_scatter_of_thrust() -> None:
     rows = [(0.0, 0.0, 0.1, 50, 1.0), (0.0, 3.0, 0.1, 50, 1.0), (0.5, 10.0, 0.1, 50, 1.0), (1.0, 40.0, 0.1, 50, 1.0)]
-    levels = _merged(rows)
+    levels = _merged_visits(rows)
     assert (levels.dof, levels.scatter) == (0, 0.0)
     np.testing.assert_allclose(levels.se, [1.5, 0.1, 0.1], rtol=0.01)
 
@@ -207,8 +207,8 @@ def test_too_short_hold_is_reported_with_a_suitable_settling_time() -> None:
 @pytest.mark.parametrize(("scale", "error", "falling"), [(-40.0, 0.1, True), (40.0, 0.1, False), (-0.05, 0.1, False)])
 def test_falling_force_is_found_beyond_its_errors(scale: float, error: float, *, falling: bool) -> None:
     n = np.linspace(-1, 1, 9)
-    assert falls(n, scale * n * np.abs(n), error) is falling
-    assert not falls(n, np.ones(9))
+    assert clearly_falls(n, scale * n * np.abs(n), error) is falling
+    assert not clearly_falls(n, np.ones(9))
 
 
 def test_true_quadratic_is_recovered() -> None:
@@ -258,7 +258,7 @@ def test_curve_is_restored_from_its_file(tmp_path: Path) -> None:
     assert found is not None
     assert (found.thrusters, found.calibration) == (2, 0.02)
     np.testing.assert_allclose(found.curve.force, curve.force, rtol=1e-6)
-    np.testing.assert_allclose(found.of_one(COMMANDS), curve(COMMANDS) / 2, rtol=1e-6)
+    np.testing.assert_allclose(found.thrust_of_one(COMMANDS), curve(COMMANDS) / 2, rtol=1e-6)
     other = tmp_path / "other.toml"
     other.write_text('format = "seatrial-model 1"\n')
     assert load_curve(other) is None
@@ -282,8 +282,8 @@ def test_thrust_from_commands(tmp_path: Path) -> None:
     right = Channel(np.array([0.0, 0.5]), np.array([0.4, 0.5]))
     found = thrust_channels({"n_left": left, "n_right": right}, curve)
     assert found["X"].t.tolist() == [0.0, 0.5, 1.0]
-    np.testing.assert_allclose(found["f_left"].value, curve.of_one(left.value))
-    want = curve.of_one(np.array([0.4, 0.4, -0.4])) + curve.of_one(np.array([0.4, 0.5, 0.5]))
+    np.testing.assert_allclose(found["f_left"].value, curve.thrust_of_one(left.value))
+    want = curve.thrust_of_one(np.array([0.4, 0.4, -0.4])) + curve.thrust_of_one(np.array([0.4, 0.5, 0.5]))
     np.testing.assert_allclose(found["X"].value, want)
     # A command shifted outwards by d changes the force by d X_n, forward and in reverse.
     inward = Channel(left.t, left.value - 1e-6 * np.sign(left.value))
@@ -294,8 +294,8 @@ def test_thrust_from_commands(tmp_path: Path) -> None:
     np.testing.assert_allclose(step, 1e-6 * (left_only["X_n"].value - zero["X_n"].value), rtol=1e-3)
     command = thrust_channels({"n_left": right, "n_cmd_left": left, "n_right": right}, curve)
     # A command has priority over a shaft speed.
-    np.testing.assert_allclose(command["f_left"].value, curve.of_one(left.value))
-    with pytest.raises(ValueError, match="no n_cmd_right and no n_right"):
+    np.testing.assert_allclose(command["f_left"].value, curve.thrust_of_one(left.value))
+    with pytest.raises(ValueError, match="neither n_cmd_right nor n_right"):
         thrust_channels({"n_left": left}, curve)
 
 

@@ -14,7 +14,8 @@ from seatrial.daq.config.mission_file import dump_mission, load_mission, parse_m
 from seatrial.daq.errors import SeatrialError
 from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.estimation.model_file import load_model
-from seatrial.ident.experiment_design.task import COAST_S, REST_S, prior_from_fit
+from seatrial.ident.experiment_design.prior import prior_from_fit
+from seatrial.ident.experiment_design.problem import COAST_S, REST_S
 from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.ident.workflows.design import DesignRequest, hypotheses, make_task, with_effect
 
@@ -227,7 +228,7 @@ def test_each_hypothesis_of_a_discrimination_has_only_its_own_effect() -> None:
         (("horizontal", "--steps", "100"), 1, "do not fit"),
         (("horizontal", "--rate", "position=0"), 2, "position=0 is not above 0 Hz"),
         (("horizontal", "--discriminate", "delay,lag", "--average-over", "4"), 2, "is not averaged over samples"),
-        (("horizontal:shaft:no-current", "--current", "0.2"), 1, "so --current has no effect"),
+        (("horizontal:shaft:no-current", "--current", "0.2"), 1, "--current cannot be simulated"),
         (("catamaran",), 1, "no model 'catamaran'"),
         (
             ("kinematic:shaft",),

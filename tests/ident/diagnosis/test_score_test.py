@@ -14,7 +14,7 @@ from seatrial.ident.data.record import Record
 from seatrial.ident.diagnosis import score_test
 from seatrial.ident.diagnosis.candidates import TrajectoryLinearisation, normal_equations
 from seatrial.ident.diagnosis.score_test import (
-    BLOCK,
+    ROBUST_BLOCK_S,
     ColumnIndex,
     NormalEquations,
     PriorTerms,
@@ -243,10 +243,10 @@ def test_long_record_is_processed_in_parts_of_whole_blocks(monkeypatch: pytest.M
     wanted = statistics()
     monkeypatch.setattr(score_test, "WHOLE", 0)
     monkeypatch.setattr(score_test, "PART", 120)
-    rows = whole_blocks(fitted.records[0].t, BLOCK)
+    rows = whole_blocks(fitted.records[0].t, ROBUST_BLOCK_S)
     assert len(rows) > 3
     assert all(a.stop == b.start for a, b in pairwise(rows))
-    assert len({block_index(fitted.records[0].t[r], BLOCK)[0] for r in rows}) == len(rows)
+    assert len({block_index(fitted.records[0].t[r], ROBUST_BLOCK_S)[0] for r in rows}) == len(rows)
     np.testing.assert_allclose(statistics(), wanted, rtol=1e-9)
 
 
@@ -276,7 +276,7 @@ def test_records_and_blocks_are_additive() -> None:
     np.testing.assert_allclose(whole.information, g.T @ g)
     np.testing.assert_allclose(parts.score, -g.T @ e)
     blocks = np.concatenate(whole.blocks)
-    assert len(blocks) == 45.0 / BLOCK
+    assert len(blocks) == 45.0 / ROBUST_BLOCK_S
     np.testing.assert_allclose(np.concatenate(parts.blocks), blocks)
     np.testing.assert_allclose(blocks.sum(0), whole.score)
 

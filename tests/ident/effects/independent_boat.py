@@ -13,7 +13,7 @@ import numpy as np
 
 from seatrial.ident.data.record import Channel, LogSegment
 
-STEP = 0.025  # Unit: s
+ODE_STEP_S = 0.025  # Unit: s
 AHRS, GNSS = 2, 8  # Steps between samples.
 
 # force(state of motion) -> X, Y [N], N [N m] in body axes.
@@ -99,20 +99,22 @@ def sail(boat: IndependentBoat, seconds: float = 300.0, seed: int = 1, gyro: boo
     Without ``gyro``, the log has no yaw rate and no accelerations.
     """
     rng, steps, at = np.random.default_rng(seed), mission(seconds, seed), 0
-    slow, sd = math.exp(-STEP / 0.18), (0.25 * boat.weight, 0.25 * boat.weight, 0.03 * boat.weight * boat.scale)
+    slow, sd = math.exp(-ODE_STEP_S / 0.18), (0.25 * boat.weight, 0.25 * boat.weight, 0.03 * boat.weight * boat.scale)
     calm, state, n = [0.0, 0.0, 0.0], [0.0, 0.0, 0.3, 0.0, 0.0, 0.0, 0.0, 0.0], {"left": 0.0, "right": 0.0}
     rows = []
-    for k in range(round(seconds / STEP)):
-        while at + 1 < len(steps) and steps[at + 1][0] <= k * STEP:
+    for k in range(round(seconds / ODE_STEP_S)):
+        while at + 1 < len(steps) and steps[at + 1][0] <= k * ODE_STEP_S:
             at += 1
-        calm = [f * (1 - STEP / 1.5) + q * math.sqrt(STEP) * rng.normal() for f, q in zip(calm, sd, strict=True)]
+        calm = [
+            f * (1 - ODE_STEP_S / 1.5) + q * math.sqrt(ODE_STEP_S) * rng.normal() for f, q in zip(calm, sd, strict=True)
+        ]
         later = {side: n[side] * slow + (1 - slow) * to for side, to in zip(n, steps[at][1:], strict=True)}
-        rate, sensed = _rate(boat, k * STEP, state, n, calm)
+        rate, sensed = _rate(boat, k * ODE_STEP_S, state, n, calm)
         if k % AHRS == 0:
-            rows.append((k * STEP, *n.values(), *sensed))
-        end = [x + STEP * dx for x, dx in zip(state, rate, strict=True)]
-        again, _ = _rate(boat, (k + 1) * STEP, end, later, calm)
-        state = [x + STEP * (d1 + d2) / 2 for x, d1, d2 in zip(state, rate, again, strict=True)]
+            rows.append((k * ODE_STEP_S, *n.values(), *sensed))
+        end = [x + ODE_STEP_S * dx for x, dx in zip(state, rate, strict=True)]
+        again, _ = _rate(boat, (k + 1) * ODE_STEP_S, end, later, calm)
+        state = [x + ODE_STEP_S * (d1 + d2) / 2 for x, d1, d2 in zip(state, rate, again, strict=True)]
         n = later
     found = np.array(rows)
     factor, offset = boat.receiver_error

@@ -39,18 +39,18 @@ def test_mass_of_a_boat_with_quiet_sensors_is_unbiased(ahrs: float, esc: float) 
 
 MASSES = {"m_u": 36.0, "m_v": 45.0, "m_r": 9.0}
 TRUTH = {**MASSES, "d_u": 3.0, "d_v": 30.0, "d_r": 8.0, "d_uu": 25.0, "d_vv": 60.0, "d_rr": 6.0}
-ARM, STEP = 0.15, 0.005  # Units: m, s
+ARM, ODE_STEP_S = 0.15, 0.005  # Units: m, s
 
 
 def pushed(seconds: float, seed: int) -> dict[str, Channel]:
     """Simulate a boat under known thrusts that jump every 1 to 6 s, by Runge-Kutta. The sensors run at 100 and 5 Hz and
     have a tenth of the usual noise.
     """
-    rng, rows = np.random.default_rng(seed), round(seconds / STEP)
-    starts = STEP * np.round(np.cumsum(rng.uniform(1.0, 6.0, rows)) / STEP)
+    rng, rows = np.random.default_rng(seed), round(seconds / ODE_STEP_S)
+    starts = ODE_STEP_S * np.round(np.cumsum(rng.uniform(1.0, 6.0, rows)) / ODE_STEP_S)
     levels = rng.uniform(-20.0, 30.0, (rows, 2))
-    t = np.arange(rows) * STEP
-    force = levels[np.searchsorted(starts, t + STEP / 2)]
+    t = np.arange(rows) * ODE_STEP_S
+    force = levels[np.searchsorted(starts, t + ODE_STEP_S / 2)]
 
     def rate(x: np.ndarray, f: np.ndarray) -> np.ndarray:
         p, (psi, u, v, r) = TRUTH, x[2:]
@@ -65,9 +65,9 @@ def pushed(seconds: float, seed: int) -> dict[str, Channel]:
     for k, f in enumerate(force):
         k1 = rate(x, f)
         states[k], rates[k] = x, k1
-        k2 = rate(x + STEP / 2 * k1, f)
-        k3 = rate(x + STEP / 2 * k2, f)
-        x = x + STEP / 6 * (k1 + 2 * k2 + 2 * k3 + rate(x + STEP * k3, f))
+        k2 = rate(x + ODE_STEP_S / 2 * k1, f)
+        k3 = rate(x + ODE_STEP_S / 2 * k2, f)
+        x = x + ODE_STEP_S / 6 * (k1 + 2 * k2 + 2 * k3 + rate(x + ODE_STEP_S * k3, f))
     u, v, r = states[:, 3:].T
     true = {"x": states[:, 0], "y": states[:, 1], "psi": states[:, 2], "r": r, "vx": rates[:, 0], "vy": rates[:, 1],
             "ax": rates[:, 3] - v * r, "ay": rates[:, 4] + u * r}  # fmt: skip

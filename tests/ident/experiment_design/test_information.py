@@ -102,7 +102,7 @@ def test_lanes_are_independent_and_a_shared_input_equals_copies() -> None:
     low, high = Experiments(model, HULL, t, process_noise=False).extents(u, values)
     np.testing.assert_allclose(low, together.low, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(high, together.high, rtol=1e-9, atol=1e-9)
-    with pytest.raises(ValueError, match="inputs and parameter values must be equally many"):
+    with pytest.raises(ValueError, match="numbers of inputs and of parameter values must agree"):
         batch(u, values[:5])
 
 

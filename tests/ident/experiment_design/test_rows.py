@@ -10,8 +10,8 @@ from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.experiment_design.discrimination import separation
 from seatrial.ident.experiment_design.excitation import StepInput
 from seatrial.ident.experiment_design.optimal_design import design
+from seatrial.ident.experiment_design.problem import GRID, DesignProblem
 from seatrial.ident.experiment_design.rows import row_spacing
-from seatrial.ident.experiment_design.task import GRID, DesignProblem
 from seatrial.ident.model.structure import Model
 from seatrial.ident.models.horizontal import horizontal_model
 from tests.ident.toys import follower, values_of
@@ -47,5 +47,5 @@ def test_diverging_design_is_an_error() -> None:
     with pytest.raises(SeatrialError, match=r"informs all of T.*diverges on rows of 0\.2 s"):
         design(task_of(first_order, 0.2), evaluations=500)
     command = np.where(np.arange(51)[:, None] % 10 < 5, 1.0, -1.0)
-    with pytest.raises(SeatrialError, match=r"follower1 and follower2 cannot be compared: .* rows of 0\.2 s"):
+    with pytest.raises(SeatrialError, match=r"follower1 and follower2 cannot be compared: .* interval of 0\.2 s"):
         separation(first_order, second_order, task_of(first_order, 0.2), command)

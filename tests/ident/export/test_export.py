@@ -20,7 +20,7 @@ from seatrial.ident.cli.commands import ident
 from seatrial.ident.data.record import Record
 from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.estimation.output_error import simulate
-from seatrial.ident.export.codegen import content, identifiers, prefix
+from seatrial.ident.export.codegen import collect_content, identifiers, prefix
 from seatrial.ident.export.formats import TARGETS, export
 from seatrial.ident.model.parameter import Parameter, ParameterOrigin
 from seatrial.ident.model.structure import Output, Sensor, State, plain_model
@@ -47,7 +47,7 @@ def test_python_and_casadi_exports_equal_the_model(name: str, nuisance: bool, tm
     model = moved(MODELS[name], 1)
     for target, run in (("python", run_python), ("casadi", run_casadi)):
         functions, space = run(export(saved(model), target, nuisance=nuisance), tmp_path)
-        c = content(saved(model), nuisance=nuisance)
+        c = collect_content(saved(model), nuisance=nuisance)
         assert list(space["P"].values()) == list(c.values)
         assert (space["STATES"], space["INPUTS"], space["OUTPUTS"]) == (c.states, c.inputs, c.outputs)
         compare(model, functions, list(c.values), nuisance)
@@ -69,15 +69,17 @@ def some(names: Iterable[str], kept: set[str]) -> list[Any]:
 def test_export_of_every_effect_alone(name: str, tmp_path: Path) -> None:
     model = moved(ALONE[name], 2)
     for target, run in (("python", run_python), ("casadi", run_casadi)):
-        compare(model, run(export(saved(model), target), tmp_path)[0], list(content(saved(model)).values), False)
-    effect = set(content(saved(model)).parameters) & {p.name for p in catalogue()[name].parameters}
+        compare(
+            model, run(export(saved(model), target), tmp_path)[0], list(collect_content(saved(model)).values), False
+        )
+    effect = set(collect_content(saved(model)).parameters) & {p.name for p in catalogue()[name].parameters}
     assert effect, "the effect is in the exported model"
 
 
 @pytest.mark.parametrize("name", some(MODELS, {*MODELS} - {"force with every effect", "without sway"}))
 def test_c_export_equals_the_model(name: str, tmp_path: Path) -> None:
     model = moved(MODELS[name], 3)
-    c = content(saved(model))
+    c = collect_content(saved(model))
     functions, defaults = run_c(export(saved(model), "c"), tmp_path, c.name)
     assert defaults == list(c.values)
     compare(model, functions, list(c.values), False)
@@ -87,7 +89,7 @@ def test_c_export_equals_the_model(name: str, tmp_path: Path) -> None:
 def test_ros2_values_are_exact(name: str) -> None:
     yaml = pytest.importorskip("ruamel.yaml", reason="no YAML reader here (ruamel.yaml)")
     model = moved(MODELS[name], 4).with_values({MODELS[name].parameters[0].name: 1e-5})
-    c, text = content(saved(model)), export(saved(model), "ros2")
+    c, text = collect_content(saved(model)), export(saved(model), "ros2")
     for version in ((1, 1), (1, 2)):
         reader = yaml.YAML(typ="safe", pure=True)
         reader.version = version
@@ -98,7 +100,7 @@ def test_ros2_values_are_exact(name: str) -> None:
         assert table["process_noise"] == dict(zip(c.states, c.state_noise, strict=True))
         assert table["measurement_noise"] == dict(zip(c.outputs, c.output_noise, strict=True))
         assert (tuple(table["states"]), tuple(table["outputs"])) == (c.states, c.outputs)
-        assert table["units"] == {n: p.unit for n, p in zip(c.parameters, c.own, strict=True)}
+        assert table["units"] == {n: p.unit for n, p in zip(c.parameters, c.exported_parameters, strict=True)}
         assert table.get("validity", {}) == ({"u": [-0.5, 1.2]} if "u" in c.states else {})
 
 
@@ -111,7 +113,9 @@ def test_exported_step_equals_that_of_the_engine() -> None:
     y = np.full((2, len(model.outputs)), np.nan)
     names = tuple(i.name for i in model.inputs), tuple(o.name for o in model.outputs)
     ran = simulate(model, Record("one", np.array([0.0, 0.1]), u, u, y, *names), x0=x[1])
-    np.testing.assert_allclose(functions[2](x[1], u[1], 0.1, list(content(saved(model)).values)), ran.x[1], rtol=1e-11)
+    np.testing.assert_allclose(
+        functions[2](x[1], u[1], 0.1, list(collect_content(saved(model)).values)), ran.x[1], rtol=1e-11
+    )
 
 
 def test_exported_parameters_can_be_replaced_and_contain_no_noise() -> None:
@@ -160,7 +164,7 @@ def test_header_describes_inputs_validity_and_omissions(target: str) -> None:
 def test_omitted_disturbance_forces_become_process_noise_of_the_same_strength() -> None:
     """A free body that is pushed by the force for a long time has the same spread of speed as with the white noise."""
     model = with_disturbances(horizontal_model(current=False))
-    c = content(saved(model))
+    c = collect_content(saved(model))
     q, tau, m = (model.values[n] for n in ("q_X", "tau_b", "m_u"))
     rng, dt, n = np.random.default_rng(0), 0.05, 4000
     force, speed = rng.normal(0, q * math.sqrt(tau / 2), 3000), np.zeros(3000)
@@ -169,7 +173,7 @@ def test_omitted_disturbance_forces_become_process_noise_of_the_same_strength() 
         force += -force / tau * dt + q * math.sqrt(dt) * rng.normal(size=3000)
     found = speed.std() / math.sqrt(n * dt)
     assert c.state_noise[c.states.index("u")] == pytest.approx(found, rel=0.05)
-    assert content(saved(model), nuisance=True).state_noise[3] == 1e-4
+    assert collect_content(saved(model), nuisance=True).state_noise[3] == 1e-4
 
 
 @pytest.mark.parametrize("target", TARGETS)
@@ -179,7 +183,7 @@ def test_correlated_errors_are_in_the_noise_of_their_outputs(target: str) -> Non
     """
     model = horizontal_model(sensors=("attitude", "gyro", "position"))
     model = (model + estimator_error([s.name for s in model.sensors])).with_values({"e_xy": 0.001, "A_xy": 0.2})
-    noise = dict(zip(content(saved(model)).outputs, content(saved(model)).output_noise, strict=True))
+    noise = dict(zip(collect_content(saved(model)).outputs, collect_content(saved(model)).output_noise, strict=True))
     assert noise["x"] == noise["y"] == pytest.approx(math.hypot(0.001, 0.2))
     v = model.values
     # The integrated error of the gyro.
@@ -187,10 +191,10 @@ def test_correlated_errors_are_in_the_noise_of_their_outputs(target: str) -> Non
     assert noise["psi"] == pytest.approx(math.hypot(v["e_psi"], v["A_psi"], turn))
     assert noise["r"] == pytest.approx(math.hypot(v["e_r"], v["A_r"]))
     assert "psi (3 s), r (0.1 s), x (3 s), y (3 s)." in " ".join(export(saved(model), target).split())
-    kept = content(saved(model), nuisance=True)
-    assert (kept.output_noise[kept.outputs.index("x")], kept.lasting) == (0.001, {})
+    kept = collect_content(saved(model), nuisance=True)
+    assert (kept.output_noise[kept.outputs.index("x")], kept.noise_time_scale) == (0.001, {})
     bench = thruster_model()
-    force, values = content(saved(bench)).output_noise[-1], bench.values
+    force, values = collect_content(saved(bench)).output_noise[-1], bench.values
     assert force == pytest.approx(math.hypot(values["e_f"], values["q_f"] * math.sqrt(values["tau_f"] / 2)))
 
 
@@ -202,7 +206,7 @@ def test_coupled_estimator_errors_have_the_size_of_their_simulation() -> None:
     model = model + estimator_error([s.name for s in model.sensors])
     v = {"tau_axy": 8.0, "tau_vxy": 2.0, "tau_xy": 4.0, "A_axy": 0.1, "A_vxy": 0.03, "A_xy": 0.2}
     model = model.with_values(v)
-    c = content(saved(model))
+    c = collect_content(saved(model))
     noise = dict(zip(c.outputs, c.output_noise, strict=True))
     rng, dt, n, white = np.random.default_rng(1), 0.02, 4000, model.values
     a, speed, place = rng.normal(0, v["A_axy"], 4000), np.zeros(4000), np.zeros(4000)
@@ -218,20 +222,20 @@ def test_coupled_estimator_errors_have_the_size_of_their_simulation() -> None:
         area += gain**2 * v[f"A_{name}"] ** 2 / v[f"tau_{name}"]
     assert noise["vx"] == noise["vy"] == pytest.approx(math.hypot(speed.std(), white["e_vxy"]), rel=0.03)
     assert noise["x"] == pytest.approx(math.hypot(place.std(), white["e_xy"]), rel=0.03)
-    assert c.lasting["x"] == pytest.approx(area / place.var(), rel=0.06)
+    assert c.noise_time_scale["x"] == pytest.approx(area / place.var(), rel=0.06)
 
 
 def test_omitted_sideslip_is_noise_of_both_axes() -> None:
     """A filter may have any heading. With all noise in east, as at heading zero, north would be treated as exact."""
     model = nomoto_model(sampled=True)
-    c, values = content(saved(model)), model.values
+    c, values = collect_content(saved(model)), model.values
     diffusion, spread = values["q_v"] * values["tau_v"], values["q_v"] * math.sqrt(values["tau_v"] / 2)
     for names, noise, own, whole in (
         (("x", "y"), dict(zip(c.states, c.state_noise, strict=True)), 0.0, diffusion),
         (("vx", "vy"), dict(zip(c.outputs, c.output_noise, strict=True)), values["e_vxy"], spread),
     ):
         assert noise[names[0]] == pytest.approx(noise[names[1]]) == pytest.approx(math.hypot(own, whole / math.sqrt(2)))
-    assert c.silent == ("stamp_error_left", "stamp_error_right")
+    assert c.states_without_noise == ("stamp_error_left", "stamp_error_right")
     assert "have no effect at rest: stamp_error_left, stamp_error_right." in " ".join(export(saved(model), "c").split())
 
 
@@ -253,12 +257,12 @@ def test_unknown_thrust_is_stated_in_the_header(target: str) -> None:
 
 def test_offsets_of_a_measured_attitude_are_omitted_like_all_others() -> None:
     model = with_disturbances(kinematic_model(yaw=True))
-    assert content(saved(model)).states == ("x", "y", "u", "v", "r")
+    assert collect_content(saved(model)).states == ("x", "y", "u", "v", "r")
     text = export(saved(model), "python")
     left = "Left out, as a controller does not need them: bias_psi, bias_r, b_X, b_Y, b_N, bias_ax, bias_ay"
     assert left in text
     assert "bias" not in text.replace(left, "")
-    assert {"bias_psi", "bias_r", "bias_ax"} <= set(content(saved(model), nuisance=True).states)
+    assert {"bias_psi", "bias_r", "bias_ax"} <= set(collect_content(saved(model), nuisance=True).states)
 
 
 def test_identifiers_are_valid_and_unique() -> None:

@@ -8,7 +8,7 @@ import pytest
 from seatrial.ident.data.record import Channel, build_record
 from seatrial.ident.estimation.output_error import simulate
 from seatrial.ident.models.horizontal import horizontal_model
-from seatrial.mocks.plant.boat import STEP, BoatPlant, draw_boat
+from seatrial.mocks.plant.boat import PLANT_STEP_S, BoatPlant, draw_boat
 from tests.missions import sail
 
 SECONDS = 60.0
@@ -20,8 +20,8 @@ def test_simulations_of_a_minute_agree_to_a_millimetre(seed: int) -> None:
     plant = BoatPlant(boat, disturbed=False)
     t, n = sail(boat, SECONDS, seed)[1].setpoints()
     rows, k = [], 0
-    for _ in range(round(SECONDS / STEP) + 1):
-        while k < len(t) and t[k] < plant.t + STEP:
+    for _ in range(round(SECONDS / PLANT_STEP_S) + 1):
+        while k < len(t) and t[k] < plant.t + PLANT_STEP_S:
             for side in (0, 1):
                 plant.command(side, t[k], float(n[k, side]))
             k += 1
@@ -34,7 +34,7 @@ def test_simulations_of_a_minute_agree_to_a_millimetre(seed: int) -> None:
     known = {k: true[k] for k in ("m_u", "m_v", "m_r", "d_u", "d_uu", "d_v", "d_vv", "d_r", "d_rr", "c1", "c2")}
     known |= {"V_x": true["current_n"], "V_y": true["current_e"], "y_left": -true["arm"], "y_right": true["arm"]}
     model = horizontal_model(sensors=("attitude", "gyro", "position", "body_velocity")).with_values(known)
-    record = build_record(model, truth, rate=1 / STEP, max_step=STEP)
+    record = build_record(model, truth, rate=1 / PLANT_STEP_S, max_step=PLANT_STEP_S)
     x0 = table[0, 1:7].copy()
     cos, sin = np.cos(x0[2]), np.sin(x0[2])
     x0[3] -= cos * known["V_x"] + sin * known["V_y"]  # The velocities of ident are through the water.

@@ -20,11 +20,11 @@ from seatrial.ident.numerics.signal_processing import (
     wrap,
 )
 
-STEP, TAU = 0.05, 0.4
+SAMPLE_S, TAU = 0.05, 0.4
 
 
 def by_recursion(f: np.ndarray, hold: Hold, start: Start) -> np.ndarray:
-    keep, x = np.exp(-STEP / TAU), np.zeros_like(f)
+    keep, x = np.exp(-SAMPLE_S / TAU), np.zeros_like(f)
     x[0] = f[0] if start == "steady" else (0.0 if hold == "forward" else (1 - keep) * f[0])
     for k in range(1, len(f)):
         x[k] = keep * x[k - 1] + (1 - keep) * f[k - 1 if hold == "forward" else k]
@@ -36,26 +36,26 @@ def by_recursion(f: np.ndarray, hold: Hold, start: Start) -> np.ndarray:
 @pytest.mark.parametrize("shape", [(50,), (50, 3), (50, 2, 4)])
 def test_first_order_lag_equals_its_difference_equation(hold: Hold, start: Start, shape: tuple[int, ...]) -> None:
     f = np.random.default_rng(0).normal(size=shape)
-    np.testing.assert_allclose(first_order_lag(f, TAU, STEP, hold=hold, start=start), by_recursion(f, hold, start))
+    np.testing.assert_allclose(first_order_lag(f, TAU, SAMPLE_S, hold=hold, start=start), by_recursion(f, hold, start))
 
 
 def test_lag_without_time_constant_equals_its_input() -> None:
     f = np.random.default_rng(0).normal(size=20)
-    np.testing.assert_array_equal(first_order_lag(f, 0.0, STEP, hold="backward"), f)
-    np.testing.assert_array_equal(first_order_lag(f, 0.0, STEP)[1:], f[:-1])
+    np.testing.assert_array_equal(first_order_lag(f, 0.0, SAMPLE_S, hold="backward"), f)
+    np.testing.assert_array_equal(first_order_lag(f, 0.0, SAMPLE_S)[1:], f[:-1])
 
 
 def test_delay_and_time_constant_are_found() -> None:
     f = np.repeat(np.random.default_rng(1).uniform(-1.0, 1.0, 20), 40)
-    delays, time_constants = [k * STEP for k in range(12)], [0.1, 0.2, 0.4, 0.8]
+    delays, time_constants = [k * SAMPLE_S for k in range(12)], [0.1, 0.2, 0.4, 0.8]
 
     def later(x: np.ndarray, delay: float) -> np.ndarray:
-        k = round(delay / STEP)
+        k = round(delay / SAMPLE_S)
         return np.concatenate([np.zeros(k), x[: x.size - k]])
 
-    measured = later(first_order_lag(f, 0.4, STEP), 0.3)
+    measured = later(first_order_lag(f, 0.4, SAMPLE_S), 0.3)
     data = LagData(f, lambda x, delay: float(np.sum((measured - later(x, delay)) ** 2)))
-    found = fit_first_order_lag([data, data], delays, time_constants, STEP)
+    found = fit_first_order_lag([data, data], delays, time_constants, SAMPLE_S)
     assert (found.delay, found.time_constant) == (pytest.approx(0.3), 0.4)
     assert found.misfit == pytest.approx(0.0, abs=1e-20)
 

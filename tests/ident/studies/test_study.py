@@ -28,8 +28,9 @@ from seatrial.ident.reporter import QUIET
 from seatrial.ident.studies.cases import CASES, make_case
 from seatrial.ident.studies.monte_carlo import (
     Row,
-    counts,
+    count_replicates,
     hashed_files,
+    read_replicates,
     run_replicates,
     summarise,
     variance_change_by_bounds,
@@ -179,7 +180,7 @@ def test_statistics_of_a_study() -> None:
     assert j.bound_interval == pytest.approx((0.625 * 4 / 11.143, 0.625 * 4 / 0.4844), rel=1e-3)
     assert j.misses == ("bias (chance?)", "variance (chance?)", "coverage (chance?)")
     rows = [*made_up(d, 1.0), {"converged": False, "cpu": 1.0, "simulation": 2.0}, {"error": "no", "simulation": 2.0}]
-    found = counts(rows)
+    found = count_replicates(rows)
     assert (found.replicates, found.failed, found.unconverged) == (7, 1, 1)
 
 
@@ -285,14 +286,14 @@ def test_killed_study_keeps_finished_replicates(tmp_path: Path) -> None:
     running = subprocess.Popen([sys.executable, "-m", "seatrial", *words], stderr=subprocess.DEVNULL)
     try:
         until = time.monotonic() + 120.0
-        while not study.read_replicates(out):
+        while not read_replicates(out):
             assert time.monotonic() < until
             assert running.poll() is None
             time.sleep(0.02)
     finally:
         running.kill()
         running.wait()
-    found = study.read_replicates(out)
+    found = read_replicates(out)
     assert 1 <= len(found) < 20
     assert [r["k"] for r in found] == list(range(len(found)))
     reporter = Kept()
@@ -365,7 +366,7 @@ def test_studies_of_noise_and_kinematic_models() -> None:
     for name, n, seconds in (("noise", 40, 100.0), ("kinematic", 12, 120.0)):
         case = make_case(name, seconds=seconds)
         rows = run_replicates(case, range(n), 3)
-        assert counts(rows).failed == counts(rows).unconverged == 0
+        assert count_replicates(rows).failed == count_replicates(rows).unconverged == 0
         found = summarise(rows)
         assert {j.name for j in found} == set(case.model.free)
         for j in found:

@@ -117,7 +117,7 @@ def test_changed_file_is_another_study(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("source", "says"),
     [
-        ("{file}:model", "a study also needs a mission: make it a seatrial.ident.studies.monte_carlo.Case"),
+        ("{file}:model", "is a Model without a mission; give a seatrial.ident.studies.monte_carlo.Case"),
         ("{file}:number", "number is no seatrial.ident.studies.monte_carlo.Case but int"),
         ("{file}:nothing", "nothing cannot be loaded"),
         ("{file}.no:mine", "no such Python file"),

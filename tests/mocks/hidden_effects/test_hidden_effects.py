@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from seatrial.mocks.hidden_effects.catalogue import DEMO, EFFECTS, OUTSIDE, draw_name, make_effect
-from seatrial.mocks.plant.boat import STEP, Boat, BoatPlant
+from seatrial.mocks.plant.boat import PLANT_STEP_S, Boat, BoatPlant
 from seatrial.mocks.plant.effect import HiddenEffect
 from seatrial.mocks.plant.hull import Hull
 from seatrial.mocks.plant.thruster import ThrusterTruth
@@ -43,7 +43,7 @@ def sailed(name: str) -> Iterator[tuple[float, float]]:
     """Yield north and east [m] at every step of a minute with this effect; an empty name means no effect."""
     effects = (make_effect(name, 2),) if name else ()
     plant = BoatPlant(Boat(Hull(), ThrusterTruth(), (0.0, 0.0), effects, 0), state=REST, disturbed=False)
-    for k in range(round(60.0 / STEP)):
+    for k in range(round(60.0 / PLANT_STEP_S)):
         if k % 2000 == 0:
             n = ((0.5, 0.6), (-0.6, -0.5), (0.9, 0.5), (0.5, 0.9), (0.7, 0.7), (0.0, 0.4))[k // 2000]
             plant.command(0, plant.t, n[0])
@@ -75,7 +75,7 @@ def test_the_pendulum_shakes_the_boat() -> None:
         for thruster in (0, 1):
             plant.command(thruster, 0.0, 0.8)
         found = []
-        for _ in range(round(10.0 / STEP)):
+        for _ in range(round(10.0 / PLANT_STEP_S)):
             plant.advance()
             found.append(plant.motion().ax)
         ahead[bool(effects)] = np.array(found)
@@ -195,7 +195,7 @@ def test_the_pendulum_swings_at_its_frequency_and_keeps_momentum() -> None:
         angle.append(plant.state[6])
     assert np.abs(momentum).max() < 0.002 * mass * length * 0.05 * 2 * math.pi
     ups = np.flatnonzero(np.diff(np.sign(angle)) > 0)
-    measured = 1.0 / (STEP * float(np.diff(ups).mean()))
+    measured = 1.0 / (PLANT_STEP_S * float(np.diff(ups).mean()))
     free = effect.parameters["frequency_hz"] * math.sqrt(1.0 + mass / (hull.lumped()["m_u"] - mass))  # the boat recoils
     assert measured == pytest.approx(free, rel=0.01)
 
@@ -222,7 +222,7 @@ def test_delays_of_thrust_shift_the_speed(name: str) -> None:
             5.0,
             each=lambda p, to=with_effect: speed[to].append(p.state[3]),
         )
-    t = STEP * np.arange(1, len(speed[True]) + 1)
+    t = PLANT_STEP_S * np.arange(1, len(speed[True]) + 1)
     late = np.interp(0.3, speed[True], t) - np.interp(0.3, speed[False], t)
     assert late == pytest.approx(effect.parameters[name], rel=0.25)
 

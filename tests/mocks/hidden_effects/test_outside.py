@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from seatrial.mocks.hidden_effects.catalogue import EFFECTS, NOISE, OUTSIDE, make_effect, mixture
-from seatrial.mocks.plant.boat import STEP, Boat, BoatPlant
+from seatrial.mocks.plant.boat import PLANT_STEP_S, Boat, BoatPlant
 from seatrial.mocks.plant.hull import Hull
 from seatrial.mocks.plant.thruster import ThrusterTruth
 from seatrial.mocks.sensors import GnssSensor
@@ -56,7 +56,7 @@ def test_gusts_come_and_go() -> None:
     effect = (make_effect("noise-gusts", 1),)
     plant = BoatPlant(Boat(Hull(), ThrusterTruth(), (0.0, 0.0), effect, 0), state=REST, disturbed=False)
     surge = []
-    for _ in range(round(97.0 / STEP)):
+    for _ in range(round(97.0 / PLANT_STEP_S)):
         plant.advance()
         surge.append(plant.motion().ax if plant.steps % 20 == 0 else math.nan)
     half = len(surge) // 2

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from seatrial.mocks.plant.boat import STEP, Boat, BoatPlant, draw_boat
+from seatrial.mocks.plant.boat import PLANT_STEP_S, Boat, BoatPlant, draw_boat
 from seatrial.mocks.plant.effect import HiddenEffect
 from seatrial.mocks.plant.hull import ARM, CURRENT_MAX, Hull, State, draw_current, draw_hull
 from seatrial.mocks.plant.thruster import Shaft, ThrusterTruth, thrust
@@ -32,7 +32,7 @@ def settled(n_left: float, n_right: float, seconds: float, **how: tuple[float, f
     plant = BoatPlant(boat(**how), state=at(), disturbed=False)
     plant.command(0, 0.0, n_left)
     plant.command(1, 0.0, n_right)
-    for _ in range(round(seconds / STEP)):
+    for _ in range(round(seconds / PLANT_STEP_S)):
         plant.advance()
     return plant
 
@@ -56,7 +56,7 @@ def test_a_steady_turn_is_a_circle_that_balances_the_equations_of_the_thesis() -
     assert np.allclose((surge, sway, yaw), 0.0, atol=1e-6)
     assert r > 0.0  # the left thruster is the stronger one, so the boat turns to starboard
     track = []
-    for _ in range(round(2.0 * math.pi / r / STEP)):
+    for _ in range(round(2.0 * math.pi / r / PLANT_STEP_S)):
         plant.advance()
         track.append(plant.state[:2])
     xy = np.array(track)
@@ -82,7 +82,7 @@ def test_a_constant_current_adds_only_a_drift(effects: tuple[HiddenEffect, ...])
     for plant in (in_still, in_current):
         plant.command(0, 0.0, 0.8)
         plant.command(1, 5.0, 0.5)
-        for _ in range(round(20.0 / STEP)):
+        for _ in range(round(20.0 / PLANT_STEP_S)):
             plant.advance()
     x, y, psi = in_current.state[:3]
     expected = (in_still.state[0] + 20.0 * v_n, in_still.state[1] + 20.0 * v_e, in_still.state[2])
@@ -129,10 +129,10 @@ def test_the_accelerometer_agrees_with_the_track() -> None:
     middle = plant.motion()
     plant.advance()
     after = plant.motion()
-    a_n, a_e = (after.vel_n - before.vel_n) / (2 * STEP), (after.vel_e - before.vel_e) / (2 * STEP)
+    a_n, a_e = (after.vel_n - before.vel_n) / (2 * PLANT_STEP_S), (after.vel_e - before.vel_e) / (2 * PLANT_STEP_S)
     c, s = math.cos(middle.psi), math.sin(middle.psi)
     assert (middle.ax, middle.ay) == pytest.approx((c * a_n + s * a_e, c * a_e - s * a_n), abs=1e-4)
-    assert (middle.x - before.x) / STEP == pytest.approx(middle.vel_n, abs=0.01)
+    assert (middle.x - before.x) / PLANT_STEP_S == pytest.approx(middle.vel_n, abs=0.01)
 
 
 def test_the_shaft_follows_its_step_exactly() -> None:
