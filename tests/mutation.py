@@ -252,7 +252,10 @@ def survives(mutant: Mutant) -> bool:
         with open(os.devnull, "w", encoding="utf-8") as nowhere:
             os.dup2(nowhere.fileno(), 1)
             os.dup2(nowhere.fileno(), 2)
-        return not mutant.tests or pytest.main([*WORDS, *mutant.tests]) == pytest.ExitCode.OK
+        try:
+            return not mutant.tests or pytest.main([*WORDS, *mutant.tests]) == pytest.ExitCode.OK
+        except pytest.PytestUnhandledThreadExceptionWarning:
+            return False  # a thread of a test raised after its test had ended, which fails an ordinary run too
 
 
 def main() -> int:

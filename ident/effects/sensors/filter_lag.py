@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from seatrial.ident.model import Effect, Parameter, Signals
+from seatrial.ident.model import INF, Effect, Parameter, Signals
 
 
 def lag(s: Signals) -> None:
@@ -25,12 +25,15 @@ EFFECT = Effect(
     place="sensor",
     hooks={"output": lag},
     parameters=(
-        Parameter("T_r", 0.0, "s", "lag of the yaw rate", prior=(0.0, 0.3), step=0.02, scales=False),
-        Parameter("T_uv", 0.0, "s", "lag of the body velocities", prior=(0.0, 0.3), step=0.02, scales=False),
+        Parameter("T_r", 0.0, "s", "lag of the yaw rate", prior=(0.0, 0.3), bounds=(0.0, INF), step=0.02, scales=False),
+        Parameter(
+            "T_uv", 0.0, "s", "lag of the body velocities", prior=(0.0, 0.3), bounds=(0.0, INF), step=0.02, scales=False
+        ),
     ),
     formula="u_measured = u - T_uv u', v_measured = v - T_uv v', r_measured = r - T_r r'",
     source="first order of any low-pass filter; autopilot state estimators",
     experiment="chirp of thrust and of thrust difference",
     requires=("hull",),
-    alternatives=("lag", "delay"),
+    one_sided=True,
+    alternatives=("lag", "delay", "heading-lag"),
 )
