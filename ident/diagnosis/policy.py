@@ -43,6 +43,9 @@ class SearchPolicy:
         A nonparametric candidate is refitted if the criterion of its score exceeds both the first as a share of the
         best accepted parametric criterion and that criterion less the second. It needs no such score if the best
         parametric effect is one form of the same curve. A curve without a formula has to explain about as much.
+    min_common_errors
+        The common errors of every craft (sensor timing, mounting, hull form) are added together only if at least so
+        many of them are needed at once. Fewer are found one by one, each as an effect of its own.
     max_loss
         Largest loss in 2 ln L that a larger model may have against the model that it contains. The loss is a rounding
         of the search. A larger loss means that the search stopped early, and other initial values are tried.
@@ -122,6 +125,7 @@ class SearchPolicy:
     min_score_ratio: float = 0.05
     nonparametric_score_share: float = 0.5
     nonparametric_score_distance: float = 50.0
+    min_common_errors: int = 4
     max_loss: float = 1.0
     indistinguishable: float = 2.0
     min_gain_ratio: float = 0.02
