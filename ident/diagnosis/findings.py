@@ -83,6 +83,8 @@ class Refit:
     by_inputs
         Change of the prediction errors three seconds ahead (1.2 s on the bench) by inputs alone. None for a parametric
         effect, or before the exact fit.
+    pooled_t
+        t statistic of the gain over the blocks of validation and estimation data (`acceptance.pooled_t`).
     """
 
     effect: Effect
@@ -96,6 +98,7 @@ class Refit:
     outcome: Outcome = Outcome.OUTRANKED
     total: PredictionChange | None = None
     by_inputs: PredictionChange | None = None
+    pooled_t: float = 0.0
 
     @property
     def nonparametric(self) -> bool:

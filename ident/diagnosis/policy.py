@@ -65,6 +65,10 @@ class SearchPolicy:
     min_t
         The t statistic of the gain on the validation data has to exceed this value. A useless effect exceeds two
         standard errors with a probability of 2.3 %.
+    min_pooled_t, min_t_if_pooled
+        A t statistic of the validation data above the second is enough if the t statistic over the blocks of all data
+        exceeds the first, at which a useless effect is ten times rarer than at ``min_t``. It is for gains in bursts,
+        such as in turns, of which the validation data have few.
     min_t_if_predicting
         Replaces ``min_t`` in the backward elimination for an effect that improves the prediction, which is further
         evidence.
@@ -95,6 +99,10 @@ class SearchPolicy:
     max_remaining_tests
         Largest number of score tests that still pass beside an identified effect. A small difference of form makes a
         few of them pass.
+    n_beside, max_change_beside
+        If score tests still pass, the last model is fitted with so many of the strongest remaining candidates. An
+        effect whose strongest parameter changes by less than the second, as a share of its value, is there beside
+        them; the remaining tests are then no reason against it.
     max_distance, max_distance_share
         A competing model is not excluded if its criterion is lower than that of the chosen effect by less than this:
         the absolute value, and the share of the criterion of the chosen effect. The larger one holds.
@@ -133,6 +141,8 @@ class SearchPolicy:
     min_gain_ratio_after_curve: float = 0.1
 
     min_t: float = 2.0
+    min_pooled_t: float = 3.0
+    min_t_if_pooled: float = 1.0
     min_t_if_predicting: float = 1.0
     min_error_ratio: float = 1.015
     material_error_ratio: float = 1.005
@@ -145,6 +155,8 @@ class SearchPolicy:
     max_remaining_criterion: float = 20.0
     max_remaining_share: float = 0.03
     max_remaining_tests: int = 8
+    n_beside: int = 3
+    max_change_beside: float = 0.3
     max_distance: float = 10.0
     max_distance_share: float = 0.05
     min_significance: float = 4.0

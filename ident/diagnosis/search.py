@@ -238,6 +238,7 @@ def diagnose(
     current, weights, removed = search.backward_elimination(before, base, current)
     if removed:  # the last scores are those of a larger model
         passed = search.scored(current)[1]
+    unaffected, beside = search.unaffected_by(current, passed)
     gone = {r.effect.name for r in removed}
     kept = [r for r in search.rounds if r.chosen is None or r.chosen.effect.name not in gone]
     order = [w.effect for w in weights]
@@ -249,6 +250,8 @@ def diagnose(
         reservations=_reservations(before, current, policy),
         after=current,
         nominal=search.rounds[0].scores if search.rounds else (),
+        unaffected=unaffected,
+        beside=beside,
     )
     judgements = assess_alternatives(kept, evidence, policy)
     judgements = tuple(sorted(judgements, key=lambda j: order.index(j.effect)))
@@ -595,6 +598,48 @@ class _Search:
         """Settings of the fits that are kept: the default, or those of the fits with common errors."""
         return None if self.common_errors is None else COMMON_SEARCH
 
+    def unaffected_by(self, current: FittedModel, remaining: Sequence[Score]) -> tuple[frozenset[str], frozenset[str]]:
+        """Fit the last model with the strongest remaining candidates, and find the effects that they do not change.
+
+        A score test that still passes has two possible reasons: a further effect, beside those found, or an effect that
+        was found in place of the right one. In the first case the effects found keep their size beside it, in the
+        second they lose it.
+
+        Parameters
+        ----------
+        current
+            Last model.
+        remaining
+            Scores that pass on it, best first.
+
+        Returns
+        -------
+        effects
+            Names of the effects of ``current`` whose strongest parameter changes by less than
+            ``policy.max_change_beside``; empty if the fit fails.
+        beside
+            Names of the candidates that they were fitted with.
+        """
+        strongest = [s for s in remaining if not s.nonparametric and s.name in self.candidates]
+        beside = strongest[: self.policy.n_beside]
+        if not beside:
+            return frozenset(), frozenset()
+        model = current.fit.model
+        for score in beside:
+            model = model + next(_with_initial_values(self.candidates[score.name], score))
+        try:
+            with quick_compilation(self.n):
+                fitted = fit_and_evaluate(model, self.records, (), settings=ROUGH_SEARCH)
+        except FIT_ERRORS:
+            return frozenset(), frozenset()
+        kept = set[str]()
+        for r in self.rounds:
+            if r.chosen is not None and _keeps_its_size(
+                r.chosen.effect, current, fitted, self.policy.max_change_beside
+            ):
+                kept.add(r.chosen.effect.name)
+        return frozenset(kept), frozenset(s.name for s in beside)
+
     def reference(self, before: FittedModel, current: FittedModel) -> FittedModel:
         """Return the model without the effects found, and with the common errors of ``current`` if it has any.
 
@@ -813,8 +858,9 @@ class _Search:
                 total = (
                     prediction if current is self.nominal else Comparison(self.nominal, fitted, self.policy).prediction
                 )
+                every = compared.pooled_t((rough.gain - rough.criterion) / 2)
                 exact = replace(
-                    rough, fitted=fitted, validation_gain=gain, t=t, prediction=prediction, total=total,
+                    rough, fitted=fitted, validation_gain=gain, t=t, pooled_t=every, prediction=prediction, total=total,
                     by_inputs=compared.by_inputs if rough.nonparametric else None,
                 )  # fmt: skip
                 added = [r.chosen for r in self.rounds if r.chosen is not None]
@@ -862,12 +908,15 @@ class _Search:
                     current.fit.model + start, self.records, self.validation_data, settings=ROUGH_SEARCH
                 )
                 gain = 2 * (fitted.fit.log_posterior - current.fit.log_posterior)
-                total, t = comparison(current, fitted, effect, self.policy).gain
+                compared = comparison(current, fitted, effect, self.policy)
+                total, t = compared.gain
             except FIT_ERRORS as problem:
                 reason = reason or str(problem)
                 continue
             df = sum(_degrees_of_freedom(effect, p, len(self.records)) for p in effect.parameters if p.free)
-            found = Refit(effect, fitted, gain, df, gain - df * float(np.log(self.n)), total, t)
+            penalty = df * float(np.log(self.n))
+            every = compared.pooled_t(penalty / 2)
+            found = Refit(effect, fitted, gain, df, gain - penalty, total, t, pooled_t=every)
             best = found if best is None or found.gain > best.gain else best
             if best.gain > -self.policy.max_loss:
                 break
@@ -882,6 +931,23 @@ def _predicts_better(first: Refit, second: Refit) -> bool:
     assert first.prediction is not None
     assert second.prediction is not None
     return first.prediction.ratio < second.prediction.ratio
+
+
+def _keeps_its_size(effect: Effect, before: FittedModel, after: FittedModel, largest_change: float) -> bool:
+    """Return whether the strongest parameter of an effect changes by less than ``largest_change`` of its value.
+
+    The strongest parameter has the most standard errors from zero, among those that are zero without the effect. False
+    if there is none, or if a model lacks the effect.
+    """
+    sizes = [p.name for p in effect.parameters if p.value == 0.0 and not p.per_record and p.name in before.fit.names]
+    estimates = {n: before.fit.estimate(n, 0) for n in sizes}
+    known = {n: (value, error) for n, (value, error) in estimates.items() if error > 0}
+    if not known:
+        return False
+    name = max(known, key=lambda n: abs(known[n][0] / known[n][1]))
+    if name not in after.fit.names:
+        return False
+    return abs(after.fit.estimate(name, 0)[0] - known[name][0]) < largest_change * abs(known[name][0])
 
 
 def _half_values(effect: Effect) -> dict[str, float]:
