@@ -61,6 +61,10 @@ class Comparison:
         """Gain d ln L on all validation data, and its t statistic; both are 0 without common records."""
         return validation_gain(self.before, self.after, self.policy)
 
+    def pooled_t(self, penalty: float) -> float:
+        """Return the t statistic of the gain over the blocks of all data (`pooled_t`), with its penalty d ln L."""
+        return pooled_t(self.before, self.after, penalty, self.policy)
+
     @cached_property
     def prediction(self) -> PredictionChange:
         """Change of the prediction errors over the horizon of the model on the validation data (10 s for a boat)."""
@@ -168,26 +172,66 @@ def validation_gain(
     ValueError
         If the likelihood of the validation data is not finite.
     """
-    gains, new = [], {v.record.name: v for v in after.validation}
-    both = [v for v in before.validation if v.record.name in new]
-    if not both:
-        return 0.0, 0.0
-    block = before.model.block
-    length = block if sum(v.record.duration for v in both) < policy.min_double_blocks * 2 * block else 2 * block
-    for a in both:
-        t = a.record.t - a.record.t[0]
-        gains.append(np.bincount(np.floor(t / length).astype(int), new[a.record.name].ll - a.ll))
-    per_block: Array = np.concatenate(gains).astype(np.float64)
+    per_block = _gains_per_block(before.validation, after.validation, before.model.block, policy)
     if not np.isfinite(per_block).all():
         raise ValueError("the likelihood of the validation data is not finite with the added effect")
     return float(per_block.sum()), _t_as_normal_deviate(per_block)
+
+
+def pooled_t(before: FittedModel, after: FittedModel, penalty: float, policy: SearchPolicy = DEFAULT_POLICY) -> float:
+    """Return the t statistic of the gain in log-likelihood over the blocks of all data.
+
+    The validation data alone have few blocks. If the gain comes in bursts, for example in each turn, their t statistic
+    is small although the gain is large. The estimation data have more blocks, but the effect was fitted to them: their
+    gains are reduced by a penalty.
+
+    Parameters
+    ----------
+    before, after
+        Fitted models to compare.
+    penalty
+        Gain d ln L of the estimation data that is due to the added parameters; each block has an equal share of it.
+    policy
+        Thresholds, of which the smallest number of blocks of double length is used.
+
+    Returns
+    -------
+    float
+        t as the normal deviate of the same probability, 0 for fewer than two blocks or a gain that is not finite.
+    """
+    block = before.model.block
+    validation = _gains_per_block(before.validation, after.validation, block, policy)
+    estimation = _gains_per_block(before.estimation, after.estimation, block, policy)
+    every: Array = np.concatenate([validation, estimation - penalty / max(estimation.size, 1)])
+    return _t_as_normal_deviate(every) if np.isfinite(every).all() else 0.0
+
+
+def _gains_per_block(
+    before: Sequence[RecordEvaluation], after: Sequence[RecordEvaluation], block: float, policy: SearchPolicy
+) -> Array:
+    """Return the gain d ln L in each block of time (n_blocks,) of the records that both models were evaluated on.
+
+    The blocks have twice the length ``block`` [s], or once if there are fewer than ``policy.min_double_blocks`` of
+    double length. Empty without common records.
+    """
+    new = {v.record.name: v for v in after}
+    both = [v for v in before if v.record.name in new]
+    length = block if sum(v.record.duration for v in both) < policy.min_double_blocks * 2 * block else 2 * block
+    gains: list[Array] = [np.zeros(0)]
+    for a in both:
+        t = a.record.t - a.record.t[0]
+        gains.append(np.asarray(np.bincount(np.floor(t / length).astype(int), new[a.record.name].ll - a.ll), float))
+    per_block: Array = np.concatenate(gains).astype(np.float64)
+    return per_block
 
 
 def is_validated(refit: Refit, policy: SearchPolicy = DEFAULT_POLICY) -> bool:
     """Return whether both sets of data support the effect of a refit.
 
     The criterion of the estimation data (gain less the penalty of the parameters) is positive. The gain on the
-    validation data is positive, and its t statistic exceeds ``policy.min_t``.
+    validation data is positive, and its t statistic exceeds ``policy.min_t``. A smaller t, above
+    ``policy.min_t_if_pooled``, is enough if the t statistic over the blocks of all data exceeds
+    ``policy.min_pooled_t``.
 
     Parameters
     ----------
@@ -196,7 +240,8 @@ def is_validated(refit: Refit, policy: SearchPolicy = DEFAULT_POLICY) -> bool:
     policy
         Thresholds, of which the smallest t statistic is used.
     """
-    return refit.criterion > 0 and refit.validation_gain > 0 and refit.t > policy.min_t
+    pooled = refit.t > policy.min_t_if_pooled and refit.pooled_t > policy.min_pooled_t
+    return refit.criterion > 0 and refit.validation_gain > 0 and (refit.t > policy.min_t or pooled)
 
 
 def is_accepted(refit: Refit, policy: SearchPolicy = DEFAULT_POLICY) -> bool:

@@ -52,6 +52,9 @@ class AttributionEvidence:
         Last model, whose estimates are judged. None: the model of the effect's own round.
     nominal
         Scores on the model without effects, which show the effects that the estimated parameters explain.
+    unaffected, beside
+        Names of the effects that keep their size if the strongest remaining candidates are fitted with them, and names
+        of these candidates.
     """
 
     remaining: Sequence[Score]
@@ -61,6 +64,8 @@ class AttributionEvidence:
     reservations: Sequence[str] = ()
     after: FittedModel | None = None
     nominal: Sequence[Score] = ()
+    unaffected: frozenset[str] = frozenset()
+    beside: frozenset[str] = frozenset()
 
 
 def assess_alternatives(
@@ -100,10 +105,17 @@ def assess_alternatives(
         own_limit = max(policy.max_remaining_criterion, search_round.chosen.criterion)
         strong = [s for s in evidence.remaining if s.criterion(evidence.n) > min(limit, own_limit)]
         fitted = search_round.chosen.fitted if evidence.after is None else evidence.after
+        # An effect that keeps its size beside the strongest remaining candidates is not there in their place.
+        remaining = evidence.remaining
+        if search_round.chosen.effect.name in evidence.unaffected:
+            strong, remaining = (
+                [],
+                [s for s in remaining if s.name in set(search_round.chosen.effect.alternatives) - evidence.beside],
+            )
         reasons = [
             *_strong_remaining_test_reasons(strong, evidence.n),
-            *_many_remaining_tests_reasons(evidence.remaining, policy),
-            *_remaining_alternative_reasons(search_round.chosen.effect, evidence.remaining, len(chosen)),
+            *_many_remaining_tests_reasons(remaining, policy),
+            *_remaining_alternative_reasons(search_round.chosen.effect, remaining, len(chosen)),
             *_nonparametric_curve_reasons(chosen, search_round, policy),
         ]
         reasons += [

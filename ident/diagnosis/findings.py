@@ -83,6 +83,8 @@ class Refit:
     by_inputs
         Change of the prediction errors three seconds ahead (1.2 s on the bench) by inputs alone. None for a parametric
         effect, or before the exact fit.
+    pooled_t
+        t statistic of the gain over the blocks of validation and estimation data (`acceptance.pooled_t`).
     """
 
     effect: Effect
@@ -96,11 +98,49 @@ class Refit:
     outcome: Outcome = Outcome.OUTRANKED
     total: PredictionChange | None = None
     by_inputs: PredictionChange | None = None
+    pooled_t: float = 0.0
 
     @property
     def nonparametric(self) -> bool:
         """Return whether the effect is nonparametric: a curve, or a lagged or resonant response, without a formula."""
         return self.effect.kind.nonparametric
+
+
+@dataclass(frozen=True)
+class CommonErrorsFit:
+    """Fit with the small errors that every craft has: timing and mounting of sensors, and form of the hull.
+
+    The errors are estimated together with the effects, and are not effects that the search found.
+
+    Attributes
+    ----------
+    effects
+        The errors, in the order of their selection.
+    fitted
+        The fitted model with all of them.
+    after
+        Names of the effects that the model had before; empty if the errors came first.
+    gain
+        Gain on the estimation data, 2 d ln L with priors.
+    df
+        Number of added parameters.
+    criterion
+        ``gain - df ln n``, with n rows of estimation data.
+    validation_gain, t
+        d ln L on all validation data, and its t statistic over blocks of time.
+    prediction
+        Change of the prediction errors over the horizon on the validation data.
+    """
+
+    effects: tuple[Effect, ...]
+    fitted: FittedModel
+    after: tuple[str, ...]
+    gain: float
+    df: int
+    criterion: float
+    validation_gain: float
+    t: float
+    prediction: PredictionChange
 
 
 @dataclass(frozen=True)
@@ -352,6 +392,8 @@ class Diagnosis:
         Scores that passed and were not tried, because the largest number of effects had been added. Empty otherwise.
     policy
         Thresholds that the diagnosis was made with.
+    common_errors
+        Fit with the small errors that every craft has, None if they were not added. ``after`` has the same errors.
     """
 
     before: FittedModel
@@ -370,6 +412,7 @@ class Diagnosis:
     scores: tuple[Score, ...] = ()
     untried_scores: tuple[Score, ...] = ()
     policy: SearchPolicy = DEFAULT_POLICY
+    common_errors: CommonErrorsFit | None = None
 
     @property
     def effects(self) -> tuple[Refit, ...]:

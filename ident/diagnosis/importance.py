@@ -18,7 +18,14 @@ from seatrial.ident.diagnosis.acceptance import comparison
 from seatrial.ident.diagnosis.findings import EffectImportance, Refit, Round
 from seatrial.ident.diagnosis.policy import DEFAULT_POLICY, SearchPolicy
 from seatrial.ident.engine import quick_compilation
-from seatrial.ident.estimation import FIT_ERRORS, ROUGH_SEARCH, FittedModel, ValidationData, fit_and_evaluate
+from seatrial.ident.estimation import (
+    FIT_ERRORS,
+    ROUGH_SEARCH,
+    FittedModel,
+    SearchSettings,
+    ValidationData,
+    fit_and_evaluate,
+)
 from seatrial.ident.model import Effect, Model
 
 
@@ -61,7 +68,9 @@ def effect_importance(
     """
     if not chosen:
         return ()
-    known_fits = {frozenset(_added_effect_names(before, q.fitted)): q.fitted for r in rounds for q in r.refits}
+    shared = {e.name for e in before.fit.model.effects}
+    refits = [q for r in rounds for q in r.refits if shared <= {e.name for e in q.fitted.fit.model.effects}]
+    known_fits = {frozenset(_added_effect_names(before, q.fitted)): q.fitted for q in refits}
     known_fits |= {frozenset[str](): before}
     added = _added_effect_names(before, after)
     found = []
@@ -121,8 +130,9 @@ def fit_without(
     effect: Effect,
     records: Sequence[Record],
     validation_data: ValidationData,
+    settings: SearchSettings | None = None,
 ) -> FittedModel:
-    """Fit the model with all chosen effects except one, exactly.
+    """Fit the model with all chosen effects except one.
 
     Parameters
     ----------
@@ -136,6 +146,8 @@ def fit_without(
         Estimation data.
     validation_data
         Validation records, or blocks in time of the estimation data.
+    settings
+        Settings of the search, the default for None.
 
     Returns
     -------
@@ -148,7 +160,7 @@ def fit_without(
         If the fit fails: ``ValueError``, ``ArithmeticError`` or ``LinAlgError``.
     """
     kept = [c for c in chosen if c.effect is not effect]
-    return _fit_with_effects(kept, after, before, records, validation_data, exact=True) if kept else before
+    return _fit_with_effects(kept, after, before, records, validation_data, settings) if kept else before
 
 
 def by_importance(found: Sequence[EffectImportance], chosen: Sequence[Refit]) -> tuple[EffectImportance, ...]:
@@ -230,8 +242,7 @@ def _fit_with_effects(
     before: FittedModel,
     records: Sequence[Record],
     validation_data: ValidationData,
-    *,
-    exact: bool = False,
+    settings: SearchSettings | None = ROUGH_SEARCH,
 ) -> FittedModel:
     """Fit the model with only the kept effects, starting at the values of ``after``.
 
@@ -245,8 +256,8 @@ def _fit_with_effects(
         Estimation data.
     validation_data
         Validation records, or blocks in time of the estimation data.
-    exact
-        True for a complete search, False for a rough one.
+    settings
+        Settings of the search, the default for None.
 
     Raises
     ------
@@ -258,7 +269,7 @@ def _fit_with_effects(
     for refit in kept:
         model = model + refit.effect
     model = model.with_values({n: last.values[n] for n in model.values if n in last.values})
-    if exact:
-        return fit_and_evaluate(model, records, validation_data)
+    if settings is not ROUGH_SEARCH:
+        return fit_and_evaluate(model, records, validation_data, settings=settings)
     with quick_compilation(sum(r.n_rows for r in records)):
         return fit_and_evaluate(model, records, validation_data, settings=ROUGH_SEARCH)

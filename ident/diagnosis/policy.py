@@ -43,6 +43,9 @@ class SearchPolicy:
         A nonparametric candidate is refitted if the criterion of its score exceeds both the first as a share of the
         best accepted parametric criterion and that criterion less the second. It needs no such score if the best
         parametric effect is one form of the same curve. A curve without a formula has to explain about as much.
+    min_common_errors
+        The common errors of every craft (sensor timing, mounting, hull form) are added together only if at least so
+        many of them are needed at once. Fewer are found one by one, each as an effect of its own.
     max_loss
         Largest loss in 2 ln L that a larger model may have against the model that it contains. The loss is a rounding
         of the search. A larger loss means that the search stopped early, and other initial values are tried.
@@ -62,6 +65,10 @@ class SearchPolicy:
     min_t
         The t statistic of the gain on the validation data has to exceed this value. A useless effect exceeds two
         standard errors with a probability of 2.3 %.
+    min_pooled_t, min_t_if_pooled
+        A t statistic of the validation data above the second is enough if the t statistic over the blocks of all data
+        exceeds the first, at which a useless effect is ten times rarer than at ``min_t``. It is for gains in bursts,
+        such as in turns, of which the validation data have few.
     min_t_if_predicting
         Replaces ``min_t`` in the backward elimination for an effect that improves the prediction, which is further
         evidence.
@@ -92,6 +99,10 @@ class SearchPolicy:
     max_remaining_tests
         Largest number of score tests that still pass beside an identified effect. A small difference of form makes a
         few of them pass.
+    n_beside, max_change_beside
+        If score tests still pass, the last model is fitted with so many of the strongest remaining candidates. An
+        effect whose strongest parameter changes by less than the second, as a share of its value, is there beside
+        them; the remaining tests are then no reason against it.
     max_distance, max_distance_share
         A competing model is not excluded if its criterion is lower than that of the chosen effect by less than this:
         the absolute value, and the share of the criterion of the chosen effect. The larger one holds.
@@ -122,6 +133,7 @@ class SearchPolicy:
     min_score_ratio: float = 0.05
     nonparametric_score_share: float = 0.5
     nonparametric_score_distance: float = 50.0
+    min_common_errors: int = 4
     max_loss: float = 1.0
     indistinguishable: float = 2.0
     min_gain_ratio: float = 0.02
@@ -129,6 +141,8 @@ class SearchPolicy:
     min_gain_ratio_after_curve: float = 0.1
 
     min_t: float = 2.0
+    min_pooled_t: float = 3.0
+    min_t_if_pooled: float = 1.0
     min_t_if_predicting: float = 1.0
     min_error_ratio: float = 1.015
     material_error_ratio: float = 1.005
@@ -141,6 +155,8 @@ class SearchPolicy:
     max_remaining_criterion: float = 20.0
     max_remaining_share: float = 0.03
     max_remaining_tests: int = 8
+    n_beside: int = 3
+    max_change_beside: float = 0.3
     max_distance: float = 10.0
     max_distance_share: float = 0.05
     min_significance: float = 4.0

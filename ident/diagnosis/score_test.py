@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -425,6 +426,33 @@ def prior_terms(parameters: Sequence[Parameter], values: Array) -> PriorTerms:
             gradient[k] = (mean - p.to_free(value)) / (sd**2 * slope)
             information[k] = 1.0 / (sd * slope) ** 2
     return PriorTerms(gradient, information)
+
+
+@dataclass(frozen=True)
+class ScoreEquations:
+    """Normal equations of the score tests of one fitted model.
+
+    Attributes
+    ----------
+    normal
+        Normal equations. The first columns are the fitted parameters.
+    prior
+        Prior terms of the fitted parameters.
+    indices
+        Columns of the candidates.
+    """
+
+    normal: NormalEquations
+    prior: PriorTerms
+    indices: tuple[ColumnIndex, ...]
+
+    @cached_property
+    def projected(self) -> tuple[Array, Array]:
+        """Information (n_columns, n_columns) and score (n_columns,), with the fitted parameters projected out."""
+        n_fitted = self.prior.gradient.size
+        gain = _coefficients_on_fitted(self.normal.information, self.prior.information)
+        information = self.normal.information - self.normal.information[:n_fitted].T @ gain
+        return information, self.normal.score - gain.T @ (self.normal.score[:n_fitted] + self.prior.gradient)
 
 
 def score_tests(normal: NormalEquations, prior: PriorTerms, candidates: Sequence[ColumnIndex]) -> list[Score]:

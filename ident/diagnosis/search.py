@@ -36,7 +36,9 @@ from seatrial.ident.diagnosis.acceptance import (
 )
 from seatrial.ident.diagnosis.adequacy import AttributionEvidence, assess_alternatives
 from seatrial.ident.diagnosis.candidates import normal_equations, variables, wave_peak_score
+from seatrial.ident.diagnosis.common_errors import common_errors_for, score_common_errors, with_common_errors
 from seatrial.ident.diagnosis.findings import (
+    CommonErrorsFit,
     Diagnosis,
     EffectAttribution,
     EffectImportance,
@@ -51,6 +53,7 @@ from seatrial.ident.diagnosis.importance import effect_importance, fit_without
 from seatrial.ident.diagnosis.policy import DEFAULT_POLICY, SearchPolicy
 from seatrial.ident.diagnosis.score_test import (
     Score,
+    ScoreEquations,
     fitted_parameters,
     prior_terms,
     score_test_passes,
@@ -65,6 +68,7 @@ from seatrial.ident.estimation import (
     ROUGH_SEARCH,
     VAGUE,
     FittedModel,
+    SearchSettings,
     ValidationData,
     between_runs,
     cross_validated,
@@ -90,6 +94,10 @@ from seatrial.ident.validation import (
     prediction_changes,
     smoothed_forces,
 )
+
+WAVES = "waves"
+# For the fit with the common errors: fifteen more parameters, of which some are nearly zero, need no exact maximum
+COMMON_SEARCH = SearchSettings(tolerance=0.05)
 
 
 @dataclass(frozen=True)
@@ -208,6 +216,9 @@ def diagnose(
     if _lack_common_origin([*estimation, *usable]):
         candidates = {n: e for n, e in candidates.items() if not e.fixed_point}
     everything, candidates = with_all_candidates(full, candidates, [*estimation, *usable])
+    common = common_errors_for(full, candidates)
+    for effect in common.values():
+        everything = everything if effect.name in candidates else everything + effect
     untested = accepted - set(candidates)
     records = [make_record(everything, r, rate) for r in estimation]
     runs = [make_record(everything, r, rate) for r in usable]
@@ -219,12 +230,15 @@ def diagnose(
     # user-defined effects keep their priors
     candidates = {n: scale_priors(e, size) if in_catalogue.get(n) is e else e for n, e in candidates.items()}
     candidates |= between_runs(before.fit)
-    search = _Search(records, validation_data, candidates, reporter, policy)
+    common = {n: candidates.get(n, e) for n, e in common.items()}
+    search = _Search(records, validation_data, candidates, reporter, policy, common)
     current, passed = search.forward(before, max_effects)
     reporter.progress("computing the importance of the effects found")
-    current, weights, removed = search.backward_elimination(before, current)
+    base = search.reference(before, current)
+    current, weights, removed = search.backward_elimination(before, base, current)
     if removed:  # the last scores are those of a larger model
         passed = search.scored(current)[1]
+    unaffected, beside = search.unaffected_by(current, passed)
     gone = {r.effect.name for r in removed}
     kept = [r for r in search.rounds if r.chosen is None or r.chosen.effect.name not in gone]
     order = [w.effect for w in weights]
@@ -236,10 +250,12 @@ def diagnose(
         reservations=_reservations(before, current, policy),
         after=current,
         nominal=search.rounds[0].scores if search.rounds else (),
+        unaffected=unaffected,
+        beside=beside,
     )
     judgements = assess_alternatives(kept, evidence, policy)
     judgements = tuple(sorted(judgements, key=lambda j: order.index(j.effect)))
-    shapes, undrawn = _reported_curves(before, kept, judgements, records)
+    shapes, undrawn = _reported_curves(base, kept, judgements, records)
     return Diagnosis(
         before=before,
         after=current,
@@ -257,6 +273,7 @@ def diagnose(
         scores=tuple(search.scores),
         untried_scores=tuple(search.untried),
         policy=policy,
+        common_errors=search.common_errors,
     )
 
 
@@ -345,11 +362,32 @@ def _reservations(before: FittedModel, after: FittedModel, policy: SearchPolicy)
     return reasons
 
 
+def score_equations(fitted: FittedModel, records: Sequence[Record], effects: Mapping[str, Effect]) -> ScoreEquations:
+    """Set up the score equations of a fitted model for parametric and nonparametric candidates.
+
+    Parameters
+    ----------
+    fitted
+        The fitted model.
+    records
+        Estimation data with the inputs of all candidates.
+    effects
+        Parametric candidates by name. The nonparametric ones follow from the model and are added.
+    """
+    # A parameter at its bound cannot change to explain a part of a candidate, so it is not projected out.
+    stuck = {n for n, flag in fitted.fit.flags if flag in (AT_BOUND, VAGUE)}
+    free_parameters = [p for p in fitted_parameters(fitted.model, len(records)) if p.full_name not in stuck]
+    normal, indices = normal_equations(fitted, records, list(effects.values()), free_parameters)
+    at = np.array([fitted.fit.estimate(p.name, p.segment or 0)[0] for p in free_parameters])
+    return ScoreEquations(normal, prior_terms(free_parameters, at), tuple(indices))
+
+
 def score_all(
     fitted: FittedModel,
     records: Sequence[Record],
     candidates: Mapping[str, Effect],
     policy: SearchPolicy = DEFAULT_POLICY,
+    equations: ScoreEquations | None = None,
 ) -> tuple[list[Score], list[Score]]:
     """Compute all score tests on a fitted model.
 
@@ -363,6 +401,9 @@ def score_all(
         Parametric candidates by name. The nonparametric ones follow from the model and are added.
     policy
         Thresholds of the score tests.
+    equations
+        Score equations of the model with the columns of all candidates, None to set them up. Parametric effects that
+        are no candidates are left out.
 
     Returns
     -------
@@ -372,14 +413,10 @@ def score_all(
     passing
         The scores that pass, in the same order.
     """
-    model = fitted.model
-    # A parameter at its bound cannot change to explain a part of a candidate, so it is not projected out.
-    stuck = {n for n, flag in fitted.fit.flags if flag in (AT_BOUND, VAGUE)}
-    free_parameters = [p for p in fitted_parameters(model, len(records)) if p.full_name not in stuck]
-    normal, places = normal_equations(fitted, records, list(candidates.values()), free_parameters)
-    at = np.array([fitted.fit.estimate(p.name, p.segment or 0)[0] for p in free_parameters])
-    scores = score_tests(normal, prior_terms(free_parameters, at), places)
-    waves = wave_peak_score(fitted, policy) if "waves" in candidates else None
+    equations = equations or score_equations(fitted, records, candidates)
+    tested = [c for c in equations.indices if c.columns.kind.nonparametric or c.columns.name in candidates]
+    scores = score_tests(equations.normal, equations.prior, tested)
+    waves = wave_peak_score(fitted, policy) if WAVES in candidates else None
     scores += [] if waves is None else [waves]
     n = sum(r.n_rows for r in records)
     scores.sort(key=lambda s: -s.criterion(n))
@@ -405,11 +442,17 @@ class _Search:
         Receiver of progress messages.
     policy
         Thresholds of the search.
+    common
+        Common errors by name, of which the model has none.
 
     Attributes
     ----------
     candidates
         Parametric candidates that are not in the model. Effects move out when they are added, and back if removed.
+    common
+        Common errors that can still be added together; empty as soon as this has been tried.
+    common_errors
+        Fit with the common errors, None if they have not been added.
     rounds
         Rounds so far, in their order.
     nominal
@@ -429,7 +472,11 @@ class _Search:
         candidates: Mapping[str, Effect],
         reporter: Reporter,
         policy: SearchPolicy = DEFAULT_POLICY,
+        common: Mapping[str, Effect] | None = None,
     ) -> None:
+        self.common = dict(common or {})
+        self.common_errors: CommonErrorsFit | None = None
+        self.equations: ScoreEquations | None = None
         self.records, self.validation_data, self.candidates = records, validation_data, dict(candidates)
         self.reporter, self.policy = reporter, policy
         self.rounds: list[Round] = []
@@ -454,7 +501,8 @@ class _Search:
             If a matrix of the score tests cannot be factored, so that the residuals cannot be tested.
         """
         try:
-            self.scores, passed = score_all(fitted, self.records, self.candidates, self.policy)
+            self.equations = score_equations(fitted, self.records, self.candidates | self.common)
+            self.scores, passed = score_all(fitted, self.records, self.candidates, self.policy, self.equations)
             return self.scores, passed
         except np.linalg.LinAlgError as problem:
             names = ", ".join(r.name for r in self.records)
@@ -478,6 +526,9 @@ class _Search:
         self.nominal, current, unknown = before, before, False
         while True:
             scores, passed = self.scored(current)
+            if (extended := self._add_common_errors(current, passed)) is not None:
+                current = extended
+                continue
             largest = max((r.chosen.criterion for r in self.rounds if r.chosen is not None), default=0.0)
             least = self.policy.min_gain_ratio_after_curve * largest
             tried = [s for s in passed if not s.nonparametric and s.criterion(self.n) > least] if unknown else passed
@@ -494,8 +545,127 @@ class _Search:
             current, unknown = found.chosen.fitted, unknown or found.chosen.nonparametric
             self.candidates.pop(found.chosen.effect.name, None)
 
+    def _add_common_errors(self, current: FittedModel, passed: Sequence[Score]) -> FittedModel | None:
+        """Add the common errors to a model if they explain more than any single effect; return the fit with them.
+
+        None if fewer than ``policy.min_common_errors`` of them are needed, if a single candidate explains more, or if
+        the fit with them is not supported by the estimation or the validation data. ``common``, ``common_errors`` and
+        ``candidates`` are changed.
+
+        Parameters
+        ----------
+        current
+            Model before.
+        passed
+            Scores that pass on it, best first.
+        """
+        assert self.equations is not None
+        joint = score_common_errors(self.equations, self.common, self.n)
+        others = [s.criterion(self.n) for s in passed if not s.nonparametric and s.name not in self.common]
+        print("JOINT", joint.names, round(joint.criterion), "others", round(max(others, default=0.0)))
+        if len(joint.names) < self.policy.min_common_errors or joint.criterion < max(others, default=0.0):
+            return None
+        effects = tuple(self.common[name] for name in joint.names)
+        self.common = {}
+        self.reporter.progress(f"fitting with {counted(len(effects), 'common error')}: {', '.join(joint.names)}")
+        found = None
+        for share in (1.0, 0.3, 0.0):
+            try:
+                model = with_common_errors(current.fit.model, effects, joint.step, share)
+                found = fit_and_evaluate(model, self.records, self.validation_data, settings=COMMON_SEARCH)
+                break
+            except FIT_ERRORS:
+                continue
+        if found is None:
+            return None
+        compared = Comparison(current, found, self.policy)
+        gain, (validated, t) = 2 * (found.fit.log_posterior - current.fit.log_posterior), compared.gain
+        df = sum(p.free for e in effects for p in e.parameters)
+        criterion = gain - df * float(np.log(self.n))
+        if criterion <= 0 or validated <= 0 or compared.prediction.verdict == "rose":
+            return None
+        before = tuple(r.chosen.effect.name for r in self.rounds if r.chosen is not None)
+        self.common_errors = CommonErrorsFit(
+            effects, found, before, gain, df, criterion, validated, t, compared.prediction
+        )
+        # Waves shake every boat, are not correlated with its inputs, and the prediction is as good without them.
+        for name in (*joint.names, WAVES):
+            self.candidates.pop(name, None)
+        return found
+
+    @property
+    def exact(self) -> SearchSettings | None:
+        """Settings of the fits that are kept: the default, or those of the fits with common errors."""
+        return None if self.common_errors is None else COMMON_SEARCH
+
+    def unaffected_by(self, current: FittedModel, remaining: Sequence[Score]) -> tuple[frozenset[str], frozenset[str]]:
+        """Fit the last model with the strongest remaining candidates, and find the effects that they do not change.
+
+        A score test that still passes has two possible reasons: a further effect, beside those found, or an effect that
+        was found in place of the right one. In the first case the effects found keep their size beside it, in the
+        second they lose it.
+
+        Parameters
+        ----------
+        current
+            Last model.
+        remaining
+            Scores that pass on it, best first.
+
+        Returns
+        -------
+        effects
+            Names of the effects of ``current`` whose strongest parameter changes by less than
+            ``policy.max_change_beside``; empty if the fit fails.
+        beside
+            Names of the candidates that they were fitted with.
+        """
+        strongest = [s for s in remaining if not s.nonparametric and s.name in self.candidates]
+        beside = strongest[: self.policy.n_beside]
+        if not beside:
+            return frozenset(), frozenset()
+        model = current.fit.model
+        for score in beside:
+            model = model + next(_with_initial_values(self.candidates[score.name], score))
+        try:
+            with quick_compilation(self.n):
+                fitted = fit_and_evaluate(model, self.records, (), settings=ROUGH_SEARCH)
+        except FIT_ERRORS:
+            return frozenset(), frozenset()
+        kept = set[str]()
+        for r in self.rounds:
+            if r.chosen is not None and _keeps_its_size(
+                r.chosen.effect, current, fitted, self.policy.max_change_beside
+            ):
+                kept.add(r.chosen.effect.name)
+        return frozenset(kept), frozenset(s.name for s in beside)
+
+    def reference(self, before: FittedModel, current: FittedModel) -> FittedModel:
+        """Return the model without the effects found, and with the common errors of ``current`` if it has any.
+
+        It is fitted anew if the common errors were added after an effect.
+
+        Parameters
+        ----------
+        before
+            Model without effects and without common errors.
+        current
+            Model with both.
+        """
+        common = self.common_errors
+        if common is None:
+            return before
+        if not common.after:
+            return common.fitted
+        model = before.fit.model
+        for effect in common.effects:
+            model = model + effect
+        last = current.fit.model.values
+        model = model.with_values({n: last[n] for n in model.values if n in last})
+        return fit_and_evaluate(model, self.records, self.validation_data, settings=COMMON_SEARCH)
+
     def backward_elimination(
-        self, before: FittedModel, current: FittedModel
+        self, before: FittedModel, base: FittedModel, current: FittedModel
     ) -> tuple[FittedModel, tuple[EffectImportance, ...], list[RemovedEffect]]:
         """Leave each effect out in turn and remove the least supported effect, until all effects are supported.
 
@@ -506,7 +676,9 @@ class _Search:
         Parameters
         ----------
         before
-            Model without added effects.
+            Model without added effects and without common errors.
+        base
+            Model without added effects (`reference`).
         current
             Model with all added effects.
 
@@ -525,7 +697,7 @@ class _Search:
             gone = {r.effect.name for r in removed}
             chosen = [r.chosen for r in self.rounds if r.chosen is not None and r.chosen.effect.name not in gone]
             weights = effect_importance(
-                before, current, chosen, self.rounds, self.records, self.validation_data, self.policy
+                base, current, chosen, self.rounds, self.records, self.validation_data, self.policy
             )
             weights = tuple(replace(w, untested=stuck.get(w.effect, w.untested)) for w in weights)
             tested = [w for w in weights if w.untested is None]
@@ -547,7 +719,7 @@ class _Search:
             effect = next(c.effect for c in chosen if c.effect.name == idle.effect)
             self.reporter.progress(f"fitting without {effect.title}, which is not worth its parameters")
             try:
-                current = fit_without(before, current, chosen, effect, self.records, self.validation_data)
+                current = fit_without(base, current, chosen, effect, self.records, self.validation_data, self.exact)
             except FIT_ERRORS as problem:
                 stuck[idle.effect] = str(problem)
                 continue
@@ -675,7 +847,7 @@ class _Search:
         reason = ""
         for begin in (rough.fitted.fit.model, again, again.with_values(_half_values(rough.effect))):
             try:
-                fitted = fit_and_evaluate(begin, self.records, self.validation_data)
+                fitted = fit_and_evaluate(begin, self.records, self.validation_data, settings=self.exact)
                 compared = comparison(current, fitted, rough.effect, self.policy)
                 (gain, t), prediction = compared.gain, compared.prediction
             except FIT_ERRORS as problem:
@@ -686,8 +858,9 @@ class _Search:
                 total = (
                     prediction if current is self.nominal else Comparison(self.nominal, fitted, self.policy).prediction
                 )
+                every = compared.pooled_t((rough.gain - rough.criterion) / 2)
                 exact = replace(
-                    rough, fitted=fitted, validation_gain=gain, t=t, prediction=prediction, total=total,
+                    rough, fitted=fitted, validation_gain=gain, t=t, pooled_t=every, prediction=prediction, total=total,
                     by_inputs=compared.by_inputs if rough.nonparametric else None,
                 )  # fmt: skip
                 added = [r.chosen for r in self.rounds if r.chosen is not None]
@@ -735,12 +908,15 @@ class _Search:
                     current.fit.model + start, self.records, self.validation_data, settings=ROUGH_SEARCH
                 )
                 gain = 2 * (fitted.fit.log_posterior - current.fit.log_posterior)
-                total, t = comparison(current, fitted, effect, self.policy).gain
+                compared = comparison(current, fitted, effect, self.policy)
+                total, t = compared.gain
             except FIT_ERRORS as problem:
                 reason = reason or str(problem)
                 continue
             df = sum(_degrees_of_freedom(effect, p, len(self.records)) for p in effect.parameters if p.free)
-            found = Refit(effect, fitted, gain, df, gain - df * float(np.log(self.n)), total, t)
+            penalty = df * float(np.log(self.n))
+            every = compared.pooled_t(penalty / 2)
+            found = Refit(effect, fitted, gain, df, gain - penalty, total, t, pooled_t=every)
             best = found if best is None or found.gain > best.gain else best
             if best.gain > -self.policy.max_loss:
                 break
@@ -755,6 +931,23 @@ def _predicts_better(first: Refit, second: Refit) -> bool:
     assert first.prediction is not None
     assert second.prediction is not None
     return first.prediction.ratio < second.prediction.ratio
+
+
+def _keeps_its_size(effect: Effect, before: FittedModel, after: FittedModel, largest_change: float) -> bool:
+    """Return whether the strongest parameter of an effect changes by less than ``largest_change`` of its value.
+
+    The strongest parameter has the most standard errors from zero, among those that are zero without the effect. False
+    if there is none, or if a model lacks the effect.
+    """
+    sizes = [p.name for p in effect.parameters if p.value == 0.0 and not p.per_record and p.name in before.fit.names]
+    estimates = {n: before.fit.estimate(n, 0) for n in sizes}
+    known = {n: (value, error) for n, (value, error) in estimates.items() if error > 0}
+    if not known:
+        return False
+    name = max(known, key=lambda n: abs(known[n][0] / known[n][1]))
+    if name not in after.fit.names:
+        return False
+    return abs(after.fit.estimate(name, 0)[0] - known[name][0]) < largest_change * abs(known[name][0])
 
 
 def _half_values(effect: Effect) -> dict[str, float]:

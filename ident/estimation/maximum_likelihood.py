@@ -121,7 +121,9 @@ class SearchSettings:
 ROUGH_SEARCH = SearchSettings(tolerance=0.02, robust_errors=False)
 
 
-MAX_GAIN_LEFT = 1e-2  # a search has converged if the expected gain in log-posterior of one more step is smaller
+# A search has converged if the expected gain in log-posterior of one more step is smaller than this, or than the
+# tolerance of its settings if that is larger. A gain of 0.01 is a move by 0.14 standard errors, one of 0.05 by 0.3.
+MAX_GAIN_LEFT = 1e-2
 
 
 @dataclass(frozen=True)
@@ -306,7 +308,7 @@ def fit(
         known = replace(known, flags=(*known.flags, *too_long))
     known = widened(known, robust.least) if coloured else known
     return _assembled_fit(
-        problem, optimum, known, robust.errors, coloured, options, prior_part, time.process_time() - began
+        problem, optimum, known, robust.errors, coloured, options, settings, prior_part, time.process_time() - began
     )
 
 
@@ -483,6 +485,7 @@ def _assembled_fit(
     robust: Array,
     coloured: bool,
     options: EstimationOptions,
+    settings: SearchSettings,
     prior_part: float,
     cpu_seconds: float,
 ) -> Fit:
@@ -510,7 +513,7 @@ def _assembled_fit(
     model = problem.model.with_values(dict(zip(names, record_values.mean(axis=0), strict=True)))
     plain = np.abs(problem.slopes(optimum.z)) * np.sqrt(np.diag(known.P + known.spread))
     inflation = np.where(np.isfinite(plain), np.fmax(known.errors / plain, 1.0), 1.0)
-    converged = abs(optimum.gain_left) < MAX_GAIN_LEFT
+    converged = abs(optimum.gain_left) < max(MAX_GAIN_LEFT, settings.tolerance)
     message = (
         f"converged in {optimum.iterations} iterations"
         if converged

@@ -42,6 +42,7 @@ from .parts import CalibrationRow as CalibrationRow
 from .parts import Calibrations as Calibrations
 from .parts import CalibrationTable as CalibrationTable
 from .parts import Candidate as Candidate
+from .parts import CommonErrorsRow as CommonErrorsRow
 from .parts import Correlation as Correlation
 from .parts import CorrelationTest as CorrelationTest
 from .parts import CrossCorrelationRow as CrossCorrelationRow

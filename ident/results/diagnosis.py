@@ -22,7 +22,7 @@ from seatrial.ident.diagnosis import (
 )
 from seatrial.ident.effects import catalogue
 from seatrial.ident.estimation import FittedModel, ParameterShift, ReportedEstimates, run_differences
-from seatrial.ident.model import EffectKind
+from seatrial.ident.model import Effect, EffectKind
 from seatrial.ident.results import parts
 from seatrial.ident.results.answers import (
     NAMES,
@@ -139,6 +139,7 @@ def diagnosis_result(
         unused_signals=tuple(unused),
         residual_forces=_residual_force_rows(diagnosis, evaluation),
         rounds=tuple(_round_row(r) for r in diagnosis.rounds) or (_quiet_round(diagnosis),),
+        common_errors=_common_errors_row(diagnosis, role),
         effects=_effect_rows(diagnosis),
         remaining_candidates=tuple(
             parts.RemainingCandidate(name=s.name, lm=s.lm, df=s.df, p=s.p) for s in diagnosis.remaining
@@ -443,27 +444,27 @@ def _refit_row(r: Refit) -> parts.RefitRow:
         t=r.t,
         prediction=None if r.prediction is None else prediction_change(r.prediction, "validation"),
         outcome=cast(parts.RefitOutcome, r.outcome.value),
-        parameters=_effect_parameter_rows(r, r.fitted),
+        parameters=_effect_parameter_rows(r.effect, r.fitted),
     )
 
 
-def _effect_parameter_rows(r: Refit, fitted: FittedModel) -> tuple[parts.EffectParameter, ...]:
+def _effect_parameter_rows(effect: Effect, fitted: FittedModel) -> tuple[parts.EffectParameter, ...]:
     """Return the estimates of an effect's parameters in reported units, one row for each run of a per-record parameter.
 
     For an effect that differs between runs, return the differences from the first run.
 
     Parameters
     ----------
-    r : Refit
-        Refit with the effect.
+    effect : Effect
+        Effect of the model.
     fitted : FittedModel
         Model whose estimates are reported.
     """
     reported, rows = ReportedEstimates(fitted.fit), []
-    for p in r.effect.parameters:
+    for p in effect.parameters:
         runs = fitted.fit.records if p.per_record else ("",)
         found = [(f", in {run}" if len(runs) > 1 else "", *reported.estimate(p, i)) for i, run in enumerate(runs)]
-        if r.effect.kind is EffectKind.BETWEEN_RUNS:
+        if effect.kind is EffectKind.BETWEEN_RUNS:
             k = reported.factor(p.unit)
             differences = run_differences(fitted.fit, p.name)
             found = [(f", {d.record} against {runs[0]}", k * d.value, k * d.error) for d in differences]
@@ -473,6 +474,26 @@ def _effect_parameter_rows(r: Refit, fitted: FittedModel) -> tuple[parts.EffectP
             for where, value, error in found
         ]
     return tuple(rows)
+
+
+def _common_errors_row(diagnosis: Diagnosis, role: parts.Role) -> parts.CommonErrorsRow | None:
+    """Return the common errors with their estimates in the last model, None if they were not added.
+
+    ``role`` is the role of the data that validate the effects.
+    """
+    found = diagnosis.common_errors
+    if found is None:
+        return None
+    return parts.CommonErrorsRow(
+        names=tuple(e.name for e in found.effects),
+        titles=tuple(e.title for e in found.effects),
+        gain=found.gain,
+        df=found.df,
+        validation_gain=found.validation_gain,
+        t=found.t,
+        prediction=prediction_change(found.prediction, role),
+        parameters=tuple(row for e in found.effects for row in _effect_parameter_rows(e, diagnosis.after)),
+    )
 
 
 def _effect_rows(diagnosis: Diagnosis) -> tuple[parts.EffectRow, ...]:
@@ -506,7 +527,7 @@ def _effect_rows(diagnosis: Diagnosis) -> tuple[parts.EffectRow, ...]:
                 attribution=judged.attribution,
                 reasons=tuple(judged.reasons),
                 not_excluded=tuple(judged.not_excluded),
-                parameters=_effect_parameter_rows(r, diagnosis.after),
+                parameters=_effect_parameter_rows(r.effect, diagnosis.after),
                 error_ratio_without=finite(weight.error_ratio),
                 gain_last=finite(weight.gain),
             )
@@ -581,13 +602,25 @@ def _remaining_names(diagnosis: Diagnosis) -> str:
     return ", ".join(s.name for s in diagnosis.remaining[:4])
 
 
+def _common_errors_note(diagnosis: Diagnosis) -> list[str]:
+    """Return the note that names the common errors in the last model, no note if they were not added."""
+    found = diagnosis.common_errors
+    if found is None:
+        return []
+    titles = _joined_titles([e.title for e in found.effects])
+    return [
+        f"Small errors that every craft has are estimated beside the effects: {titles} (d ln L of the validation data "
+        f"{found.validation_gain:.0f}, t = {found.t:.1f})."
+    ]
+
+
 def _notes(diagnosis: Diagnosis) -> list[str]:
     """Return the notes of a diagnosis.
 
     The notes are about candidates that still pass the score test, the reason why the search ended, removed effects,
     validation runs that the model does not fit, and flagged parameters.
     """
-    notes = []
+    notes = _common_errors_note(diagnosis)
     if diagnosis.remaining and not diagnosis.untried_scores:
         if diagnosis.effects:
             notes.append(

@@ -671,6 +671,22 @@ class RemovedEffectRow(Part, frozen=True, kw_only=True):
     ]
 
 
+class CommonErrorsRow(Part, frozen=True, kw_only=True):
+    """Small errors that every craft has, which are estimated beside the effects: sensor timing, mounting, hull form."""
+
+    names: Annotated[tuple[str, ...], Meta(description="names in the catalogue, in the order of their selection")]
+    titles: Annotated[tuple[str, ...], Meta(description="titles for readers, in the same order")]
+    gain: Annotated[float, Meta(description="2 d ln L of the estimation data by all of them")]
+    df: Annotated[int, Meta(description="number of their parameters")]
+    validation_gain: Annotated[float, Meta(description="d ln L of the validation data")]
+    t: Annotated[float, Meta(description="t statistic of `validation_gain` over blocks")]
+    prediction: Annotated[
+        PredictionChangeRow | None,
+        Meta(description="change of the prediction errors by them alone; null: no channel can be compared"),
+    ]
+    parameters: Annotated[tuple[EffectParameter, ...], Meta(description="their estimates in the last model")]
+
+
 class ValidationMismatchRow(Part, frozen=True, kw_only=True):
     """Validation run whose prediction errors are larger than the model predicts."""
 
@@ -828,6 +844,10 @@ class DiagnosisResult(FitResult, frozen=True, kw_only=True, tag_field="kind", ta
     removed_effects: Annotated[
         tuple[RemovedEffectRow, ...], Meta(description="effects that were added and removed again")
     ] = ()
+    common_errors: Annotated[
+        CommonErrorsRow | None,
+        Meta(description="small errors that every craft has, estimated beside the effects; null: they were not added"),
+    ] = None
     effects: Annotated[tuple[EffectRow, ...], Meta(description="added effects, the most important first")] = ()
     remaining_candidates: Annotated[
         tuple[RemainingCandidate, ...], Meta(description="candidates that still pass the score test, best first")
