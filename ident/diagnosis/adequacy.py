@@ -106,8 +106,8 @@ def assess_alternatives(
         strong = [s for s in evidence.remaining if s.criterion(evidence.n) > min(limit, own_limit)]
         fitted = search_round.chosen.fitted if evidence.after is None else evidence.after
         # An effect that keeps its size beside the strongest remaining candidates is not there in their place.
-        remaining = evidence.remaining
-        if search_round.chosen.effect.name in evidence.unaffected:
+        remaining, unaffected = evidence.remaining, search_round.chosen.effect.name in evidence.unaffected
+        if unaffected:
             strong, remaining = (
                 [],
                 [s for s in remaining if s.name in set(search_round.chosen.effect.alternatives) - evidence.beside],
@@ -116,7 +116,7 @@ def assess_alternatives(
             *_strong_remaining_test_reasons(strong, evidence.n),
             *_many_remaining_tests_reasons(remaining, policy),
             *_remaining_alternative_reasons(search_round.chosen.effect, remaining, len(chosen)),
-            *_nonparametric_curve_reasons(chosen, search_round, policy),
+            *_nonparametric_curve_reasons(chosen, search_round, unaffected, policy),
         ]
         reasons += [
             *_form_correction_reasons(chosen, search_round.chosen, policy),
@@ -280,16 +280,21 @@ def _finding_in_words(score: Score) -> str:
     return f"that {force} depends on {' and '.join(v for v in (curve.variable, curve.second) if v)}"
 
 
-def _nonparametric_curve_reasons(chosen: Sequence[Refit], search_round: Round, policy: SearchPolicy) -> list[str]:
+def _nonparametric_curve_reasons(
+    chosen: Sequence[Refit], search_round: Round, unaffected: bool, policy: SearchPolicy
+) -> list[str]:
     """Return the reasons for ambiguity that nonparametric effects give.
 
     There is one reason for each nonparametric effect that was added beside the effect, unless it is the curve of which
-    the effect is one form. There is another reason if an accepted nonparametric refit of the same round has a larger
-    criterion.
+    the effect is one form, or a small one beside which the effect keeps its size (``unaffected``). There is another
+    reason if an accepted nonparametric refit of the same round has a larger criterion.
     """
     assert search_round.chosen is not None
-    curve = search_round.chosen.effect.nonparametric_of
+    curve, own = search_round.chosen.effect.nonparametric_of, search_round.chosen.criterion
     beside = [c.effect for c in chosen if c.nonparametric and not c.effect.is_table_of(curve)]
+    if unaffected:  # a small curve beside an effect that keeps its size with it is no reason against that effect
+        small = {c.effect.name for c in chosen if c.criterion < policy.max_curve_share * own}
+        beside = [effect for effect in beside if effect.name not in small]
     reasons = [f"{effect.title} had to be added beside this effect" for effect in beside]
     better = [
         q

@@ -103,6 +103,9 @@ class SearchPolicy:
         If score tests still pass, the last model is fitted with so many of the strongest remaining candidates. An
         effect whose strongest parameter changes by less than the second, as a share of its value, is there beside
         them; the remaining tests are then no reason against it.
+    max_curve_share
+        A nonparametric curve that was added beside an effect is no reason against the effect if the effect keeps its
+        size and the criterion of the curve is below this share of that of the effect.
     max_distance, max_distance_share
         A competing model is not excluded if its criterion is lower than that of the chosen effect by less than this:
         the absolute value, and the share of the criterion of the chosen effect. The larger one holds.
@@ -157,6 +160,7 @@ class SearchPolicy:
     max_remaining_tests: int = 8
     n_beside: int = 3
     max_change_beside: float = 0.3
+    max_curve_share: float = 0.3
     max_distance: float = 10.0
     max_distance_share: float = 0.05
     min_significance: float = 4.0

@@ -96,8 +96,9 @@ from seatrial.ident.validation import (
 )
 
 WAVES = "waves"
-# For the fit with the common errors: fifteen more parameters, of which some are nearly zero, need no exact maximum
+# For the fits with the common errors: fifteen more parameters, of which some are nearly zero, need no exact maximum
 COMMON_SEARCH = SearchSettings(tolerance=0.05)
+ROUGH_COMMON_SEARCH = SearchSettings(tolerance=0.2, max_iterations=30, robust_errors=False)
 
 
 @dataclass(frozen=True)
@@ -238,7 +239,9 @@ def diagnose(
     current, weights, removed = search.backward_elimination(before, base, current)
     if removed:  # the last scores are those of a larger model
         passed = search.scored(current)[1]
-    unaffected, beside = search.unaffected_by(current, passed)
+    unaffected, beside = frozenset[str](), frozenset[str]()
+    if search.common_errors is not None:
+        unaffected, beside = search.unaffected_by(current, passed)
     gone = {r.effect.name for r in removed}
     kept = [r for r in search.rounds if r.chosen is None or r.chosen.effect.name not in gone]
     order = [w.effect for w in weights]
@@ -532,6 +535,8 @@ class _Search:
             largest = max((r.chosen.criterion for r in self.rounds if r.chosen is not None), default=0.0)
             least = self.policy.min_gain_ratio_after_curve * largest
             tried = [s for s in passed if not s.nonparametric and s.criterion(self.n) > least] if unknown else passed
+            if self.common_errors is not None:  # what is left is the difference between a real boat and any model
+                tried = [s for s in tried if s.criterion(self.n) > self.policy.max_remaining_criterion]
             if len(self.rounds) >= max_effects or not tried:
                 self.untried = tried
                 return current, passed
@@ -562,7 +567,6 @@ class _Search:
         assert self.equations is not None
         joint = score_common_errors(self.equations, self.common, self.n)
         others = [s.criterion(self.n) for s in passed if not s.nonparametric and s.name not in self.common]
-        print("JOINT", joint.names, round(joint.criterion), "others", round(max(others, default=0.0)))
         if len(joint.names) < self.policy.min_common_errors or joint.criterion < max(others, default=0.0):
             return None
         effects = tuple(self.common[name] for name in joint.names)
@@ -603,7 +607,7 @@ class _Search:
 
         A score test that still passes has two possible reasons: a further effect, beside those found, or an effect that
         was found in place of the right one. In the first case the effects found keep their size beside it, in the
-        second they lose it.
+        second they lose it. The same holds for the effects that were added after an effect.
 
         Parameters
         ----------
@@ -615,21 +619,21 @@ class _Search:
         Returns
         -------
         effects
-            Names of the effects of ``current`` whose strongest parameter changes by less than
-            ``policy.max_change_beside``; empty if the fit fails.
+            Names of the effects of ``current`` whose strongest parameter changed by less than
+            ``policy.max_change_beside`` since they were added, and changes by less with the candidates; empty if the
+            fit fails.
         beside
             Names of the candidates that they were fitted with.
         """
         strongest = [s for s in remaining if not s.nonparametric and s.name in self.candidates]
         beside = strongest[: self.policy.n_beside]
-        if not beside:
-            return frozenset(), frozenset()
-        model = current.fit.model
+        model, fitted = current.fit.model, current
         for score in beside:
             model = model + next(_with_initial_values(self.candidates[score.name], score))
         try:
-            with quick_compilation(self.n):
-                fitted = fit_and_evaluate(model, self.records, (), settings=ROUGH_SEARCH)
+            if beside:
+                with quick_compilation(self.n):
+                    fitted = fit_and_evaluate(model, self.records, (), settings=self.rough)
         except FIT_ERRORS:
             return frozenset(), frozenset()
         kept = set[str]()
@@ -639,6 +643,11 @@ class _Search:
             ):
                 kept.add(r.chosen.effect.name)
         return frozenset(kept), frozenset(s.name for s in beside)
+
+    @property
+    def rough(self) -> SearchSettings:
+        """Settings of the fits of candidates."""
+        return ROUGH_SEARCH if self.common_errors is None else ROUGH_COMMON_SEARCH
 
     def reference(self, before: FittedModel, current: FittedModel) -> FittedModel:
         """Return the model without the effects found, and with the common errors of ``current`` if it has any.
@@ -905,7 +914,7 @@ class _Search:
         for start in _with_initial_values(effect, score):
             try:
                 fitted = fit_and_evaluate(
-                    current.fit.model + start, self.records, self.validation_data, settings=ROUGH_SEARCH
+                    current.fit.model + start, self.records, self.validation_data, settings=self.rough
                 )
                 gain = 2 * (fitted.fit.log_posterior - current.fit.log_posterior)
                 compared = comparison(current, fitted, effect, self.policy)
