@@ -183,7 +183,7 @@ def test_thrust_ends_if_a_process_dies_or_hangs(tmp_path: Path, failure: str) ->
     assert len(log.table(Ahrs, "autopilot")) > 10
     if failure == "runner killed":
         texts = [text for _, kind, text in log.events() if kind == "stop"]
-        assert any("parent" in text for text in texts)
+        assert any("program that started the acquisition" in text for text in texts)
         assert ("statustext", "info: Throttle disarmed") in [(kind, text) for _, kind, text in log.events()]
     else:
         assert err.count("\n") == 1
