@@ -361,7 +361,7 @@ def _read_json(path: Path) -> dict[str, Any]:
     except ValueError as error:
         raise SeatrialError(f"demo: {path}: not JSON ({error})") from error
     if not isinstance(content, dict):
-        raise SeatrialError(f"demo: {path}: not a JSON object")
+        raise SeatrialError(f"demo: {path} is damaged: it is not a JSON object; start the demo again")
     return content
 
 

@@ -287,7 +287,10 @@ class Autopilots:
         """
         self.disarm()
         if armed := self.maybe_armed():
-            raise SeatrialError(f"{', '.join(armed)}: disarming was not confirmed in {LEAVE_S:g} s")
+            raise SeatrialError(
+                f"{', '.join(armed)}: disarming was not confirmed in {LEAVE_S:g} s: it may still be armed; disarm it "
+                "yourself or switch it off"
+            )
 
     def maybe_armed(self) -> list[str]:
         """Return the names of autopilots that this run has armed and that have not confirmed their disarming.

@@ -396,7 +396,7 @@ class CommandFollower(MissionSequencer):
         if before is not None and before[1].sender != command.sender:
             # After a silence another sender may take over. It also has to begin with zero.
             if now - before[0] <= self._timeout:
-                raise SafetyStop(f"two senders command {name}; run only one of them")
+                raise SafetyStop(f"two ROS 2 nodes send commands to {name}; stop one of them")
         elif before is not None and command.number <= before[1].number:
             raise SafetyStop(
                 f"command number {command.number} for {name} came after number {before[1].number}: "

@@ -124,7 +124,7 @@ def parse_priors(
         except ValueError:
             raise click.BadParameter(f"{item!r} is not NAME=MEAN:SD") from None
         if not sd > 0:
-            raise click.BadParameter(f"{item!r}: the standard deviation is not positive")
+            raise click.BadParameter(f"{item!r}: SD in NAME=MEAN:SD, the standard deviation, has to be above 0")
         found[name] = (mean, sd)
     return found
 

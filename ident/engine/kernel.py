@@ -267,7 +267,8 @@ class Kernel:
         if len(initial_values) != len(lengths) or min(lengths, default=1) < 1 or min(start, default=0) < 0 or (
                 max(stop, default=0) > n_available):  # fmt: skip
             raise ValueError(
-                f"segments: each needs an initial value and at least one of the {n_available} rows of the arrays"
+                "start, stop: each segment of rows needs one initial value and at least one row, and has to lie within "
+                f"the {n_available} rows of the arrays"
             )
         longest = max(lengths, default=0)
         last_rows = {name: np.empty((len(start), layout.sizes[name])) for name in wanted}

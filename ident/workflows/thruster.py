@@ -199,7 +199,7 @@ def _refuse_options(path: Path, options: Sequence[str]) -> None:
     if options:
         raise SeatrialError(
             f"{path}: has no shaft speed, so only a static curve can be fitted, which does not use "
-            f"{' and '.join(options)}; leave it out"
+            f"{' and '.join(options)}; leave out these options"
         )
 
 

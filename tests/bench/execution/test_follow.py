@@ -142,7 +142,7 @@ def test_a_second_sender_ends_the_run(standin: StandIn, tmp_path: Path) -> None:
         until_following(run, commander.command, standin)
         with Commander(router):
             assert run.end() == 3
-    assert "two senders" in run.line()
+    assert "two ROS 2 nodes" in run.line()
     assert standin.n == 0.0
 
 

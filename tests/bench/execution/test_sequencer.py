@@ -293,7 +293,7 @@ def test_an_invalid_command_or_one_beyond_the_limit_ends_the_run(n: float) -> No
 def test_a_second_sender_and_a_flood_end_the_run() -> None:
     drive = Following()
     drive.until(101.0, 0.0)
-    with pytest.raises(SafetyStop, match="two senders"):
+    with pytest.raises(SafetyStop, match="two ROS 2 nodes"):
         drive.until(101.1, 0.0, b"b")
     drive.until(102.0)
     drive.until(103.0, 0.0, b"b")  # one sender after the other is allowed

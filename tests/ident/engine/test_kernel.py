@@ -267,5 +267,5 @@ def test_segments_equal_separate_calls(compiled: bool) -> None:
     with pytest.raises(ValueError, match="u: expected contiguous doubles"):
         kernel.segments([0], [1], arrays | {"u": np.ones(3, np.float32)}, begin[:1], ("z",))
     for first, last in ((0, 21), (5, 5), (-1, 3)):
-        with pytest.raises(ValueError, match=r"segments: each needs an initial value and .* 20 rows"):
+        with pytest.raises(ValueError, match=r"each segment of rows needs one initial value .* 20 rows"):
             kernel.segments([first], [last], arrays, begin[:1], ("z",))
