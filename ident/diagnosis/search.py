@@ -98,7 +98,7 @@ from seatrial.ident.validation import (
 WAVES = "waves"
 # For the fits with the common errors: fifteen more parameters, of which some are nearly zero, need no exact maximum
 COMMON_SEARCH = SearchSettings(tolerance=0.05)
-ROUGH_COMMON_SEARCH = SearchSettings(tolerance=0.2, max_iterations=30, robust_errors=False)
+ROUGH_COMMON_SEARCH = SearchSettings(tolerance=0.2, max_iterations=15, robust_errors=False, refine=False)
 
 
 @dataclass(frozen=True)

@@ -103,6 +103,8 @@ class SearchSettings:
         magnitude.
     threads
         Largest number of records that are evaluated at the same time.
+    refine
+        Whether to continue by L-BFGS-B if Fisher scoring stops before it has converged. It can take many iterations.
     """
 
     tolerance: float = TOLERANCE
@@ -111,6 +113,7 @@ class SearchSettings:
     initial_state: Literal["free", "given"] = "free"
     joseph: bool = False
     threads: int = 2
+    refine: bool = True
 
     def __post_init__(self) -> None:
         if self.initial_state not in ("free", "given"):
@@ -473,7 +476,7 @@ def _search_maximum(problem: Problem, settings: SearchSettings, progress: Iterat
     optimum = maximise(
         problem.evaluate, z, problem.bounds, max_iterations=max_iterations, tolerance=tolerance, progress=progress
     )
-    if abs(optimum.gain_left) > tolerance and optimum.iterations < max_iterations:
+    if settings.refine and abs(optimum.gain_left) > tolerance and optimum.iterations < max_iterations:
         optimum = refine_lbfgsb(problem.value_and_gradient, optimum, problem.bounds, problem.evaluate, tolerance)
     return optimum
 
