@@ -198,7 +198,11 @@ class _ReferenceClock:
             self.shift = float(delay[~wrong].min()) if self.rate == 1.0 else float(delay[~wrong][0])
 
     def _store_branches(self, receipt: Column, level: Column) -> None:
-        """Store receipts and levels by branches, which begin each time that the recorder's clock was set back."""
+        """Split the receipts and their levels where the recorder's clock was set back, for `level`, and set `shift`.
+
+        The level is the receipt minus `rate` times the stamp [s]. After a step back the same receipt may occur again
+        with another level, so each part between two steps back (a branch) is stored and interpolated on its own.
+        """
         steps = np.flatnonzero(np.diff(level) < -STEP_S) + 1
         edges = [0, *steps.tolist(), len(level)]
         near = [k for k, (a, b) in enumerate(pairwise(edges)) if b > a and abs(np.median(level[a:b])) < OTHER_CLOCK]

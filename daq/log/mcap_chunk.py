@@ -131,12 +131,15 @@ def unpack_chunk(packed: bytes | memoryview, chunk: ChunkAt) -> Buffer:
 
 
 def unpack_cut(packed: bytes, chunk: ChunkAt) -> Buffer:
-    """Decompress the beginning of a chunk whose end is missing. zstd blocks have at most 128 KiB each.
+    """Decompress what precedes the cut of a chunk whose end is missing. The result may be empty.
+
+    zstd blocks have at most 128 KiB each; a compressed block that is cut gives nothing. A chunk without compression is
+    returned as it is.
 
     Raises
     ------
     One of DAMAGE
-        If the compression is lz4, or if no block can be decompressed.
+        If the compression is lz4, or if the zstd data before the cut are damaged.
     """
     if chunk.compression == "lz4":
         raise ValueError("a cut chunk with lz4 compression cannot be read")

@@ -402,7 +402,10 @@ class SplineBasis:
         return np.asarray(self._raw(z).toarray() - self.mean)
 
     def _raw(self, z: Array) -> Any:
-        """Return the functions at z (n,) before centring, a sparse matrix (n, n_functions - 1)."""
+        """Return the B-splines at z (n,) before centring, without the first: a sparse matrix (n, n_functions - 1).
+
+        Values of z outside the interval are moved to its ends.
+        """
         within = np.clip((z - self.low) / (self.high - self.low), 0, 1 - 1e-9)
         return BSpline.design_matrix(within, self.knots, 3)[:, 1:]
 

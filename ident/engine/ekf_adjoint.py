@@ -147,8 +147,8 @@ def adjoint_of_prediction(g: EkfGraphs, tape: str, bar: Any) -> Adjoint:
     g : EkfGraphs
         Expressions of the filter.
     tape : str
-        Name of the array on the tape for single values. Matrix columns are on the tape under the names ``moved`` and
-        ``spread``.
+        Name of the array on the tape for single values. The tape has the values that the forward pass stores for the
+        adjoint. Varying columns of Phi and T are stored in the array ``moved``, and columns of P + Q in ``spread``.
     bar : SX (n_s, 1)
         Symbols of the derivatives by the filter state after the prediction.
     """

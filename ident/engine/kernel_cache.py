@@ -58,7 +58,7 @@ class TracedNumber:
         return self._record_operation(ufunc.__name__, *inputs)
 
     def __bool__(self) -> bool:
-        """Raise TypeError: the operations of both branches of a condition are not known."""
+        """Raise TypeError: a traced number has no value, and a condition would record only one of its branches."""
         raise TypeError("a condition cannot be recorded")
 
     def __add__(self, other: Any) -> TracedNumber:

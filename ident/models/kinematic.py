@@ -118,10 +118,10 @@ def kinematic_model(
 
 
 def attitude(s: Signals) -> None:
-    """Set the orientation of the boat from the measurements, less their offsets (`set_orientation`).
+    """Set the orientation and the body rates [rad/s] from the measurements, less the offsets of heading and yaw rate.
 
-    The orientation includes the body rates [rad/s] and the heave velocity ``w`` [m/s]. An exported model has no
-    offsets.
+    `set_orientation` also sets the heave velocity ``w`` [m/s], with which the hull stays on the surface. An exported
+    model has no offsets.
     """
     u, x = s.u, s.x
     psi, r = u.psi - getattr(x, "bias_psi", 0.0), u.r - getattr(x, "bias_r", 0.0)

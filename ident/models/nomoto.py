@@ -351,9 +351,10 @@ def _velocity_over_ground(s: Signals, psi: Any, u: Any, v: Any) -> tuple[Any, An
 def _rates_at(s: Signals, ago: Any, u: Any, n: Sequence[Any]) -> tuple[Any, Any]:
     """Return the yaw rate [rad/s] and the surge acceleration [m/s2] a time ``ago`` [s], with the present disturbances.
 
-    ``u`` [m/s] and ``n`` (left, right) are the speed and the inputs at that time. Influences of effects on the inputs
-    are treated like disturbances: only the inputs themselves are changed to their earlier values. A change of thrust is
-    therefore reverted without effects such as a lag, a dead band or a loss. The result is exact in steady state.
+    ``u`` [m/s] and ``n`` (left, right) are the speed and the inputs at that time. The present yaw rate and force are
+    corrected by the differences of steady yaw rate, thrust and damping between then and now. These differences are
+    computed from the inputs without effects such as a lag, a dead band or a loss. What such an effect changes now is
+    kept, like a disturbance. The result is exact in steady state.
     """
     x, p, now = s.x, s.p, s.n_now
     direct = 1 - np.minimum(p.T / SHORTEST_LAG, 1.0)  # part of the yaw rate that follows the inputs without a lag

@@ -278,12 +278,13 @@ class ChannelChange(ErrorRatio):
 
 @dataclass(frozen=True)
 class PredictionChange(ErrorRatio):
-    """Error ratio over all channels: the geometric mean of their ratios, its interval and verdict.
+    """Error ratio, after over before a change of the model, over all channels, with its interval and verdict.
 
     Attributes
     ----------
     ratio, low, high
-        Geometric mean of the ratios, and its 95 % interval; NaN without common errors.
+        Geometric mean of the ratios of the channels, and its 95 % interval. All are NaN if the two models have no
+        prediction errors of the same channel at the same time. The interval is NaN if the data are too short for it.
     horizon
         Prediction horizon [s].
     channels

@@ -114,9 +114,10 @@ def _rows_by_task(case: Case, todo: Sequence[int], seed: int, method: Method, jo
 class _TaskSize:
     """Controller of the number of replicates in a task.
 
-    The first task has one replicate. The size of the next tasks follows from the CPU time of the last one: about 10 s,
-    and at least as much time for estimation as for simulation. The simulation of one replicate takes almost as long as
-    that of many.
+    The first task has one replicate. The size of the next tasks follows from the CPU time of the last one. The aim is
+    about 10 s, and at least as much time for estimation as for simulation. The replicates of a task are simulated
+    together, so the simulation of many takes little longer than that of one. A task has at most twice as many
+    replicates as the last finished one, and at most 25.
 
     Parameters
     ----------

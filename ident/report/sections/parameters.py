@@ -368,7 +368,10 @@ def segments_section(canvas: Canvas, result: InformationResult) -> Section:
 def _record_blocks(
     canvas: Canvas, names: Sequence[str], found: Sequence[SegmentInformation], inputs: Sequence[InputTrace]
 ) -> list[Any]:
-    """Return the map of one log and its inputs over the same time axis; no blocks without information.
+    """Return the blocks of one log: a map of the information lost without each segment, and the log's inputs below it.
+
+    The map has a row for each parameter and the same time axis as the inputs. The list is empty if no segment has
+    information.
 
     Parameters
     ----------
