@@ -82,7 +82,9 @@ def drawable(y: Array | None) -> Array | None:
 
 
 def thinned(y: Array, limit: int) -> Index:
-    """Return indices of at most ``limit`` points (four or more) of a line that include the minimum and maximum of each interval.
+    """Return indices of at most ``limit`` points of a line that include the minimum and maximum of each interval.
+
+    ``limit`` has to be four or more.
 
     The first and the last point are included. All indices are returned if y (n,) has at most ``limit`` points. NaN is
     never a minimum or maximum.
