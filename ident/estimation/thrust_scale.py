@@ -305,10 +305,14 @@ def contradicted_priors(fit: Fit) -> list[tuple[Parameter, float, float]]:
     Notes
     -----
     An estimate is the mean of what the data determine and of the prior, weighted by their informations. With the
-    prior's share w of the information, the two differ by ``(estimate - mean) / (sd sqrt(1 - w))`` of their common
-    standard deviation.
+    prior's share w of the information, the two differ by ``(estimate - mean) / (1 - w)``. The variance of this
+    difference is ``sd^2 (1 + k w / (1 - w))``. The factor k is that by which the robust variances exceed the plain ones,
+    here its mean over all estimates: with a small share of the data, their information alone would be taken as exact,
+    and a small error of the model would look like a wrong prior.
     """
     found = []
+    excess = fit.inflation[np.isfinite(fit.inflation)]
+    inflation = float(np.mean(excess**2)) if excess.size else 1.0
     given_origins = {ParameterOrigin.MEASURED, ParameterOrigin.PRIOR}
     if is_own_model(fit.model.source):
         given_origins.add(ParameterOrigin.GIVEN)
@@ -319,7 +323,8 @@ def contradicted_priors(fit: Fit) -> list[tuple[Parameter, float, float]]:
         for_this_boat = p.origin in given_origins and not (p.name in of_effects and p.origin is ParameterOrigin.GIVEN)
         if prior is None or not for_this_boat or (p.transform == "log" and value <= 0.0):
             continue
-        widths = (p.to_free(value) - prior[0]) / (prior[1] * np.sqrt(max(1.0 - weight, LEAST_DATA)))
+        by_data, moved = max(1.0 - weight, LEAST_DATA), (p.to_free(value) - prior[0]) / prior[1]
+        widths = moved / by_data / np.sqrt(1.0 + inflation * weight / by_data)
         if abs(widths) > PRIOR_WIDTHS:
             found.append((p, value, float(widths)))
     return found
