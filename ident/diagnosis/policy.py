@@ -46,6 +46,10 @@ class SearchPolicy:
     min_common_errors
         The common errors of every craft (sensor timing, mounting, hull form) are added together only if at least so
         many of them are needed at once. Fewer are found one by one, each as an effect of its own.
+    min_error_ratio_beside
+        Replaces ``min_error_ratio`` and ``material_error_ratio`` beside common errors. What is left of a real boat is
+        the difference between its hull and any formula. It resembles small effects, which change the prediction by a
+        few per cent.
     max_loss
         Largest loss in 2 ln L that a larger model may have against the model that it contains. The loss is a rounding
         of the search. A larger loss means that the search stopped early, and other initial values are tried.
@@ -137,6 +141,7 @@ class SearchPolicy:
     nonparametric_score_share: float = 0.5
     nonparametric_score_distance: float = 50.0
     min_common_errors: int = 4
+    min_error_ratio_beside: float = 1.1
     max_loss: float = 1.0
     indistinguishable: float = 2.0
     min_gain_ratio: float = 0.02

@@ -250,13 +250,13 @@ def diagnose(
         n=search.n,
         untested=untested,
         importances=weights,
-        reservations=_reservations(before, current, policy),
+        reservations=_reservations(before, current, search.policy),
         after=current,
         nominal=search.rounds[0].scores if search.rounds else (),
         unaffected=unaffected,
         beside=beside,
     )
-    judgements = assess_alternatives(kept, evidence, policy)
+    judgements = assess_alternatives(kept, evidence, search.policy)
     judgements = tuple(sorted(judgements, key=lambda j: order.index(j.effect)))
     shapes, undrawn = _reported_curves(base, kept, judgements, records)
     return Diagnosis(
@@ -269,13 +269,13 @@ def diagnose(
         importances=weights,
         removed=tuple(removed),
         failed_runs=(*failed, *before.failed, *(f for f in current.failed if f not in before.failed)),
-        mismatches=validation_mismatches(current, policy),
-        short_data=_short_data(search.scores, before, policy),
+        mismatches=validation_mismatches(current, search.policy),
+        short_data=_short_data(search.scores, before, search.policy),
         curve_failure=undrawn,
         untestable=_untestable_candidates(full, requested, [*estimation, *usable]),
         scores=tuple(search.scores),
         untried_scores=tuple(search.untried),
-        policy=policy,
+        policy=search.policy,
         common_errors=search.common_errors,
     )
 
@@ -444,7 +444,8 @@ class _Search:
     reporter
         Receiver of progress messages.
     policy
-        Thresholds of the search.
+        Thresholds of the search. As soon as the common errors are added, those of a material change of the prediction
+        are replaced (``policy.min_error_ratio_beside``).
     common
         Common errors by name, of which the model has none.
 
@@ -592,6 +593,8 @@ class _Search:
         self.common_errors = CommonErrorsFit(
             effects, found, before, gain, df, criterion, validated, t, compared.prediction
         )
+        beside = self.policy.min_error_ratio_beside
+        self.policy = replace(self.policy, min_error_ratio=beside, material_error_ratio=beside)
         # Waves shake every boat, are not correlated with its inputs, and the prediction is as good without them.
         for name in (*joint.names, WAVES):
             self.candidates.pop(name, None)

@@ -28,7 +28,7 @@ BUILT_IN, ESTIMATED = ParameterOrigin.BUILT_IN, ParameterOrigin.ESTIMATED
 # times the forward thrust.
 ASYMMETRY = 0.1
 PRIOR_WIDTHS = 3.0  # data and prior contradict each other if they differ by more standard deviations
-LEAST_DATA = 0.02  # lower limit of the data's share of a parameter's information, in the test against the prior
+LEAST_DATA = 0.005  # lower limit of the data's share of a parameter's information, in the test against the prior
 LEAST_GYRATION = 0.15  # least radius of gyration in yaw over the hull's length; real hulls have 0.2 to 0.3
 
 
@@ -306,9 +306,9 @@ def contradicted_priors(fit: Fit) -> list[tuple[Parameter, float, float]]:
     -----
     An estimate is the mean of what the data determine and of the prior, weighted by their informations. With the
     prior's share w of the information, the two differ by ``(estimate - mean) / (1 - w)``. The variance of this
-    difference is ``sd^2 (1 + k w / (1 - w))``. The factor k is that by which the robust variances exceed the plain ones,
-    here its mean over all estimates: with a small share of the data, their information alone would be taken as exact,
-    and a small error of the model would look like a wrong prior.
+    difference is ``sd^2 (1 + k w / (1 - w))``. The factor k is that by which the robust variances exceed the plain
+    ones, here its mean over all estimates. Without it, a small error of the model would look like a wrong prior if the
+    data have a small share of the information.
     """
     found = []
     excess = fit.inflation[np.isfinite(fit.inflation)]
