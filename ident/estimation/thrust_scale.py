@@ -28,7 +28,7 @@ BUILT_IN, ESTIMATED = ParameterOrigin.BUILT_IN, ParameterOrigin.ESTIMATED
 # times the forward thrust.
 ASYMMETRY = 0.1
 PRIOR_WIDTHS = 3.0  # data and prior contradict each other if they differ by more standard deviations
-LEAST_DATA = 0.005  # lower limit of the data's share of a parameter's information, in the test against the prior
+LEAST_DATA = 0.01  # lower limit of the data's share of a parameter's information, in the test against the prior
 LEAST_GYRATION = 0.15  # least radius of gyration in yaw over the hull's length; real hulls have 0.2 to 0.3
 
 
