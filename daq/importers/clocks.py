@@ -81,7 +81,7 @@ class Clock(NamedTuple):
     form : str
         Format of the times, as in [time] of a map: a unit, "iso", "gps", ... or a strptime pattern.
     caveat : str
-        Doubt about the format, for a comment in the map; "" if there is none.
+        What is uncertain in the format, for a comment in the map; "" if there is none.
     rate : float
         Rate of the rows [Hz] if several rows share each stamp, else 0.
     start : float

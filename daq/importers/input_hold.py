@@ -36,7 +36,7 @@ class InputHold(NamedTuple):
     hold : str
         "linear" or "sampled", as in a map; "" for the default of inputs, the last value.
     caveat : str
-        Doubt about the hold, for the user; "" if the hold is certain.
+        What is uncertain in the hold, for the user; "" if the hold is certain.
     """
 
     hold: str  # as in a map; "" for the default

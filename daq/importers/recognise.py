@@ -31,7 +31,7 @@ class Candidate(NamedTuple):
     signals : tuple of MapSignal
         Signals of the map.
     caveat : str
-        Doubt about the signals, for a comment in the map; "" if there is none.
+        What is uncertain in the signals, for a comment in the map; "" if there is none.
     quantity : frozenset of str
         Words of the quantity of a thruster. Left and right must have the same; empty for no condition.
     """

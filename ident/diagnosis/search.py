@@ -565,7 +565,8 @@ class _Search:
         passed
             Scores that pass on it, best first.
         """
-        assert self.equations is not None
+        if not self.common or self.equations is None:
+            return None
         joint = score_common_errors(self.equations, self.common, self.n)
         others = [s.criterion(self.n) for s in passed if not s.nonparametric and s.name not in self.common]
         if len(joint.names) < self.policy.min_common_errors or joint.criterion < max(others, default=0.0):

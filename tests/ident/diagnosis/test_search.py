@@ -232,7 +232,7 @@ def test_removal_never_leaves_effects_that_predict_worse_than_the_nominal_model(
     monkeypatch.setattr(search, "effect_importance", weighed)
     monkeypatch.setattr(search, "Comparison", compared)
     monkeypatch.setattr(search, "fit_without", lambda *arguments: blank(name=f"without {arguments[3].name}"))
-    current, weights, removed = mine.backward_elimination(blank(), blank(name="all"))
+    current, weights, removed = mine.backward_elimination(blank(), blank(), blank(name="all"))
     assert left == ["without hump", "without lift"]
     assert [r.effect.name for r in removed] == ["hump", "lift"]
     assert [w.effect for w in weights] == ["cubic"]
@@ -254,7 +254,7 @@ def test_nonparametric_effect_must_improve_the_prediction_beside_the_others(
         "effect_importance",
         lambda _b, _c, chosen, *_: tuple(EffectImportance(c.effect.name, 10.0, error, 20.0, 6.0, SAME) for c in chosen),
     )
-    assert [r.effect.name for r in mine.backward_elimination(blank(), blank())[2]] == removed
+    assert [r.effect.name for r in mine.backward_elimination(blank(), blank(), blank())[2]] == removed
 
 
 @pytest.mark.parametrize(
@@ -313,7 +313,7 @@ def test_failed_refit_is_repeated_from_other_starts_and_then_listed_as_untested(
         return blank(fit=blank(log_posterior=60.0))
 
     monkeypatch.setattr(search, "fit_and_evaluate", fitted)
-    monkeypatch.setattr(search, "comparison", lambda *_: blank(gain=(30.0, 4.0)))
+    monkeypatch.setattr(search, "comparison", lambda *_: blank(gain=(30.0, 4.0), pooled_t=lambda _self, _penalty: 5.0))
     mine = a_search(SCANNED)
     mine.n = 1000
     found = mine._refit(blank(fit=blank(model=Model(), log_posterior=10.0)), SCANNED, SCORE)
@@ -333,7 +333,7 @@ def test_extended_model_that_fits_worse_is_refitted_from_another_start(monkeypat
             return effect
 
     monkeypatch.setattr(search, "fit_and_evaluate", lambda *_, **__: blank(fit=blank(log_posterior=next(values))))
-    monkeypatch.setattr(search, "comparison", lambda *_: blank(gain=(30.0, 4.0)))
+    monkeypatch.setattr(search, "comparison", lambda *_: blank(gain=(30.0, 4.0), pooled_t=lambda _self, _penalty: 5.0))
     mine = a_search(SCANNED)
     mine.n = 1000
     found = mine._refit(blank(fit=blank(model=Model(), log_posterior=10.0)), SCANNED, SCORE)
@@ -355,7 +355,7 @@ def test_effects_that_do_not_pay_are_removed(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(search, "effect_importance", weighed)
     monkeypatch.setattr(search, "Comparison", lambda *_: blank(prediction=FELL))
     monkeypatch.setattr(search, "fit_without", lambda *arguments: fits[f"without {arguments[3].name}"])
-    current, weights, removed = mine.backward_elimination(blank(), fits["all"])
+    current, weights, removed = mine.backward_elimination(blank(), blank(), fits["all"])
     assert current is fits["without hump"]
     assert [w.effect for w in weights] == ["cubic", "lift"]
     assert [r.effect.name for r in removed] == ["hump"]
@@ -373,7 +373,7 @@ def test_effect_is_kept_if_its_removal_could_not_be_tested(monkeypatch: pytest.M
 
     monkeypatch.setattr(search, "effect_importance", lambda *_: weights)
     monkeypatch.setattr(search, "fit_without", fails)
-    current, found, removed = mine.backward_elimination(blank(), whole)
+    current, found, removed = mine.backward_elimination(blank(), blank(), whole)
     assert current is whole
     assert removed == []
     assert [w.untested for w in found] == ["not finite", "x0"]

@@ -60,6 +60,7 @@ OTHERS = {
     "T_head",
     "tau_delay",
     "T_lag",
+    "T_psi",
     "T_r",
     "T_uv",
     "tau_gnss",

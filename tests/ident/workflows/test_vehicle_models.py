@@ -229,7 +229,7 @@ def test_missing_inputs_give_a_one_line_error(logs: Path, tmp_path: Path, capsys
     direct = log(tmp_path, "direct", only(surge_run(3), "X", "u"))
     run("ident", "vehicle", direct, "--model", "surge:force:speed", "--thruster", logs / "curve.toml",
         "--out", tmp_path / "x", status=1)  # fmt: skip
-    assert "direct.mcap: the thrust curve needs the command of each thruster" in capsys.readouterr().err
+    assert "direct.mcap: no command for the thrust curve" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("source", "problem"), [("surge:steam", "choose force, shaft"),
