@@ -15,6 +15,7 @@ from seatrial.ident.diagnosis.acceptance import (
     is_accepted,
     is_validated,
     is_worth_its_parameters,
+    pooled_t,
     refit_outcome,
     validation_gain,
 )
@@ -47,6 +48,36 @@ def test_validation_gain_is_summed_over_runs_with_an_error_from_ten_second_block
     assert gain == pytest.approx(first.sum() + second.sum())
     student = blocks.mean() / (blocks.std(ddof=1) / 40**0.5)
     assert t == pytest.approx(stats.norm.isf(stats.t.sf(student, 39)), rel=1e-3)
+
+
+def with_estimation(model: Any, ll: np.ndarray) -> Any:
+    """Return the stand-in for a fitted model with one estimation record of these log-likelihoods."""
+    model.estimation = fitted(estimation=ll).validation
+    return model
+
+
+def test_pooled_t_adds_the_blocks_of_the_estimation_data_less_their_penalty() -> None:
+    """A gain in one of six blocks of the validation data is not significant. In ten of sixty it is."""
+    burst = np.repeat([20.0, 0.0, 0.0, 0.0, 0.0, 0.0], 20) / 20.0
+    before = with_estimation(fitted(run=np.zeros(120)), np.zeros(1200))
+    after = with_estimation(fitted(run=burst), np.tile(burst, 10))
+    _, alone = validation_gain(before, after)
+    assert alone < 2.0
+    assert pooled_t(before, after, 4.0) > 3.0
+    assert pooled_t(before, after, 220.0) < 1.0  # a penalty as large as the gain of the estimation data
+
+
+def test_pooled_t_of_useless_effects_is_seldom_large() -> None:
+    """A useless parameter gains half a unit of ln L on the data that it was fitted to, and loses as much on others."""
+    rng, found = np.random.default_rng(5), []
+    for _ in range(500):
+        x = rng.normal(size=1200)
+        size = x.mean()  # estimate of an effect of size zero
+        before = with_estimation(fitted(run=np.zeros(200)), np.zeros(1200))
+        y = rng.normal(size=200)
+        after = with_estimation(fitted(run=size * y - size**2 / 2), size * x - size**2 / 2)
+        found.append(pooled_t(before, after, np.log(1200) / 2))
+    assert np.mean(np.array(found) > 3.0) < 0.01
 
 
 @pytest.mark.parametrize("n_blocks", [3, 5, 12, 24])
@@ -102,6 +133,9 @@ def refit(
         ({"criterion": -1.0}, False),
         ({"gain": -1522.0, "t": 5.9}, False),
         ({"t": 1.9}, False),
+        ({"t": 1.3, "pooled_t": 3.2}, True),
+        ({"t": 1.3, "pooled_t": 2.8}, False),
+        ({"t": 0.8, "pooled_t": 6.0}, False),
         ({"prediction": change(1.02, 0.98, 1.06)}, True),
         ({"prediction": change(0.7, 0.5, 0.9)}, True),
         ({"prediction": change(1.2, 1.1, 1.3)}, False),

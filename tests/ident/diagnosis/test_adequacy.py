@@ -108,6 +108,31 @@ def test_remaining_score_makes_an_effect_ambiguous_above_a_threshold(worth: floa
         )
 
 
+def test_remaining_scores_are_no_reason_against_an_effect_that_keeps_its_size_beside_them() -> None:
+    left = (*(score(f"other-{k}", 60.0) for k in range(9)), score("yaw-bias", 58.0))
+    mismatch = refit("mismatch", 700.0, alternatives=("yaw-bias",))
+    rounds = (one_round(mismatch), one_round(refit("wind", 140.0)))
+    assert {a.attribution for a in attributions_of(*rounds, left=left)} == {"ambiguous"}
+    evidence = AttributionEvidence(
+        left, N, unaffected=frozenset({"mismatch"}), beside=frozenset({"other-0", "other-1", "yaw-bias"})
+    )
+    first, second = assess_alternatives(rounds, evidence)
+    assert first == EffectAttribution("mismatch", "identified")
+    assert second.attribution == "ambiguous"
+    # An alternative that was not fitted beside the effect may still be there in its place.
+    (first, _) = assess_alternatives(rounds, replace(evidence, beside=frozenset({"other-0"})))
+    assert first.reasons == ("with this effect the score tests still find its alternative yaw-bias",)
+
+
+def test_a_small_curve_is_no_reason_against_an_effect_that_keeps_its_size() -> None:
+    rounds = (one_round(refit("yaw-bias", 195.0)), one_round(refit("X(past of n_sum)", 27.0)))
+    evidence = AttributionEvidence((), N, unaffected=frozenset({"yaw-bias"}))
+    assert assess_alternatives(rounds, evidence)[0].attribution == "identified"
+    assert assess_alternatives(rounds, AttributionEvidence((), N))[0].attribution == "ambiguous"
+    large = (rounds[0], one_round(refit("X(past of n_sum)", 90.0)))
+    assert assess_alternatives(large, evidence)[0].attribution == "ambiguous"
+
+
 def test_threshold_of_the_remaining_score_grows_with_the_explained_criterion() -> None:
     """A strong effect with an approximate formula may leave a larger remaining score than a weak effect."""
     (strong,) = attributions_of(one_round(refit("lever-arm", 5000.0)), left=(score("accelerometer-tilt", 100.0),))

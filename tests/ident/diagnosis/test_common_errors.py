@@ -1,0 +1,123 @@
+"""Tests of the group of common errors: selection of its members, initial values, and who belongs to it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from seatrial.ident.diagnosis.common_errors import (
+    COMMON_ERRORS,
+    SENSOR_ERRORS,
+    common_errors_for,
+    score_common_errors,
+    with_common_errors,
+)
+from seatrial.ident.diagnosis.score_test import (
+    ColumnIndex,
+    NormalEquations,
+    PriorTerms,
+    ScoreEquations,
+    SensitivityColumns,
+)
+from seatrial.ident.effects import catalogue
+from seatrial.ident.models.catalogue import make_model
+from seatrial.ident.models.horizontal import STANDARD
+
+N = 4000  # rows; the penalty of a parameter is ln 4000 = 8.3
+MEMBERS = ("heading-lag", "gyro-scale", "gnss-latency", "cross-flow")
+
+
+def equations(sizes: dict[str, list[float]], correlation: float = 0.0, seed: int = 1) -> ScoreEquations:
+    """Return score equations of residuals that contain each member with parameters of these sizes.
+
+    The first column is a fitted parameter. The columns of all members have the common part ``correlation``.
+    """
+    rng = np.random.default_rng(seed)
+    effects = catalogue()
+    width = [len(effects[name].parameters) for name in sizes]
+    shared = rng.standard_normal((N, 1))
+    columns = correlation * shared + np.sqrt(1 - correlation**2) * rng.standard_normal((N, 1 + sum(width)))
+    values = np.concatenate([[0.0], *([*v] for v in sizes.values())])
+    normal = NormalEquations([str(k) for k in range(columns.shape[1])])
+    # An effect theta in the residuals e = noise - G theta has the score -G'e = G'G theta.
+    e = rng.standard_normal(N) - columns @ values
+    normal.add(range(columns.shape[1]), columns, e, np.arange(N) // 50)
+    indices, first = [], 1
+    for name, k in zip(sizes, width, strict=True):
+        parameters = tuple(p.name for p in effects[name].parameters)
+        delta = np.zeros((0, 0, k))
+        indices.append(ColumnIndex(SensitivityColumns(name, delta, parameters), tuple(range(first, first + k))))
+        first += k
+    return ScoreEquations(normal, PriorTerms(np.zeros(1), np.zeros(1)), tuple(indices))
+
+
+def common(*names: str) -> dict[str, object]:
+    return {name: catalogue()[name] for name in names}
+
+
+def test_members_that_are_in_the_residuals_are_selected_and_others_are_not() -> None:
+    sizes = {"heading-lag": [0.15], "gyro-scale": [0.0], "gnss-latency": [0.3], "cross-flow": [0.2, 0.0]}
+    found = score_common_errors(equations(sizes), common(*MEMBERS), N)  # type: ignore[arg-type]
+    assert found.names == ("gnss-latency", "cross-flow", "heading-lag")
+    assert found.step["tau_gnss"] == pytest.approx(0.3, abs=0.05)
+    assert found.step["T_psi"] == pytest.approx(0.15, abs=0.05)
+    # 2 d ln L of an effect theta with unit columns is n theta^2, here less what its prior takes
+    gain = N * (0.3**2 + 0.2**2 + 0.15**2) - 4 * np.log(N)
+    assert found.criterion == pytest.approx(gain, rel=0.15)
+
+
+def test_correlated_members_are_judged_together() -> None:
+    """A member whose column resembles that of another one is not selected if the other one explains the residuals."""
+    sizes = {"gyro-scale": [0.0], "gnss-latency": [0.3]}
+    found = score_common_errors(equations(sizes, correlation=0.9), common(*sizes), N)  # type: ignore[arg-type]
+    assert found.names == ("gnss-latency",)
+
+
+def test_a_delay_cannot_be_negative() -> None:
+    sizes = {"heading-lag": [-0.3], "gyro-scale": [-0.1]}
+    found = score_common_errors(equations(sizes), common(*sizes), N)  # type: ignore[arg-type]
+    assert found.names == ("gyro-scale",)
+
+
+def test_white_residuals_select_nothing() -> None:
+    selected = 0
+    for seed in range(40):
+        sizes = {name: [0.0] * len(catalogue()[name].parameters) for name in MEMBERS}
+        selected += bool(score_common_errors(equations(sizes, seed=seed), common(*MEMBERS), N).names)  # type: ignore[arg-type]
+    # The criterion of one parameter exceeds zero with a probability of 0.4 %, of five columns with 2 %.
+    assert selected <= 4
+
+
+def test_initial_values_respect_bounds_and_priors() -> None:
+    model = make_model("horizontal:shaft", STANDARD)
+    effects = [catalogue()["heading-lag"], catalogue()["gyro-scale"]]
+    started = with_common_errors(model, effects, {"T_psi": -0.1, "k_gyro": 7.0}, 1.0)
+    assert started.values["T_psi"] == 0.0
+    assert started.values["k_gyro"] == pytest.approx(0.1)  # one standard deviation of its prior
+    assert with_common_errors(model, effects, {"k_gyro": 0.02}, 0.3).values["k_gyro"] == pytest.approx(0.006)
+
+
+def test_a_model_has_the_members_that_suit_its_inputs() -> None:
+    for source, latency in (
+        ("shaft", "gnss-latency"),
+        ("command", "gnss-latency-command"),
+        ("force", "gnss-latency-force"),
+    ):
+        model = make_model(f"horizontal:{source}", STANDARD)
+        accepted = {n: e for n, e in catalogue().items() if model.accepts(e)}
+        found = common_errors_for(model, accepted)
+        assert latency in found
+        assert ("telemetry-age" in found) == (source == "shaft")
+        assert not {n for n in SENSOR_ERRORS if n.startswith("gnss-latency")} & set(found) - {latency}
+        assert set(found) <= set(COMMON_ERRORS)
+        extended = model
+        for effect in found.values():
+            extended = extended + effect
+        assert not common_errors_for(extended, {n: e for n, e in accepted.items() if n not in found})
+
+
+def test_members_that_a_user_replaced_or_excluded_are_left_out() -> None:
+    model = make_model("horizontal:shaft", STANDARD)
+    only = {"wind": catalogue()["wind"], "lift": catalogue()["lift"]}
+    assert set(common_errors_for(model, only)) == {"lift", "telemetry-age"}
+    assert not common_errors_for(model, {"wind": catalogue()["wind"]})
