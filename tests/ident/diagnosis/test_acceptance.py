@@ -57,14 +57,14 @@ def with_estimation(model: Any, ll: np.ndarray) -> Any:
 
 
 def test_pooled_t_adds_the_blocks_of_the_estimation_data_less_their_penalty() -> None:
-    """A gain in one of six blocks of the validation data is not significant. In ten of sixty it is."""
-    burst = np.repeat([20.0, 0.0, 0.0, 0.0, 0.0, 0.0], 20) / 20.0
+    """A gain in one of twelve blocks of the validation data is not significant. With ten of 120 more it is."""
+    burst = np.repeat([1.0, *[0.0] * 11], 10)
     before = with_estimation(fitted(run=np.zeros(120)), np.zeros(1200))
     after = with_estimation(fitted(run=burst), np.tile(burst, 10))
     _, alone = validation_gain(before, after)
     assert alone < 2.0
     assert pooled_t(before, after, 4.0) > 3.0
-    assert pooled_t(before, after, 220.0) < 1.0  # a penalty as large as the gain of the estimation data
+    assert pooled_t(before, after, 100.0) < 1.0  # a penalty as large as the gain of the estimation data
 
 
 def test_pooled_t_of_useless_effects_is_seldom_large() -> None:
