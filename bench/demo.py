@@ -60,7 +60,10 @@ class DemoInterrupted(SeatrialError):
 @click.option(
     "--speed", type=FiniteRange(1.0, 50.0), default=20.0, show_default=True, help="Run seconds a wall second."
 )
-def demo(seed: int | None, out: Path | None, speed: float) -> None:
+@click.option(
+    "--realistic", is_flag=True, help="Give the mock boat the small imperfections of every real boat as well."
+)
+def demo(seed: int | None, out: Path | None, speed: float, realistic: bool) -> None:
     """Bench run, thruster model, two missions, vehicle model, diagnosis: all on mock devices.
 
     The mock boat has one hidden effect, which the nominal model lacks. It is drawn from the seed and written to a
@@ -74,7 +77,7 @@ def demo(seed: int | None, out: Path | None, speed: float) -> None:
     start = time.monotonic()
     steps = DemoSteps(folder)
     with steps.signals():
-        missing = run_steps(steps, seed)
+        missing = run_steps(steps, seed, realistic)
     click.echo(f"total: {time.monotonic() - start:.1f} s")
     if missing:
         raise SeatrialError(f"demo: this installation has no {', '.join(missing)}; the logs are in {folder}")
@@ -132,18 +135,19 @@ def write_demo_rig(name: str, folder: Path, speed: float) -> None:
     write_output(folder / f"{name}-rig.toml", text)
 
 
-def run_steps(steps: DemoSteps, seed: int) -> list[str]:
+def run_steps(steps: DemoSteps, seed: int, realistic: bool = False) -> list[str]:
     """Run all steps of the demo, and return the commands that are missing in this installation.
 
     Each missing command is a text such as "`seatrial ident thruster`". The list is empty if all steps were run.
-    ``seed`` is the seed of boat, bench and missions. Raises StepFailed if a command fails that is installed.
+    ``seed`` is the seed of boat, bench and missions. If ``realistic`` is true, the boat has small imperfections beside
+    its hidden effect. Raises StepFailed if a command fails that is installed.
     """
     missing: list[str] = []
     mock = ("mock", "bench", "bench-rig.toml", "--seed", str(seed))
     _record_with_mock(steps, "bench", mock, "bench run", "bench", "all", "bench-rig.toml", "-o", "bench.mcap")
     _run_ident(steps, missing, "thruster model", "ident", "thruster", "bench.mcap", "--out", "thruster")
-    _run_mission(steps, seed, 1, ESTIMATION_S, "estimation")
-    _run_mission(steps, seed, 2, VALIDATION_S, "validation")
+    _run_mission(steps, seed, 1, ESTIMATION_S, "estimation", realistic)
+    _run_mission(steps, seed, 2, VALIDATION_S, "validation", realistic)
     data = ("estimation.mcap", "--validate", "validation.mcap")
     model = ("--thruster", "thruster/model.toml")
     _run_ident(steps, missing, "vehicle model", "ident", "vehicle", data[0], *model, *data[1:], "--out", "vehicle")
@@ -151,7 +155,7 @@ def run_steps(steps: DemoSteps, seed: int) -> list[str]:
     return missing
 
 
-def _run_mission(steps: DemoSteps, seed: int, run: int, seconds: float, name: str) -> None:
+def _run_mission(steps: DemoSteps, seed: int, run: int, seconds: float, name: str, realistic: bool) -> None:
     """Generate the mission NAME.toml and run it on a newly started mock boat, into the log NAME.mcap.
 
     Boat and hidden effect are the same in all runs; the noise differs.
@@ -168,6 +172,8 @@ def _run_mission(steps: DemoSteps, seed: int, run: int, seconds: float, name: st
         Duration of the mission [run s].
     name : str
         NAME of the mission and of its log.
+    realistic : bool
+        Whether the boat has small imperfections beside its hidden effect.
     """
     plan, mission_seed = f"{name}.toml", str(100 * seed + run)
     steps.run(
@@ -175,7 +181,7 @@ def _run_mission(steps: DemoSteps, seed: int, run: int, seconds: float, name: st
         *("mission", "generate", "--kind", "mixed", "--seconds", f"{seconds:g}", "--seed", mission_seed, "-o", plan),
     )
     boat = ("mock", "boat", "boat-rig.toml", "--seed", str(seed), "--effect", "draw", "--truth-file", TRUTH)
-    mock = (*boat, "--run", str(run))
+    mock = (*boat, "--run", str(run), *(["--realistic"] if realistic else []))
     _record_with_mock(steps, "boat", mock, f"{name} run", "mission", "run", plan, "boat-rig.toml", "-o", f"{name}.mcap")
 
 
@@ -281,6 +287,8 @@ def _run_ident(steps: DemoSteps, missing: list[str], name: str, *words: str) -> 
 def print_outcome(folder: Path) -> None:
     """Print the answer, the prediction errors before and after, the path of the report, and the ground truth.
 
+    For a realistic boat, the names of its small imperfections are printed before the hidden effect.
+
     Raises
     ------
     SeatrialError
@@ -301,6 +309,11 @@ def print_outcome(folder: Path) -> None:
     named = found_effects(result)
     match = "match" if effect in named or (effect == "none" and not named) else "do not match"
     click.echo(f"diagnosis: {', '.join(named) or 'none'}; that and the hidden effect {match}")
+    minor = [str(row["effect"]) for row in truth.get("minor_effects", [])]
+    if minor:
+        click.echo(
+            f"ground truth: small effects of this boat, which the diagnosis may name as well: {', '.join(minor)}"
+        )
     click.echo(f"ground truth: the plant's hidden effect was {effect}{_effect_details(truth)}")
 
 

@@ -20,6 +20,7 @@ from seatrial.daq.rig import LoadCellCalibration, Rig, Thruster
 from seatrial.mocks.devices import KINDS, LOOP_HZ, Faults, by_side, make_emulator, parse_fault
 from seatrial.mocks.hidden_effects import bench as bench_effects
 from seatrial.mocks.hidden_effects import catalogue
+from seatrial.mocks.hidden_effects import realistic as realistic_boats
 from seatrial.mocks.plant import NONE, Bench, Boat, draw_bench, draw_boat, draw_thruster
 from seatrial.mocks.ports import NetPort, PtyPort
 from seatrial.mocks.random_streams import FAULT, random_stream
@@ -91,7 +92,13 @@ def mock() -> None:
 
 @mock.command(short_help="A simulated boat with two thrusters.")
 @_shared_options([*catalogue.EFFECTS, *catalogue.OUTSIDE])
-def boat(rig: Path, seed: int, run: int, effect: str, truth_file: Path | None, **how: Any) -> None:
+@click.option(
+    "--realistic",
+    is_flag=True,
+    help="Add the small imperfections that every real boat has: form of the hull, wind, waves, and sensors that are "
+    "late, rounded or slightly wrong.",
+)
+def boat(rig: Path, seed: int, run: int, effect: str, realistic: bool, truth_file: Path | None, **how: Any) -> None:
     """Serve a simulated boat with two thrusters at the ports of RIG.
 
     Prints `ready` when all ports are open.
@@ -101,7 +108,10 @@ def boat(rig: Path, seed: int, run: int, effect: str, truth_file: Path | None, *
     """
     loaded = load_rig(rig)
     name = catalogue.draw_name(seed) if effect == "draw" else effect
-    effects = [] if name == "none" else [catalogue.make_effect(name, seed)]
+    if realistic:
+        effects = realistic_boats.realistic_with(name, seed)
+    else:
+        effects = () if name == "none" else (catalogue.make_effect(name, seed),)
     plant = draw_boat(seed, effects, draw_thruster(seed))  # the same thruster as on the bench of this seed
     utc = float(round(time.time()))
     world = boat_world(plant, run, _device_specs(loaded, by_side(loaded)), utc=utc)

@@ -7,11 +7,12 @@ receiver with an RTK float solution, and an HX711 (load cell).
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from seatrial.daq.samples import NAN, Ahrs, Esc, Gnss, LoadCell
-from seatrial.mocks.plant import GRAVITY, HiddenEffect, RigidBodyState
+from seatrial.mocks.plant import GRAVITY, HeadingFilter, HiddenEffect, RigidBodyState
 from seatrial.mocks.random_streams import (
     AHRS,
     COLOUR,
@@ -69,7 +70,7 @@ class AhrsSensor:
         index : int
             Number of the AHRS on the boat. It selects the stream of random numbers.
         """
-        self._errors = AhrsErrors(effects)
+        self._errors = AhrsErrors(effects, 1.0 / rate)
         gain = _noise_gain(effects)
         draw = normals(random_stream(seed, AHRS, run, index))
         dt = 1.0 / rate
@@ -84,7 +85,7 @@ class AhrsSensor:
 
         The hidden effects of the sensor and the noise are added to the motion. The heading is in [-pi, pi) [rad].
         """
-        psi, rate, accel_x, accel_y = self._errors.apply(m)
+        psi, psi_field, rate, accel_x, accel_y = self._errors.step(m)
         pitch, roll = self._tilt
         p, q, r = self._rates
         ax, ay, az = self._accels
@@ -99,40 +100,105 @@ class AhrsSensor:
             accel_x + ax(),
             accel_y + ay(),
             -GRAVITY + az(),
-            FIELD_NORTH * math.cos(psi) + field(),
-            -FIELD_NORTH * math.sin(psi) + field(),
+            FIELD_NORTH * math.cos(psi_field) + field(),
+            -FIELD_NORTH * math.sin(psi_field) + field(),
             FIELD_DOWN + field(),
         )
 
 
 class AhrsErrors:
-    """Systematic errors of an AHRS by hidden effects, without noise: compass, mounting, gyro and accelerometers."""
+    """Systematic errors of an AHRS by hidden effects, without noise.
 
-    def __init__(self, effects: Sequence[HiddenEffect]) -> None:
-        """Collect the hooks that concern an AHRS. Effects without such hooks are ignored."""
+    The errors are those of compass, mounting, gyro, accelerometers and heading filter.
+    """
+
+    def __init__(self, effects: Sequence[HiddenEffect], dt: float) -> None:
+        """Collect the hooks that concern an AHRS. Effects without such hooks are ignored.
+
+        ``dt`` is the time between two samples [s].
+        """
         self._compasses = [e.compass for e in effects if e.compass is not None]
         self._gyros = [e.gyro for e in effects if e.gyro is not None]
         self._accelerometers = [e.accelerometer for e in effects if e.accelerometer is not None]
         self._mount = sum(e.mount for e in effects)
+        filters = [e.heading_filter for e in effects if e.heading_filter is not None]
+        self._filter = FilteredHeading(filters, dt) if filters else None
 
-    def apply(self, m: RigidBodyState) -> tuple[float, float, float, float]:
+    def step(self, m: RigidBodyState) -> tuple[float, float, float, float, float]:
         """Return the measured motion without noise, for the true motion ``m``.
+
+        Each call advances the heading filter by one sample.
 
         Returns
         -------
-        tuple of four floats
-            Heading [rad], not limited to a turn, yaw rate [rad/s], and acceleration [m/s2] forward and to starboard.
+        tuple of five floats
+            Reported heading [rad] and heading of the magnetic field [rad], both not limited to a turn, yaw rate
+            [rad/s], and acceleration [m/s2] forward and to starboard. The two headings are equal if no effect filters
+            or delays the heading.
         """
         u = math.cos(m.psi) * m.vel_n + math.sin(m.psi) * m.vel_e
-        psi = m.psi + sum(deviation(m.psi) for deviation in self._compasses) + self._mount
-        rate = m.r + sum(error(m.r) for error in self._gyros)
+        deviation = sum(compass(m.psi) for compass in self._compasses)
+        psi_field = psi = m.psi + deviation + self._mount
+        gyro_error = sum(error(m.r) for error in self._gyros)
+        rate = m.r + gyro_error
+        if self._filter is not None:
+            psi = self._filter.step(m.psi, deviation, gyro_error) + self._mount
         ax, ay = m.ax, m.ay
         for accelerometer in self._accelerometers:
             ax, ay = accelerometer(ax, ay, m.thrust, u, m.r)
         if self._mount:
             c, s = math.cos(self._mount), math.sin(self._mount)
             ax, ay = c * ax + s * ay, c * ay - s * ax
-        return psi, rate, ax, ay
+        return psi, psi_field, rate, ax, ay
+
+
+class FilteredHeading:
+    """Heading behind a complementary filter of gyro and compass, and a dead time.
+
+    With the true heading ``psi``, the compass deviation ``d`` and the gyro error ``g``, the filter computes
+    ``h' = psi' + g + (psi + d - h) / T``. Its error ``e = h - psi`` is therefore a first-order lag of ``d + T g``:
+    ``T e' = d + T g - e``. The filter is computed in this form, which needs no integration of the yaw rate. The white
+    noise and the bias of the gyro are not filtered: the filter of an AHRS estimates the bias.
+    """
+
+    def __init__(self, filters: Sequence[HeadingFilter], dt: float) -> None:
+        """Set up the filter. Time constants and lags of several ``filters`` add up. ``dt`` is the sample time [s]."""
+        self._time_constant = sum(f.time_constant for f in filters)
+        self._keep = math.exp(-dt / self._time_constant) if self._time_constant else 0.0
+        lag = sum(f.lag for f in filters) / dt
+        self._whole, self._fraction = int(lag), lag - int(lag)
+        self._error: float | None = None
+        self._headings: deque[float] = deque(maxlen=self._whole + 2)  # from the oldest to the newest
+
+    def step(self, psi: float, deviation: float, gyro_error: float) -> float:
+        """Advance by one sample and return the reported heading [rad], not limited to a turn.
+
+        Parameters
+        ----------
+        psi : float
+            True heading [rad], not limited to a turn.
+        deviation : float
+            Compass deviation [rad] at this heading.
+        gyro_error : float
+            Error of the yaw rate [rad/s].
+
+        Notes
+        -----
+        Between two samples the heading is interpolated linearly. Until the dead time has passed, the oldest heading is
+        returned. The first call starts the filter without a transient.
+        """
+        settled = deviation + self._time_constant * gyro_error
+        self._error = settled if self._error is None else settled + self._keep * (self._error - settled)
+        self._headings.append(psi + self._error)
+        n_headings = len(self._headings)
+        late = self._headings[max(0, n_headings - 1 - self._whole)]
+        later = self._headings[max(0, n_headings - 2 - self._whole)]
+        return late + self._fraction * (later - late)
+
+
+def _rounded(value: float, resolution: float) -> float:
+    """Return the whole multiple of ``resolution`` that is nearest to ``value``; ``value`` itself if it is 0."""
+    return round(value / resolution) * resolution if resolution else value
 
 
 def _noise_gain(effects: Sequence[HiddenEffect]) -> float:
@@ -176,12 +242,13 @@ class GnssSensor:
         self._velocity = [WhiteWalk(draw, dt, gain * 0.05) for _ in range(2)]
         self._height = WhiteWalk(draw, dt, 2.0 * gain * sigma)
         self._errors = GnssErrors(effects, seed, run, dt, index)
+        self._resolution = max((e.velocity_resolution for e in effects), default=0.0)
 
     def read(self, m: RigidBodyState, utc: float) -> Gnss:
         """Return the next fix, for the true motion ``m``, with the time stamp ``utc`` [s since 1970].
 
         Each call advances the noise by one fix. Lever arm and latency are already in ``m`` (`RigidBodyState.fix_x`).
-        The type of fix is 6, an RTK float solution.
+        The velocity is rounded to the coarsest resolution of the effects. The type of fix is 6, an RTK float solution.
         """
         north, east = self._position
         vel_n, vel_e = self._velocity
@@ -192,8 +259,8 @@ class GnssSensor:
             lat,
             lon,
             self._height(),
-            m.fix_vel_n + vel_n(),
-            m.fix_vel_e + vel_e(),
+            _rounded(m.fix_vel_n + vel_n(), self._resolution),
+            _rounded(m.fix_vel_e + vel_e(), self._resolution),
             NAN,
             6,
             17,
@@ -235,11 +302,16 @@ class EscSensor:
     the current and on the used energy.
     """
 
-    def __init__(self, seed: int, run: int, node: int, rpm_max: float) -> None:
-        """Set up the telemetry of controller ``node`` in one run. ``rpm_max`` is its full shaft speed [rev/min]."""
+    def __init__(self, seed: int, run: int, node: int, rpm_max: float, resolution: float = 0.0) -> None:
+        """Set up the telemetry of controller ``node`` in one run.
+
+        ``rpm_max`` is its full shaft speed [rev/min]. The reported shaft speed is rounded to whole multiples of
+        ``resolution``, a fraction of the full shaft speed; 0 means that it is not rounded.
+        """
         self._draw = normals(random_stream(seed, ESC, run, node))
         self._node = node
         self._rpm_max = rpm_max
+        self._resolution = resolution * rpm_max  # rev/min
         self._heat = 0.0
 
     def read(self, n: float, force: float, duty: float, energy: float, dt: float) -> Esc:
@@ -266,7 +338,7 @@ class EscSensor:
         self._heat += dt / 60.0 * (0.02 * current**2 - self._heat)
         return Esc(
             self._node,
-            n * self._rpm_max + (5.0 * draw() if n else 0.0),
+            _rounded(n * self._rpm_max + (5.0 * draw() if n else 0.0), self._resolution),
             current + 0.1 * draw(),  # positive in both directions of rotation, since the motor drives
             duty,
             16.4 - 0.008 * energy - 0.02 * current + 0.02 * draw(),

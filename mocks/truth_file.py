@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +18,15 @@ def ground_truth(world: Boat | Bench, run: int) -> dict[str, Any]:
     """Return the content of the ground-truth file of a boat or bench as a dict that JSON can hold.
 
     It has the keys "format", "plant" ("boat" or "bench"), "seed", "run", "effect" (name), "parameters" (of the effect,
-    SI), "sentence" (description of the effect) and "true_parameters" (of the plant, SI). Of several hidden effects only
-    the first is named. Without an effect the name is "none".
+    SI), "sentence" (description of the effect), "minor_effects" and "true_parameters" (of the plant, SI). Of several
+    hidden effects that are not minor only the first is named. Without such an effect the name is "none".
+    "minor_effects" lists the small imperfections of a realistic boat, each with "effect", "parameters" and "sentence";
+    the list is empty for any other boat or bench.
     """
-    effects = world.effects if isinstance(world, Boat) else (world.effect,)
-    effect = effects[0] if effects else NONE
+    effects = world.effects if isinstance(world, Boat) else ()
+    minor = [e for e in effects if e.minor]
+    none = replace(NONE, sentence="no large hidden effect") if minor else NONE
+    effect = next((e for e in effects if not e.minor), none) if isinstance(world, Boat) else world.effect
     return {
         "format": FORMAT,
         "plant": "boat" if isinstance(world, Boat) else "bench",
@@ -30,6 +35,7 @@ def ground_truth(world: Boat | Bench, run: int) -> dict[str, Any]:
         "effect": effect.name,
         "parameters": effect.parameters,
         "sentence": effect.sentence,
+        "minor_effects": [{"effect": e.name, "parameters": e.parameters, "sentence": e.sentence} for e in minor],
         "true_parameters": world.truth(),
     }
 

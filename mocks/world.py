@@ -6,12 +6,23 @@ Its inputs are commands, and its outputs are samples. Time is the simulated time
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 from seatrial.daq.samples import Ahrs, Command, Esc, Gnss, LoadCell
-from seatrial.mocks.plant import Bench, BenchPlant, BenchShaft, Boat, BoatPlant, RigidBodyState, Shaft
+from seatrial.mocks.plant import (
+    Bench,
+    BenchPlant,
+    BenchShaft,
+    Boat,
+    BoatPlant,
+    HiddenEffect,
+    RigidBodyState,
+    Shaft,
+    Telemetry,
+)
 from seatrial.mocks.sensors import AhrsSensor, CellSpec, EscSensor, GnssSensor, LoadCellSensor
 
 Sample = Ahrs | Gnss | Esc | LoadCell | Command
@@ -224,6 +235,47 @@ class SampledStream:
         return self._read()
 
 
+class ThrusterState(NamedTuple):
+    """State of one thruster at one time, as the input of its telemetry.
+
+    Attributes
+    ----------
+    n : float
+        Shaft speed (normalised), positive forward.
+    force : float
+        Thrust [N], positive forward.
+    duty : float
+        Effective command (-1 to 1) with its sign on the bus.
+    energy : float
+        Integral of ``|n|^3`` over time [s], summed over the thrusters.
+    """
+
+    n: float
+    force: float
+    duty: float
+    energy: float
+
+
+class TelemetryDelay:
+    """Dead time from the state of a thruster to the telemetry of its speed controller."""
+
+    def __init__(self, steps: int, present: Callable[[], ThrusterState]) -> None:
+        """Start with the present state. ``steps`` is the dead time in steps of the plant.
+
+        ``present`` is a function that returns the present state of the thruster.
+        """
+        self._present = present
+        self._states = deque([present()], maxlen=steps + 1)  # from the oldest to the newest
+
+    def advance(self) -> None:
+        """Add the present state. It must be called once after each step of the plant."""
+        self._states.append(self._present())
+
+    def state(self) -> ThrusterState:
+        """Return the state before the dead time; the initial state until the dead time has passed once."""
+        return self._states[0]
+
+
 class World:
     """Simulated plant with the sample streams of its devices and the speed controllers of its thrusters.
 
@@ -235,6 +287,8 @@ class World:
         Speed controllers, in the order of the plant's thrusters.
     channels : list of SampledStream
         Sample streams of all devices.
+    delays : list of TelemetryDelay
+        Dead times of the telemetry; empty if the telemetry is not late.
     next_due : int
         Number of the plant's step at which the next sample of any device is due.
     """
@@ -244,6 +298,7 @@ class World:
         self.plant = plant
         self.controllers: list[EscController] = []
         self.channels: list[SampledStream] = []
+        self.delays: list[TelemetryDelay] = []
         self.next_due = 0
 
     @property
@@ -267,32 +322,49 @@ class World:
         """
         self.channels.append(SampledStream(device, rate_hz, self.plant.step_s, read, phase))
 
-    def add_escs(self, specs: Sequence[EscSpec], seed: int, run: int) -> None:
+    def add_escs(self, specs: Sequence[EscSpec], seed: int, run: int, effects: Sequence[HiddenEffect] = ()) -> None:
         """Add one speed controller and its telemetry stream for each thruster, in the order of the plant's thrusters.
 
         ``seed`` and ``run`` select the noise of the telemetry. The status frames of the controllers are spread evenly
-        over one period.
+        over one period. ``effects`` are the hidden effects of the boat; those of the telemetry are applied. The ages of
+        several effects add up, and the coarsest resolution counts.
         """
+        errors = [e.telemetry for e in effects if e.telemetry is not None]
+        telemetry = Telemetry(sum(e.age for e in errors), max((e.resolution for e in errors), default=0.0))
         for thruster, spec in enumerate(specs):
             controller = EscController(spec, self.plant, thruster)
-            sensor = EscSensor(seed, run, spec.node, spec.rpm_max)
+            sensor = EscSensor(seed, run, spec.node, spec.rpm_max, telemetry.resolution)
             self.controllers.append(controller)
-            self.add(spec.device, spec.rate_hz, self._esc_reader(controller, sensor, thruster), thruster / len(specs))
+            read = self._esc_reader(controller, sensor, thruster, round(telemetry.age / self.plant.step_s))
+            self.add(spec.device, spec.rate_hz, read, thruster / len(specs))
 
-    def _esc_reader(self, controller: EscController, sensor: EscSensor, thruster: int) -> Callable[[], Sample | None]:
+    def _esc_reader(
+        self, controller: EscController, sensor: EscSensor, thruster: int, late: int
+    ) -> Callable[[], Sample | None]:
         """Return the function that reads the telemetry of one speed controller; it returns None if the ESC is dead.
 
-        Shaft speed, current and command have their sign on the bus.
+        Shaft speed, current and command have their sign on the bus. ``late`` is the age of the telemetry in steps of
+        the plant. If it is not 0, a delay is added to `delays`.
         """
         plant, dt = self.plant, 1.0 / controller.spec.rate_hz
         sign = -1.0 if controller.spec.reversed else 1.0
+
+        def present() -> ThrusterState:
+            """Return the present state of the thruster."""
+            return ThrusterState(plant.shafts[thruster].n, plant.thrust(thruster), controller.duty, plant.energy)
+
+        reported = present
+        if late:
+            delay = TelemetryDelay(late, present)
+            self.delays.append(delay)
+            reported = delay.state
 
         def read() -> Sample | None:
             """Return the next telemetry sample, or None if the controller is dead."""
             if controller.dead:
                 return None
-            n, force = sign * plant.shafts[thruster].n, sign * plant.thrust(thruster)
-            return sensor.read(n, force, controller.duty, plant.energy, dt)
+            state = reported()
+            return sensor.read(sign * state.n, sign * state.force, state.duty, state.energy, dt)
 
         return read
 
@@ -314,12 +386,14 @@ class World:
         return out
 
     def advance(self) -> None:
-        """Check the time-outs of the controllers and integrate one step of the plant."""
+        """Check the time-outs of the controllers, integrate one step of the plant, and advance the telemetry."""
         t = self.t
         for controller in self.controllers:
             if t > controller.deadline:
                 controller.check(t)
         self.plant.advance()
+        for delay in self.delays:
+            delay.advance()
 
 
 @dataclass(frozen=True)
@@ -369,7 +443,7 @@ def boat_world(boat: Boat, run: int, gear: DeviceSpecs, *, utc: float = 0.0, dis
         world.add(name, rate, _gnss_reader(gnss, plant.motion, utc))
     for index, cell in enumerate(gear.cells):
         world.add(cell.name, cell.rate_hz, _cell_reader(LoadCellSensor(boat.seed, run, cell, index), lambda: 0.0))
-    world.add_escs(gear.escs, boat.seed, run)
+    world.add_escs(gear.escs, boat.seed, run, boat.effects)
     return world
 
 

@@ -56,6 +56,26 @@ def test_the_ground_truth_is_the_very_last_line(tmp_path: Path, capsys: pytest.C
     assert any("x      error 10 s ahead on validation data 0.21 m before, 0.034 m after" in line for line in lines)
 
 
+def test_the_small_effects_of_a_realistic_boat_are_printed_before_the_hidden_effect(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    truth = {**TRUTH, "minor_effects": [{"effect": "compass"}, {"effect": "lift"}]}
+    demo.print_outcome(filled(tmp_path, RESULT, truth))
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[-2].endswith("which the diagnosis may name as well: compass, lift")
+    assert lines[-1].startswith("ground truth: the plant's hidden effect was advance-ratio")
+
+
+@pytest.mark.parametrize("realistic", [False, True])
+def test_only_the_realistic_demo_asks_for_a_realistic_boat(monkeypatch: pytest.MonkeyPatch, realistic: bool) -> None:
+    mocks: list[tuple[str, ...]] = []
+    monkeypatch.setattr(demo, "_record_with_mock", lambda steps, rig, mock, *words: mocks.append(mock))
+    monkeypatch.setattr(DemoSteps, "run", lambda self, name, *words: None)
+    assert demo.run_steps(DemoSteps(Path()), 3, realistic) == []
+    assert [mock[1] for mock in mocks] == ["bench", "boat", "boat"]
+    assert [("--realistic" in mock) for mock in mocks] == [False, realistic, realistic]
+
+
 @pytest.mark.parametrize(
     ("effects", "truth", "match"),
     [

@@ -7,7 +7,7 @@ get a random sign.
 
 from __future__ import annotations
 
-from seatrial.mocks.hidden_effects import disturbed, environment, hull, outside, propulsion, sensing
+from seatrial.mocks.hidden_effects import disturbed, environment, equipment, hull, outside, propulsion, sensing
 from seatrial.mocks.plant import ENERGY_UNIT, HiddenEffect, Maker
 from seatrial.mocks.random_streams import EFFECT_NAME, EFFECT_SIZE, random_stream
 
@@ -15,6 +15,7 @@ __all__ = [
     "DEMO",
     "EFFECTS",
     "ENERGY_UNIT",
+    "EQUIPMENT",
     "NOISE",
     "OUTSIDE",
     "SMALL",
@@ -36,6 +37,7 @@ _ORDER = [
 EFFECTS: dict[str, Maker] = {name: _ALL[name] for name in _ORDER}
 OUTSIDE: dict[str, Maker] = outside.MAKERS  # effects that no analysis can be expected to list
 NOISE: dict[str, Maker] = disturbed.MAKERS  # noise that differs from the assumed noise, on a boat without an effect
+EQUIPMENT: dict[str, Maker] = equipment.MAKERS  # late and rounded signals, for the realistic boat
 
 # Effects that `--effect draw` chooses from. Each can be detected in a mixed mission of five minutes, and no two of
 # them are hard to distinguish.
@@ -54,7 +56,8 @@ DEMO = (
 
 
 SMALL = 0.05  # fraction of the full size that the minor effects of a mixture have
-_TABLES = ((0, EFFECTS), (200, OUTSIDE), (300, NOISE))  # index of the first random stream of each table
+# Each table with the index of its first stream of random numbers.
+_TABLES = ((0, EFFECTS), (200, OUTSIDE), (300, NOISE), (400, EQUIPMENT))
 
 
 def make_effect(name: str, seed: int, scale: float = 1.0) -> HiddenEffect:
@@ -63,7 +66,7 @@ def make_effect(name: str, seed: int, scale: float = 1.0) -> HiddenEffect:
     Parameters
     ----------
     name : str
-        A key of EFFECTS, OUTSIDE or NOISE.
+        A key of EFFECTS, OUTSIDE, NOISE or EQUIPMENT.
     seed : int
         Seed of the size, the sign and the direction of the effect. The same seed gives the same effect.
     scale : float
@@ -86,7 +89,7 @@ def mixture(name: str, seed: int, scale: float = 1.0, small: float = SMALL) -> t
     Parameters
     ----------
     name : str
-        Name of the large effect: a key of EFFECTS, OUTSIDE or NOISE.
+        Name of the large effect: a key of EFFECTS, OUTSIDE, NOISE or EQUIPMENT.
     seed : int
         Seed of the sizes, signs and directions of all effects.
     scale : float

@@ -5,6 +5,7 @@ from .bench import draw_bench as draw_bench
 from .bench_effect import NONE as NONE
 from .bench_effect import BenchEffect as BenchEffect
 from .bench_effect import ShaftEffect as ShaftEffect
+from .boat import PLANT_STEP_S as PLANT_STEP_S
 from .boat import Boat as Boat
 from .boat import BoatPlant as BoatPlant
 from .boat import RigidBodyState as RigidBodyState
@@ -12,9 +13,11 @@ from .boat import draw_boat as draw_boat
 from .effect import ENERGY_UNIT as ENERGY_UNIT
 from .effect import Answer as Answer
 from .effect import Gust as Gust
+from .effect import HeadingFilter as HeadingFilter
 from .effect import HiddenEffect as HiddenEffect
 from .effect import Maker as Maker
 from .effect import Noise as Noise
+from .effect import Telemetry as Telemetry
 from .effect import Wave as Wave
 from .effect import effect_size as effect_size
 from .hull import GRAVITY as GRAVITY

@@ -167,7 +167,11 @@ class BoatPlant:
         self.step_s = step
         self.steps = 0
         self.energy = 0.0
-        self.shafts = (Shaft(boat.thruster, 0.5 * step, n), Shaft(boat.thruster, 0.5 * step, n))
+        braking = math.prod(e.braking for e in boat.effects)
+        self.shafts = (
+            Shaft(boat.thruster, 0.5 * step, n, braking=braking),
+            Shaft(boat.thruster, 0.5 * step, n, braking=braking),
+        )
         self._water = list(boat.current)  # current velocity; the right-hand side reads this list at each call
         self._rhs = make_rhs(boat.hull, boat.thruster, self._water, boat.effects)
         self._n = (n, n)  # shaft speeds that act on the water, behind the delays of hidden effects

@@ -119,6 +119,41 @@ class Answer:
 
 
 @dataclass(frozen=True)
+class HeadingFilter:
+    """Heading of an AHRS that is filtered and late. Yaw rate and acceleration are neither.
+
+    Attributes
+    ----------
+    time_constant : float
+        Time constant of a complementary filter [s]. The filter integrates the yaw gyro, and the compass corrects the
+        integral with this time constant. The heading then follows a turn at once, and the compass deviation at the new
+        heading slowly. 0 means that the heading is that of the compass.
+    lag : float
+        Dead time from the filter to the reported heading [s].
+    """
+
+    time_constant: float
+    lag: float
+
+
+@dataclass(frozen=True)
+class Telemetry:
+    """Age and resolution of the telemetry of the speed controllers.
+
+    Attributes
+    ----------
+    age : float
+        Age of all values of a sample at its time stamp [s], as a whole number of steps of the plant.
+    resolution : float
+        The reported shaft speed is a whole multiple of this value, which is a fraction of the full shaft speed. 0 means
+        that the shaft speed is not rounded.
+    """
+
+    age: float = 0.0
+    resolution: float = 0.0
+
+
+@dataclass(frozen=True)
 class HiddenEffect:
     """Hidden effect of the mock boat: its name, its true parameters and its hooks.
 
@@ -169,6 +204,16 @@ class HiddenEffect:
         Noise that differs from the declared noise.
     answer : Answer, optional
         Correct diagnosis of an effect that has no name in the catalogue of ident.
+    heading_filter : HeadingFilter, optional
+        Filter and lag of the reported heading.
+    telemetry : Telemetry, optional
+        Age and resolution of the telemetry of both speed controllers.
+    velocity_resolution : float
+        Resolution of each component of the GNSS velocity [m/s]. 0 means that the velocity is not rounded.
+    braking : float
+        Factor on the time constant of both shafts while they slow down.
+    minor : bool
+        Whether the effect is one of the small imperfections of a realistic boat, and not the effect to be found.
     """
 
     name: str
@@ -192,6 +237,11 @@ class HiddenEffect:
     latency: float = 0.0
     noise: Noise | None = None
     answer: Answer | None = None
+    heading_filter: HeadingFilter | None = None
+    telemetry: Telemetry | None = None
+    velocity_resolution: float = 0.0
+    braking: float = 1.0
+    minor: bool = False
 
 
 # maker(rng, scale) -> HiddenEffect: draws the size of an effect and multiplies it by scale

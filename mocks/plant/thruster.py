@@ -55,16 +55,22 @@ class Shaft:
     The equation ``n' = pole (n_ref(t - delay) - n)`` is linear, and ``n_ref`` is piecewise constant. The solution is
     therefore exact between the switching times and needs no numerical integration. The attribute `n` is the present
     shaft speed (normalised, positive forward).
+
+    The pole may be another one while the shaft slows down. A step in which the shaft reverses is then computed with
+    the pole at its start.
     """
 
-    def __init__(self, truth: ThrusterTruth, dt: float, n: float = 0.0) -> None:
+    def __init__(self, truth: ThrusterTruth, dt: float, n: float = 0.0, *, braking: float = 1.0) -> None:
         """Start at time 0 with the constant shaft speed ``n`` (normalised).
 
-        ``truth`` has the pole, the delay and the dead zone. ``dt`` is the step [s].
+        ``truth`` has the pole, the delay and the dead zone. ``dt`` is the step [s]. While ``|n|`` decreases, the pole
+        is divided by ``braking``.
         """
         self._truth = truth
         self._dt = dt
+        self._pole_braking = truth.pole / braking
         self._decay = math.exp(-truth.pole * dt)
+        self._decay_braking = math.exp(-self._pole_braking * dt)
         self._steps = 0
         self._ref = n
         self._pending: deque[tuple[float, float]] = deque()
@@ -85,8 +91,13 @@ class Shaft:
         if pending and pending[0][0] < self._steps * self._dt:
             self._advance_with_new_references()
         else:
-            self.n = self._ref + (self.n - self._ref) * self._decay
+            decay = self._decay_braking if self._slows_down() else self._decay
+            self.n = self._ref + (self.n - self._ref) * decay
         return self.n
+
+    def _slows_down(self) -> bool:
+        """Return whether the reference lets the magnitude of the shaft speed decrease; False at rest."""
+        return (self._ref - self.n) * self.n < 0.0
 
     def _advance_with_new_references(self) -> None:
         """Advance by one step in which the reference changes at least once. The step is split at these times."""
@@ -101,7 +112,8 @@ class Shaft:
 
     def _advance_with_constant_reference(self, dt: float) -> None:
         """Advance the shaft by ``dt`` [s] with a constant reference."""
-        self.n = self._ref + (self.n - self._ref) * math.exp(-self._truth.pole * dt)
+        pole = self._pole_braking if self._slows_down() else self._truth.pole
+        self.n = self._ref + (self.n - self._ref) * math.exp(-pole * dt)
 
 
 class Inflow:

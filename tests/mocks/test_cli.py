@@ -26,6 +26,7 @@ import serial
 from seatrial.daq.protocol import vectornav, vesc
 from seatrial.daq.samples import Ahrs, Esc
 from seatrial.mocks.hidden_effects.catalogue import DEMO
+from seatrial.mocks.hidden_effects.realistic import realistic_with
 
 PATIENCE = 20.0  # wall seconds allowed for a short operation
 
@@ -186,10 +187,24 @@ def test_the_truth_file_holds_the_hidden_effect_and_the_true_parameters(tmp_path
     first, second = truths
     assert first["effect"] in DEMO
     assert first["parameters"]
+    assert first["minor_effects"] == []
     assert len(first["sentence"]) > 20
     assert 30.0 < first["true_parameters"]["m_u"] < 45.0
     assert (first.pop("run"), second.pop("run")) == (0, 1)
     assert first == second  # the same boat with other noise
+
+
+def test_a_realistic_boat_has_small_effects_beside_the_large_one(tmp_path: Path) -> None:
+    rig, truth = packaged("boat", tmp_path), tmp_path / "truth.json"
+    with mock("boat", rig, "--seed", "11", "--effect", "wind", "--realistic", "--truth-file", truth):
+        written = json.loads(truth.read_text())
+        with serial.Serial(str(tmp_path / "ports" / "ahrs"), timeout=0) as port:
+            assert len(ahrs_samples(port, vectornav.Decoder(), 5)) >= 5
+    effects = realistic_with("wind", 11)
+    assert written["effect"] == "wind"
+    assert written["parameters"] == effects[0].parameters
+    small = [{"effect": e.name, "parameters": e.parameters, "sentence": e.sentence} for e in effects[1:]]
+    assert written["minor_effects"] == small
 
 
 def test_two_mocks_do_not_share_a_port(tmp_path: Path) -> None:
@@ -209,6 +224,7 @@ def test_two_mocks_do_not_share_a_port(tmp_path: Path) -> None:
         (("bench", "{boat}"), 1, r"seatrial: .*a mock bench has one thruster; this rig has 2: give another rig\n"),
         (("boat", "{boat}", "--fault", "fire@3"), 1, r"seatrial: --fault fire@3: no fault 'fire'.*\n"),
         (("boat", "{boat}", "--effect", "magic"), 2, r"(?s).*'magic' is not one of.*"),
+        (("bench", "{bench}", "--realistic"), 2, r"(?s).*No such option.*--realistic.*"),
     ],
 )
 def test_wrong_use_is_one_line(tmp_path: Path, words: tuple[str, ...], status: int, says: str) -> None:
