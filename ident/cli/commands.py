@@ -272,6 +272,13 @@ def noise(logs: tuple[Path, ...], signals: tuple[str, ...], out: Path) -> None:
     metavar="EFFECT",
     help="Add an effect of the catalogue with free parameters (lever-arm, mount, ...); may be repeated.",
 )
+@click.option(
+    "--score-tests/--no-score-tests",
+    default=True,
+    show_default=True,
+    help="Test the fit for missing effects: add the small errors of sensors and hull form if the logs show at least "
+    "four, and widen the standard errors by what remains unexplained.",
+)
 @robust_option
 @reml_option()
 @mean_order_option()

@@ -1,11 +1,17 @@
 from .acceptance import is_immaterial as is_immaterial
 from .adequacy import recommended_experiment as recommended_experiment
+from .common_errors import COMMON_SEARCH as COMMON_SEARCH
+from .findings import CommonErrorsFit as CommonErrorsFit
 from .findings import Diagnosis as Diagnosis
 from .findings import Refit as Refit
 from .findings import RemovedEffect as RemovedEffect
 from .findings import Round as Round
 from .findings import ValidationMismatch as ValidationMismatch
+from .model_uncertainty import ModelUncertainty as ModelUncertainty
+from .model_uncertainty import with_model_uncertainty as with_model_uncertainty
 from .policy import SearchPolicy as SearchPolicy
 from .search import DiagnosisEvaluation as DiagnosisEvaluation
+from .search import ModelAssessment as ModelAssessment
+from .search import assess_model as assess_model
 from .search import diagnose as diagnose
 from .search import evaluate_diagnosis as evaluate_diagnosis

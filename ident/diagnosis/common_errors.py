@@ -17,9 +17,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from seatrial.ident.diagnosis.findings import Refit
+from seatrial.ident.data import Record
+from seatrial.ident.diagnosis.acceptance import Comparison
+from seatrial.ident.diagnosis.findings import CommonErrorsFit, CommonErrorsGain
+from seatrial.ident.diagnosis.policy import DEFAULT_POLICY, SearchPolicy
 from seatrial.ident.diagnosis.score_test import ScoreEquations
 from seatrial.ident.effects import catalogue
+from seatrial.ident.estimation import FIT_ERRORS, FittedModel, SearchSettings, ValidationData, fit_and_evaluate
 from seatrial.ident.model import Effect, Model
 from seatrial.ident.models import TELEMETRY_AGE, telemetry_age
 from seatrial.ident.numerics import Array
@@ -30,6 +34,9 @@ SENSOR_ERRORS = (
 )  # fmt: skip
 HULL_FORM = ("cross-flow", "lift", "sway-yaw")
 COMMON_ERRORS = (*SENSOR_ERRORS, *HULL_FORM)
+# For the fits with the common errors: fifteen more parameters, of which some are nearly zero, need no exact maximum
+COMMON_SEARCH = SearchSettings(tolerance=0.05)
+ROUGH_COMMON_SEARCH = SearchSettings(tolerance=0.2, max_iterations=15, robust_errors=False, refine=False)
 
 
 @dataclass(frozen=True)
@@ -70,6 +77,12 @@ def common_errors_for(model: Model, candidates: Mapping[str, Effect]) -> dict[st
     return found
 
 
+def given_common_errors(model: Model, policy: SearchPolicy = DEFAULT_POLICY) -> tuple[Effect, ...]:
+    """Return the common errors that a model has already; none if it has fewer than ``policy.min_common_errors``."""
+    given = tuple(e for e in model.effects if e.name in COMMON_ERRORS)
+    return given if len(given) >= policy.min_common_errors else ()
+
+
 def score_common_errors(equations: ScoreEquations, common: Mapping[str, Effect], n: int) -> CommonErrorScore:
     """Select common errors by stepwise regression on the residuals of a fitted model.
 
@@ -96,7 +109,7 @@ def score_common_errors(equations: ScoreEquations, common: Mapping[str, Effect],
     weight = {
         k: w
         for name in columns
-        for k, w in zip(columns[name], _prior_information(common[name], names[name]), strict=True)
+        for k, w in zip(columns[name], prior_information(common[name], names[name]), strict=True)
     }
     selected: list[str] = []
     best, step = 0.0, dict[str, float]()
@@ -127,15 +140,67 @@ def with_common_errors(model: Model, common: Sequence[Effect], step: Mapping[str
     return model
 
 
-def common_error_names(refit: Refit | None) -> frozenset[str]:
-    """Return the names of the effects in the refit of the group, empty for None."""
-    return frozenset() if refit is None else frozenset(e.name for e in refit.fitted.model.effects)
+def fit_common_errors(
+    current: FittedModel,
+    records: Sequence[Record],
+    validation_data: ValidationData,
+    members: CommonErrorScore,
+    common: Mapping[str, Effect],
+    *,
+    found: Sequence[str] = (),
+    policy: SearchPolicy = DEFAULT_POLICY,
+) -> CommonErrorsFit | None:
+    """Fit a model with the selected common errors.
+
+    Parameters
+    ----------
+    current
+        Fitted model without them.
+    records, validation_data
+        Estimation data, and validation data.
+    members
+        Selected members with their one-step estimates, a result of `score_common_errors`.
+    common
+        Members by name.
+    found
+        Names of the effects that ``current`` has already.
+    policy
+        Thresholds of the comparison.
+
+    Returns
+    -------
+    CommonErrorsFit or None
+        None if no fit succeeds, if it is not supported by the estimation or the validation data, or if its prediction
+        is worse.
+    """
+    effects, fitted = tuple(common[name] for name in members.names), None
+    for share in (1.0, 0.3, 0.0):
+        try:
+            model = with_common_errors(current.fit.model, effects, members.step, share)
+            fitted = fit_and_evaluate(model, records, validation_data, settings=COMMON_SEARCH)
+            break
+        except FIT_ERRORS:
+            continue
+    if fitted is None:
+        return None
+    compared = Comparison(current, fitted, policy)
+    gain, (validated, t) = 2 * (fitted.fit.log_posterior - current.fit.log_posterior), compared.gain
+    df = sum(p.free for e in effects for p in e.parameters)
+    criterion = gain - df * float(np.log(sum(r.n_rows for r in records)))
+    if criterion <= 0 or validated <= 0 or compared.prediction.verdict == "rose":
+        return None
+    gains = CommonErrorsGain(gain, df, criterion, validated, t, compared.prediction)
+    return CommonErrorsFit(effects, fitted, tuple(found), gains)
 
 
-def _prior_information(effect: Effect, names: Sequence[str]) -> list[float]:
-    """Return the information of the prior of each named parameter of an effect [1/unit²], 0 without a prior."""
+def prior_information(effect: Effect, names: Sequence[str]) -> list[float]:
+    """Return the information of the prior of each named parameter of an effect [1/unit²], 0 without a prior.
+
+    A name may end in the index of a record, ``NAME@i``.
+    """
     priors = {p.name: p.prior for p in effect.parameters}
-    return [0.0 if (prior := priors[name]) is None else 1.0 / prior[1] ** 2 for name in names]
+    found = [priors[name.partition("@")[0]] for name in names]
+    return [0.0 if prior is None else 1.0 / prior[1] ** 2 for prior in found]
 
 
 def _solution(information: Array, score: Array, at: Array, weight: Array) -> Array:

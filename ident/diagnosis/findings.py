@@ -107,6 +107,32 @@ class Refit:
 
 
 @dataclass(frozen=True)
+class CommonErrorsGain:
+    """Support of the data for the common errors, against the model without them.
+
+    Attributes
+    ----------
+    gain
+        Gain on the estimation data, 2 d ln L with priors.
+    df
+        Number of added parameters.
+    criterion
+        ``gain - df ln n``, with n rows of estimation data.
+    validation_gain, t
+        d ln L on all validation data, and its t statistic over blocks of time.
+    prediction
+        Change of the prediction errors over the horizon on the validation data.
+    """
+
+    gain: float
+    df: int
+    criterion: float
+    validation_gain: float
+    t: float
+    prediction: PredictionChange
+
+
+@dataclass(frozen=True)
 class CommonErrorsFit:
     """Fit with the small errors that every craft has: timing and mounting of sensors, and form of the hull.
 
@@ -120,27 +146,14 @@ class CommonErrorsFit:
         The fitted model with all of them.
     after
         Names of the effects that the model had before; empty if the errors came first.
-    gain
-        Gain on the estimation data, 2 d ln L with priors.
-    df
-        Number of added parameters.
-    criterion
-        ``gain - df ln n``, with n rows of estimation data.
-    validation_gain, t
-        d ln L on all validation data, and its t statistic over blocks of time.
-    prediction
-        Change of the prediction errors over the horizon on the validation data.
+    gains
+        Support of the data for them; None if they were in the model that was given.
     """
 
     effects: tuple[Effect, ...]
     fitted: FittedModel
-    after: tuple[str, ...]
-    gain: float
-    df: int
-    criterion: float
-    validation_gain: float
-    t: float
-    prediction: PredictionChange
+    after: tuple[str, ...] = ()
+    gains: CommonErrorsGain | None = None
 
 
 @dataclass(frozen=True)

@@ -440,17 +440,24 @@ class ScoreEquations:
         Prior terms of the fitted parameters.
     indices
         Columns of the candidates.
+    parameters
+        Full names of the fitted parameters.
     """
 
     normal: NormalEquations
     prior: PriorTerms
     indices: tuple[ColumnIndex, ...]
+    parameters: tuple[str, ...]
+
+    @cached_property
+    def coefficients_on_fitted(self) -> Array:
+        """Coefficients (n_fitted, n_columns) of the regression of all columns on the fitted parameters."""
+        return _coefficients_on_fitted(self.normal.information, self.prior.information)
 
     @cached_property
     def projected(self) -> tuple[Array, Array]:
         """Information (n_columns, n_columns) and score (n_columns,), with the fitted parameters projected out."""
-        n_fitted = self.prior.gradient.size
-        gain = _coefficients_on_fitted(self.normal.information, self.prior.information)
+        n_fitted, gain = self.prior.gradient.size, self.coefficients_on_fitted
         information = self.normal.information - self.normal.information[:n_fitted].T @ gain
         return information, self.normal.score - gain.T @ (self.normal.score[:n_fitted] + self.prior.gradient)
 

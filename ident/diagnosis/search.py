@@ -36,7 +36,14 @@ from seatrial.ident.diagnosis.acceptance import (
 )
 from seatrial.ident.diagnosis.adequacy import AttributionEvidence, assess_alternatives
 from seatrial.ident.diagnosis.candidates import normal_equations, variables, wave_peak_score
-from seatrial.ident.diagnosis.common_errors import common_errors_for, score_common_errors, with_common_errors
+from seatrial.ident.diagnosis.common_errors import (
+    COMMON_SEARCH,
+    ROUGH_COMMON_SEARCH,
+    common_errors_for,
+    fit_common_errors,
+    given_common_errors,
+    score_common_errors,
+)
 from seatrial.ident.diagnosis.findings import (
     CommonErrorsFit,
     Diagnosis,
@@ -50,6 +57,7 @@ from seatrial.ident.diagnosis.findings import (
     UntestedCandidate,
 )
 from seatrial.ident.diagnosis.importance import effect_importance, fit_without
+from seatrial.ident.diagnosis.model_uncertainty import ModelUncertainty, model_uncertainty, with_model_uncertainty
 from seatrial.ident.diagnosis.policy import DEFAULT_POLICY, SearchPolicy
 from seatrial.ident.diagnosis.score_test import (
     Score,
@@ -67,6 +75,7 @@ from seatrial.ident.estimation import (
     FIT_ERRORS,
     ROUGH_SEARCH,
     VAGUE,
+    FailedRun,
     FittedModel,
     SearchSettings,
     ValidationData,
@@ -96,9 +105,6 @@ from seatrial.ident.validation import (
 )
 
 WAVES = "waves"
-# For the fits with the common errors: fifteen more parameters, of which some are nearly zero, need no exact maximum
-COMMON_SEARCH = SearchSettings(tolerance=0.05)
-ROUGH_COMMON_SEARCH = SearchSettings(tolerance=0.2, max_iterations=15, robust_errors=False, refine=False)
 
 
 @dataclass(frozen=True)
@@ -203,6 +209,165 @@ def diagnose(
         If a run lacks a signal that the model needs, or if the model has no residual forces to test. The latter holds
         for models that are neither a hull with the forces X, Y and N nor a thruster on the bench.
     """
+    start = _prepare(model, estimation, validation, effects, rate, reporter, policy)
+    before, records, validation_data = start.before, start.records, start.validation_data
+    search = _Search(records, validation_data, start.candidates, reporter, policy, start.common)
+    if given := given_common_errors(before.fit.model, policy):
+        search.keep_common_errors(CommonErrorsFit(given, before))
+    current, passed = search.forward(before, max_effects)
+    reporter.progress("computing the importance of the effects found")
+    base = search.reference(before, current)
+    current, weights, removed = search.backward_elimination(before, base, current)
+    if removed:  # the last scores are those of a larger model
+        passed = search.scored(current)[1]
+    unaffected, beside = frozenset[str](), frozenset[str]()
+    if search.common_errors is not None:
+        unaffected, beside = search.unaffected_by(current, passed)
+    gone = {r.effect.name for r in removed}
+    kept = [r for r in search.rounds if r.chosen is None or r.chosen.effect.name not in gone]
+    order = [w.effect for w in weights]
+    evidence = AttributionEvidence(
+        remaining=passed,
+        n=search.n,
+        untested=start.untested,
+        importances=weights,
+        reservations=_reservations(before, current, search.policy),
+        after=current,
+        nominal=search.rounds[0].scores if search.rounds else (),
+        unaffected=unaffected,
+        beside=beside,
+    )
+    judgements = assess_alternatives(kept, evidence, search.policy)
+    judgements = tuple(sorted(judgements, key=lambda j: order.index(j.effect)))
+    shapes, undrawn = _reported_curves(base, kept, judgements, records)
+    widened = replace(current, fit=with_model_uncertainty(current.fit, search.uncertainty(passed)))
+    return Diagnosis(
+        before=widened if current is before else before,
+        after=widened,
+        rounds=tuple(search.rounds),
+        remaining=tuple(passed),
+        curves=tuple(shapes),
+        attributions=judgements,
+        importances=weights,
+        removed=tuple(removed),
+        failed_runs=(*start.failed, *before.failed, *(f for f in current.failed if f not in before.failed)),
+        mismatches=validation_mismatches(current, search.policy),
+        short_data=_short_data(search.scores, before, search.policy),
+        curve_failure=undrawn,
+        untestable=start.untestable,
+        scores=tuple(search.scores),
+        untried_scores=tuple(search.untried),
+        policy=search.policy,
+        common_errors=search.common_errors,
+    )
+
+
+@dataclass(frozen=True)
+class ModelAssessment:
+    """Result of the score tests of a model, without a search for missing effects.
+
+    Attributes
+    ----------
+    common_errors
+        Fit with the common errors of sensors and hull form, None if the data do not need them.
+    uncertainty
+        Shifts of the estimates by the candidates that still pass, None if none passes.
+    """
+
+    common_errors: CommonErrorsFit | None
+    uncertainty: ModelUncertainty | None
+
+
+def assess_model(
+    model: Model,
+    estimation: Sequence[LogSegment],
+    validation: Sequence[LogSegment],
+    *,
+    rate: float = 10.0,
+    reporter: Reporter = QUIET,
+    policy: SearchPolicy = DEFAULT_POLICY,
+) -> ModelAssessment | None:
+    """Test a model by the score tests of the catalogue: find the common errors that it needs, and what remains.
+
+    Parameters
+    ----------
+    model
+        Model to fit.
+    estimation, validation
+        Runs that the parameters are fitted to, and runs that judge the errors.
+    rate
+        Rate of the records' rows [Hz].
+    reporter
+        Receiver of progress messages.
+    policy
+        Thresholds of the score tests and the acceptance.
+
+    Returns
+    -------
+    ModelAssessment or None
+        None if the model has no hull.
+
+    Raises
+    ------
+    ValueError
+        If a run lacks a signal that the model needs, or if the score tests cannot be computed.
+    """
+    if not residuals_of(model):
+        return None
+    start = _prepare(model, estimation, validation, None, rate, reporter, policy)
+    search = _Search(start.records, start.validation_data, start.candidates, reporter, policy, start.common)
+    passing = search.scored(start.before)[1]
+    extended = search.add_common_errors(start.before, passing)
+    if extended is not None:
+        passing = search.scored(extended)[1]
+    return ModelAssessment(search.common_errors, search.uncertainty(passing))
+
+
+@dataclass(frozen=True)
+class _SearchStart:
+    """Data, candidates and first fit of a search.
+
+    Attributes
+    ----------
+    before
+        Fitted model without added effects.
+    records, validation_data
+        Estimation records, and validation data, with the inputs of all candidates.
+    candidates
+        Candidates by name, with priors that follow the size of the craft.
+    common
+        Common errors by name.
+    failed
+        Validation runs that cannot be converted.
+    untested
+        Names of effects that the model accepts, but whose inputs the runs lack.
+    untestable
+        Requested candidates that cannot have a score test.
+    """
+
+    before: FittedModel
+    records: list[Record]
+    validation_data: ValidationData
+    candidates: dict[str, Effect]
+    common: dict[str, Effect]
+    failed: tuple[FailedRun, ...]
+    untested: set[str]
+    untestable: tuple[UntestedCandidate, ...]
+
+
+def _prepare(
+    model: Model,
+    estimation: Sequence[LogSegment],
+    validation: Sequence[LogSegment],
+    effects: Mapping[str, Effect] | None,
+    rate: float,
+    reporter: Reporter,
+    policy: SearchPolicy,
+) -> _SearchStart:
+    """Convert the runs to records with the inputs of all candidates, and fit the model without effects.
+
+    Parameters and exceptions are those of `diagnose`.
+    """
     if not residuals_of(model):
         raise ValueError(
             f"model {model.name} cannot be diagnosed: it lacks a hull with the forces X, Y and N; fit "
@@ -220,63 +385,26 @@ def diagnose(
     common = common_errors_for(full, candidates)
     for effect in common.values():
         everything = everything if effect.name in candidates else everything + effect
-    untested = accepted - set(candidates)
     records = [make_record(everything, r, rate) for r in estimation]
     runs = [make_record(everything, r, rate) for r in usable]
     runs = without_unknown_noise(full, records, runs)
-    full = without_absent_sensors(full, records)
-    reporter.progress(f"fitting {full.name} with disturbance forces to {counted(len(records), 'run')}")
-    before, validation_data = _first_fit(full, records, runs)
+    nominal = without_absent_sensors(full, records)
+    reporter.progress(f"fitting {nominal.name} with disturbance forces to {counted(len(records), 'run')}")
+    settings = COMMON_SEARCH if given_common_errors(nominal, policy) else None
+    before, validation_data = _first_fit(nominal, records, runs, settings)
     size, in_catalogue = size_of(before.fit.model), catalogue()
     # user-defined effects keep their priors
-    candidates = {n: scale_priors(e, size) if in_catalogue.get(n) is e else e for n, e in candidates.items()}
-    candidates |= between_runs(before.fit)
-    common = {n: candidates.get(n, e) for n, e in common.items()}
-    search = _Search(records, validation_data, candidates, reporter, policy, common)
-    current, passed = search.forward(before, max_effects)
-    reporter.progress("computing the importance of the effects found")
-    base = search.reference(before, current)
-    current, weights, removed = search.backward_elimination(before, base, current)
-    if removed:  # the last scores are those of a larger model
-        passed = search.scored(current)[1]
-    unaffected, beside = frozenset[str](), frozenset[str]()
-    if search.common_errors is not None:
-        unaffected, beside = search.unaffected_by(current, passed)
-    gone = {r.effect.name for r in removed}
-    kept = [r for r in search.rounds if r.chosen is None or r.chosen.effect.name not in gone]
-    order = [w.effect for w in weights]
-    evidence = AttributionEvidence(
-        remaining=passed,
-        n=search.n,
-        untested=untested,
-        importances=weights,
-        reservations=_reservations(before, current, search.policy),
-        after=current,
-        nominal=search.rounds[0].scores if search.rounds else (),
-        unaffected=unaffected,
-        beside=beside,
-    )
-    judgements = assess_alternatives(kept, evidence, search.policy)
-    judgements = tuple(sorted(judgements, key=lambda j: order.index(j.effect)))
-    shapes, undrawn = _reported_curves(base, kept, judgements, records)
-    return Diagnosis(
+    scaled = {n: scale_priors(e, size) if in_catalogue.get(n) is e else e for n, e in candidates.items()}
+    scaled |= between_runs(before.fit)
+    return _SearchStart(
         before=before,
-        after=current,
-        rounds=tuple(search.rounds),
-        remaining=tuple(passed),
-        curves=tuple(shapes),
-        attributions=judgements,
-        importances=weights,
-        removed=tuple(removed),
-        failed_runs=(*failed, *before.failed, *(f for f in current.failed if f not in before.failed)),
-        mismatches=validation_mismatches(current, search.policy),
-        short_data=_short_data(search.scores, before, search.policy),
-        curve_failure=undrawn,
-        untestable=_untestable_candidates(full, requested, [*estimation, *usable]),
-        scores=tuple(search.scores),
-        untried_scores=tuple(search.untried),
-        policy=search.policy,
-        common_errors=search.common_errors,
+        records=records,
+        validation_data=validation_data,
+        candidates=scaled,
+        common={n: scaled.get(n, e) for n, e in common.items()},
+        failed=failed,
+        untested=accepted - set(candidates),
+        untestable=_untestable_candidates(nominal, requested, [*estimation, *usable]),
     )
 
 
@@ -332,13 +460,15 @@ def _short_data(
     return ShortData(sum(r.duration for r in fitted.records), needed, len(short), len(scores))
 
 
-def _first_fit(full: Model, records: list[Record], runs: list[Record]) -> tuple[FittedModel, ValidationData]:
+def _first_fit(
+    full: Model, records: list[Record], runs: list[Record], settings: SearchSettings | None
+) -> tuple[FittedModel, ValidationData]:
     """Fit the nominal model to the records, and return it with the data that validate it.
 
     The data are the validation runs, or blocks in time of the estimation runs if no validation run can be evaluated.
     In the second case the model is also fitted once without each block.
     """
-    fitted = fit_with_rescaling(full, records, runs)
+    fitted = fit_with_rescaling(full, records, runs, settings=settings)
     if fitted.validation:
         return fitted, runs
     blocks = cut_into_blocks(records, fitted.estimation, full.block)
@@ -382,7 +512,8 @@ def score_equations(fitted: FittedModel, records: Sequence[Record], effects: Map
     free_parameters = [p for p in fitted_parameters(fitted.model, len(records)) if p.full_name not in stuck]
     normal, indices = normal_equations(fitted, records, list(effects.values()), free_parameters)
     at = np.array([fitted.fit.estimate(p.name, p.segment or 0)[0] for p in free_parameters])
-    return ScoreEquations(normal, prior_terms(free_parameters, at), tuple(indices))
+    names = tuple(p.full_name for p in free_parameters)
+    return ScoreEquations(normal, prior_terms(free_parameters, at), tuple(indices), names)
 
 
 def score_all(
@@ -479,7 +610,7 @@ class _Search:
         common: Mapping[str, Effect] | None = None,
     ) -> None:
         self.common = dict(common or {})
-        self.common_errors: CommonErrorsFit | None = None
+        self.common_errors: CommonErrorsFit | None = None  # of the model given, or added
         self.equations: ScoreEquations | None = None
         self.records, self.validation_data, self.candidates = records, validation_data, dict(candidates)
         self.reporter, self.policy = reporter, policy
@@ -513,6 +644,12 @@ class _Search:
             message = f"the residuals of model {fitted.model.name} cannot be tested"
             raise ValueError(f"{names}: {message}: {problem}; the fit {fitted.fit.message}") from problem
 
+    def uncertainty(self, passing: Sequence[Score]) -> ModelUncertainty | None:
+        """Return the shifts of the estimates by the scores that pass on the last scored model, None for none."""
+        if self.equations is None:
+            return None
+        return model_uncertainty(self.equations, passing, self.candidates)
+
     def forward(self, before: FittedModel, max_effects: int) -> tuple[FittedModel, list[Score]]:
         """Add effects one after the other; return the last model and the scores that pass on it.
 
@@ -530,7 +667,7 @@ class _Search:
         self.nominal, current, unknown = before, before, False
         while True:
             scores, passed = self.scored(current)
-            if (extended := self._add_common_errors(current, passed)) is not None:
+            if (extended := self.add_common_errors(current, passed)) is not None:
                 current = extended
                 continue
             largest = max((r.chosen.criterion for r in self.rounds if r.chosen is not None), default=0.0)
@@ -551,7 +688,7 @@ class _Search:
             current, unknown = found.chosen.fitted, unknown or found.chosen.nonparametric
             self.candidates.pop(found.chosen.effect.name, None)
 
-    def _add_common_errors(self, current: FittedModel, passed: Sequence[Score]) -> FittedModel | None:
+    def add_common_errors(self, current: FittedModel, passed: Sequence[Score]) -> FittedModel | None:
         """Add the common errors to a model if they explain more than any single effect; return the fit with them.
 
         None if fewer than ``policy.min_common_errors`` of them are needed, if a single candidate explains more, or if
@@ -571,35 +708,26 @@ class _Search:
         others = [s.criterion(self.n) for s in passed if not s.nonparametric and s.name not in self.common]
         if len(joint.names) < self.policy.min_common_errors or joint.criterion < max(others, default=0.0):
             return None
-        effects = tuple(self.common[name] for name in joint.names)
-        self.common = {}
-        self.reporter.progress(f"fitting with {counted(len(effects), 'common error')}: {', '.join(joint.names)}")
-        found = None
-        for share in (1.0, 0.3, 0.0):
-            try:
-                model = with_common_errors(current.fit.model, effects, joint.step, share)
-                found = fit_and_evaluate(model, self.records, self.validation_data, settings=COMMON_SEARCH)
-                break
-            except FIT_ERRORS:
-                continue
-        if found is None:
-            return None
-        compared = Comparison(current, found, self.policy)
-        gain, (validated, t) = 2 * (found.fit.log_posterior - current.fit.log_posterior), compared.gain
-        df = sum(p.free for e in effects for p in e.parameters)
-        criterion = gain - df * float(np.log(self.n))
-        if criterion <= 0 or validated <= 0 or compared.prediction.verdict == "rose":
-            return None
-        before = tuple(r.chosen.effect.name for r in self.rounds if r.chosen is not None)
-        self.common_errors = CommonErrorsFit(
-            effects, found, before, gain, df, criterion, validated, t, compared.prediction
+        common, self.common = self.common, {}
+        names = ", ".join(joint.names)
+        self.reporter.progress(f"fitting with {counted(len(joint.names), 'common error')}: {names}")
+        before = [r.chosen.effect.name for r in self.rounds if r.chosen is not None]
+        self.common_errors = fit_common_errors(
+            current, self.records, self.validation_data, joint, common, found=before, policy=self.policy
         )
+        if self.common_errors is None:
+            return None
+        self.keep_common_errors(self.common_errors)
+        return self.common_errors.fitted
+
+    def keep_common_errors(self, found: CommonErrorsFit) -> None:
+        """Continue the search beside common errors: they are no candidates, and an effect has to matter beside them."""
+        self.common_errors, self.common = found, {}
         beside = self.policy.min_error_ratio_beside
         self.policy = replace(self.policy, min_error_ratio=beside, material_error_ratio=beside)
         # Waves shake every boat, are not correlated with its inputs, and the prediction is as good without them.
-        for name in (*joint.names, WAVES):
+        for name in (*(e.name for e in found.effects), WAVES):
             self.candidates.pop(name, None)
-        return found
 
     @property
     def exact(self) -> SearchSettings | None:

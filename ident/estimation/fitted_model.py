@@ -134,6 +134,7 @@ def fit_nominal_model(
     options: EstimationOptions | None = None,
     *,
     rate: float = 10.0,
+    settings: SearchSettings | None = None,
     reporter: Reporter = QUIET,
 ) -> FittedModel:
     """Fit the model with disturbance forces and sensor offsets as states, without a search for missing effects.
@@ -148,6 +149,8 @@ def fit_nominal_model(
         Method, outliers and noise. None: prediction error, without outliers and REML.
     rate
         Rate [Hz] of the rows of a record. Faster sensors are averaged to it.
+    settings
+        Accuracy of the fit; None: the default.
     reporter
         Receives a line of progress.
 
@@ -167,7 +170,7 @@ def fit_nominal_model(
     reporter.progress(f"fitting {full.name} to {counted(len(records), 'run')}")
     validation_data = without_unknown_noise(full, records, validation_data)
     full = without_absent_sensors(full, records)
-    fitted = fit_with_rescaling(full, records, validation_data, options)
+    fitted = fit_with_rescaling(full, records, validation_data, options, settings)
     return replace(fitted, failed=(*failed, *fitted.failed))
 
 
@@ -192,6 +195,7 @@ def fit_with_rescaling(
     records: Sequence[Record],
     validation_data: ValidationData,
     options: EstimationOptions | None = None,
+    settings: SearchSettings | None = None,
 ) -> FittedModel:
     """Fit the model of `nominal_model`, and fit it again if its priors turn out to be wrong.
 
@@ -207,6 +211,8 @@ def fit_with_rescaling(
         Estimation and validation data.
     options
         Method, outliers and noise. None: prediction error, without outliers and REML.
+    settings
+        Accuracy of the fits; None: the default.
 
     Returns
     -------
@@ -220,7 +226,7 @@ def fit_with_rescaling(
     ValueError, ArithmeticError
         If the first fit fails, or if a second fit is needed and both of its attempts fail.
     """
-    fitted = fit_and_evaluate(full, records, validation_data, options)
+    fitted = fit_and_evaluate(full, records, validation_data, options, settings)
     assumed, found, noise_revised = size_of(full), size_of(fitted.fit.model), without_contradicted_noise(full, fitted)
     again = noise_revised
     ratios = [found.of(unit) / assumed.of(unit) for unit in ("N", "N m")]
@@ -232,7 +238,7 @@ def fit_with_rescaling(
     shared = {p.name: float(v) for p, v in zip(first.parameters, first.values, strict=True) if p.segment is None}
     for initial in (again, again.with_values(shared)):
         try:
-            refits.append(fit_and_evaluate(initial, records, validation_data, options))
+            refits.append(fit_and_evaluate(initial, records, validation_data, options, settings))
         except FIT_ERRORS:
             if initial is not again and not refits:
                 raise

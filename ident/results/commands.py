@@ -13,6 +13,7 @@ import msgspec
 from msgspec import Meta
 
 from seatrial.ident.characterisation import directions
+from seatrial.ident.diagnosis import ModelAssessment
 from seatrial.ident.estimation import FittedModel, HomogeneityTest, Profile, ReportedEstimates
 from seatrial.ident.models import residuals_of
 from seatrial.ident.numerics import Array
@@ -46,11 +47,14 @@ from seatrial.ident.results.parts import (
 from seatrial.ident.results.tables import (
     all_inputs,
     calibration_tables,
+    common_errors_notes,
+    common_errors_row,
     cross_correlations,
     error_tables,
     fit_summary,
     homogeneity_reported,
     homogeneity_row,
+    model_uncertainty_notes,
     prediction_fit,
     profile_curve,
     residual_rows,
@@ -74,12 +78,15 @@ class FitContext:
         Signals of the logs that the model does not use.
     length
         Length of the hull [m]; None if the rig does not give it.
+    assessment
+        Result of the score tests, with the common errors that were added; None without tests.
     """
 
     start: Mapping[str, float]
     notes: Sequence[str] = ()
     unused: Sequence[UnusedSignal] = ()
     length: float | None = None
+    assessment: ModelAssessment | None = None
 
 
 def vehicle_result(
@@ -110,6 +117,7 @@ def vehicle_result(
         Initial values, notes and unused signals from before the fit.
     """
     reported = ReportedEstimates(fitted.fit)
+    common = None if posed.assessment is None else posed.assessment.common_errors
     homogeneity = [homogeneity_reported(a, reported) for a in homogeneity]
     errors, calibration = error_tables(evaluation), calibration_tables(evaluation)
     residuals, cross = residual_rows(evaluation), cross_correlations(evaluation)
@@ -128,7 +136,12 @@ def vehicle_result(
             *estimation_warnings(fitted.fit, fitted.records, posed.length),
             *failed_run_warnings(fitted.failed),
         ),
-        notes=_notes(posed.notes, evaluation, calibration),
+        notes=(
+            *common_errors_notes(common, "the model"),
+            *model_uncertainty_notes(None if posed.assessment is None else posed.assessment.uncertainty, fitted.fit),
+            *_notes(posed.notes, evaluation, calibration),
+        ),
+        common_errors=common_errors_row(common, fitted, evaluation.headline_set),
         fit=fit_summary(fitted.fit, posed.start),
         failed_runs=fitted.failed,
         horizon_seconds=evaluation.horizon,

@@ -21,8 +21,7 @@ from seatrial.ident.diagnosis import (
     recommended_experiment,
 )
 from seatrial.ident.effects import catalogue
-from seatrial.ident.estimation import FittedModel, ParameterShift, ReportedEstimates, run_differences
-from seatrial.ident.model import Effect, EffectKind
+from seatrial.ident.estimation import ParameterShift, ReportedEstimates
 from seatrial.ident.results import parts
 from seatrial.ident.results.answers import (
     NAMES,
@@ -40,7 +39,10 @@ from seatrial.ident.results.parts import DiagnosisResult, Provenance
 from seatrial.ident.results.tables import (
     all_inputs,
     calibration_tables,
+    common_errors_notes,
+    common_errors_row,
     cross_correlations,
+    effect_parameter_rows,
     error_tables,
     finite,
     fit_summary,
@@ -139,7 +141,7 @@ def diagnosis_result(
         unused_signals=tuple(unused),
         residual_forces=_residual_force_rows(diagnosis, evaluation),
         rounds=tuple(_round_row(r) for r in diagnosis.rounds) or (_quiet_round(diagnosis),),
-        common_errors=_common_errors_row(diagnosis, role),
+        common_errors=common_errors_row(diagnosis.common_errors, diagnosis.after, role),
         effects=_effect_rows(diagnosis),
         remaining_candidates=tuple(
             parts.RemainingCandidate(name=s.name, lm=s.lm, df=s.df, p=s.p) for s in diagnosis.remaining
@@ -444,55 +446,7 @@ def _refit_row(r: Refit) -> parts.RefitRow:
         t=r.t,
         prediction=None if r.prediction is None else prediction_change(r.prediction, "validation"),
         outcome=cast(parts.RefitOutcome, r.outcome.value),
-        parameters=_effect_parameter_rows(r.effect, r.fitted),
-    )
-
-
-def _effect_parameter_rows(effect: Effect, fitted: FittedModel) -> tuple[parts.EffectParameter, ...]:
-    """Return the estimates of an effect's parameters in reported units, one row for each run of a per-record parameter.
-
-    For an effect that differs between runs, return the differences from the first run.
-
-    Parameters
-    ----------
-    effect : Effect
-        Effect of the model.
-    fitted : FittedModel
-        Model whose estimates are reported.
-    """
-    reported, rows = ReportedEstimates(fitted.fit), []
-    for p in effect.parameters:
-        runs = fitted.fit.records if p.per_record else ("",)
-        found = [(f", in {run}" if len(runs) > 1 else "", *reported.estimate(p, i)) for i, run in enumerate(runs)]
-        if effect.kind is EffectKind.BETWEEN_RUNS:
-            k = reported.factor(p.unit)
-            differences = run_differences(fitted.fit, p.name)
-            found = [(f", {d.record} against {runs[0]}", k * d.value, k * d.error) for d in differences]
-        name, unit = reported.scale.name(p.name, p.unit), reported.scale.unit(p.unit)
-        rows += [
-            parts.EffectParameter(name=name, meaning=p.meaning + where, unit=unit, value=value, se=finite(error))
-            for where, value, error in found
-        ]
-    return tuple(rows)
-
-
-def _common_errors_row(diagnosis: Diagnosis, role: parts.Role) -> parts.CommonErrorsRow | None:
-    """Return the common errors with their estimates in the last model, None if they were not added.
-
-    ``role`` is the role of the data that validate the effects.
-    """
-    found = diagnosis.common_errors
-    if found is None:
-        return None
-    return parts.CommonErrorsRow(
-        names=tuple(e.name for e in found.effects),
-        titles=tuple(e.title for e in found.effects),
-        gain=found.gain,
-        df=found.df,
-        validation_gain=found.validation_gain,
-        t=found.t,
-        prediction=prediction_change(found.prediction, role),
-        parameters=tuple(row for e in found.effects for row in _effect_parameter_rows(e, diagnosis.after)),
+        parameters=effect_parameter_rows(r.effect, r.fitted),
     )
 
 
@@ -527,7 +481,7 @@ def _effect_rows(diagnosis: Diagnosis) -> tuple[parts.EffectRow, ...]:
                 attribution=judged.attribution,
                 reasons=tuple(judged.reasons),
                 not_excluded=tuple(judged.not_excluded),
-                parameters=_effect_parameter_rows(r.effect, diagnosis.after),
+                parameters=effect_parameter_rows(r.effect, diagnosis.after),
                 error_ratio_without=finite(weight.error_ratio),
                 gain_last=finite(weight.gain),
             )
@@ -602,25 +556,13 @@ def _remaining_names(diagnosis: Diagnosis) -> str:
     return ", ".join(s.name for s in diagnosis.remaining[:4])
 
 
-def _common_errors_note(diagnosis: Diagnosis) -> list[str]:
-    """Return the note that names the common errors in the last model, no note if they were not added."""
-    found = diagnosis.common_errors
-    if found is None:
-        return []
-    titles = _joined_titles([e.title for e in found.effects])
-    return [
-        f"Small errors that every craft has are estimated beside the effects: {titles} (d ln L of the validation data "
-        f"{found.validation_gain:.0f}, t = {found.t:.1f})."
-    ]
-
-
 def _notes(diagnosis: Diagnosis) -> list[str]:
     """Return the notes of a diagnosis.
 
     The notes are about candidates that still pass the score test, the reason why the search ended, removed effects,
     validation runs that the model does not fit, and flagged parameters.
     """
-    notes = _common_errors_note(diagnosis)
+    notes = common_errors_notes(diagnosis.common_errors, "the effects")
     if diagnosis.remaining and not diagnosis.untried_scores:
         if diagnosis.effects:
             notes.append(

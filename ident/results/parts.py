@@ -583,6 +583,27 @@ class StaticForce(Part, frozen=True, kw_only=True):
         same_length(self, "n_model", "force_model", "force_sd", "force_quadratic")
 
 
+class CommonErrorsRow(Part, frozen=True, kw_only=True):
+    """Small errors that every craft has, which are estimated beside the effects: sensor timing, mounting, hull form."""
+
+    names: Annotated[tuple[str, ...], Meta(description="names in the catalogue, in the order of their selection")]
+    titles: Annotated[tuple[str, ...], Meta(description="titles for readers, in the same order")]
+    gain: Annotated[
+        float | None,
+        Meta(description="2 d ln L of the estimation data by all of them; null: they were in the model that was given"),
+    ]
+    df: Annotated[int | None, Meta(description="number of their parameters; null as `gain`")]
+    validation_gain: Annotated[float | None, Meta(description="d ln L of the validation data; null as `gain`")]
+    t: Annotated[float | None, Meta(description="t statistic of `validation_gain` over blocks; null as `gain`")]
+    prediction: Annotated[
+        PredictionChangeRow | None,
+        Meta(
+            description="change of the prediction errors by them alone; null: as `gain`, or no channel can be compared"
+        ),
+    ]
+    parameters: Annotated[tuple[EffectParameter, ...], Meta(description="their estimates in the last model")]
+
+
 class VehicleResult(FitResult, frozen=True, kw_only=True, tag_field="kind", tag="vehicle"):
     """`seatrial ident vehicle`: the model of a vehicle."""
 
@@ -593,6 +614,10 @@ class VehicleResult(FitResult, frozen=True, kw_only=True, tag_field="kind", tag=
     homogeneity: Annotated[
         tuple[Homogeneity, ...], Meta(description="with `--test-homogeneity`: one for each parameter")
     ] = ()
+    common_errors: Annotated[
+        CommonErrorsRow | None,
+        Meta(description="small errors that every craft has, estimated together with the model; null: not added"),
+    ] = None
 
 
 class ThrusterResult(FitResult, frozen=True, kw_only=True, tag_field="kind", tag="thruster"):
@@ -669,22 +694,6 @@ class RemovedEffectRow(Part, frozen=True, kw_only=True):
         PredictionChangeRow | None,
         Meta(description="change of the prediction errors by adding the effect; null: no channel can be compared"),
     ]
-
-
-class CommonErrorsRow(Part, frozen=True, kw_only=True):
-    """Small errors that every craft has, which are estimated beside the effects: sensor timing, mounting, hull form."""
-
-    names: Annotated[tuple[str, ...], Meta(description="names in the catalogue, in the order of their selection")]
-    titles: Annotated[tuple[str, ...], Meta(description="titles for readers, in the same order")]
-    gain: Annotated[float, Meta(description="2 d ln L of the estimation data by all of them")]
-    df: Annotated[int, Meta(description="number of their parameters")]
-    validation_gain: Annotated[float, Meta(description="d ln L of the validation data")]
-    t: Annotated[float, Meta(description="t statistic of `validation_gain` over blocks")]
-    prediction: Annotated[
-        PredictionChangeRow | None,
-        Meta(description="change of the prediction errors by them alone; null: no channel can be compared"),
-    ]
-    parameters: Annotated[tuple[EffectParameter, ...], Meta(description="their estimates in the last model")]
 
 
 class ValidationMismatchRow(Part, frozen=True, kw_only=True):

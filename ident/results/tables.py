@@ -11,18 +11,22 @@ from importlib.metadata import version
 import msgspec
 import numpy as np
 
+from seatrial.daq.errors import counted
 from seatrial.ident import validation
 from seatrial.ident.data import LoadedLog, Record
-from seatrial.ident.estimation import Fit, HomogeneityTest, Profile, ReportedEstimates
-from seatrial.ident.model import Model, ModelKind, segment_name
+from seatrial.ident.diagnosis import CommonErrorsFit, ModelUncertainty
+from seatrial.ident.estimation import Fit, FittedModel, HomogeneityTest, Profile, ReportedEstimates, run_differences
+from seatrial.ident.model import Effect, EffectKind, Model, ModelKind, segment_name
 from seatrial.ident.models import force_power
 from seatrial.ident.results.parts import (
     CalibrationRow,
     Calibrations,
     CalibrationTable,
+    CommonErrorsRow,
     Correlation,
     CorrelationTest,
     CrossCorrelationRow,
+    EffectParameter,
     ErrorComparison,
     Errors,
     ErrorTable,
@@ -532,3 +536,104 @@ def homogeneity_row(a: HomogeneityTest) -> Homogeneity:
         high=finite(a.interval[1]),
         left_out=a.left_out,
     )
+
+
+def effect_parameter_rows(effect: Effect, fitted: FittedModel) -> tuple[EffectParameter, ...]:
+    """Return the estimates of an effect's parameters in reported units, one row for each run of a per-record parameter.
+
+    For an effect that differs between runs, return the differences from the first run.
+
+    Parameters
+    ----------
+    effect : Effect
+        Effect of the model.
+    fitted : FittedModel
+        Model whose estimates are reported.
+    """
+    reported, rows = ReportedEstimates(fitted.fit), []
+    for p in effect.parameters:
+        runs = fitted.fit.records if p.per_record else ("",)
+        found = [(f", in {run}" if len(runs) > 1 else "", *reported.estimate(p, i)) for i, run in enumerate(runs)]
+        if effect.kind is EffectKind.BETWEEN_RUNS:
+            k = reported.factor(p.unit)
+            differences = run_differences(fitted.fit, p.name)
+            found = [(f", {d.record} against {runs[0]}", k * d.value, k * d.error) for d in differences]
+        name, unit = reported.scale.name(p.name, p.unit), reported.scale.unit(p.unit)
+        rows += [
+            EffectParameter(name=name, meaning=p.meaning + where, unit=unit, value=value, se=finite(error))
+            for where, value, error in found
+        ]
+    return tuple(rows)
+
+
+def common_errors_row(found: CommonErrorsFit | None, fitted: FittedModel, role: Role) -> CommonErrorsRow | None:
+    """Return the common errors with their estimates, None if the model has none.
+
+    Parameters
+    ----------
+    found : CommonErrorsFit or None
+        The common errors.
+    fitted : FittedModel
+        Last model, with their estimates.
+    role : Role
+        Role of the data that judged them.
+    """
+    if found is None:
+        return None
+    gains = found.gains
+    return CommonErrorsRow(
+        names=tuple(e.name for e in found.effects),
+        titles=tuple(e.title for e in found.effects),
+        gain=None if gains is None else gains.gain,
+        df=None if gains is None else gains.df,
+        validation_gain=None if gains is None else gains.validation_gain,
+        t=None if gains is None else gains.t,
+        prediction=None if gains is None else prediction_change(gains.prediction, role),
+        parameters=tuple(row for e in found.effects for row in effect_parameter_rows(e, fitted)),
+    )
+
+
+def common_errors_notes(found: CommonErrorsFit | None, beside: str) -> list[str]:
+    """Return a note that names the common errors in the model; no note if it has none.
+
+    ``beside`` names what they are estimated with, for example "the effects".
+    """
+    if found is None:
+        return []
+    titles = ", ".join(e.title for e in found.effects)
+    gains = found.gains
+    support = (
+        "they were in the model that was given"
+        if gains is None
+        else f"d ln L of the validation data {gains.validation_gain:.0f}, t = {gains.t:.1f}"
+    )
+    return [f"Small errors that every craft has are estimated together with {beside}: {titles} ({support})."]
+
+
+def model_uncertainty_notes(found: ModelUncertainty | None, fit: Fit) -> list[str]:
+    """Return a note on the shifts that the standard errors include; no note if there is none.
+
+    The note names the first three parameters of the model, which are those of the hull.
+
+    Parameters
+    ----------
+    found : ModelUncertainty or None
+        Shifts of the estimates by candidates that still pass the score tests.
+    fit : Fit
+        Fit whose standard errors include them.
+    """
+    if found is None:
+        return []
+    variance = dict(zip(found.parameters, np.diag(found.covariance), strict=True))
+    grown = [
+        f"{name} {error / np.sqrt(error**2 - variance[name]):.2g}"
+        for name, error in zip(fit.names, fit.errors, strict=True)
+        if name in variance and error**2 > variance[name]
+    ]
+    if not grown:
+        return []
+    return [
+        f"The standard errors include the uncertainty of the model: {counted(len(found.candidates), 'candidate')} "
+        f"still pass the score tests, and each would shift the estimates. This multiplies the standard errors: "
+        f"{', '.join(grown[:3])}."
+    ]

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from seatrial.ident.checks import device_faults
 from seatrial.ident.data import load_all
-from seatrial.ident.estimation import fit_nominal_model, homogeneity_test, profile
+from seatrial.ident.diagnosis import COMMON_SEARCH, ModelAssessment, assess_model, with_model_uncertainty
+from seatrial.ident.estimation import FIT_ERRORS, fit_nominal_model, homogeneity_test, profile
+from seatrial.ident.model import with_outlier_model
+from seatrial.ident.models import is_own_model
 from seatrial.ident.reporter import Reporter
 from seatrial.ident.results import FitContext, VehicleResult, provenance, vehicle_result
 from seatrial.ident.validation import evaluate
 from seatrial.ident.workflows.check import check_first
 from seatrial.ident.workflows.model_inputs import unused_lines
 from seatrial.ident.workflows.output import sensor_rates, validity, write_all
-from seatrial.ident.workflows.vehicle_model import VehicleRequest, vehicle_problem
+from seatrial.ident.workflows.vehicle_model import VehicleProblem, VehicleRequest, vehicle_problem
 
 
 def vehicle(request: VehicleRequest, command: str, reporter: Reporter) -> VehicleResult:
@@ -45,9 +50,22 @@ def vehicle(request: VehicleRequest, command: str, reporter: Reporter) -> Vehicl
         reporter.progress(problem.thrust)
     for line in [*problem.notes, *unused_lines(problem.unused)]:
         reporter.warning(line)
+    tested = _assess(request, problem, reporter)
+    common = None if tested is None else tested.common_errors
+    model = problem.model
+    if common is not None:
+        model = replace(common.fitted.fit.model, second_order=model.second_order)
     fitted = fit_nominal_model(
-        problem.model, problem.segments, problem.validation, request.estimation, rate=request.rate, reporter=reporter
+        model,
+        problem.segments,
+        problem.validation,
+        request.estimation,
+        rate=request.rate,
+        settings=None if common is None else COMMON_SEARCH,
+        reporter=reporter,
     )
+    uncertainty = None if tested is None else tested.uncertainty
+    fitted = replace(fitted, fit=with_model_uncertainty(fitted.fit, uncertainty))
     evaluation = evaluate(fitted, request.estimation.horizon)
     profiles = [profile(fitted.fit, fitted.records, name) for name in request.profiles]
     homogeneity = [homogeneity_test(fitted.fit, fitted.records, name) for name in request.homogeneity]
@@ -62,7 +80,26 @@ def vehicle(request: VehicleRequest, command: str, reporter: Reporter) -> Vehicl
             [*filter(None, [problem.thrust]), *problem.notes, *fitted.outlier_notes],
             problem.unused,
             loaded[0].vehicle.get("length"),
+            tested,
         ),
     )
     write_all(request.out, result, fitted.fit, validity(fitted), rates=sensor_rates(fitted))
     return result
+
+
+def _assess(request: VehicleRequest, problem: VehicleProblem, reporter: Reporter) -> ModelAssessment | None:
+    """Test the model by the score tests of the catalogue.
+
+    None if the request excludes them, for a user-defined model, and for output error, which has no score tests. None
+    with a warning if the tests fail, because the model can be fitted without them.
+    """
+    if not request.score_tests or is_own_model(request.model) or request.estimation.method != "prediction-error":
+        return None
+    model = replace(problem.model, second_order=False)  # as in a diagnosis
+    if request.estimation.outlier_model:
+        model = with_outlier_model(model)
+    try:
+        return assess_model(model, problem.segments, problem.validation, rate=request.rate, reporter=reporter)
+    except FIT_ERRORS as failure:
+        reporter.warning(f"the score tests of the model failed, and the fit goes on without them: {failure}")
+        return None

@@ -57,6 +57,9 @@ class VehicleRequest:
         Mean and standard deviation of the prior of parameters.
     effects
         Effects of the catalogue that are added with free parameters.
+    score_tests
+        Whether to test the model by the score tests of the catalogue. The common errors of sensors and hull form are
+        then added if the data need them, and the standard errors include what remains unexplained.
     despite_faults
         Whether to fit even if the checks find faults that make a fit meaningless.
     homogeneity
@@ -79,6 +82,7 @@ class VehicleRequest:
     initial: Mapping[str, float] = field(default_factory=dict)
     priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     effects: Sequence[str] = ()
+    score_tests: bool = True
     despite_faults: bool = False
     homogeneity: Sequence[str] = ()
     profiles: Sequence[str] = ()

@@ -33,8 +33,8 @@ from seatrial.ident.validation.prediction_errors import (
 from seatrial.mocks.offline_simulation import Recording, simulate
 from tests.missions import boat_with, channels_of
 from tests.recovery.kinds import Case, boat_of, model_of, with_gaps
-from tests.recovery.logged import diagnosed, write_logs
-from tests.recovery.oracle import oracle, shape_share
+from tests.recovery.logged import THRUST, UNCERTAIN_THRUST, diagnosed, write_logs
+from tests.recovery.oracle import dominance, oracle, shape_share
 
 CHANNELS = ("x", "y", "psi", "r", "vx", "vy")
 Row = dict[str, Any]
@@ -95,7 +95,7 @@ def run_case(case: Case) -> Row:
             return row | {"cpu": round(time.process_time() - began, 2)} | recorded(result) | judged(case, runs, result)
         with TemporaryDirectory() as folder:
             runs = write_logs(Path(folder), recordings_of(case))
-            read, cpu = diagnosed(Path(folder))
+            read, cpu = diagnosed(Path(folder), UNCERTAIN_THRUST if case.how.realistic else THRUST)
             assert isinstance(read, DiagnosisResult)
             return row | {"cpu": round(cpu, 2)} | recorded(read) | judged(case, runs, read)
     except Exception as problem:  # The study continues and counts the failure.
@@ -137,13 +137,17 @@ def judged(case: Case, runs: Sequence[LogSegment], result: DiagnosisResult) -> R
         "before": rms(both, lambda cell: cell.before),
         "after": rms(both, lambda cell: cell.after),
     }
+    best = None
     if {e.name for e in result.effects} == set(case.truths):
         best = row["after"]  # If the true structure was found, the result equals the oracle.
-    else:
+    elif not case.how.realistic:  # The true structure of a realistic boat has effects that the catalogue lacks.
         true = oracle(case, runs)
         best = None if true is None else rms(errors(true), lambda e: e.rms)
     if best is not None:
         row |= {"oracle": best, "ratio": ratio(row["after"], best)}
+    if case.how.realistic and (large := dominance(case, runs)) is not None:
+        without, fitted = (rms(errors(stage), lambda e: e.rms) for stage in large)
+        row["dominance"] = ratio(without, fitted)["horizon"]
     share = shape_share(case, result.nonparametric_effects)
     return row if share is None else row | {"shape": round(share, 3)}
 

@@ -11,6 +11,7 @@ from seatrial.ident.data.record import Channel
 from seatrial.ident.model.structure import Model
 from seatrial.ident.models.horizontal import horizontal_model
 from seatrial.mocks.hidden_effects.catalogue import EFFECTS, NOISE, OUTSIDE, SMALL, make_effect
+from seatrial.mocks.hidden_effects.realistic import IMPERFECTIONS, realistic_with
 from seatrial.mocks.plant.boat import Boat, draw_boat
 
 NONE = "none"
@@ -22,6 +23,11 @@ DECLARED = {"e_psi": np.radians(0.5) / 5**0.5, "e_r": 0.01 / 5**0.5, "e_a": 0.1 
 def all_effects(seed: int) -> list[str]:
     """Return the effects that the catalogue should contain."""
     return list(EFFECTS)
+
+
+def all_large(seed: int) -> list[str]:
+    """Return the effects that are no imperfection of every realistic boat, or that are small in it."""
+    return [name for name in EFFECTS if name not in IMPERFECTIONS or name in ("wind", "mismatch", "waves", "dead-band")]
 
 
 def all_pairs(seed: int) -> list[str]:
@@ -55,6 +61,7 @@ class Kind:
     others: float = 0.0
     noise: str = ""
     left_out: bool = False  # The true effect is removed from the catalogue.
+    realistic: bool = False  # The boat has the imperfections of seatrial.mocks.hidden_effects.realistic.
     logged: bool = False  # If true, the case uses logs and user commands. Otherwise it uses the Python API in memory.
 
 
@@ -84,6 +91,8 @@ KINDS: dict[str, Kind] = {
     "short": Kind("120 s to estimate, 80 s to validate", all_effects, 3, seconds=SHORT, logged=True),
     "dropout": Kind("gaps in every device, and lost samples", _all_and_none, 3, gaps=True),
     **{name: Kind(f"no effect; {make_effect(name, 1).sentence}", _none, 25, noise=name) for name in NOISE},
+    "realistic": Kind("a realistic boat, one effect at full size", all_large, 2, realistic=True, logged=True),
+    "realistic-clean": Kind("a realistic boat without a large effect", _none, 20, realistic=True, logged=True),
     "leave-one-out": Kind("one effect at full size, taken out of the catalogue", all_effects, 3, left_out=True),
 }
 
@@ -114,6 +123,8 @@ class Case:
 def boat_of(case: Case) -> Boat:
     """Return the boat with all its effects, the small effects of a mixture, and misspecified noise."""
     how = case.how
+    if how.realistic:
+        return draw_boat(case.seed, realistic_with(case.effect, case.seed, how.scale))
     effects = [make_effect(name, case.seed, how.scale) for name in case.truths]
     if how.others:
         effects += [make_effect(name, case.seed, how.others) for name in EFFECTS if name not in case.truths]

@@ -17,6 +17,8 @@ from seatrial.mocks.offline_simulation import Recording
 from tests.missions import write_log
 
 THRUST = ("--fix", "c1=40.05", "--fix", "c2=1.11")  # Thrust of these simulated boats.
+# A bench knows the thrust of a real thruster to a few per cent: its curve is not exactly quadratic.
+UNCERTAIN_THRUST = ("--prior", "c1=40.05:2", "--fix", "c2=1.11")
 ESTIMATION, VALIDATION = "estimation.mcap", "validation.mcap"
 
 
@@ -30,13 +32,13 @@ def write_logs(folder: Path, recordings: Sequence[Recording]) -> list[LogSegment
     return [load_run(path, path.stem).run for path in paths]
 
 
-def diagnosed(folder: Path) -> tuple[AnyResult, float]:
+def diagnosed(folder: Path, thrust: Sequence[str] = THRUST) -> tuple[AnyResult, float]:
     """Return the result of `seatrial ident diagnose` with the model of `seatrial ident vehicle`, and the CPU time [s]
-    of the diagnosis.
+    of the diagnosis. ``thrust`` are the options that give the thrust.
 
     RuntimeError contains the error line of a failed command.
     """
-    seatrial(folder, "ident", "vehicle", ESTIMATION, *THRUST, "--validate", VALIDATION, "--out", "vehicle")
+    seatrial(folder, "ident", "vehicle", ESTIMATION, *thrust, "--validate", VALIDATION, "--out", "vehicle")
     before = spent()
     seatrial(folder, "ident", "diagnose", "vehicle/model.toml", ESTIMATION, "--validate", VALIDATION, "--out", "found")
     return read_result(folder / "found" / "result.json"), spent() - before

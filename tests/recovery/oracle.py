@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seatrial.ident.data.record import LogSegment, make_record
+from seatrial.ident.diagnosis.common_errors import COMMON_ERRORS, COMMON_SEARCH
 from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.estimation.fitted_model import (
     FittedModel,
@@ -41,6 +42,29 @@ def oracle(case: Case, runs: Sequence[LogSegment]) -> FittedModel | None:
     for effect in kept.values():
         model = model + effect
     return fit_and_evaluate(model, records[:1], records[1:])
+
+
+def dominance(case: Case, runs: Sequence[LogSegment]) -> tuple[FittedModel, FittedModel] | None:
+    """Fit the small errors of sensors and hull form without the true effect, and with it.
+
+    Return None for a boat without an effect, and if the catalogue lacks the true effect.
+    """
+    known = catalogue()
+    if not case.truths or any(name not in known for name in case.truths):
+        return None
+    base = nominal_model(model_of(case))
+    small = {n: known[n] for n in COMMON_ERRORS if n in known and n not in case.truths and base.accepts(known[n])}
+    large = {name: _near_the_truth(known[name], case) for name in case.truths}
+    everything, kept = with_all_candidates(base, small | large, runs)
+    records = [make_record(everything, r, RATE) for r in runs]
+    model = without_absent_sensors(base, records)
+    for name in kept.keys() - set(case.truths):
+        model = model + kept[name]
+    full = model
+    for name in case.truths:
+        full = full + kept[name]
+    without, fitted = (fit_and_evaluate(m, records[:1], records[1:], settings=COMMON_SEARCH) for m in (model, full))
+    return without, fitted
 
 
 def _near_the_truth(effect: Effect, case: Case) -> Effect:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from seatrial.mocks.hidden_effects.catalogue import EFFECTS, OUTSIDE, make_effect
+from seatrial.mocks.hidden_effects.realistic import IMPERFECTIONS
 from tests.recovery.cases import Row
 from tests.recovery.kinds import KINDS, NONE
 
@@ -30,6 +31,13 @@ def _table(name: str, seed: int) -> str:
     right = make_effect(name, seed).answer
     assert right is not None
     return f"unknown {right.force}({right.variable})"
+
+
+def present(row: Row) -> set[str]:
+    """Return the names of all effects of the boat, the small ones included."""
+    how = KINDS[row["kind"]]
+    small = EFFECTS if how.others else IMPERFECTIONS if how.realistic else ()
+    return {*truths(row), *small}
 
 
 def first_right(row: Row) -> bool:
@@ -60,7 +68,10 @@ def all_right(row: Row) -> bool:
 
 def wrong_as_sure(row: Row) -> bool:
     """Return whether the first effect is identified but not in the boat."""
-    return bool(row["found"]) and row["attribution"][0] == "identified" and row["found"][0] not in truths(row)
+    if not row["found"] or row["attribution"][0] != "identified":
+        return False
+    known = present(row) if KINDS[row["kind"]].realistic else truths(row)
+    return row["found"][0] not in known
 
 
 def likened(row: Row) -> bool:
@@ -71,8 +82,25 @@ def likened(row: Row) -> bool:
 def extra(row: Row) -> int:
     """Return the number of identified effects that the boat lacks, even at the 5 % size of a mixture."""
     sure = [n for n, c in zip(row["found"], row["attribution"], strict=True) if c == "identified"]
-    there = {*truths(row), *(EFFECTS if KINDS[row["kind"]].others else ())}
-    return sum(n not in there for n in sure)
+    return sum(n not in present(row) for n in sure)
+
+
+def identified(row: Row) -> bool:
+    """Return whether the true effect is identified, first or beside a small effect of a realistic boat."""
+    return any(
+        n in answers(row) and c in ("identified", "nonparametric")
+        for n, c in zip(row["found"], row["attribution"], strict=True)
+    )
+
+
+def identified_or_first(row: Row) -> bool:
+    """Return whether the true effect is identified, or first in the answer."""
+    return identified(row) or row["found"][:1] == answers(row)[:1]
+
+
+def falsely_sure(row: Row) -> bool:
+    """Return whether an effect that the boat does not have is identified, first or not."""
+    return extra(row) > 0
 
 
 def drawn_right(row: Row) -> bool:

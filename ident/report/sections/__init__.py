@@ -57,13 +57,14 @@ def _fit(canvas: Canvas, result: FitResult) -> list[Section]:
     profiled = result.profiles if isinstance(result, VehicleResult | ThrusterResult) else ()
     diagnosis = result if isinstance(result, DiagnosisResult) else None
     changes = diagnosis.parameters_before_after if diagnosis else ()
+    common = result.common_errors if isinstance(result, VehicleResult) else None
     return [
         *([answer.static_section(canvas, static)] if static else []),
         runs.prediction_section(canvas, result),
         predictions.errors_section(result.errors, result.horizon_seconds),
         runs.traces_section(canvas, result),
         runs.run_section(canvas, result.logs, result.inputs),
-        parameters.parameters_section(canvas, result.fit, changes),
+        parameters.parameters_section(canvas, result.fit, changes, common),
         parameters.profiles_section(canvas, profiled),
         residuals.section(canvas, result),
         *([search.section(canvas, diagnosis)] if diagnosis else []),

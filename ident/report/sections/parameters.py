@@ -16,6 +16,7 @@ from seatrial.ident.numerics import Array
 from seatrial.ident.report import drawing, formatting
 from seatrial.ident.report.blocks import Canvas, Cell, Facts, Grid, Heading, Key, Plot, Prose, Section, Table, tabbed
 from seatrial.ident.results import (
+    CommonErrorsRow,
     Correlation,
     FitSummary,
     InformationResult,
@@ -31,7 +32,12 @@ from seatrial.ident.results import (
 MAX_NUMBERED = 14  # parameters; larger correlation matrices show their numbers on hover only
 
 
-def parameters_section(canvas: Canvas, fit: FitSummary, changes: Sequence[ParameterChange] = ()) -> Section:
+def parameters_section(
+    canvas: Canvas,
+    fit: FitSummary,
+    changes: Sequence[ParameterChange] = (),
+    common_errors: CommonErrorsRow | None = None,
+) -> Section:
     """Return the section of estimates: facts and table of the fit, changes by effects, and correlation.
 
     The columns for prior, record and note are shown only if a parameter has such an entry.
@@ -44,6 +50,8 @@ def parameters_section(canvas: Canvas, fit: FitSummary, changes: Sequence[Parame
         The last fit.
     changes : sequence of ParameterChange
         Parameters before and after the effects of a diagnosis were added; empty for other fits.
+    common_errors : CommonErrorsRow, optional
+        Common errors of the model, which get a table of their own.
     """
     blocks: list[Any] = _fit_facts(fit)
     table = fit.parameters
@@ -54,8 +62,31 @@ def parameters_section(canvas: Canvas, fit: FitSummary, changes: Sequence[Parame
         used = [item for item in extra if any(getattr(row, item[0]) is not None for row in table)]
         columns += [(title, style) for _, title, style in used]
         blocks.append(Table(columns, [_parameter_cells(row, [key for key, _, _ in used]) for row in table]))
-    blocks += _change_blocks(changes) + _correlation_blocks(canvas, fit.correlation)
+    blocks += (
+        common_errors_blocks(common_errors) + _change_blocks(changes) + _correlation_blocks(canvas, fit.correlation)
+    )
     return Section("parameters", "Parameters", blocks)
+
+
+def common_errors_blocks(row: CommonErrorsRow | None) -> list[Any]:
+    """Return the heading and the table of the common errors, no blocks if they were not added (None)."""
+    if row is None:
+        return []
+    columns, cells = (("parameter", ""), ("estimate ± s.e.", "num"), ("meaning", "")), list[list[Cell | str]]()
+    for p in row.parameters:
+        factor, unit = formatting.degrees_for(p.unit)
+        value, se = formatting.scaled(factor, p.value, p.se)
+        cells.append(
+            [Cell(p.name, "strong"), Cell(formatting.with_error(value, se, unit), "num"), Cell(p.meaning, "wide")]
+        )
+    note = "small errors of sensors and hull form that every craft has, estimated together"
+    words = "They were in the model that was given."
+    if row.gain is not None and row.validation_gain is not None and row.t is not None:
+        words = (
+            f"Together they gain {formatting.plain(row.gain)} in 2 ln L with {row.df} parameters; d ln L of the "
+            f"validation data {formatting.plain(row.validation_gain)}, t = {formatting.plain(row.t, 2)}."
+        )
+    return [Heading("Common errors", note), Prose(words), Table(columns, cells)]
 
 
 def _fit_facts(fit: FitSummary) -> list[Any]:

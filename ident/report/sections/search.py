@@ -9,9 +9,9 @@ from typing import Any
 from seatrial.ident.report import drawing, formatting
 from seatrial.ident.report.blocks import Bar, Canvas, Cell, Grid, Heading, Key, Prose, Ranking, Section, Table, tabbed
 from seatrial.ident.report.record_tabs import RecordTab, of_record, record_tabs, roles_of
+from seatrial.ident.report.sections.parameters import common_errors_blocks
 from seatrial.ident.results import (
     Candidate,
-    CommonErrorsRow,
     DiagnosisResult,
     NonparametricCurve,
     RefitRow,
@@ -43,32 +43,13 @@ def section(canvas: Canvas, result: DiagnosisResult) -> Section:
     """
     found, removed = result.rounds, {row.name for row in result.removed_effects}
     rounds = [(_round_title(i, row, removed), _round_blocks(row, removed)) for i, row in enumerate(found, 1)]
-    blocks: list[Any] = _common_errors_blocks(result.common_errors) + tabbed(rounds)
+    blocks: list[Any] = common_errors_blocks(result.common_errors) + tabbed(rounds)
     blocks += _residual_force_blocks(canvas, result) + _curve_blocks(canvas, result.nonparametric_effects)
     lead = (
         "Each round tests all candidates on the residuals (score test) and refits the model with the best of them. "
         "Validation data decide whether an effect is added."
     )
     return Section("search", "Search for missing effects", blocks, lead if found else "")
-
-
-def _common_errors_blocks(row: CommonErrorsRow | None) -> list[Any]:
-    """Return the heading and the table of the common errors, no blocks if they were not added (None)."""
-    if row is None:
-        return []
-    columns, cells = (("parameter", ""), ("estimate ± s.e.", "num"), ("meaning", "")), list[list[Cell | str]]()
-    for p in row.parameters:
-        factor, unit = formatting.degrees_for(p.unit)
-        value, se = formatting.scaled(factor, p.value, p.se)
-        cells.append(
-            [Cell(p.name, "strong"), Cell(formatting.with_error(value, se, unit), "num"), Cell(p.meaning, "wide")]
-        )
-    note = "small errors of sensors and hull form that every craft has, estimated together before the search goes on"
-    words = (
-        f"Together they gain {formatting.plain(row.gain)} in 2 ln L with {row.df} parameters; d ln L of the "
-        f"validation data {formatting.plain(row.validation_gain)}, t = {formatting.plain(row.t, 2)}."
-    )
-    return [Heading("Common errors", note), Prose(words), Table(columns, cells)]
 
 
 def _round_title(i: int, row: RoundRow, removed: Collection[str]) -> str:

@@ -48,7 +48,7 @@ def equations(sizes: dict[str, list[float]], correlation: float = 0.0, seed: int
         delta = np.zeros((0, 0, k))
         indices.append(ColumnIndex(SensitivityColumns(name, delta, parameters), tuple(range(first, first + k))))
         first += k
-    return ScoreEquations(normal, PriorTerms(np.zeros(1), np.zeros(1)), tuple(indices))
+    return ScoreEquations(normal, PriorTerms(np.zeros(1), np.zeros(1)), tuple(indices), ("m_u",))
 
 
 def common(*names: str) -> dict[str, object]:

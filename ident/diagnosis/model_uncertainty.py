@@ -1,0 +1,113 @@
+"""Uncertainty of the estimates because the model is incomplete.
+
+The covariance of a fit assumes that the model is right. If candidates still pass the score tests, it is not: some
+effect is missing, and the tests do not say which. Each of the passing candidates would shift the estimates by an amount
+that follows from the score equations without a refit. These shifts show how much the estimates depend on the choice of
+the model, and their mean square is added to the covariance: the variance between models of Draper 1995, "Assessment and
+propagation of model uncertainty". If no candidate passes, nothing is added.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from seatrial.ident.diagnosis.common_errors import prior_information
+from seatrial.ident.diagnosis.score_test import Score, ScoreEquations
+from seatrial.ident.estimation import Fit
+from seatrial.ident.model import Effect
+from seatrial.ident.numerics import Array
+
+
+@dataclass(frozen=True)
+class ModelUncertainty:
+    """Shifts of the estimates by candidates that still pass the score tests.
+
+    Attributes
+    ----------
+    parameters
+        Full names of the n fitted parameters.
+    candidates
+        Names of the m candidates that pass.
+    shifts : Array (m, n)
+        Change of each estimate if the candidate were added to the model, in the units of the parameters.
+    """
+
+    parameters: tuple[str, ...]
+    candidates: tuple[str, ...]
+    shifts: Array
+
+    @property
+    def covariance(self) -> Array:
+        """Mean of the outer products of the shifts (n, n)."""
+        product: Array = self.shifts.T @ self.shifts / len(self.candidates)
+        return product
+
+
+def model_uncertainty(
+    equations: ScoreEquations, passing: Sequence[Score], effects: Mapping[str, Effect]
+) -> ModelUncertainty | None:
+    """Compute how the candidates that pass would shift the estimates.
+
+    Parameters
+    ----------
+    equations
+        Score equations of the fitted model.
+    passing
+        Scores that pass the tests on it.
+    effects
+        Effects by name, for the priors of parametric candidates.
+
+    Returns
+    -------
+    ModelUncertainty or None
+        None if no candidate passes.
+    """
+    information, score = equations.projected
+    gain = equations.coefficients_on_fitted
+    names, shifts = [], []
+    scans = {s.name: s.scan for s in passing}
+    for placed in equations.indices:
+        name = placed.columns.name
+        if name not in scans or placed.columns.scan != scans[name]:
+            continue
+        at = np.asarray(placed.at)
+        weight = prior_information(effects[name], placed.names) if name in effects else [0.0] * at.size
+        own = information[np.ix_(at, at)] + np.diag(weight)
+        size = np.sqrt(np.maximum(np.diag(own), 1e-300))
+        step = np.linalg.lstsq(own / np.outer(size, size), score[at] / size, rcond=1e-10)[0] / size
+        names.append(name)
+        shifts.append(-gain[:, at] @ step)
+    return ModelUncertainty(equations.parameters, tuple(names), np.array(shifts)) if names else None
+
+
+def with_model_uncertainty(fit: Fit, uncertainty: ModelUncertainty | None) -> Fit:
+    """Return the fit with the shifts of the estimates in its covariance and standard errors.
+
+    The shifts count as considered uncertainty: predictions of what the sensors measure are checked on validation data,
+    and do not become less certain. Parameters without a standard error keep none.
+
+    Parameters
+    ----------
+    fit
+        The fit. Parameters of the same full names get the shifts.
+    uncertainty
+        The shifts; None leaves the fit unchanged.
+    """
+    if uncertainty is None:
+        return fit
+    common = [n for n in fit.names if n in uncertainty.parameters]
+    at = [fit.names.index(n) for n in common]
+    of = [uncertainty.parameters.index(n) for n in common]
+    added = np.zeros_like(fit.covariance)
+    added[np.ix_(at, at)] = uncertainty.covariance[np.ix_(of, of)]
+    covariance = fit.covariance + added
+    errors = np.where(np.isfinite(fit.errors), np.sqrt(fit.errors**2 + np.diag(added)), fit.errors)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        sd = np.sqrt(np.diag(covariance))
+        correlation = covariance / np.outer(sd, sd)
+    return replace(
+        fit, covariance=covariance, errors=errors, correlation=correlation, considered=fit.considered + added
+    )

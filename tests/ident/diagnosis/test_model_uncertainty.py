@@ -1,0 +1,92 @@
+"""Tests of the uncertainty of an incomplete model: shifts against refits, and their part in covariance and errors."""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from seatrial.ident.diagnosis.model_uncertainty import ModelUncertainty, model_uncertainty, with_model_uncertainty
+from seatrial.ident.diagnosis.score_test import (
+    ColumnIndex,
+    NormalEquations,
+    PriorTerms,
+    Score,
+    ScoreEquations,
+    SensitivityColumns,
+)
+from seatrial.ident.estimation import Fit
+from seatrial.ident.model import Effect, Parameter
+
+N = 3000
+
+
+def regression(seed: int = 3) -> tuple[np.ndarray, np.ndarray, ScoreEquations]:
+    """Return columns, residuals of a fit with the first two columns, and the score equations of two candidates."""
+    rng = np.random.default_rng(seed)
+    columns = rng.standard_normal((N, 5)) @ (np.eye(5) + 0.4)
+    y = columns @ np.array([1.0, -0.5, 0.3, 0.0, 0.2]) + rng.standard_normal(N)
+    fitted = np.linalg.lstsq(columns[:, :2], y, rcond=None)[0]
+    # The innovations are e = y - G theta, so their sensitivities are -G; the score is -(-G)'e = G'e.
+    normal = NormalEquations([str(k) for k in range(5)])
+    normal.add(range(5), -columns, y - columns[:, :2] @ fitted, np.arange(N) // 50)
+    indices = (
+        ColumnIndex(SensitivityColumns("one", np.zeros((0, 0, 1)), ("a",)), (2,)),
+        ColumnIndex(SensitivityColumns("two", np.zeros((0, 0, 2)), ("b", "c")), (3, 4)),
+    )
+    equations = ScoreEquations(normal, PriorTerms(np.zeros(2), np.zeros(2)), indices, ("m_u", "m_r"))
+    return columns, y, equations
+
+
+def passed(name: str) -> Score:
+    return Score(name, 100.0, 1, 50.0, {}, {})
+
+
+def test_shift_is_the_change_of_the_estimates_by_a_refit_with_the_candidate() -> None:
+    columns, y, equations = regression()
+    found = model_uncertainty(equations, [passed("two"), passed("one")], {})
+    assert found is not None
+    assert found.candidates == ("one", "two")
+    without = np.linalg.lstsq(columns[:, :2], y, rcond=None)[0]
+    for k, added in enumerate(([2], [3, 4])):
+        refitted = np.linalg.lstsq(columns[:, [0, 1, *added]], y, rcond=None)[0][:2]
+        np.testing.assert_allclose(found.shifts[k], refitted - without, rtol=1e-8)
+
+
+def test_prior_of_a_candidate_limits_the_shift() -> None:
+    _, _, equations = regression()
+    prior = Effect("one", "one", {}, (Parameter("a", 0.0, prior=(0.0, 1e-3)),))
+    free = model_uncertainty(equations, [passed("one")], {})
+    held = model_uncertainty(equations, [passed("one")], {"one": prior})
+    assert free is not None
+    assert held is not None
+    assert np.all(np.abs(held.shifts) < 0.02 * np.abs(free.shifts))
+
+
+def test_nothing_is_added_if_no_candidate_passes() -> None:
+    assert model_uncertainty(regression()[2], [], {}) is None
+    fit = cast(Fit, object())
+    assert with_model_uncertainty(fit, None) is fit
+
+
+def test_mean_square_of_the_shifts_is_added_to_the_covariance() -> None:
+    blank: dict[str, Any] = dict.fromkeys(Fit.__dataclass_fields__)
+    covariance = np.array([[4.0, 1.0, np.nan], [1.0, 9.0, np.nan], [np.nan] * 3])
+    parameters = tuple(Parameter(n, 1.0) for n in ("m_u", "m_r", "d_r"))
+    fit = Fit(
+        **blank
+        | {
+            "parameters": parameters,
+            "covariance": covariance,
+            "considered": np.zeros((3, 3)),
+            "errors": np.array([2.0, 3.0, np.nan]),  # d_r is at its bound
+        }
+    )
+    shifts = np.array([[3.0, 0.0, 1.0], [1.0, 2.0, 1.0]])
+    wider = with_model_uncertainty(fit, ModelUncertainty(("m_u", "d_r", "m_r"), ("a", "b"), shifts[:, [0, 2, 1]]))
+    added = np.array([[5.0, 1.0], [1.0, 2.0]])  # means of 9 and 1, of 0 and 2, of 0 and 4
+    np.testing.assert_allclose(wider.covariance[:2, :2], covariance[:2, :2] + added)
+    np.testing.assert_allclose(wider.considered[:2, :2], added)
+    np.testing.assert_allclose(wider.errors, [3.0, 11.0**0.5, np.nan])
+    assert wider.correlation[0, 1] == pytest.approx(2.0 / (9.0 * 11.0) ** 0.5)
