@@ -86,6 +86,7 @@ from seatrial.ident.estimation import (
     fit_with_rescaling,
     missing_inputs,
     nominal_model,
+    unexcited_motion,
     validated_in_blocks,
     validation_records,
     with_all_candidates,
@@ -478,14 +479,17 @@ def _first_fit(
 def _reservations(before: FittedModel, after: FittedModel, policy: SearchPolicy) -> list[str]:
     """Return the reasons, as clauses for reports, why no effect can be identified on these data.
 
-    A fit without (``before``) or with (``after``) the effects did not converge, the estimation data are short, or the
-    validation data are short. Empty if none applies.
+    A fit without (``before``) or with (``after``) the effects did not converge, the data do not determine a mass, the
+    estimation data are short, or the validation data are short. Empty if none applies.
     """
     reasons = [
         f"the fit {which} the effects did not converge"
         for which, s in (("without", before), ("with", after))
         if not s.fit.converged
     ]
+    if (lost := unexcited_motion(before.fit, before.records)) is not None:
+        cause = f": {lost.reason}" if lost.reason else ""
+        reasons.append(f"the data do not determine {', '.join(lost.parameters)}{cause}")
     seconds = sum(r.duration for r in after.records)
     if seconds < policy.min_estimation_blocks * after.model.block:
         reasons.append(f"the estimation data are short ({seconds:.0f} s)")

@@ -1,3 +1,4 @@
+from .excitation import unexcited_motion as unexcited_motion
 from .fisher_scoring import Bounds as Bounds
 from .fisher_scoring import Evaluation as Evaluation
 from .fisher_scoring import Problem as Problem

@@ -23,6 +23,7 @@ from seatrial.ident.estimation import (
     contradicted_priors,
     least_yaw_inertia,
     thrust_scale_of,
+    unexcited_motion,
 )
 from seatrial.ident.model import Model
 from seatrial.ident.results.parts import (
@@ -257,8 +258,8 @@ def calibration_notes(calibration: Calibrations, horizon: float) -> list[str]:
 def estimation_warnings(fit: Fit, records: Sequence[Record], length: float | None = None) -> list[ResultWarning]:
     """Return the warnings of a fit, those about its scale first.
 
-    Further warnings are about declared noise or priors that the data contradict, a yaw inertia that is too small for
-    the mass, records that were cut, and stuck sensors.
+    Further warnings are about declared noise or priors that the data contradict, masses that the data do not determine,
+    a yaw inertia that is too small for the mass, records that were cut, and stuck sensors.
 
     Parameters
     ----------
@@ -285,6 +286,14 @@ def estimation_warnings(fit: Fit, records: Sequence[Record], length: float | Non
             "values (thrust, arms, units)."
         )
         warnings.append(ResultWarning(code="prior-contradicted", text=text))
+    if (lost := unexcited_motion(fit, records)) is not None:
+        cause = f": {lost.reason}" if lost.reason else ""
+        text = (
+            f"The data do not determine {', '.join(lost.parameters)}{cause}. The standard error is more than half of "
+            "the estimate. Record a mission with turns, stops and "
+            "changes of speed (seatrial mission generate --kind mixed)."
+        )
+        warnings.append(ResultWarning(code="motion-not-excited", text=text))
     least = least_yaw_inertia(fit, length)
     if least is not None and fit.estimate("m_r")[0] < least:
         text = (

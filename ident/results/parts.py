@@ -99,6 +99,7 @@ WarningCode = Literal[
     "noise-contradicted",
     "prior-contradicted",
     "inertia-too-small",
+    "motion-not-excited",
     "one-direction",
     "zero-unknown",
     "validation-run-failed",

@@ -50,7 +50,14 @@ def test_sensor_that_only_a_validation_run_has_is_not_used(model: Model, estimat
     assert stage.fit.converged
 
 
-@pytest.mark.parametrize("lost", [pytest.param("fails", marks=pytest.mark.study), "ends too early", "never converges"])
+@pytest.mark.parametrize(
+    "lost",
+    [
+        pytest.param("fails", marks=pytest.mark.study),
+        "ends too early",
+        pytest.param("never converges", marks=pytest.mark.study),
+    ],
+)
 def test_failed_refit_for_another_vessel_size_restarts_at_the_first_fit(
     lost: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -67,7 +74,7 @@ def test_failed_refit_for_another_vessel_size_restarts_at_the_first_fit(
             return fit_and_evaluate(model, *arguments)
         if lost == "fails":
             raise ValueError("the likelihood cannot be evaluated at the initial values")
-        return fit_and_evaluate(model, *arguments, SearchSettings(max_iterations=1))
+        return fit_and_evaluate(model, *arguments[:-1], SearchSettings(max_iterations=1))
 
     monkeypatch.setattr(fitted_model, "fit_and_evaluate", once_lost)
     stage = fit_nominal_model(horizontal_model("force"), [LogSegment("light", found)], [])

@@ -188,7 +188,19 @@ def test_effect_option_frees_an_effect_and_the_model_file_keeps_it(tmp_path: Pat
     (effect,) = boat.effects
     for model, name in (("auto", "lever-arm"), ("kinematic:shaft:yaw", "lever-arm-attitude")):
         out = tmp_path / name
-        words = ["vehicle", str(log), "--model", model, "--effect", "lever-arm", "--effect", "mount", "--out", str(out)]
+        words = [
+            "vehicle",
+            str(log),
+            "--no-score-tests",
+            "--model",
+            model,
+            "--effect",
+            "lever-arm",
+            "--effect",
+            "mount",
+            "--out",
+            str(out),
+        ]
         CliRunner().invoke(ident, words, catch_exceptions=False)
         saved = load_model(out / "model.toml")
         assert [e.name for e in saved.model.effects][:2] == [name, name.replace("lever-arm", "mount")]

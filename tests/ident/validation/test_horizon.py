@@ -95,7 +95,9 @@ def test_errors_on_the_bench_cover_all_logs(bench: list[Path], tmp_path: Path) -
 def test_horizon_of_a_boat_can_be_chosen(boat: list[Path], tmp_path: Path) -> None:
     errors = {}
     for words, horizon in (([], 10.0), (["--horizon", 4], 4.0)):
-        output = done("vehicle", boat[0], "--validate", boat[1], *words, "--out", tmp_path, "--force").output
+        output = done(
+            "vehicle", boat[0], "--no-score-tests", "--validate", boat[1], *words, "--out", tmp_path, "--force"
+        ).output
         result = result_of(tmp_path)
         assert result["horizon_seconds"] == horizon
         assert result["answer"].startswith(f"{horizon:g} s ahead on validation data, all channels: fit ")
@@ -130,7 +132,7 @@ def test_horizon_of_a_boat_can_be_chosen(boat: list[Path], tmp_path: Path) -> No
 
 
 def test_horizon_longer_than_the_logs_is_rejected(boat: list[Path], bench: list[Path], tmp_path: Path) -> None:
-    for words in (["vehicle", boat[0], "--validate", boat[1]], ["thruster", bench[0]]):
+    for words in (["vehicle", boat[0], "--no-score-tests", "--validate", boat[1]], ["thruster", bench[0]]):
         failed = CliRunner().invoke(ident, [*map(str, words), "--horizon", "500", "--out", str(tmp_path)])
         assert isinstance(failed.exception, SeatrialError)
         assert str(failed.exception).startswith(

@@ -30,7 +30,7 @@ THRUST = ("--fix", "c1=40.05", "--fix", "c2=1.11")
 @pytest.fixture(scope="module")
 def out(logs: tuple[Path, Path]) -> Path:
     folder = logs[0].parent / "vehicle"
-    words = ["vehicle", str(logs[0]), *THRUST, "--robust", "--profile", "V_x"]
+    words = ["vehicle", str(logs[0]), "--no-score-tests", *THRUST, "--robust", "--profile", "V_x"]
     CliRunner().invoke(ident, [*words, "--out", str(folder)], catch_exceptions=False)
     return folder
 
@@ -77,7 +77,7 @@ def test_unknown_robust_sensor_in_the_file_is_rejected(out: Path, tmp_path: Path
     [("mass", "--profile mass: model horizontal has"), ("c1", "--profile c1: the parameter is fixed, not estimated")],
 )
 def test_impossible_profile_is_rejected_before_the_fit(name: str, says: str, logs: tuple[Path, Path]) -> None:
-    done = CliRunner().invoke(ident, ["vehicle", str(logs[0]), "--fix", "c1=40", "--profile", name])
+    done = CliRunner().invoke(ident, ["vehicle", str(logs[0]), "--no-score-tests", "--fix", "c1=40", "--profile", name])
     assert isinstance(done.exception, SeatrialError)
     assert says in str(done.exception)
     assert "fitting" not in done.output
@@ -89,7 +89,7 @@ def test_restricted_noise_keeps_the_dynamics_and_increases_their_errors(logs: tu
     fits = []
     for name, more in (("plain", ["--no-reml"]), ("reml", [])):
         folder = logs[0].parent / name
-        words = ["vehicle", str(logs[0]), *THRUST, *more, "--out", str(folder)]
+        words = ["vehicle", str(logs[0]), "--no-score-tests", *THRUST, *more, "--out", str(folder)]
         CliRunner().invoke(ident, words, catch_exceptions=False)
         fitted = json.loads((folder / "result.json").read_text(encoding="utf-8"))["fit"]
         restricted = name == "reml"
@@ -105,7 +105,9 @@ def test_restricted_noise_keeps_the_dynamics_and_increases_their_errors(logs: tu
 @pytest.mark.study
 def test_second_order_mean_is_saved_with_the_model_and_not_used_in_a_diagnosis(logs: tuple[Path, Path]) -> None:
     folder = logs[0].parent / "bent"
-    CliRunner().invoke(ident, ["vehicle", str(logs[0]), "--out", str(folder)], catch_exceptions=False)
+    CliRunner().invoke(
+        ident, ["vehicle", str(logs[0]), "--no-score-tests", "--out", str(folder)], catch_exceptions=False
+    )
     assert load_model(folder / "model.toml").model.second_order
     assert json.loads((folder / "result.json").read_text(encoding="utf-8"))["fit"]["second_order"]
     diagnosed = folder / "diagnosis"
@@ -122,7 +124,7 @@ def test_second_order_mean_of_a_user_model_can_be_switched_off(logs: tuple[Path,
         encoding="utf-8",
     )
     model, out = f"{tmp_path / 'own.py'}:bent", str(tmp_path / "out")
-    words = ["vehicle", str(logs[0]), "--model", model, "--out", out, "--force"]
+    words = ["vehicle", str(logs[0]), "--no-score-tests", "--model", model, "--out", out, "--force"]
     for more, there in ([], True), (["--no-second-order"], False):
         CliRunner().invoke(ident, [*words, *more], catch_exceptions=False)
         assert ("second_order = true" in (tmp_path / "out/model.toml").read_text(encoding="utf-8")) is there

@@ -25,7 +25,19 @@ def test_prior_has_the_weight_of_its_standard_deviation(log: Path) -> None:
     found = {}
     for option in ("m_u=60:0.1", "m_u=60:40"):
         out = log.parent / option.partition(":")[2]
-        words = ["vehicle", str(log), "--fix", "c1=40.05", "--fix", "c2=1.11", "--prior", option, "--out", str(out)]
+        words = [
+            "vehicle",
+            str(log),
+            "--no-score-tests",
+            "--fix",
+            "c1=40.05",
+            "--fix",
+            "c2=1.11",
+            "--prior",
+            option,
+            "--out",
+            str(out),
+        ]
         CliRunner().invoke(ident, words, catch_exceptions=False)
         fitted = json.loads((out / "result.json").read_text(encoding="utf-8"))["fit"]["parameters"]
         found[option] = next(p["value"] for p in fitted if p["name"] == "m_u")
@@ -42,14 +54,14 @@ def test_prior_has_the_weight_of_its_standard_deviation(log: Path) -> None:
     [("mass=1:2", "--prior mass: model horizontal has"), ("m_u=-1:2", "--prior m_u=-1:2: parameter m_u")],
 )
 def test_impossible_prior_is_rejected(log: Path, option: str, says: str) -> None:
-    done = CliRunner().invoke(ident, ["vehicle", str(log), "--prior", option])
+    done = CliRunner().invoke(ident, ["vehicle", str(log), "--no-score-tests", "--prior", option])
     assert isinstance(done.exception, SeatrialError)
     assert says in str(done.exception)
 
 
 @pytest.mark.parametrize("option", ["m_u=1", "m_u=1:0", "m_u=a:b", "m_u=1:2:3"])
 def test_malformed_prior_is_a_usage_error(log: Path, option: str) -> None:
-    done = CliRunner().invoke(ident, ["vehicle", str(log), "--prior", option])
+    done = CliRunner().invoke(ident, ["vehicle", str(log), "--no-score-tests", "--prior", option])
     assert done.exit_code == 2
     assert option in done.output
 
@@ -60,7 +72,18 @@ def test_given_noise_is_estimated_if_the_residuals_contradict_it(log: Path, time
     noise = {"e_psi": 0.0039, "e_r": 0.0045, "e_a": 0.045, "e_xy": 0.15, "e_vxy": 0.05}
     options = [word for n, sd in noise.items() for word in ("--fix", f"{n}={times * sd}")]
     out = log.parent / f"noise{times}"
-    words = ["vehicle", str(log), "--fix", "c1=40.05", "--fix", "c2=1.11", *options, "--out", str(out)]
+    words = [
+        "vehicle",
+        str(log),
+        "--no-score-tests",
+        "--fix",
+        "c1=40.05",
+        "--fix",
+        "c2=1.11",
+        *options,
+        "--out",
+        str(out),
+    ]
     CliRunner().invoke(ident, words, catch_exceptions=False)
     warnings = json.loads((out / "result.json").read_text(encoding="utf-8"))["warnings"]
     contradicted, model = times < 1.0, load_model(out / "model.toml").model

@@ -1,0 +1,81 @@
+"""Motion that the data did not excite: masses and inertia that the fit does not determine, and the reason.
+
+A fit always returns numbers. If the thrusters were never driven apart, the yaw inertia has the value of its prior, and
+every effect that acts on the yaw moment can take any size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from seatrial.ident.data import Record
+from seatrial.ident.estimation.maximum_likelihood import Fit
+from seatrial.ident.estimation.thrust_scale import ReportedEstimates
+from seatrial.ident.numerics import Array
+
+MASSES = ("m_u", "m_v", "m_r")
+LARGEST_ERROR = 0.5  # standard error of a mass as a part of its estimate, above which the data do not determine it
+SAME_COMMAND = 0.02  # standard deviation of a command, or of the difference of two, that counts as no change
+
+
+@dataclass(frozen=True)
+class UnexcitedMotion:
+    """Masses that the data do not determine, and the reason in the commands.
+
+    Attributes
+    ----------
+    parameters
+        Names among ``m_u``, ``m_v`` and ``m_r``.
+    reason
+        Clause for reports about the commands, empty if they did change and differ.
+    """
+
+    parameters: tuple[str, ...]
+    reason: str
+
+
+def unexcited_motion(fit: Fit, records: Sequence[Record]) -> UnexcitedMotion | None:
+    """Find the masses and the inertia that the data do not determine.
+
+    Parameters
+    ----------
+    fit
+        Fit of a vehicle model.
+    records
+        Records of the fit, with the inputs of the thrusters.
+
+    Returns
+    -------
+    UnexcitedMotion or None
+        None if the data determine all of them, and for a model without them.
+    """
+    reported, lost = ReportedEstimates(fit), []  # ratios to the thrust if nobody gave the thrust
+    for p in fit.parameters:
+        if p.name in MASSES:
+            value, error = reported.estimate(p, 0)
+            if not error <= LARGEST_ERROR * abs(value):
+                lost.append(p.name)
+    return UnexcitedMotion(tuple(lost), _reason(fit, records)) if lost else None
+
+
+def _reason(fit: Fit, records: Sequence[Record]) -> str:
+    """Return why the motion was not excited, by the inputs of the two sides; empty if they changed and differed."""
+    own = [i.name for i in fit.model.inputs if not i.tap_of]
+    sides = [next((n for n in own if n.endswith(f"_{side}")), None) for side in ("left", "right")]
+    if None in sides:
+        return ""
+    left, right = (np.concatenate([r.u[:, r.inputs.index(str(n))] for r in records]) for n in sides)
+    full = max(float(np.max(np.abs([left, right]))), 1e-12)
+    if all(_spread(side) < SAME_COMMAND * full for side in (left, right)):
+        return "the thrusters never changed"
+    if _spread(left - right) < SAME_COMMAND * full:
+        return "both thrusters always did the same, so that nothing turned the boat"
+    return ""
+
+
+def _spread(signal: Array) -> float:
+    """Return the standard deviation of a signal."""
+    return float(np.std(signal))

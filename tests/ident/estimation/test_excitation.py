@@ -1,0 +1,58 @@
+"""Tests of the motion that a mission did not excite: constant and equal commands, and a boat that drifts."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from seatrial.bench.mission_generators import make_mission
+from seatrial.ident.data.record import LogSegment
+from seatrial.ident.diagnosis.policy import DEFAULT_POLICY
+from seatrial.ident.diagnosis.search import _reservations
+from seatrial.ident.estimation.excitation import unexcited_motion
+from seatrial.ident.estimation.fitted_model import FittedModel, fit_nominal_model
+from seatrial.ident.models.horizontal import horizontal_model
+from seatrial.ident.results.answers import estimation_warnings
+from seatrial.mocks.offline_simulation import simulate
+from tests.missions import boat_with, channels_of
+
+SECONDS = 100.0
+
+
+def fitted(kind: str) -> FittedModel:
+    """Return the fit to a mission: ``mixed``, ``constant`` and equal commands, or at ``rest``."""
+    t, commands = make_mission("mixed", SECONDS, 103).setpoints()
+    commands = {"mixed": 1.0, "constant": 0.0, "rest": 0.0}[kind] * np.asarray(commands)
+    commands = commands + (0.4 if kind == "constant" else 0.0)
+    run = LogSegment("run", channels_of(simulate(boat_with(None, 3), t, commands, SECONDS, 1)))
+    model = horizontal_model()
+    model = model.replace_parameters(*(model.parameter(n).at(v).fixed() for n, v in (("c1", 40.05), ("c2", 1.11))))
+    return fit_nominal_model(model, [run], [])
+
+
+@pytest.mark.parametrize(
+    ("kind", "least", "reason"),
+    [
+        ("constant", {"m_r"}, "both thrusters always did the same, so that nothing turned the boat"),
+        ("rest", {"m_u", "m_v", "m_r"}, "the thrusters never changed"),
+    ],
+)
+def test_masses_without_excitation_are_named_with_the_reason(kind: str, least: set[str], reason: str) -> None:
+    stage = fitted(kind)
+    found = unexcited_motion(stage.fit, stage.records)
+    assert found is not None
+    assert set(found.parameters) >= least
+    assert found.reason == reason
+    (text,) = [w.text for w in estimation_warnings(stage.fit, stage.records) if w.code == "motion-not-excited"]
+    assert text.startswith(f"The data do not determine {', '.join(found.parameters)}: {reason}. ")
+    assert "mission generate --kind mixed" in text
+    # No effect is identified on such data.
+    assert f"the data do not determine {', '.join(found.parameters)}: {reason}" in _reservations(
+        stage, stage, DEFAULT_POLICY
+    )
+
+
+def test_a_mixed_mission_excites_all_motion() -> None:
+    stage = fitted("mixed")
+    assert unexcited_motion(stage.fit, stage.records) is None
+    assert "motion-not-excited" not in {w.code for w in estimation_warnings(stage.fit, stage.records)}
