@@ -392,7 +392,7 @@ class DemoSteps:
     """
 
     def __init__(self, folder: Path) -> None:
-        """Prepare to run commands in ``folder``; nothing is started."""
+        """Store the folder in which the commands will run. No process is started."""
         self.folder = folder
         self.seconds: list[tuple[str, float]] = []
         self.late_ms = 0.0

@@ -26,7 +26,6 @@ from seatrial.ident.effects import catalogue
 from seatrial.ident.estimation import FIT_ERRORS, FittedModel, SearchSettings, ValidationData, fit_and_evaluate
 from seatrial.ident.model import Effect, Model
 from seatrial.ident.models import TELEMETRY_AGE, telemetry_age
-from seatrial.ident.numerics import Array
 
 SENSOR_ERRORS = (
     TELEMETRY_AGE, "gnss-latency", "gnss-latency-command", "gnss-latency-force", "heading-lag", "compass", "gyro-scale",
@@ -103,7 +102,7 @@ def score_common_errors(equations: ScoreEquations, common: Mapping[str, Effect],
     CommonErrorScore
         No names and a criterion of zero if no member increases the criterion.
     """
-    information, score = equations.projected
+    score = equations.projected[1]
     columns = {c.columns.name: np.asarray(c.at) for c in equations.indices if c.columns.name in common}
     names = {c.columns.name: c.names for c in equations.indices if c.columns.name in common}
     weight = {
@@ -117,7 +116,7 @@ def score_common_errors(equations: ScoreEquations, common: Mapping[str, Effect],
         trials = []
         for name in columns.keys() - set(selected):
             at = np.concatenate([columns[m] for m in (*selected, name)])
-            values = _solution(information, score, at, np.array([weight[k] for k in at]))
+            values = equations.one_step(at, np.array([weight[k] for k in at]))
             criterion = float(score[at] @ values) - at.size * float(np.log(n))
             estimates = dict(zip([p for m in (*selected, name) for p in names[m]], values.tolist(), strict=True))
             if all(_possible(common[m], estimates) for m in (*selected, name)):
@@ -201,14 +200,6 @@ def prior_information(effect: Effect, names: Sequence[str]) -> list[float]:
     priors = {p.name: p.prior for p in effect.parameters}
     found = [priors[name.partition("@")[0]] for name in names]
     return [0.0 if prior is None else 1.0 / prior[1] ** 2 for prior in found]
-
-
-def _solution(information: Array, score: Array, at: Array, weight: Array) -> Array:
-    """Return the one-step estimate of the columns ``at`` (n,), with the information ``weight`` (n,) of their priors."""
-    own = information[np.ix_(at, at)] + np.diag(weight)
-    size = np.sqrt(np.maximum(np.diag(own), 1e-300))
-    solved: Array = np.linalg.lstsq(own / np.outer(size, size), score[at] / size, rcond=1e-10)[0] / size
-    return solved
 
 
 def _possible(effect: Effect, estimates: Mapping[str, float]) -> bool:

@@ -65,7 +65,6 @@ def model_uncertainty(
     ModelUncertainty or None
         None if no candidate passes.
     """
-    information, score = equations.projected
     gain = equations.coefficients_on_fitted
     names, shifts = [], []
     scans = {s.name: s.scan for s in passing}
@@ -75,11 +74,8 @@ def model_uncertainty(
             continue
         at = np.asarray(placed.at)
         weight = prior_information(effects[name], placed.names) if name in effects else [0.0] * at.size
-        own = information[np.ix_(at, at)] + np.diag(weight)
-        size = np.sqrt(np.maximum(np.diag(own), 1e-300))
-        step = np.linalg.lstsq(own / np.outer(size, size), score[at] / size, rcond=1e-10)[0] / size
         names.append(name)
-        shifts.append(-gain[:, at] @ step)
+        shifts.append(-gain[:, at] @ equations.one_step(at, np.array(weight)))
     return ModelUncertainty(equations.parameters, tuple(names), np.array(shifts)) if names else None
 
 

@@ -461,6 +461,22 @@ class ScoreEquations:
         information = self.normal.information - self.normal.information[:n_fitted].T @ gain
         return information, self.normal.score - gain.T @ (self.normal.score[:n_fitted] + self.prior.gradient)
 
+    def one_step(self, at: NDArray[np.int64], weight: Array) -> Array:
+        """Return the one-step estimate of some parameters of candidates.
+
+        Parameters
+        ----------
+        at : Array (n,)
+            Columns of the parameters. Linearly dependent columns share an estimate (least squares).
+        weight : Array (n,)
+            Information of their priors [1/unit²], 0 without a prior.
+        """
+        information, score = self.projected
+        own = information[np.ix_(at, at)] + np.diag(weight)
+        size = np.sqrt(np.maximum(np.diag(own), 1e-300))
+        step: Array = np.linalg.lstsq(own / np.outer(size, size), score[at] / size, rcond=1e-10)[0] / size
+        return step
+
 
 def score_tests(normal: NormalEquations, prior: PriorTerms, candidates: Sequence[ColumnIndex]) -> list[Score]:
     """Compute the score test of each candidate.

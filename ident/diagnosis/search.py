@@ -488,8 +488,7 @@ def _reservations(before: FittedModel, after: FittedModel, policy: SearchPolicy)
         if not s.fit.converged
     ]
     if (lost := unexcited_motion(before.fit, before.records)) is not None:
-        cause = f": {lost.reason}" if lost.reason else ""
-        reasons.append(f"the data do not determine {', '.join(lost.parameters)}{cause}")
+        reasons.append(lost.clause)
     seconds = sum(r.duration for r in after.records)
     if seconds < policy.min_estimation_blocks * after.model.block:
         reasons.append(f"the estimation data are short ({seconds:.0f} s)")
@@ -649,7 +648,10 @@ class _Search:
             raise ValueError(f"{names}: {message}: {problem}; the fit {fitted.fit.message}") from problem
 
     def uncertainty(self, passing: Sequence[Score]) -> ModelUncertainty | None:
-        """Return the shifts of the estimates by the scores that pass on the last scored model, None for none."""
+        """Compute the shifts of the estimates by the candidates that pass on the model scored last.
+
+        The result is None if no candidate passes.
+        """
         if self.equations is None:
             return None
         return model_uncertainty(self.equations, passing, self.candidates)

@@ -1,7 +1,7 @@
 """Motion that the data did not excite: masses and inertia that the fit does not determine, and the reason.
 
-A fit always returns numbers. If the thrusters were never driven apart, the yaw inertia has the value of its prior, and
-every effect that acts on the yaw moment can take any size.
+A fit always returns numbers. If the thrusters were never driven apart, the yaw inertia can take almost any value, and
+so can the size of every effect that acts on the yaw moment.
 """
 
 from __future__ import annotations
@@ -35,6 +35,12 @@ class UnexcitedMotion:
 
     parameters: tuple[str, ...]
     reason: str
+
+    @property
+    def clause(self) -> str:
+        """Clause for reports that names the parameters and the reason."""
+        reason = f": {self.reason}" if self.reason else ""
+        return f"the data do not determine {', '.join(self.parameters)}{reason}"
 
 
 def unexcited_motion(fit: Fit, records: Sequence[Record]) -> UnexcitedMotion | None:

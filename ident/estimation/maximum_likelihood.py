@@ -152,8 +152,9 @@ class Fit:
     covariance, correlation : Array (n, n)
         Covariance and correlation of the estimates; NaN for parameters without a standard error.
     considered : Array (n, n)
-        Part of the covariance that comes from considered parameters: parameters that are held while the uncertainty of
-        their priors counts. It does not affect predictions of what the same sensors measure.
+        Part of the covariance that comes from an incomplete model (``seatrial.ident.diagnosis.model_uncertainty``) and
+        from considered parameters: parameters that are held while the uncertainty of their priors counts. It does not
+        affect predictions of what the same sensors measure.
     prior_weight : Array (n,)
         Share of a parameter's information that comes from its prior; 1 if the data contain no information.
     robust_errors : Array (n,)

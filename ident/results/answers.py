@@ -287,9 +287,8 @@ def estimation_warnings(fit: Fit, records: Sequence[Record], length: float | Non
         )
         warnings.append(ResultWarning(code="prior-contradicted", text=text))
     if (lost := unexcited_motion(fit, records)) is not None:
-        cause = f": {lost.reason}" if lost.reason else ""
         text = (
-            f"The data do not determine {', '.join(lost.parameters)}{cause}. The standard error is more than half of "
+            f"T{lost.clause[1:]}. The standard error is more than half of "
             "the estimate. Record a mission with turns, stops and "
             "changes of speed (seatrial mission generate --kind mixed)."
         )

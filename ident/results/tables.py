@@ -567,7 +567,7 @@ def effect_parameter_rows(effect: Effect, fitted: FittedModel) -> tuple[EffectPa
 
 
 def common_errors_row(found: CommonErrorsFit | None, fitted: FittedModel, role: Role) -> CommonErrorsRow | None:
-    """Return the common errors with their estimates, None if the model has none.
+    """Return the row of the common errors with their estimates. The result is None if the model has no common errors.
 
     Parameters
     ----------

@@ -28,16 +28,7 @@ def test_fit_despite_a_turned_ahrs_ends_with_a_result_or_one_line(
 ) -> None:
     """Formerly, these fits ended in an error of a singular value decomposition."""
     logs = [written(tmp_path / f"{k}.mcap", KINDS[kind].of(logged(1, "full", 150.0, k))) for k in (1, 2)]
-    words = [
-        "ident",
-        "vehicle",
-        str(logs[0]),
-        "--no-score-tests",
-        "--validate",
-        str(logs[1]),
-        "--despite-faults",
-        "--out",
-    ]
+    words = ["ident", "vehicle", str(logs[0]), "--validate", str(logs[1]), "--despite-faults", "--out"]
     with pytest.raises(SystemExit) as left:
         command_line.main([*words, str(tmp_path / "out")])
     out, err = capfd.readouterr()

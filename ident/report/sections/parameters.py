@@ -270,9 +270,9 @@ def _profile_cells(row: ProfileCurve, noted: bool) -> list[Cell | str]:
 
 
 def interval(low: float | None, high: float | None) -> str:
-    """Return an interval as text, ``1.2 to 3.4``; an end that the data do not bound (None) is ``open``.
+    """Return an interval as text, ``1.2 to 3.4``.
 
-    A dash if both ends are None.
+    An end that the data do not bound (None) is written as ``open``. If both ends are None, the text is a dash.
     """
     if low is None and high is None:
         return "–"
