@@ -11,13 +11,14 @@ import importlib
 import pkgutil
 import warnings
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import cache
 from types import MappingProxyType, ModuleType
 
 import seatrial.ident.effects
 from seatrial.daq.errors import SeatrialWarning
 from seatrial.daq.plugins import load_or_warn, plugins
-from seatrial.ident.model import Effect
+from seatrial.ident.model import Effect, built_in
 
 GROUP = "seatrial.effects"  # entry points by which other packages add effects
 
@@ -94,4 +95,4 @@ def _register_module(module: ModuleType, effects: dict[str, Effect]) -> None:
     for effect in getattr(module, "EFFECTS", ()) or (module.EFFECT,):
         if effect.name in effects:
             raise ValueError(f"two effects of the catalogue are called {effect.name!r}; rename one of them")
-        effects[effect.name] = effect
+        effects[effect.name] = replace(effect, parameters=built_in(effect.parameters))

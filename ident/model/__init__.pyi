@@ -12,6 +12,7 @@ from .parameter import INF as INF
 from .parameter import Parameter as Parameter
 from .parameter import ParameterOrigin as ParameterOrigin
 from .parameter import ParameterRole as ParameterRole
+from .parameter import built_in as built_in
 from .parameter import segment_name as segment_name
 from .signal_id import COMMAND as COMMAND
 from .signal_id import SHAFT_SPEED as SHAFT_SPEED
@@ -22,6 +23,9 @@ from .signal_id import commanded_thrusters as commanded_thrusters
 from .signal_id import is_of_thruster as is_of_thruster
 from .signal_id import shaft_speed_of as shaft_speed_of
 from .signal_id import thrust_of as thrust_of
+from .smooth_modulus import SPEED_WIDTH as SPEED_WIDTH
+from .smooth_modulus import YAW_RATE_WIDTH as YAW_RATE_WIDTH
+from .smooth_modulus import smooth_modulus as smooth_modulus
 from .structure import PARAMETERS as PARAMETERS
 from .structure import DisturbanceChannel as DisturbanceChannel
 from .structure import Effect as Effect

@@ -7,6 +7,7 @@ stored in typed fields.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Literal
@@ -236,3 +237,14 @@ class Parameter:
     def freed(self) -> Parameter:
         """Return the parameter as one that is estimated, even if it was a considered parameter."""
         return replace(self, free=True, considered=False)
+
+
+def built_in(parameters: Iterable[Parameter]) -> tuple[Parameter, ...]:
+    """Return the parameters of a model structure or effect of the catalogue, with their values marked as built-in.
+
+    A parameter that a user declares has the origin ``GIVEN`` by default. Parameters with another origin than ``GIVEN``
+    are returned unchanged.
+    """
+    return tuple(
+        replace(p, origin=ParameterOrigin.BUILT_IN) if p.origin is ParameterOrigin.GIVEN else p for p in parameters
+    )

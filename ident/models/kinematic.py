@@ -29,7 +29,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Literal
 
-from seatrial.ident.model import Hold, Input, Model, Output, Sensor, Signals, State, resolve_initial_states
+from seatrial.ident.model import Hold, Input, Model, Output, Sensor, Signals, State, built_in, resolve_initial_states
 from seatrial.ident.models.horizontal import (
     ARMS,
     CURRENT,
@@ -105,7 +105,7 @@ def kinematic_model(
         resolve_initial_states((*STATES, *((YAW_RATE,) if yaw else ()), *OFFSETS), chosen),
         (*(Input(f"{letter}_{side}", unit, hold) for side in SIDES), *ATTITUDE),
         tuple(chosen),
-        (*(p for p in own if p.name not in unused), *noise),
+        built_in((*(p for p in own if p.name not in unused), *noise)),
         (*first, ("force", turning if yaw else force), ("rate", rate), ("output", output)),
         provides=(
             "plane",

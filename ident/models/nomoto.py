@@ -58,6 +58,7 @@ from seatrial.ident.model import (
     Signals,
     State,
     Variable,
+    built_in,
     delay_weights,
     resolve_initial_states,
     tap_name,
@@ -241,7 +242,7 @@ def nomoto_model(
         resolve_initial_states((*STATES, *(STAMP_ERROR_STATES if sampled else ())), chosen),
         (*now, *past),
         chosen,
-        (*parameters, *(NOISE[s.name] for s in chosen)),
+        built_in((*parameters, *(NOISE[s.name] for s in chosen))),
         (
             ("shaft", delayed),
             ("dead_band", unchanged),

@@ -14,6 +14,7 @@ from seatrial.ident.model import (
     Sensor,
     Signals,
     State,
+    built_in,
     resolve_initial_states,
 )
 from seatrial.ident.models.published_values import TABLE_1, TABLE_2
@@ -81,7 +82,7 @@ def surge_model(
         resolve_initial_states(STATES, sensors),
         (Input("n", "", hold) if shaft else Input("X", "N", hold),),
         tuple(sensors),
-        (*HULL, *(THRUST if shaft else ()), NOISE, *noise),
+        built_in((*HULL, *(THRUST if shaft else ()), NOISE, *noise)),
         (("force", _set_force_of_shaft if shaft else _set_given_force), ("rate", _set_rates), ("output", _set_outputs)),
         source=f"surge:{propulsion}:{measured}",
     )

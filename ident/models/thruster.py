@@ -32,6 +32,7 @@ from seatrial.ident.model import (
     StartGrid,
     State,
     Variable,
+    built_in,
     delay_weights,
 )
 from seatrial.ident.models.dead_zone import outside_dead_zone
@@ -210,7 +211,7 @@ def thruster_model(
             for k in range(n_delays)
         ),
         sensors,
-        (delay, *parameters),
+        built_in((delay, *parameters)),
         (("shaft", shaft), ("thrust", _set_thrust), ("rate", _set_rates), ("output", _set_outputs)),
         provides=("bench", "thrust") if force else ("bench",),
         source=f"thruster:{pace}" if pace else "thruster",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from seatrial.ident.model import INF, Input, Model, Output, Parameter, Sensor, Signals, State
+from seatrial.ident.model import INF, Input, Model, Output, Parameter, Sensor, Signals, State, built_in
 from seatrial.ident.models.published_values import TABLE_1
 
 HULL = (
@@ -38,7 +38,7 @@ def yaw_model(measured: Literal["rate", "both"] = "rate", *, hold: Literal["zero
         tuple(states),
         (Input("N", "N m", hold),),
         tuple(sensors),
-        (*HULL, GYRO, *((COMPASS,) if heading else ())),
+        built_in((*HULL, GYRO, *((COMPASS,) if heading else ()))),
         (("force", _set_moment), ("rate", _set_rates), ("output", _set_outputs)),
         source=f"yaw:{measured}",
     )

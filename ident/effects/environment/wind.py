@@ -53,8 +53,7 @@ EFFECT = Effect(
             "N s2/m2",
             "wind force on the broadside per squared wind speed",
             "log",
-            free=False,
-            prior=(0.28, 0.1),
+            prior=(0.28, 0.19),  # a factor of two: the lateral area in air of a small craft is seldom known
             step=0.02,
         ),
     ),

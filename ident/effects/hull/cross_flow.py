@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from seatrial.ident.model import Effect, Parameter, Signals
+from seatrial.ident.model import SPEED_WIDTH, YAW_RATE_WIDTH, Effect, Parameter, Signals, smooth_modulus
 
 
 def couple(s: Signals) -> None:
     """Subtract cross-flow drag from the sway force [N] and the yaw moment [N m]."""
-    s.Y = s.Y - s.p.d_vr * abs(s.x.r) * s.x.v
-    s.N = s.N - s.p.n_vr * abs(s.x.v) * s.x.r
+    s.Y = s.Y - s.p.d_vr * smooth_modulus(s.x.r, YAW_RATE_WIDTH) * s.x.v
+    s.N = s.N - s.p.n_vr * smooth_modulus(s.x.v, SPEED_WIDTH) * s.x.r
 
 
 EFFECT = Effect(

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from seatrial.ident.model import Effect, Parameter, Signals
+from seatrial.ident.model import SPEED_WIDTH, Effect, Parameter, Signals, smooth_modulus
 
 
 def damp(s: Signals) -> None:
     """Subtract damping that grows with surge speed from the sway force [N] and yaw moment [N m]."""
-    speed = abs(s.x.u)
+    speed = smooth_modulus(s.x.u, SPEED_WIDTH)
     s.Y = s.Y - s.p.Y_uv * speed * s.x.v
     s.N = s.N - s.p.N_ur * speed * s.x.r
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from seatrial.ident.model import Effect, Parameter, Signals
+from seatrial.ident.model import SPEED_WIDTH, Effect, Parameter, Signals, smooth_modulus
 
 
 def couple(s: Signals) -> None:
     """Subtract damping by yaw rate from the sway force [N], and by sway speed from the yaw moment [N m]."""
-    speed = abs(s.x.u)
+    speed = smooth_modulus(s.x.u, SPEED_WIDTH)
     s.Y = s.Y - (s.p.Y_r + s.p.Y_ur * speed) * s.x.r
     s.N = s.N - (s.p.N_v + s.p.N_uv * speed) * s.x.v
 

@@ -2,7 +2,17 @@
 
 from __future__ import annotations
 
-from seatrial.ident.model import INF, Effect, ForceCurve, ModelFunction, Parameter, Signals
+from seatrial.ident.model import (
+    INF,
+    SPEED_WIDTH,
+    YAW_RATE_WIDTH,
+    Effect,
+    ForceCurve,
+    ModelFunction,
+    Parameter,
+    Signals,
+    smooth_modulus,
+)
 
 
 def _thrust_reducer(parameter: str, variable: str) -> ModelFunction:
@@ -11,9 +21,12 @@ def _thrust_reducer(parameter: str, variable: str) -> ModelFunction:
     ``parameter`` is the name of a parameter, and ``variable`` that of a state: ``r`` or ``v``.
     """
 
+    width = YAW_RATE_WIDTH if variable == "r" else SPEED_WIDTH
+
     def lose(s: Signals) -> None:
         """Reduce the thrust of each thruster."""
-        remaining = 1 / (1 + getattr(s.p, parameter) * abs(getattr(s.x, variable)))
+        modulus = smooth_modulus(getattr(s.x, variable), width)
+        remaining = 1 / (1 + getattr(s.p, parameter) * modulus)
         for side, f in s.f.items():
             s.f[side] = f * remaining
 

@@ -107,6 +107,22 @@ def test_effect_changes_the_model_and_is_described(name: str) -> None:
         assert alternative in catalogue(), f"{name} names an alternative that is not there: {alternative}"
 
 
+@pytest.mark.parametrize("name", catalogue())
+def test_derivative_by_each_speed_is_continuous_where_it_changes_its_sign(name: str) -> None:
+    # A kink in a speed makes the likelihood of an extended Kalman filter jump; see smooth_modulus.
+    effect = catalogue()[name]
+    model = carrier(effect) + effect
+    model = model.replace_parameters(*(p.at(p.value + p.step) for p in effect.parameters))
+    x, u = points(model)
+    for j, state in enumerate(model.states):
+        if state.name in ("u", "v", "r"):
+            h = 1e-6
+            below, at, above = (
+                evaluate(model, np.insert(np.delete(x, j, axis=1), j, z, axis=1), u) for z in (-h, 0.0, h)
+            )
+            np.testing.assert_allclose((above - at) / h, (at - below) / h, atol=1e-3, err_msg=f"kink in {state.name}")
+
+
 @pytest.mark.parametrize("name", [name for name, effect in catalogue().items() if effect.one_sided])
 def test_parameter_of_a_one_sided_effect_is_bounded_by_zero(name: str) -> None:
     assert catalogue()[name].parameters[0].bounds[0] == 0.0
