@@ -79,9 +79,9 @@ def read_lvm(path: Path, options: SourceOptions) -> list[Table]:
 
 
 def _header_cells(lines: Sequence[Sequence[str]]) -> dict[str, Sequence[str]]:
-    """Return the cells of each line of a header after its first cell, by the first cell.
+    """Return the cells of each header line of a LabVIEW file by the first cell of the line, without that cell.
 
-    A line without cells is skipped.
+    A line without cells is skipped. If a first cell repeats, the last line counts.
     """
     return {cells[0].strip(): cells[1:] for cells in lines if cells}
 
@@ -92,7 +92,10 @@ def _first_filled_cell(head: Mapping[str, Sequence[str]], key: str, usual: str) 
 
 
 def _header_seconds(head: Mapping[str, Sequence[str]], decimal: str) -> float:
-    """Return date and time of a header [s since 1970]; NaN if the header has no date."""
+    """Return the entries Date and Time of a LabVIEW header, taken as UTC [s since 1970]; NaN if there is no date.
+
+    `head` has the cells of each header line by name, and `decimal` is the decimal mark of the file.
+    """
     text = f"{_first_filled_cell(head, 'Date', '')} {_first_filled_cell(head, 'Time', '').replace(decimal, '.')}"
     for pattern in ("%Y/%m/%d %H:%M:%S.%f", "%Y-%m-%d %H:%M:%S.%f"):
         try:
@@ -104,7 +107,7 @@ def _header_seconds(head: Mapping[str, Sequence[str]], decimal: str) -> float:
 
 
 class _SegmentRows:
-    """Collector of the rows of all segments of one LabVIEW file.
+    """Collector of the rows of all segments of one LabVIEW file, which become one table.
 
     Parameters
     ----------
@@ -129,11 +132,13 @@ class _SegmentRows:
         self._segment: Mapping[str, Sequence[str]] = {}
 
     def begin(self, segment: Mapping[str, Sequence[str]]) -> None:
-        """Begin a segment with the cells of its header, by name. `add` then adds its rows."""
+        """Begin a segment of a LabVIEW file with the cells of its header, by name. `add` then adds its rows."""
         self._segment = segment
 
     def add(self, rows: Sequence[Sequence[str]]) -> None:
-        """Add the rows of the segment. The first row has the names of the columns.
+        """Add the rows of a segment of a LabVIEW file, each a list of cells. The first has the names of the columns.
+
+        Without rows nothing is added. A row with too few cells is left out and counted.
 
         Raises
         ------
@@ -173,10 +178,10 @@ class _SegmentRows:
             return math.nan
 
     def _times(self, rows: Sequence[Sequence[str]], place: int | None) -> Column:
-        """Return the times of the rows of the segment, (n,).
+        """Return the times (n,) of the rows of a LabVIEW segment [s since 1970, or since the start without a date].
 
-        They are in s since 1970, or since the start if the file has no date. `place` is the index of the column X; None
-        if the rows have no X and are Delta_X apart. Raise SeatrialError if they have neither.
+        `place` is the index of the column X, which has the times; None if the rows have no X and are Delta_X apart.
+        Raise SeatrialError if they have neither.
         """
         x0 = self._cell_number(_first_filled_cell(self._segment, "X0", "0"))
         dx = self._cell_number(_first_filled_cell(self._segment, "Delta_X", "nan"))
@@ -195,7 +200,7 @@ class _SegmentRows:
         return np.asarray(start + x if is_continued or not begin else begin + x - x0)
 
     def table(self) -> Table:
-        """Return all rows that have a time as one table. Raise SeatrialError if there are no rows."""
+        """Return the rows of all segments that have a time as one table. Raise SeatrialError if there are no rows."""
         if not self._t or not sum(map(len, self._t)):
             raise SeatrialError(f"{self._path}: no rows below the header")
         t, values = np.concatenate(self._t), np.concatenate(self._values)

@@ -29,7 +29,7 @@ class Candidate(NamedTuple):
     table : Table
         Table of the columns.
     signals : tuple of MapSignal
-        Signals of the map.
+        Signals that the map would contain.
     caveat : str
         What is uncertain in the signals, for a comment in the map; "" if there is none.
     quantity : frozenset of str
@@ -45,7 +45,7 @@ class Candidate(NamedTuple):
 
 
 class MapSignal(NamedTuple):
-    """Signal of a candidate, as in a map.
+    """Signal that a guessed import map could contain: its name, its columns and their unit.
 
     Attributes
     ----------
@@ -72,7 +72,11 @@ Row = tuple[str, int, tuple[MapSignal, ...]]  # group, rank and signals of a can
 
 
 def _vector_row(group: str, names: str, fields: str, unit: str, rank: int, extra: str = "") -> Row:
-    """Return a row whose signals `names` are the fields `fields`, both separated by blanks."""
+    """Return a table entry (group, rank, signals) for fields of a message that are signals of a model.
+
+    `names` are the signals and `fields` the message fields, both separated by blanks, for example "x y" and "position.x
+    position.y". `extra` are further keys of the import map.
+    """
     return (
         group,
         rank,
@@ -81,13 +85,19 @@ def _vector_row(group: str, names: str, fields: str, unit: str, rank: int, extra
 
 
 def _heading_row(prefix: str, rank: int, names: str = "x y z w") -> Row:
-    """Return a row with the heading of a quaternion; `names` are its fields x, y, z and w behind `prefix`."""
+    """Return a table entry (group, rank, signals) for the heading in a quaternion of a message.
+
+    The fields of the quaternion are `prefix` followed by the `names`, in the order x, y, z, w.
+    """
     fields = tuple(f"{prefix}{axis}" for axis in names.split())
     return "heading", rank, (MapSignal("psi", fields, "", "yaw", 'angle = "unwrap"'),)
 
 
 def _fix_row(lat: str, lon: str, unit: str, rank: int) -> Row:
-    """Return a row with the position of a fix from the fields of latitude and longitude."""
+    """Return a table entry (group, rank, signals) for a position from the message fields of latitude and longitude.
+
+    `unit` is that of both fields, for example "deg" or "degE7".
+    """
     extra = "" if unit == "deg" else f'units = ["{unit}", "{unit}"]'
     signals = (MapSignal("x", (lat, lon), "", "north", extra), MapSignal("y", (lat, lon), "", "east", extra))
     return "position", rank, signals
@@ -308,7 +318,7 @@ def read_name(column: str) -> Name:
 
 
 def message_candidates(table: Table) -> list[Candidate]:
-    """Return the candidates of a table with messages of a known type.
+    """Return the signals in a table of messages of a known type, as candidates for a guessed import map.
 
     Parameters
     ----------
@@ -342,15 +352,18 @@ def message_candidates(table: Table) -> list[Candidate]:
 
 
 def _is_pose(table: Table) -> bool:
-    """Return whether a transform is a pose of a vehicle.
+    """Return whether a table of transforms (ROS /tf) has the poses of a vehicle.
 
-    It is one from a frame of the earth (map, odom, world, earth, utm) to another frame.
+    This is a transform from a frame of the earth (map, odom, world, earth, utm) to another frame.
     """
     return table.frame_id.strip("/") in _EARTH_FRAMES and table.topic.rpartition(":")[2] not in _EARTH_FRAMES
 
 
 def _twist_rows(table: Table, prefix: str) -> tuple[Row, ...]:
-    """Return the rows of a twist: velocities over ground for a topic or frame of the earth, else in body axes."""
+    """Return the table entries (group, rank, signals) for ROS messages with a twist, whose fields begin with `prefix`.
+
+    For a topic or frame of the earth they are velocities over ground, else velocities and yaw rate in body axes.
+    """
     linear = f"{prefix}linear.x {prefix}linear.y"
     if _EARTH.search(table.topic) or table.frame_id.strip("/") in _EARTH_FRAMES:
         return (_vector_row("velocity", "vx vy", linear, "m/s", 0),)
@@ -391,7 +404,10 @@ def wrapped_negative(values: Column) -> np.typing.NDArray[np.bool_]:
 
 
 def _is_of_16_bits(values: Column, high: np.typing.NDArray[np.bool_]) -> bool:
-    """Return whether the high numbers span at most about three times the range of the low numbers, as negatives do."""
+    """Return whether the numbers flagged `high` can be negative numbers that a 16-bit counter stored as 65536 - n.
+
+    Then they span at most about three times the largest of the other numbers.
+    """
     top = float(np.max(values[high]))
     return top - float(np.min(values[high])) < 3.0 * float(np.max(values[~high])) + 1e-9
 
@@ -446,7 +462,10 @@ def drive(words: frozenset[str], values: Column, unit: str) -> tuple[str, MapSig
         caveat = "; ".join(part for part in (WRAPPED.format(np.max(good)), caveat) if part)
 
     def found(unit: str, extra: str, *caveats: str) -> tuple[str, MapSignal, str]:
-        """Return a candidate of the group "drive": the signal n of the side, and all caveats in one text."""
+        """Return group "drive", the signal n, n_left or n_right, and all caveats in one text.
+
+        `unit` is the unit of the signal, and `extra` are further keys of the import map.
+        """
         return (
             "drive",
             MapSignal(f"n{side}", (), unit, "", extra),

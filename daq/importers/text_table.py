@@ -132,7 +132,7 @@ class TextTable(Table):
             raise SeatrialError(f"{path}: cannot be read: {error.strerror}") from error
 
     def _read(self, file: Iterable[str]) -> None:
-        """Read header and rows from the lines of a file.
+        """Read header and rows of the text table from the lines of its file.
 
         Comments, repeated headers, units and subheadings are skipped. The units are stored. Lines with a wrong number
         of cells are noted in the remark or raise SeatrialError (`_note_ragged_lines`).
@@ -180,10 +180,10 @@ class TextTable(Table):
             self._add_remark(f"column '{name}' is {counted(self._header.count(name), 'time')} in the header: {_RENAME}")
 
     def _note_ragged_lines(self, ragged: Sequence[tuple[int, int]], is_cut: bool) -> None:
-        """Note the lines whose number of cells differs from the header in the remark.
+        """Add a remark about the lines of the text table whose number of cells differs from the header.
 
-        `ragged` has line and number of cells of each. Raise SeatrialError if the map does not drop cells without a
-        number, or if these are more than 20 % of the lines. `is_cut`: the file has no line end at its end.
+        `ragged` has line and number of cells of each. Raise SeatrialError if the import map does not drop cells without
+        a number, or if these are more than 20 % of the lines. `is_cut`: the file has no line end at its end.
         """
         line, n_cells = ragged[0]
         width, n = len(self._header), len(ragged)
@@ -199,20 +199,20 @@ class TextTable(Table):
             self._add_remark(f"{counted(n, 'line')} left out; the first, line {line}, has {fault}")
 
     def _add_remark(self, text: str) -> None:
-        """Add a remark, once."""
+        """Add a text to the remark of the table, unless the remark contains it already."""
         if text not in self.remark:
             self.remark = "; ".join(part for part in (self.remark, text) if part)
 
     @property
     def names(self) -> list[str]:
-        """Names of the columns, in the order of the header. They may repeat or be empty."""
+        """Names of the columns of the text table, in the order of the header. They may repeat or be empty."""
         return self._header
 
     def __len__(self) -> int:
         return len(self.lines)
 
     def text(self, column: str) -> list[str]:
-        """Return the cells of a column as text. The file is read again if only its numbers were kept.
+        """Return the cells of a column of the text table. The file is read again if only its numbers were kept.
 
         Raise SeatrialError if the header lacks the column or has it twice.
         """
@@ -231,7 +231,7 @@ class TextTable(Table):
         return SeatrialError(f"{self.path}: line {self.lines[row]}, column '{column}': {problem}")
 
     def numbers(self, column: str) -> Column:
-        """Return a column as numbers.
+        """Return a column of the text table as numbers.
 
         Parameters
         ----------
@@ -253,7 +253,11 @@ class TextTable(Table):
         return self._numbers[column]
 
     def _as_numbers(self, column: str) -> Column:
-        """Convert a column to numbers, as `numbers` describes."""
+        """Convert the cells of a column to numbers (n,). An empty cell becomes NaN.
+
+        A cell of text becomes NaN if the import map drops or keeps such cells (`nan`). Raise SeatrialError otherwise,
+        or if the column has more text than numbers.
+        """
         cells = self._without_units(column, [cell.strip() for cell in self.text(column)])
         decimal = self._style.decimal
         # A comma in quotes, or in a table with decimal points, separates thousands.
@@ -287,7 +291,10 @@ class TextTable(Table):
         return any(_POINT.fullmatch(cell.strip()) for cells in self._rows[:LOOKED_AT] for cell in cells)
 
     def _without_units(self, column: str, cells: list[str]) -> list[str]:
-        """Return the cells without their unit if all have the same unit (1.25 m). Store it as the column's unit."""
+        """Return the cells of a column without their unit if all have the same unit (1.25 m), and store the unit.
+
+        Otherwise the cells are returned unchanged.
+        """
         first = _WITH_UNIT.fullmatch(next((text for text in cells if text), ""))
         if first is None or not unit_of(first[2]):
             return cells
@@ -302,7 +309,7 @@ _RENAME = 'name the columns in the map: csv.columns = ["...", ...], and csv.skip
 
 
 class _WatchedLines:
-    """Iterator over the lines of a file. `is_cut` is True if the last line has no line end.
+    """Iterator over the lines of a file that notes whether the last line was cut off. Zero bytes are removed.
 
     Attributes
     ----------
@@ -321,7 +328,7 @@ class _WatchedLines:
 
 
 def _numbers_of_plain_cells(cells: Sequence[str], decimal: str) -> list[float]:
-    """Return the numbers of a column (n,). `decimal` is the decimal mark.
+    """Convert the cells of a column to numbers (n,). `decimal` is the decimal mark.
 
     Raise ValueError if a cell is not a plain number, also if it is empty.
     """
@@ -331,7 +338,7 @@ def _numbers_of_plain_cells(cells: Sequence[str], decimal: str) -> list[float]:
 
 
 def to_number(text: str, decimal: str, has_thousands: bool = False) -> float:
-    """Return the number of a cell.
+    """Convert the text of a cell to a number.
 
     Parameters
     ----------
@@ -368,7 +375,10 @@ def to_number(text: str, decimal: str, has_thousands: bool = False) -> float:
 
 
 def _cells_of_lines(file: Iterable[str], style: TextStyle) -> Iterator[tuple[int, list[str]]]:
-    """Yield the number, counted from 1, and the cells of each line that is not blank."""
+    """Split the lines of a text table into cells. Yield the number, counted from 1, and the cells of each line.
+
+    Blank lines are skipped. The delimiter is that of `style`.
+    """
     if style.delimiter == BLANK:
         for number, line in enumerate(file, start=1):
             if cells := line.split():
@@ -381,7 +391,7 @@ def _cells_of_lines(file: Iterable[str], style: TextStyle) -> Iterator[tuple[int
 
 
 def is_comment(cells: Sequence[str], width: int) -> bool:
-    """Return whether a line is a comment.
+    """Return whether a line of a text table is a comment.
 
     Parameters
     ----------
@@ -411,7 +421,7 @@ def without_brackets(cell: str) -> str:
 
 
 def is_units_row(cells: list[str]) -> bool:
-    """Return whether a row contains the units of the columns.
+    """Return whether a row of a text table contains the units of the columns.
 
     At least half of the filled cells are known units, not only "1" and "-". No other cell contains a digit.
     """
@@ -466,7 +476,7 @@ def wide_encoding(head: bytes) -> str:
 
 
 def sniff_style(path: Path, head: bytes) -> TextStyle | None:
-    """Recognise the style of a text table.
+    """Recognise delimiter, decimal mark, encoding and header of a text table.
 
     Parameters
     ----------
@@ -513,9 +523,10 @@ def _joined_quoted_lines(lines: Sequence[str]) -> tuple[list[str], list[int]]:
 
 
 def _score_of_style(lines: list[str], style: TextStyle) -> tuple[float, TextStyle] | None:
-    """Return a score and the style with the place of the header; None if the lines are not a table in this style.
+    """Return a score of how well a text is a table in this style, and the style with the place of the header.
 
-    The score is the sum over the rows of the squared share of numbers times the number of cells.
+    None means that the lines are not a table in this style. The score is the sum over the rows of the squared share of
+    numbers times the number of cells.
     """
     rows = [next((cells for _, cells in _cells_of_lines(line.splitlines(keepends=True), style)), []) for line in lines]
     widths = Counter(len(cells) for cells in rows if cells).most_common(1)
