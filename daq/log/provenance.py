@@ -19,9 +19,9 @@ _PACKAGES = ("seatrial", "mcap", "numpy", "pyserial", "python-can", "zstandard")
 
 @cache
 def git_hash() -> str:
-    """Return the commit of the running source tree.
+    """Return the git commit of the running source code, for the metadata of a log.
 
-    The suffix `-dirty` marks a tree with uncommitted changes. The result is `none` outside a git repository.
+    The suffix `-dirty` marks a tree with uncommitted changes. The result is "none" outside a git repository.
     """
     folder = Path(__file__).resolve().parents[1]
     if not (folder.parent / ".git").exists():

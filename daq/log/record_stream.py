@@ -15,7 +15,7 @@ BALLAST_BYTES = 512 * 1024
 
 
 class ReservedSpace:
-    """Disk space that a file without a name occupies.
+    """Disk space that is reserved (the ballast), so that the end of a log fits on a full disk.
 
     Parameters
     ----------
@@ -29,7 +29,7 @@ class ReservedSpace:
 
     Notes
     -----
-    The space is free again after `release`, or when the process ends for any reason.
+    A file without a name occupies the space. It is free again after `release`, or when the process ends for any reason.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -39,7 +39,9 @@ class ReservedSpace:
         self.size = 0
 
     def grow(self, size: int) -> None:
-        """Reserve at least `size` bytes in all.
+        """Increase the reserved disk space to at least `size` bytes in all. It never becomes smaller.
+
+        Nothing happens after `release`.
 
         Raises
         ------
@@ -55,14 +57,16 @@ class ReservedSpace:
         self.size = size
 
     def release(self) -> None:
-        """Free the space, so that other files can use it. A second call has no effect."""
+        """Free the reserved disk space, so that other files can use it. A second call has no effect."""
         if self._fd >= 0:
             os.close(self._fd)
             self._fd = -1
 
 
 class WholeRecordStream:
-    """Output file of a `RecordWriter`. The writer passes whole records only, so the file always ends with one.
+    """Output file of a log that always ends with a whole record, also after a full disk.
+
+    The caller, a `RecordWriter`, passes whole records only.
 
     Parameters
     ----------
@@ -98,7 +102,7 @@ class WholeRecordStream:
             raise
 
     def tell(self) -> int:
-        """Return the number of bytes in the file."""
+        """Return the number of bytes written to the file so far."""
         return self._size
 
     def write(self, data: bytes) -> int:
@@ -129,7 +133,7 @@ class WholeRecordStream:
         return len(data)
 
     def _write_all(self, data: bytes) -> None:
-        """Write all bytes at the end of the file. Raises OSError, also after a part of the bytes is written."""
+        """Write all bytes at the end of the file. Raise OSError, also after a part of the bytes is written."""
         view = memoryview(data)
         at = self._size
         while view:
@@ -146,11 +150,11 @@ class WholeRecordStream:
         """Do nothing: this class has no buffer."""
 
     def sync(self) -> None:
-        """Wait until the written data are on the disk. Raises OSError if the disk reports an error."""
+        """Wait until the written data of the file are on the disk. Raise OSError if the disk reports an error."""
         os.fsync(self._fd)
 
     def close(self) -> None:
-        """Close the file and free the reserved space."""
+        """Close the output file and free the reserved disk space."""
         self.ballast.release()
         os.close(self._fd)
 
@@ -166,12 +170,12 @@ def sync_folder(folder: Path) -> None:
 
 
 class FileSyncer(threading.Thread):
-    """Thread that calls `sync` of a stream on request. On a memory card one call can take a second.
+    """Thread that syncs an output file to the disk on request. On a memory card one sync can take a second.
 
     Attributes
     ----------
     error
-        Error of the call that failed; the thread has ended then. None before.
+        Error of the sync that failed; the thread has ended then. None before.
     """
 
     def __init__(self, stream: WholeRecordStream) -> None:
@@ -180,7 +184,7 @@ class FileSyncer(threading.Thread):
         self._stream, self._wanted, self._ending = stream, threading.Event(), False
 
     def run(self) -> None:
-        """Call `sync` after every request, until `end` is called or a call fails."""
+        """Wait for requests and sync the file after each, until `end` is called or a sync fails (`error`)."""
         while True:
             self._wanted.wait()
             self._wanted.clear()
@@ -193,11 +197,11 @@ class FileSyncer(threading.Thread):
                 return
 
     def request(self) -> None:
-        """Request one call of `sync`."""
+        """Request one sync of the file; the call returns at once."""
         self._wanted.set()
 
     def end(self) -> None:
-        """Stop the thread and wait until it has ended."""
+        """Stop the sync thread and wait until it has ended."""
         self._ending = True
         self._wanted.set()
         self.join()

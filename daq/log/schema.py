@@ -72,7 +72,7 @@ _YAW9 = doubles(_UNKNOWN_VARIANCE, 0.0, 0.0, 0.0, _UNKNOWN_VARIANCE, 0.0, 0.0, 0
 
 
 class Message(NamedTuple):
-    """One message to write.
+    """One message to write to a log: its topic, type, frame and values.
 
     Attributes
     ----------
@@ -92,12 +92,12 @@ class Message(NamedTuple):
     values: tuple[float | bytes, ...]
 
     def pack(self, stamp_ns: int) -> bytes:
-        """Return the message in CDR with a time stamp [ns since 1970]."""
+        """Return the message as bytes in CDR with a time stamp [ns since 1970]."""
         return cdr_layout(self.type_name, self.frame_id.encode()).pack(stamp_ns, *self.values)
 
 
 def field_names(kind: type[Measured]) -> list[str]:
-    """Return the names of the fields of the class of a sample, in order."""
+    """Return the names of the fields of a class of samples, in order, for example "node", "rpm", ... for `Esc`."""
     return [field.name for field in fields(kind)]
 
 
@@ -108,7 +108,7 @@ _GETTERS[Scalar] = lambda sample: (sample.value,)  # type: ignore[attr-defined]
 
 
 def topic(kind: type[Measured], source: str, node: int | None = None) -> str:
-    """Return the topic whose messages contain the samples of a kind.
+    """Return the topic of a log whose messages contain the samples of a kind, for example "/imu1/gnss".
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ def topic(kind: type[Measured], source: str, node: int | None = None) -> str:
 
 
 def messages(device: str, frame: Frame) -> list[Message]:
-    """Return the messages of one sample. The first of them contains t_rx and t_device.
+    """Convert one sample of a device to its messages. The first of them contains t_rx and t_device.
 
     A `Transducer` becomes the message of a `Scalar` with the name of the transducer instead of the device.
 
@@ -219,7 +219,10 @@ def imu_columns(rows: NDArray[np.void]) -> Columns:
 
 
 def own_columns(kind: type[Measured], rows: NDArray[np.void]) -> Columns:
-    """Return the columns of a kind other than `Ahrs`, t_rx and t_device included, from decoded messages of its type."""
+    """Return the columns of a kind of samples, t_rx and t_device included, from decoded messages of its own type.
+
+    The kind is any but `Ahrs`. Speed and kind of fix that an older log lacks are computed.
+    """
     columns: Columns = {name: rows[name] for name in rows.dtype.names or ()}
     if kind is Gnss and "speed" not in columns:  # a log of an older version: same rule as the defaults of `Gnss`
         fix = columns["fix"]

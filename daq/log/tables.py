@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 
 
 class Log(Protocol):
-    """Interface to `seatrial.daq.log.Log` with the parts that this module uses."""
+    """Interface to `seatrial.daq.log.Log` with the parts that resampling needs."""
 
     path: Path
 
@@ -38,7 +38,7 @@ class Log(Protocol):
         """Return the names of the devices or signals that have samples of a kind."""
 
     def nodes(self, kind: type[Any], source: str) -> list[int]:
-        """Return the controller ids of a device."""
+        """Return the ids of the motor controllers of a device that have samples of a kind."""
 
     def table(self, kind: type[Any], source: str, node: int | None = None) -> NDArray[np.void]:
         """Return the samples of a device or signal, shape (n,)."""
@@ -51,7 +51,7 @@ class Log(Protocol):
 
 
 class LogTable(NamedTuple):
-    """One table of samples of a log.
+    """Table of the samples of one device or signal of a log, with the units of its columns.
 
     Attributes
     ----------
@@ -75,7 +75,7 @@ class LogTable(NamedTuple):
 
 
 class Resampled(NamedTuple):
-    """A log on one time grid.
+    """All numbers of a log on one time grid.
 
     Attributes
     ----------
@@ -93,7 +93,7 @@ class Resampled(NamedTuple):
 
 
 def log_tables(log: Log) -> Iterator[LogTable]:
-    """Yield every table of samples of a log, in the order of `KINDS`."""
+    """Yield the table of samples of each device, controller and signal of a log, in the order of `KINDS`."""
     for kind in KINDS:
         for source in log.sources(kind):
             for node in log.nodes(kind, source) if kind in NODE_TOPICS else [None]:
