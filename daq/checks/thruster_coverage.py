@@ -17,7 +17,7 @@ FEWEST = 10  # smallest number of samples of the fastest controller from which r
 
 
 def _check_rpm_max(log: Log, rig: Rig) -> Iterator[Finding]:
-    """Yield a finding for each thruster whose speed cannot be normalised, because the rig lacks its rpm_max.
+    """Yield a warning for each thruster whose measured speed cannot be normalised, because the rig lacks its rpm_max.
 
     Only thrusters with a shaft speed above zero in the log count.
     """
@@ -32,7 +32,7 @@ def _check_rpm_max(log: Log, rig: Rig) -> Iterator[Finding]:
 
 
 def _numbering_advice(rig: Rig, device: str, nodes: set[int], heard: set[int]) -> str:
-    """Return the advice on wrong numbers (nodes) of the speed controllers of a bus.
+    """Return the advice for the user if the log has other numbers (nodes) of speed controllers than the rig.
 
     Parameters
     ----------
@@ -43,8 +43,8 @@ def _numbering_advice(rig: Rig, device: str, nodes: set[int], heard: set[int]) -
     nodes : set of int
         Numbers of the controllers in the rig.
     heard : set of int
-        Numbers of the controllers that are in the log. If they differ by one constant on a DroneCAN bus, the advice is
-        that constant.
+        Numbers of the controllers that are in the log. If they differ from those of the rig by one constant on a
+        DroneCAN bus, the advice is that constant.
     """
     offset = min(heard) - min(nodes)
     of_dronecan = any(d.name == device and d.protocol == "dronecan" for d in rig.devices)
