@@ -398,7 +398,10 @@ def _check_esc_voltage(name: str, table: Any, rig: Rig | None) -> Iterator[Findi
 
 
 def _voltage_finding(name: str, volts: float, lowest: float) -> Finding:
-    """Return the finding on a voltage and its lower limit [V]: fault below the limit, warning within 5 % above it."""
+    """Compare a voltage with its lower limit [V] and return the finding.
+
+    It is a fault below the limit, and a warning within 5 % above it.
+    """
     if volts < lowest:
         return Finding(FAULT, "voltage-low", "battery", name, f"{volts:.1f} V, limit {lowest:g}", "charge the battery")
     near = volts < 1.05 * lowest

@@ -145,7 +145,7 @@ def is_measured(levels: FloatArray, interval: float) -> bool:
 
 
 def group_held_signals(found: Mapping[str, HeldValues]) -> list[tuple[str, HeldValues]]:
-    """Join the names of held signals with equal numbers of measurements, which mostly come from one sensor.
+    """Group the held signals with equal numbers of measurements, which mostly come from one sensor.
 
     Parameters
     ----------
@@ -155,7 +155,7 @@ def group_held_signals(found: Mapping[str, HeldValues]) -> list[tuple[str, HeldV
     Returns
     -------
     list
-        Joined names, and the held values of the first of them.
+        For each group the names, joined by commas, and the result for the first of them.
     """
     groups: dict[int, list[str]] = {}
     for name, held in found.items():
@@ -186,10 +186,10 @@ def _rows_of_change(columns: Sequence[FloatArray]) -> Mask:
 
 
 def _share_of_single_steps(columns: Sequence[FloatArray], rows: npt.NDArray[np.intp]) -> float:
-    """Return the share, 0 to 1, of the changes that are at most one step of the resolution in every column.
+    """Return the share (0 to 1) of the changes of a sensor's values that are at most one step of its resolution.
 
-    `columns` are the values (n,) of each signal, and `rows` are the rows of change. The resolution of a column is its
-    smallest change.
+    `columns` are the values (n,) of each signal of the sensor, all of which must change so little, and `rows` are the
+    rows of change. The resolution of a column is its smallest change.
     """
     small = np.ones(rows.size, bool)
     for column in columns:
@@ -216,6 +216,6 @@ def _rows_of_measurement(changed: Mask, period: float) -> Mask:
 def _change_together(a: Mask, b: Mask) -> bool:
     """Return whether two signals change in mostly the same rows, so that they come from one sensor.
 
-    `a` and `b` are masks (n,) of the rows of change. At least SAME_ROWS of all rows of change must be common.
+    `a` and `b` are masks (n,) of the rows of change. At least 80 % of all rows of change must be common.
     """
     return float(np.sum(a & b)) >= SAME_ROWS * float(np.sum(a | b))

@@ -45,7 +45,7 @@ def bench_candidates(table: Table, t: Column | None) -> list[Candidate]:
     Parameters
     ----------
     table
-        The table.
+        Table of a source file.
     t
         Times of the rows, shape (n,) [s]; None if the table has no times.
 
@@ -86,7 +86,7 @@ def bench_candidates(table: Table, t: Column | None) -> list[Candidate]:
 
 
 def _number_columns(table: Table) -> Iterator[tuple[str, Column]]:
-    """Yield the name and the values (n,) of each column of numbers.
+    """Yield the name and the values (n,) of each column of a table that contains numbers.
 
     Columns without a name, of text, without any finite number, or with a name that appears twice are skipped.
     """
@@ -134,7 +134,7 @@ def _column_unit(table: Table, column: str) -> str:
 
 
 def _force_unit(table: Table, column: str) -> str:
-    """Return the unit of a thrust column as a map writes it; "" if it is not a unit of force.
+    """Return the unit of a thrust column as an import map writes it; "" if it is not a unit of force.
 
     Grams and kilograms count as forces on a thrust stand ("gf", "kgf"). A column without a unit gets "N".
     """

@@ -84,7 +84,7 @@ def _library_frames(path: Path, name: str) -> Iterator[BusFrame]:
 
 
 def read_can(path: Path, options: SourceOptions) -> list[Table]:
-    """Return the tables of a CAN log.
+    """Read a CAN log as tables: its frames are decoded by a DBC file, by a rig, or by a CAN protocol.
 
     Parameters
     ----------

@@ -303,7 +303,7 @@ def _candump_frames(log: _LogState, parts: Fields) -> Iterator[BusFrame]:
 
 
 def _text_seconds(text: str) -> float:
-    """Return a time [s] from a text: a number, or a date and a time of day, which are taken as UTC.
+    """Convert the time in a line of a CAN log to s: a number, or a date and a time of day, which are taken as UTC.
 
     An empty text gives 0. Raise ValueError for other texts.
     """

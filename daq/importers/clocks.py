@@ -79,7 +79,7 @@ class Clock(NamedTuple):
     column : str
         Column of the times; "" if the table has its own times, or no times.
     form : str
-        Format of the times, as in [time] of a map: a unit, "iso", "gps", ... or a strptime pattern.
+        Format of the times, as in the table [time] of an import map: a unit, "iso", "gps", ... or a strptime pattern.
     caveat : str
         What is uncertain in the format, for a comment in the map; "" if there is none.
     rate : float
@@ -162,12 +162,12 @@ def _named_clock(table: Table, name: str, dates: Sequence[str], weeks: Sequence[
         form, caveat = format_of_text(dated(table, dates[0], name))
         if form == "iso" or "%d" in form or "%j" in form:
             clock = Clock(name, form, caveat, date=dates[0])
-    elif form == "s" and (compact := _compact_date(table, name)) is not None:
+    elif form == "s" and (compact := _digits_only_clock(table, name)) is not None:
         clock = compact
-    return _even_clock(table, clock)
+    return _with_row_rate(table, clock)
 
 
-def _compact_date(table: Table, name: str) -> Clock | None:
+def _digits_only_clock(table: Table, name: str) -> Clock | None:
     """Return the time column `name` with its date column if both are digits only, as 130000.5 and 120524 (ddmmyy).
 
     A date of 8 digits is yyyymmdd. Return None if the times are not of the form hhmmss, or no column of dates fits.
@@ -212,7 +212,7 @@ def row_seconds(table: Table, clock: Clock) -> Column | None:
 
 
 def _rises_evenly(values: Column) -> bool:
-    """Return whether a column (n,) rises evenly.
+    """Return whether the values of a column (n,) rise evenly, as the times of rows at a fixed rate.
 
     It has more than 10 steps, all positive, which differ by less than half their mean.
     """
@@ -220,7 +220,7 @@ def _rises_evenly(values: Column) -> bool:
     return bool(len(steps) > 10 and np.all(steps > 0.0) and np.ptp(steps) < 0.5 * np.mean(steps))
 
 
-def _even_clock(table: Table, clock: Clock) -> Clock:
+def _with_row_rate(table: Table, clock: Clock) -> Clock:
     """Add the rate of the rows [Hz] to a clock whose time stamps are coarser than the rows, as whole seconds at 10 Hz.
 
     The rate is set only if all stamps except the first and the last have about the same number of rows. Otherwise the
@@ -398,7 +398,7 @@ def _day_format(texts: Sequence[str]) -> str:
 
 
 def _reads_all(read: Callable[[str], object], texts: Sequence[str]) -> bool:
-    """Return whether a function reads all texts without a ValueError."""
+    """Return whether a parser, the function `read`, reads all texts without a ValueError."""
     try:
         for text in texts:
             read(text)

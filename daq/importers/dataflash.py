@@ -209,7 +209,7 @@ class _MessageConverter:
 
 
 def read_dataflash(path: Path, rig: Rig | None, device: Device | None) -> tuple[list[Timed], str, dict[str, float]]:
-    """Read a DataFlash log.
+    """Read the samples in a DataFlash log (BIN), which ArduPilot writes.
 
     Parameters
     ----------

@@ -147,7 +147,7 @@ def _cell_seconds(cell: str) -> float:
 
 
 def _cell_number(cell: str) -> float:
-    """Return the number in a cell; NaN if the cell is not a number."""
+    """Return the number in a cell of a FlySight file; NaN if the cell is not a number."""
     try:
         return float(cell)
     except ValueError:

@@ -84,12 +84,12 @@ class Guess(NamedTuple):
 
 
 def guess_map(path: Path, dbc: Path | None = None, folder: Path | None = None) -> Guess:
-    """Guess the map of a source for `seatrial import`.
+    """Guess the import map of a source file: which of its columns are which signals, in which units.
 
     Parameters
     ----------
     path
-        The source.
+        The source file, or the folder of a ROS bag.
     dbc
         Database of the messages of a CAN log.
     folder
@@ -141,13 +141,13 @@ def guess_map(path: Path, dbc: Path | None = None, folder: Path | None = None) -
     benches = [c for t in tables if not t.kind for c in bench_candidates(t, row_seconds(t, clocks[id(t)]))]
     candidates = [c for t in tables for c in (*message_candidates(t), *_column_candidates(t, clocks, together))]
     candidates = benches or [*candidates, *outputs(tables)]
-    candidates = [_with_units(_in_frame(c) if kind.name == "ros" else c) for c in candidates]
+    candidates = [_with_unit_caveats(_with_frame_key(c) if kind.name == "ros" else c) for c in candidates]
     main = _main_clock(candidates, clocks)
     taken, lines = _chosen_signals(candidates, clocks, main)
     problem = _missing_for_fit(taken, tables)
     head += _style_line(options, kind.name) + _time_lines(tables, candidates, clocks, main)
     remarks = [f"# caveat: {table.full_remark}" for table in tables if table.full_remark]
-    remarks += [f"# caveat: {line}" for line in _held_lines(candidates, taken, clocks)]
+    remarks += [f"# caveat: {line}" for line in _held_signal_comments(candidates, taken, clocks)]
     text = "\n".join([*head, *remarks, "signal = [", *lines, *_unrecognised_lines(tables, candidates, clocks), "]"])
     return Guess(text + (f"\n# no fit: {problem}" if problem else "") + "\n", problem)
 
@@ -224,7 +224,7 @@ def _time_lines(tables: Sequence[Table], candidates: Sequence[Candidate], clocks
     return [*(f"# caveat: {caveat}" for caveat in dict.fromkeys(caveats)), line]
 
 
-def _held_lines(candidates: Sequence[Candidate], taken: Sequence[MapSignal], clocks: Clocks) -> Iterator[str]:
+def _held_signal_comments(candidates: Sequence[Candidate], taken: Sequence[MapSignal], clocks: Clocks) -> Iterator[str]:
     """Yield a comment for each group of signals whose values the source repeats in each row until the next measurement.
 
     Only signals in `taken`, those chosen for the import map, are tested. Inputs without a hold in the map are not
@@ -341,7 +341,7 @@ def _position_axis(letter: str, letters: Collection[str], stated: str) -> str:
     return ("y" if letter == "E" else "x") if is_length or (beside and not stated) else ""
 
 
-def _in_frame(candidate: Candidate) -> Candidate:
+def _with_frame_key(candidate: Candidate) -> Candidate:
     """Return a candidate from a ROS bag, with the key frame = "NED" in its signals if their topic is in NED.
 
     The guessed map of a bag has frame = "ENU" for all signals without this key. A topic with a single number, whose
@@ -370,7 +370,7 @@ def _with_key(signal: MapSignal, key: str) -> MapSignal:
     return signal._replace(extra=", ".join(part for part in (signal.extra, key) if part))
 
 
-def _with_units(candidate: Candidate) -> Candidate:
+def _with_unit_caveats(candidate: Candidate) -> Candidate:
     """Add a caveat for each column whose name contains a unit that its signal cannot have, and return the candidate.
 
     The unit is ignored. For example a heading cannot have the unit of a column "heading [m]".
@@ -526,7 +526,7 @@ def _rate_unit(
 
 
 def outputs(tables: Sequence[Table]) -> Iterator[Candidate]:
-    """Yield the candidates of the outputs of an autopilot and of the shaft speeds of motor controllers.
+    """Yield the outputs of an autopilot and the shaft speeds of motor controllers, as candidates for a guessed map.
 
     Parameters
     ----------
@@ -555,11 +555,11 @@ def outputs(tables: Sequence[Table]) -> Iterator[Candidate]:
         extra = 'role = "input", hold = "sampled"' if known else extra
         taken = MapSignal(name, ("n" if known else "pwm",), "1", "", extra)
         yield Candidate("drive", 0, nodes[node], (taken,), "" if known else caveat)
-    shafts = sorted((t for t in tables if t.kind == "Esc" and "rpm" in t.columns), key=_node_of)
+    shafts = sorted((t for t in tables if t.kind == "Esc" and "rpm" in t.columns), key=_controller_sort_key)
     # All controllers get the same scale, so that equal speeds stay equal.
     top = max((float(np.nanmax(np.abs(t.columns["rpm"]), initial=0.0)) for t in shafts), default=0.0) or 1.0
     for k, table in enumerate(shafts):
-        node = _node_of(table)[0]
+        node = _controller_sort_key(table)[0]
         name = (("n",) if len(shafts) == 1 else ("n_left", "n_right"))[k] if len(shafts) <= 2 else f"n_{node}"
         caveat = f"controller {node} is assumed to be {name}, {top:.5g} rev/min (electrical for a VESC) full speed"
         taken = MapSignal(name, ("rpm",), "1", "", f'scale = {1.0 / top:.9g}, role = "input", hold = "linear"')
@@ -576,7 +576,7 @@ def _servo_functions(tables: Sequence[Table]) -> dict[int, float]:
     return {node: p[key] for node in nodes if (key := f"SERVO{node}_FUNCTION") in p}
 
 
-def _node_of(table: Table) -> tuple[int, str]:
+def _controller_sort_key(table: Table) -> tuple[int, str]:
     """Return the sort key of a motor controller's table: the number at the end of its topic (1 of esc_1), topic.
 
     With several buses, the topic begins with the bus.
@@ -585,7 +585,7 @@ def _node_of(table: Table) -> tuple[int, str]:
 
 
 def _pulse_scale(p: Mapping[str, float], node: int) -> tuple[str, str]:
-    """Return the map keys that scale the pulses of an output to -1 .. 1, and the caveat about this scale.
+    """Return the import map's keys that scale an output's pulses to -1 .. 1, and the caveat about this scale.
 
     The parameters `p` of the autopilot give the scale: SERVOn_MIN, SERVOn_TRIM and SERVOn_MAX of the output `node`. The
     default scale is used, with a caveat, if MIN is not below MAX.

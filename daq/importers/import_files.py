@@ -229,7 +229,7 @@ def left_out_line(row: RowsLeftOut) -> str:
 
 
 def _files_named_in_map(import_map: ImportMap) -> list[Path]:
-    """Return the DBC and rig files that a map names, so that no log replaces them."""
+    """Return the DBC and rig files that an import map names. No log may replace them."""
     named = [path for source in import_map.sources for path in (source.options.dbc, source.options.rig)]
     return [path for path in named if path is not None]
 
@@ -240,7 +240,7 @@ def _write_piece(
     """Write one log, `target`: the signals and events of the source files within one interval of time (`piece`).
 
     The metadata contain the digests of the import map and the files, and the numbers of rows left out. `reads` are the
-    files that are never replaced, even with `force`, which allows to replace an existing log.
+    files that are never replaced, even with `force`, which lets the import replace an existing log.
     """
     signals: list[SignalData] = []
     events = [(t, event) for source_file in data for t, event in source_file.events if piece.t_from <= t <= piece.t_to]

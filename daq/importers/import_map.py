@@ -273,9 +273,9 @@ def _keeping_repeats(source: Source) -> Source:
 def _boat_numbers(table: TomlTable | None, names: Sequence[str]) -> dict[str, float]:
     """Return the numbers of the boat in the table [geometry] or [scale] of an import map, by name.
 
-    Standard uncertainties ``NAME_sd`` are included if the table has them. The result is empty without a table. Raise
-    SeatrialError if a number is impossible or a key is unknown: c1 and length must be positive, y_left must be less
-    than y_right, and both within the length of the hull.
+    Standard uncertainties ``NAME_sd`` are included if the table has them. `names` are the possible keys. The result is
+    empty without a table. Raise SeatrialError if a number is impossible or a key is unknown: c1 and length must be
+    positive, y_left must be less than y_right, and both within the length of the hull.
     """
     if table is None:
         return {}

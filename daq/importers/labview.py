@@ -87,7 +87,10 @@ def _header_cells(lines: Sequence[Sequence[str]]) -> dict[str, Sequence[str]]:
 
 
 def _first_filled_cell(head: Mapping[str, Sequence[str]], key: str, usual: str) -> str:
-    """Return the first cell of the header line `key` that is not blank; `usual` if there is no such line or cell."""
+    """Return the first cell of a LabVIEW header line that is not blank; `usual` if there is no such line or cell.
+
+    `head` has the cells of each header line by its name, and `key` is the name.
+    """
     return next((cell.strip() for cell in head.get(key, ()) if cell.strip()), usual)
 
 
@@ -171,7 +174,7 @@ class _SegmentRows:
         self._values.append(values)
 
     def _cell_number(self, cell: str) -> float:
-        """Return the number in a cell; NaN if the cell is not a number."""
+        """Return the number in a cell by the decimal mark of the LabVIEW file; NaN if the cell is not a number."""
         try:
             return to_number(cell.strip(), self._decimal)
         except ValueError:

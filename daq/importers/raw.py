@@ -35,7 +35,7 @@ def import_raw(
     Parameters
     ----------
     protocol
-        Protocol of the device.
+        Protocol of the device, for example "nmea" or "vectornav".
     path
         The captured bytes.
     rate
@@ -67,18 +67,18 @@ def import_raw(
     if not frames:
         raise SeatrialError(f"{path}: no {protocol} samples in {decoder.frames} complete frames ({wrong})")
     if isinstance(decoder, vectornav.Decoder):
-        frames, n_left_out = _without_doubles(frames)
+        frames, n_left_out = _without_duplicate_quantities(frames)
         wrong += f"; {counted(n_left_out, 'ASCII sample')} left out, contained in binary samples" * bool(n_left_out)
     if isinstance(decoder, nmea.Decoder) and decoder.two_receivers:
         advice = "record each receiver by itself, since only one position per time is kept"
         warnings.warn(f"{path}: {decoder.two_receivers}; {advice}", SeatrialWarning, stacklevel=2)
     if not rate and isinstance(decoder, (nmea.Decoder, ubx.Decoder)):
-        frames = _one_calendar(path, frames)
+        frames = _with_corrected_dates(path, frames)
     names = [_signal_name(frame) for frame in frames]
     device = next((name for name in names if not name.startswith(nmea.XDR)), None)
     if device is None:
         raise SeatrialError(f"{path}: contains only transducers (XDR), which have no times; log a receiver too")
-    times = _even_times(frames, names, rate) if rate else _device_times(path, frames)
+    times = _times_by_rate(frames, names, rate) if rate else _device_times(path, frames)
     summary = f"{counted(len(frames), 'sample')} of {counted(decoder.frames, f'{protocol} frame')}; {wrong}"
     target = out or Path(f"{path.stem}.mcap")
     metadata = {"import": "raw", "import.protocol": protocol, "source.1.name": path.name, "source.1.sha256": sha256}
@@ -124,7 +124,7 @@ def _decoded_frames(decoder: Decoder, path: Path) -> tuple[list[Frame], str]:
     return frames, digest.hexdigest()
 
 
-def _without_doubles(frames: Sequence[Frame]) -> tuple[list[Frame], int]:
+def _without_duplicate_quantities(frames: Sequence[Frame]) -> tuple[list[Frame], int]:
     """Remove the quantities that a VectorNav sends twice: in ASCII without a time, and in binary with a time.
 
     Returns
@@ -173,7 +173,7 @@ def _with_first_dates(frames: list[Frame]) -> list[Frame]:
     return [_at_device_time(frame, t) if t != frame.t_device else frame for frame, t in zip(frames, times, strict=True)]
 
 
-def _one_calendar(path: Path, frames: list[Frame]) -> list[Frame]:
+def _with_corrected_dates(path: Path, frames: list[Frame]) -> list[Frame]:
     """Correct the dates of a GNSS capture that are too early by years. Return the samples, and warn about them.
 
     A receiver counts from a date of its firmware until it has received the week, and its week number starts again every
@@ -212,7 +212,7 @@ def _at_device_time(frame: Frame, t: float) -> Frame:
     return frame._replace(t_device=t, sample=replace(sample, utc=t) if isinstance(sample, Gnss) else sample)
 
 
-def _even_times(frames: Sequence[Frame], kinds: Sequence[str], rate: float) -> list[float]:
+def _times_by_rate(frames: Sequence[Frame], kinds: Sequence[str], rate: float) -> list[float]:
     """Return times [s] for the samples of a capture without times, by their rate [Hz]; the first time is 0.
 
     Samples of the most frequent kind are 1/rate apart. A rarer sample has the time of the most frequent sample before

@@ -16,7 +16,7 @@ UNCHOSEN_RANK = (
 
 
 class Candidate(NamedTuple):
-    """Signals of one topic that a guessed map could contain together.
+    """Signals of one table that a guessed import map could contain together.
 
     Attributes
     ----------
@@ -74,7 +74,8 @@ Row = tuple[str, int, tuple[MapSignal, ...]]  # group, rank and signals of a can
 def _vector_row(group: str, names: str, fields: str, unit: str, rank: int, extra: str = "") -> Row:
     """Return a table entry (group, rank, signals) for fields of a message that are signals of a model.
 
-    `names` are the signals and `fields` the message fields, both separated by blanks, for example "x y" and "position.x
+    `group` is the quantity, for example "velocity". Of several entries of a group the lowest `rank` is preferred.
+    `names` are the signals and `fields` the message fields, both separated by blanks, as "x y" and "position.x
     position.y". `extra` are further keys of the import map.
     """
     return (
@@ -87,7 +88,8 @@ def _vector_row(group: str, names: str, fields: str, unit: str, rank: int, extra
 def _heading_row(prefix: str, rank: int, names: str = "x y z w") -> Row:
     """Return a table entry (group, rank, signals) for the heading in a quaternion of a message.
 
-    The fields of the quaternion are `prefix` followed by the `names`, in the order x, y, z, w.
+    The fields of the quaternion are `prefix` followed by the `names`, in the order x, y, z, w. A lower `rank` is
+    preferred.
     """
     fields = tuple(f"{prefix}{axis}" for axis in names.split())
     return "heading", rank, (MapSignal("psi", fields, "", "yaw", 'angle = "unwrap"'),)
@@ -96,7 +98,7 @@ def _heading_row(prefix: str, rank: int, names: str = "x y z w") -> Row:
 def _fix_row(lat: str, lon: str, unit: str, rank: int) -> Row:
     """Return a table entry (group, rank, signals) for a position from the message fields of latitude and longitude.
 
-    `unit` is that of both fields, for example "deg" or "degE7".
+    `unit` is that of both fields, for example "deg" or "degE7". A lower `rank` is preferred.
     """
     extra = "" if unit == "deg" else f'units = ["{unit}", "{unit}"]'
     signals = (MapSignal("x", (lat, lon), "", "north", extra), MapSignal("y", (lat, lon), "", "east", extra))
@@ -253,7 +255,7 @@ _DRIVE_UNITS = {"", "1", "%", "us"} | _SPEED_UNITS | _FORCE_UNITS  # a power or 
 
 
 class Name(NamedTuple):
-    """Parts of the name of a column.
+    """Parsed name of a column of a source file.
 
     Attributes
     ----------
@@ -277,17 +279,17 @@ class Name(NamedTuple):
 
 
 def unit_of(text: str) -> str:
-    """Return the unit of a text as maps write it, for example "deg/s" for "dps"; "" if the unit is unknown."""
+    """Return a unit as import maps write it, for example "deg/s" for "dps"; "" if the unit is unknown."""
     return text if text in UNITS else _UNITS.get(text.lower(), "")
 
 
 def without_unit(column: str) -> str:
-    """Return the name of a column without the brackets at its end."""
+    """Return the name of a column without a unit in brackets at its end: "yaw [deg]" becomes "yaw"."""
     return _BRACKET.sub("", column).strip()
 
 
 def read_name(column: str) -> Name:
-    """Split the name of a column into meaning, unit and words.
+    """Parse the name of a column of a source file: its meaning in a model, its unit and its words.
 
     Parameters
     ----------

@@ -43,7 +43,7 @@ IMU_PARTS = {
 
 
 def read_bag(path: Path, options: SourceOptions) -> list[Table]:
-    """Read the topics of a bag that contain numbers.
+    """Read the topics of a ROS bag that contain numbers as tables.
 
     Parameters
     ----------
@@ -213,7 +213,7 @@ def _split_number(path: Path) -> tuple[int, str]:
 
 
 def _has_end(path: Path) -> bool:
-    """Return whether a .mcap file ends with the MCAP magic bytes."""
+    """Return whether a .mcap file ends with the MCAP magic bytes. A file that was cut off does not."""
     with path.open("rb") as file:
         file.seek(-min(len(MCAP_MAGIC), path.stat().st_size), 2)
         return file.read() == MCAP_MAGIC

@@ -58,7 +58,7 @@ def row_times(table: Table, time: TimeColumn | None, *, lenient: bool = False) -
         raw = table.numbers(time.column)
         t = _seconds_of_numbers(raw, table.numbers(time.date) if time.date else np.zeros(len(raw)), time.format)
         untimed = np.flatnonzero(np.isnan(t))
-        if len(untimed) and not _may_leave_out(untimed, t, lenient):
+        if len(untimed) and not _may_leave_out_untimed_rows(untimed, t, lenient):
             raise table.error(int(untimed[0]), time.column, "the cell has no time; remove the line")
     else:
         t = _seconds_of_text(table, time, lenient)
@@ -126,7 +126,7 @@ def _seconds_of_text(table: Table, time: TimeColumn, lenient: bool) -> Column:
             if not lenient:
                 break
     wrong = np.flatnonzero(np.isnan(found))
-    if len(wrong) and not _may_leave_out(wrong, found, lenient):
+    if len(wrong) and not _may_leave_out_untimed_rows(wrong, found, lenient):
         row = int(wrong[0])
         problem = f"'{text[row][:40]}' is not a time of format {time.format}"
         advice = "; give its strptime pattern as format in [time]" if "%" in time.format else ""
@@ -135,7 +135,7 @@ def _seconds_of_text(table: Table, time: TimeColumn, lenient: bool) -> Column:
 
 
 def dated(table: Table, date: str, time: str) -> list[str]:
-    """Join a column of dates and a column of times of day by a blank.
+    """Join the date and the time of day of each row of a table, which are in two columns, by a blank.
 
     Parameters
     ----------
@@ -156,11 +156,11 @@ def dated(table: Table, date: str, time: str) -> list[str]:
     return texts
 
 
-def _may_leave_out(untimed: NDArray[np.intp], t: Column, lenient: bool) -> bool:
+def _may_leave_out_untimed_rows(untimed: NDArray[np.intp], t: Column, lenient: bool) -> bool:
     """Return whether the rows without a time (indices `untimed`) may be left out of a table (times `t`, shape (n,)).
 
-    This needs `lenient`, some row with a time, and at most 5 % of rows without one. With more of them the format is
-    wrong.
+    This needs `lenient`, some row with a time, and fewer than 5 rows, or at most 5 %, without one. With more of them
+    the format is wrong.
     """
     return lenient and len(untimed) < len(t) and not too_many_rows_missing(len(untimed), len(t))
 
@@ -178,7 +178,7 @@ def _continued_after_midnight(t: Column, form: str) -> Column:
 
 
 def _add_remark(table: Table, text: str) -> None:
-    """Add a remark to a table, unless it has this remark already."""
+    """Add a text to the remark of a table, unless the remark contains it already."""
     if text not in table.remark:
         table.remark = "; ".join(part for part in (table.remark, text) if part)
 

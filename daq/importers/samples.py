@@ -25,7 +25,7 @@ def sample_tables(path: Path, rows: Sequence[tuple[str, float, Frame]]) -> list[
     path
         The source file.
     rows
-        Device, time [s] and frame of each sample, in the order of the file.
+        Device, time [s] and decoded sample (with its times of receipt and of the device), in the order of the file.
 
     Returns
     -------

@@ -28,7 +28,7 @@ _ATTITUDE = ("roll", "pitch", "yaw")
 
 @dataclass(frozen=True)
 class SignalData:
-    """Samples of one signal in SI units.
+    """Samples of one signal that is imported by a map, in SI units.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class SignalData:
 
 @dataclass(frozen=True)
 class Held:
-    """Signal whose last value the source repeats until the next measurement.
+    """Signal whose source repeats each measurement in all rows until the next measurement.
 
     Attributes
     ----------
@@ -102,7 +102,7 @@ class RowsLeftOut:
 
     @property
     def text(self) -> str:
-        """Topic, number of rows left out and reason in one line, for the user."""
+        """Topic of the table, number of rows left out and reason, in one line for the user."""
         place = f"{self.topic}: " if self.topic else ""
         reason = "because stamps are wrong" if self.why == "stamps" else "because times repeat or run back"
         return f"{place}{counted(self.n, 'row')} of {self.n_rows} left out, {reason}"
@@ -395,7 +395,7 @@ def _changed_rows(values: Sequence[Column]) -> NDArray[np.bool_]:
 
 
 def _with_timeouts(t: Column, values: Column, timeout: float) -> tuple[Column, Column]:
-    """Return times [s] and values with a zero inserted where the input times out.
+    """Insert a zero where an input times out, and return its times [s] and values (n,).
 
     This is `timeout` [s] after each sample that no other sample follows within this time, also after the last one. With
     a timeout of 0 nothing is inserted.

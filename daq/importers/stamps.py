@@ -165,7 +165,10 @@ class _ReferenceClock:
     """
 
     def __init__(self, stamped: Mapping[str, MessageTimes]) -> None:
-        """Choose the reference clock among the topics with stamps, and measure its level without wrong stamps."""
+        """Choose the clock that most stamps share, and measure its offset from the recorder without wrong stamps.
+
+        `stamped` has receipts and stamps of each topic with stamps.
+        """
         rates = {name: _receipt_rate(times) for name, times in stamped.items()}
         sharing = [n for n, times in stamped.items() if rates[n] == 1.0 and self._agrees_with_recorder(times)]
         self.is_recorder = bool(sharing)
@@ -213,7 +216,7 @@ class _ReferenceClock:
 
     @staticmethod
     def _agrees_with_recorder(times: MessageTimes) -> bool:
-        """Return whether at least 20 % of the stamps are within 1 s of their receipt by the recorder."""
+        """Return whether at least 20 % of the stamps of a topic are within 1 s of their receipt by the recorder."""
         delay = times.receipt - times.stamp
         delay = delay[np.isfinite(delay)]
         return bool(np.mean(np.abs(delay) < OTHER_CLOCK) >= SHARE)

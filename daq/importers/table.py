@@ -121,7 +121,10 @@ class Table:
         return list(self.texts.get(column, ())) or [repr(value) for value in self.numbers(column).tolist()]
 
     def error(self, row: int, column: str, problem: str) -> SeatrialError:
-        """Return an error that names the file, topic, column and row of a cell. The caller raises the error."""
+        """Return an error that names the file, topic, column and row of a cell. The caller raises the error.
+
+        `row` is counted from 0, and `problem` is the text of the error.
+        """
         place = f"{self.topic}, '{column}'" if self.topic else f"'{column}'"
         return SeatrialError(f"{self.path}: {place}, row {row + 1}: {problem}")
 

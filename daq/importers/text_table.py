@@ -61,7 +61,10 @@ class TextTable(Table):
     strict = True
 
     def __init__(self, path: Path, style: TextStyle) -> None:
-        """Read the cells of a file. Raise SeatrialError if the file cannot be read as a table of this style."""
+        """Read the header and the cells of a text file.
+
+        Raise SeatrialError if it cannot be read as a table of this style.
+        """
         super().__init__(path, "", {})
         self._style = style
         self.lines: list[int] = []  # number of the line of each row
@@ -72,7 +75,7 @@ class TextTable(Table):
         self._read_cells()
 
     def _read_numbers(self) -> bool:
-        """Read the table by numpy, and return whether this was possible.
+        """Read the text file by numpy, which is fast, and return whether this was possible.
 
         It is possible only if the file contains one header with unique names, and rows of plain finite numbers without
         blank lines. Otherwise nothing is stored.
@@ -111,7 +114,7 @@ class TextTable(Table):
         return True
 
     def _read_cells(self) -> None:
-        """Read header and cells. Raise SeatrialError if the file cannot be read as a table of this style."""
+        """Read header and cells of the text file one by one. Raise SeatrialError if it is no table of this style."""
         path, style = self.path, self._style
         self.lines, self._rows = [], []
         try:
@@ -227,7 +230,10 @@ class TextTable(Table):
         return [cells[place] for cells in self._rows]
 
     def error(self, row: int, column: str, problem: str) -> SeatrialError:
-        """Return an error that names the file, line and column of a cell. The caller raises the error."""
+        """Return an error that names the file, line and column of a cell. The caller raises the error.
+
+        `row` is counted from 0 and is converted to the line, and `problem` is the text of the error.
+        """
         return SeatrialError(f"{self.path}: line {self.lines[row]}, column '{column}': {problem}")
 
     def numbers(self, column: str) -> Column:
@@ -287,7 +293,7 @@ class TextTable(Table):
         return found
 
     def _has_points(self) -> bool:
-        """Return whether the first 100 rows contain a number with a decimal point."""
+        """Return whether the first 100 rows of the text table contain a number with a decimal point."""
         return any(_POINT.fullmatch(cell.strip()) for cells in self._rows[:LOOKED_AT] for cell in cells)
 
     def _without_units(self, column: str, cells: list[str]) -> list[str]:
@@ -507,7 +513,7 @@ def sniff_style(path: Path, head: bytes) -> TextStyle | None:
 
 
 def _joined_quoted_lines(lines: Sequence[str]) -> tuple[list[str], list[int]]:
-    """Return the rows of a text, and the index of the line at which each begins.
+    """Join the lines of a text to rows of a table. Return the rows, and the index of the line at which each begins.
 
     A row is a line, or up to 4 lines if a cell in quotes contains line ends.
     """
@@ -584,14 +590,14 @@ def _header_above(rows: Sequence[list[str]], first: int, width: int, open_rows: 
 
 
 def _n_filled(cells: Sequence[str]) -> int:
-    """Return the number of cells that are not blank."""
+    """Return the number of cells in a row of a text table that are not blank."""
     return sum(bool(cell.strip()) for cell in cells)
 
 
 def _share_of_numbers(cells: Sequence[str], style: TextStyle, with_times: bool = True) -> float:
-    """Return the share of cells that are numbers, empty, or (`with_times`) times; 0 if no cell is a number or a time.
+    """Return the share (0 to 1) of the cells of a row that are numbers, empty, or (`with_times`) times.
 
-    A number may have a known unit behind it.
+    The share is 0 if no cell is a number or a time. A number may have a known unit behind it.
     """
     n, empty = 0, 0
     for cell in cells:

@@ -166,7 +166,7 @@ def write_frames(
     out
         The log.
     rows
-        The samples.
+        The samples, in the order of the source file.
     metadata
         Metadata of the log, by name.
     note

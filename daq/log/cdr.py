@@ -52,13 +52,13 @@ class Field(NamedTuple):
 
     @property
     def variable(self) -> bool:
-        """Whether the size of the field differs from message to message."""
+        """Whether the encoded size of the field differs from message to message, as that of a string."""
         return self.primitive == "string" or self.length == 0
 
 
 @cache
 def definition(type_name: str) -> str:
-    """Return the text of the definition of a message type `package/msg/Name`, read from the files in daq/msg."""
+    """Return the text that defines a message type `package/msg/Name`, from the files in daq/msg."""
     package, _, name = type_name.split("/")
     return resources.files("seatrial.daq").joinpath("msg", package, f"{name}.msg").read_text(encoding="utf-8")
 

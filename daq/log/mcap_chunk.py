@@ -173,18 +173,18 @@ class Messages(NamedTuple):
         return self.heads["length"].astype(np.int64) - HEAD_BYTES
 
     def where(self, mask: NDArray[np.bool_]) -> Messages:
-        """Return the messages that a mask of shape (n,) selects."""
+        """Return the messages for which a mask (n,) is true; the same object if it is true for all."""
         return self if mask.all() else Messages(self.buffer, self.offsets[mask], self.heads[mask])
 
     def rows(self, dtype: np.dtype[np.void]) -> NDArray[np.void]:
-        """Return the beginning of the data of each message as an array of `dtype`, shape (n,).
+        """Return the first bytes of the data of each message as an array of the numpy type `dtype`, shape (n,).
 
         The caller checks first that no message is shorter than `dtype`.
         """
         return rows_at(self.buffer, self.offsets + MESSAGE_HEAD.itemsize, dtype)
 
     def payloads(self) -> Iterator[memoryview]:
-        """Yield the data of each message, without its head, in order."""
+        """Yield the data of each message (without channel, times and sequence number), in order."""
         view, starts = memoryview(self.buffer.data), self.offsets + MESSAGE_HEAD.itemsize
         for start, length in zip(starts.tolist(), self.lengths.tolist(), strict=True):
             yield view[start : start + length]

@@ -99,7 +99,7 @@ class RawLog:
     channels, schemas
         Channel and schema records by number.
     metadata, attachments
-        All metadata and attachment records.
+        All metadata and attachment records of the file.
     counts
         Number of messages of each channel, by number of the channel.
     span_ns

@@ -289,7 +289,7 @@ class LogWriter:
         self._stream.close()
 
     def _require_open(self) -> None:
-        """Raise the error of an earlier failed write, or SeatrialError if the log is closed."""
+        """Raise the error of an earlier failed write to the log, or SeatrialError if the log is closed."""
         if self._failed is not None:
             raise self._failed
         if self._closed:

@@ -146,7 +146,7 @@ class Log:
         return view
 
     def __enter__(self) -> Log:
-        """Return the log itself."""
+        """Return the log itself, for a `with` block."""
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -227,7 +227,7 @@ class Log:
         return dict(sorted(found.items()))
 
     def types(self) -> dict[str, str]:
-        """Return the message type of each topic that has messages; "?" if the type is unknown."""
+        """Return the message type of each topic of the log that has messages; "?" if the type is unknown."""
         schemas = self._file.schemas
         names = {c.topic: schemas[c.schema_id].name for c in self._file.channels.values() if c.schema_id in schemas}
         return {name: names.get(name, "?") for name in self.counts}
@@ -241,7 +241,7 @@ class Log:
 
     @property
     def clock_steps(self) -> dict[str, tuple[int, float]]:
-        """Number of backward steps of the time stamps and the longest of them [s], by topic.
+        """Number and length of the steps back of the time stamps, by topic: (number of steps, longest step [s]).
 
         Only steps of more than 0.5 s from one message to the next count. They show that a clock was set, or that the
         stamps are from two clocks. Topics without such steps are left out, and so are events.
@@ -262,7 +262,9 @@ class Log:
         return found
 
     def to_pandas(self, rate: float = 10.0) -> Any:
-        """Return the whole log on one time grid as a pandas.DataFrame. `seatrial.daq.log.resample` has the rules.
+        """Resample all numbers of the log to one time grid, and return them as a pandas.DataFrame.
+
+        `seatrial.daq.log.resample` has the rules.
 
         Parameters
         ----------
@@ -287,7 +289,9 @@ class Log:
         return frame
 
     def to_xarray(self, rate: float = 10.0) -> Any:
-        """Return the whole log on one time grid as an xarray.Dataset. `seatrial.daq.log.resample` has the rules.
+        """Resample all numbers of the log to one time grid, and return them as an xarray.Dataset.
+
+        `seatrial.daq.log.resample` has the rules.
 
         Parameters
         ----------
@@ -552,7 +556,10 @@ class Log:
         return self._file.channels[self._channel_numbers(schema.topic(Scalar, signal))[0]].metadata
 
     def _error(self, text: str) -> SeatrialError:
-        """Return an error about this log as one line; names in a damaged file may contain line ends."""
+        """Return an error whose message is the path of the log and `text`, as one line. The caller raises it.
+
+        Line ends in the text are replaced: names in a damaged file may contain them.
+        """
         return SeatrialError(f"{self.path}: {' '.join(text.split())}")
 
     def _channel_numbers(self, topic: str, type_name: str = "") -> list[int]:
@@ -723,7 +730,7 @@ class _TopicTable:
 
 
 class _SampleTable(_TopicTable):
-    """Table of a topic in which each message is a sample."""
+    """Table of the samples of a topic in which each message is one sample."""
 
     def __init__(self, log: Log, kind: type[Measured], topic: str) -> None:
         self._kind, self._type_name = kind, schema.TYPES[kind]

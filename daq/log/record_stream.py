@@ -106,7 +106,7 @@ class WholeRecordStream:
         return self._size
 
     def write(self, data: bytes) -> int:
-        """Write whole records and return their number of bytes. If the disk is full, use the space of the ballast.
+        """Write whole records to the file and return their number of bytes. On a full disk, use the reserved space.
 
         Raises
         ------
@@ -147,7 +147,7 @@ class WholeRecordStream:
         return os.fstat(self._fd).st_nlink == 0
 
     def flush(self) -> None:
-        """Do nothing: this class has no buffer."""
+        """Do nothing, because this output file has no buffer."""
 
     def sync(self) -> None:
         """Wait until the written data of the file are on the disk. Raise OSError if the disk reports an error."""

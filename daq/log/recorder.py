@@ -179,7 +179,7 @@ class Recorder:
         self._add_message("/event", schema.EVENT, log_ns, stamp_ns, 0, message)
 
     def health(self, device: str, health: PortHealth, t: float) -> None:
-        """Write the counters of the port of a device to the log at time t [s since 1970]."""
+        """Write the counters of a device's port (bytes, frames, errors, ...) to the log at time t [s since 1970]."""
         log_ns, stamp_ns = self._log_and_stamp_ns(t, t)
         message = cdr_layout(schema.HEALTH, device.encode()).pack(
             stamp_ns,
@@ -422,6 +422,6 @@ def check_room(path: Path, megabytes: float) -> None:
 
 
 def _encode_text(text: str) -> bytes:
-    """Encode a text for CDR, as UTF-8 without NUL characters."""
+    """Encode a text for a CDR message, as UTF-8 without NUL characters, which would end the text."""
     # A NUL would end the string; a lone surrogate cannot be encoded in UTF-8.
     return text.replace("\0", "").encode("utf-8", errors="replace")

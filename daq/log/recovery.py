@@ -35,7 +35,7 @@ class RecoveredLog(NamedTuple):
 
 
 def recover_log(path: Path, out: Path, force: bool = False) -> RecoveredLog:
-    """Copy all readable records of a log, with all its segments, to one new log.
+    """Recover a killed or damaged log: copy all readable records of all its segments to one new log.
 
     Parameters
     ----------

@@ -156,7 +156,7 @@ def messages(device: str, frame: Frame) -> list[Message]:
 
 @cache
 def _ahrs_topics(device: str) -> tuple[str, str, str, str]:
-    """Return the frame_id and the topics of an AHRS: device times, Imu and magnetic field."""
+    """Return the frame_id of an AHRS, and its topics: device times, Imu and magnetic field."""
     return f"{device}_frd_ned", f"/{device}/device_time", f"/{device}/imu", f"/{device}/mag"
 
 
@@ -200,9 +200,9 @@ def _gnss_messages(device: str, s: Gnss) -> list[Message]:
 
 
 def imu_columns(rows: NDArray[np.void]) -> Columns:
-    """Return the columns of `Ahrs`, except the magnetic field, from decoded Imu messages.
+    """Convert decoded ROS Imu messages, shape (n,), to the columns of an `Ahrs` table, except the magnetic field.
 
-    Unknown angles are NaN. Angular rates and accelerations are copied without change.
+    Unknown angles are NaN. Angular rates [rad/s] and accelerations [m/s2] are copied without change.
     """
     yaw, pitch, roll = euler_angles(*(rows[f"orientation.{axis}"] for axis in "xyzw"))
     unknown = rows["orientation_covariance"][:, 0] == -1.0

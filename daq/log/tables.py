@@ -108,7 +108,7 @@ def log_tables(log: Log) -> Iterator[LogTable]:
 
 
 def resample(log: Log, rate: float) -> Resampled:
-    """Return all numbers of a log on one time grid, from the first sample to the last.
+    """Resample all numbers of a log to one time grid, from the first sample to the last.
 
     Parameters
     ----------
@@ -164,7 +164,7 @@ def resample(log: Log, rate: float) -> Resampled:
 
 
 def _hold_last_value(grid: Array, t: Array, values: Array) -> Array:
-    """Return the value of the last sample at each time of the grid (n,) [s], NaN before the first sample.
+    """Return the value of the last sample at each time of a grid (n,) [s], NaN before the first sample.
 
     `t` and `values` are the times [s] and values (m,) of the samples.
     """

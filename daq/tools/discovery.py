@@ -137,11 +137,11 @@ class _ProtocolCandidate:
         return self.protocol not in ("loadcell", "openscale", SLCAN)
 
     def score(self) -> tuple[float, int]:
-        """Return the confidence in this protocol as (share of the bytes in frames, number of frames). Larger is better.
+        """Return how well the bytes of a port fit this protocol: (share of the bytes in frames, number of frames).
 
-        The result is (0, 0), which excludes the protocol, without samples, with fewer than 5 samples without checksums,
-        or if the share is below 0.2 (0.8 without checksums). Bytes before the first sample do not count if 20 bytes
-        follow it.
+        A larger result is better. It is (0, 0), which excludes the protocol, without samples, with fewer than 5 samples
+        without checksums, or if the share is below 0.2 (0.8 without checksums). Bytes before the first sample do not
+        count if 20 bytes follow it.
         """
         if self.samples == 0 or (not self.checked and self.samples < MIN_LINES):
             return 0.0, 0

@@ -19,7 +19,7 @@ DEFAULT_RATE_HZ = 10.0  # Hz, default for file formats with one table only
 
 
 def export_log(log: Log, form: str, folder: Path, force: bool = False) -> list[Path]:
-    """Write every table of a log to a file, and the events to events.csv.
+    """Write every table of a log to a file of its own, and the events to events.csv.
 
     Numbers are written with all their digits. Unknown values are empty cells in CSV and NaN in Parquet. Times are
     seconds since 1970.
@@ -206,7 +206,7 @@ def _write_csv_table(path: Path, part: LogTable) -> None:
 
 
 def _write_csv_rows(path: Path, heads: list[str], rows: Iterator[list[str]]) -> None:
-    """Write a line of column heads and the rows as a CSV file in UTF-8."""
+    """Write a CSV file in UTF-8: a line with the heads of the columns, then the rows."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(heads)

@@ -29,7 +29,7 @@ FOLDED = ("skipped", "parameter")  # kinds of events that often repeat; repetiti
 
 
 def escape(text: str) -> str:
-    """Escape the markup in a text of a log, so that the console prints it unchanged.
+    """Escape the markup of the console in a text of a log, so that [bold], for example, is printed unchanged.
 
     A text of more than 2000 characters is cut off, and the number of its characters is added.
     """

@@ -134,9 +134,10 @@ class LiveServer:
 
 
 class OriginGate:
-    """Gate in front of a server, which rejects connections from web pages of foreign sites (RFC 6454, section 7).
+    """Gate in front of the live view's server that rejects connections from web pages of foreign sites.
 
-    Accepted are programs, which send no origin, pages of this computer, and pages of the sites in `origins`.
+    Accepted are programs, which send no origin, pages of this computer, and pages of the sites in `origins` (RFC 6454,
+    section 7).
 
     Parameters
     ----------
@@ -216,7 +217,7 @@ class OriginGate:
             if self._is_allowed(head):
                 server_reader, server_writer = await asyncio.open_connection(*self._behind)
                 server_writer.write(head)
-                await asyncio.gather(_pump(reader, server_writer), _pump(server_reader, writer))
+                await asyncio.gather(_forward_bytes(reader, server_writer), _forward_bytes(server_reader, writer))
             else:
                 writer.write(b"HTTP/1.1 403 Forbidden\r\nContent-Length: 0\r\nConnection: close\r\n\r\n")
                 await writer.drain()
@@ -226,13 +227,13 @@ class OriginGate:
             writer.close()
 
 
-async def _pump(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+async def _forward_bytes(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
     """Forward the bytes of a connection from a reader to a writer until the end, and close the writer."""
     try:
         while data := await reader.read(65_536):
             writer.write(data)
             await writer.drain()
-    except OSError:  # one side has closed the connection: the other side is closed, which ends its `_pump`
+    except OSError:  # one side has closed the connection: the other side is closed, which ends its `_forward_bytes`
         pass
     finally:
         writer.close()

@@ -91,9 +91,9 @@ def watch(
 
 
 def _wait_seconds(clock: RunClock, deadline: float, until_wall: float) -> float:
-    """Return the wall time [s] until the deadline of the run clock or until a wall time, whichever is earlier.
+    """Return the wall time [s] until the deadline of the run clock or the next output, whichever is earlier.
 
-    `until_wall` is a time of the monotonic clock [s]. The result is at least 1 ms.
+    `until_wall` is the time of the next output by the monotonic clock [s]. The result is at least 1 ms.
     """
     return max(min(clock.wall(deadline - clock.now()), until_wall - time.monotonic()), 0.001)
 
@@ -296,7 +296,7 @@ def describe(sample: Sample, rig: Rig, device: str) -> str:
 
 
 def _joined_values(*parts: tuple[str, float, str, str]) -> str:
-    """Return values as one text, from (name, value, format, unit): "yaw 12.3° r 0.5°/s".
+    """Join values to one text, from (name, value, format, unit) of each: "yaw 12.3° r 0.5°/s".
 
     NaN is left out; the text is empty if all values are NaN.
     """

@@ -132,7 +132,7 @@ class ReplayFolder:
         """
 
         def write() -> None:
-            """Create the file, unless a file or link of this name exists, and write the text."""
+            """Create the file of the replay, unless a file or link of this name exists, and write the text."""
             fd = os.open(name, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o644, dir_fd=self._fd)
             with os.fdopen(fd, "w", encoding="utf-8") as file:
                 file.write(text)
@@ -157,7 +157,10 @@ class ReplayFolder:
         return self.path / name
 
     def _file_identity(self, name: str) -> tuple[int, int, int]:
-        """Return numbers that distinguish a file from later files of the same name: device, inode, time [ns]."""
+        """Return numbers that distinguish a file of the replay from later files of the same name.
+
+        They are device, inode and time of change [ns].
+        """
         # The inode alone is not sufficient: the file system reuses the inode of a deleted file.
         status = os.stat(name, dir_fd=self._fd, follow_symlinks=False)
         return status.st_dev, status.st_ino, status.st_ctime_ns

@@ -321,7 +321,7 @@ def ros_types() -> Any:
 
 
 def _message_definitions() -> list[Path]:
-    """Return the files with the definitions of the messages of seatrial."""
+    """Return the paths of the files (.msg) that define the messages of seatrial, sorted by name."""
     with resources.as_file(resources.files("seatrial.daq").joinpath("msg", PACKAGE)) as folder:
         return sorted(folder.glob("*.msg"))
 

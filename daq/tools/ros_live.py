@@ -265,7 +265,7 @@ class Ros2Node:
             self._declare_token("MS", next(self._entities), topic, COMMAND_TYPE)
 
     def _declare_token(self, kind: str, entity: int, topic: str = "", type_name: str = "") -> str:
-        """Declare a node or an endpoint in the ROS 2 graph, and return its key expression.
+        """Announce the node or an endpoint to the other ROS 2 nodes, and return its key expression of Zenoh.
 
         Parameters
         ----------
@@ -286,7 +286,7 @@ class Ros2Node:
         return key
 
     def _namespaced_topic(self, topic: str) -> str:
-        """Return a topic of the log with the namespace of the rig in front, if the rig has one."""
+        """Return the ROS 2 name of a topic: the namespace of the rig, if it has one, and the topic of the log."""
         return f"/{self._ros2.namespace}{topic}" if self._ros2.namespace else topic
 
     def _publish_all(self) -> None:
