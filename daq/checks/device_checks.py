@@ -380,7 +380,7 @@ def _check_gnss(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
             "few-satellites",
             "fix",
             name,
-            f"{np.median(used):.0f} satellites",
+            f"{np.median(used):.0f} satellites in the median, expected at least {FEW_SATELLITES}",
             "check the antenna, its cable, and its view of the sky",
         )
 
@@ -541,7 +541,7 @@ def _check_imported_signals(log: Log) -> Iterator[Finding]:
         yield from (f for f in here if f.check != "gap" or log.role(source) == "output")
         yield from check_lost_zeros(source, table["t"])
         if len(table) > 20 and log.role(source) == "output" and np.nanstd(table["value"]) == 0.0:
-            text = f"{table['value'][0]:g} all the time"
+            text = f"its value is {table['value'][0]:g} in all samples"
             yield Finding(
                 WARNING,
                 "signal-constant",

@@ -93,7 +93,7 @@ def check_thruster_coverage(log: Log) -> Iterator[Finding]:
             steps = steps[steps < LONGEST_PAUSE_S]
             rate = steps.size / float(steps.sum()) if steps.sum() > 0.0 else 0.0
             if n < SLOW * most_samples:
-                text = f"{n} speeds ({rate:.3g} Hz); another controller on {device} has {most_samples}"
+                text = f"{n} shaft speeds ({rate:.3g} Hz); another controller on {device} has {most_samples}"
                 advice = "check the load of the bus, and cable and power of the controller"
                 yield Finding(WARNING, "thruster-rate-low", "thrusters", names[node], text, advice)
             else:

@@ -267,7 +267,7 @@ def import_can(path: Path, rig_path: Path, *, out: Path | None = None, force: bo
     rig = load_rig(rig_path)
     frames = sorted(read_frames(path), key=lambda frame: frame.t)
     if not frames:
-        raise SeatrialError(f"{path}: contains no CAN frames")
+        raise SeatrialError(f"{path}: contains no CAN frames; record the bus again")
     target, n_samples = out or Path(f"{path.stem}.mcap"), 0
     with replacing(target, force, [path, rig_path]) as part:
         recorder = Recorder(part, rig=rig, clock=_FixedClock(frames[0].t), metadata={"import": "can"})

@@ -205,7 +205,7 @@ class _SegmentRows:
     def table(self) -> Table:
         """Return the rows of all segments that have a time as one table. Raise SeatrialError if there are no rows."""
         if not self._t or not sum(map(len, self._t)):
-            raise SeatrialError(f"{self._path}: no rows below the header")
+            raise SeatrialError(f"{self._path}: no rows below the header, so there are no data")
         t, values = np.concatenate(self._t), np.concatenate(self._values)
         known = np.isfinite(t)
         n_lost = self._n_short + int(np.sum(~known))

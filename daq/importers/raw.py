@@ -77,7 +77,7 @@ def import_raw(
     names = [_signal_name(frame) for frame in frames]
     device = next((name for name in names if not name.startswith(nmea.XDR)), None)
     if device is None:
-        raise SeatrialError(f"{path}: contains only transducers (XDR), which have no times; log a receiver too")
+        raise SeatrialError(f"{path}: contains only transducers (XDR), which have no times; record a GNSS receiver too")
     times = _times_by_rate(frames, names, rate) if rate else _device_times(path, frames)
     summary = f"{counted(len(frames), 'sample')} of {counted(decoder.frames, f'{protocol} frame')}; {wrong}"
     target = out or Path(f"{path.stem}.mcap")

@@ -178,7 +178,7 @@ class TextTable(Table):
         if ragged:
             self._note_ragged_lines(ragged, watched.is_cut)
         if not self.lines:
-            raise SeatrialError(f"{self.path}: no rows below the header")
+            raise SeatrialError(f"{self.path}: no rows below the header, so there are no data")
         for name in {name for name in self._header if name and self._header.count(name) > 1}:
             self._add_remark(f"column '{name}' is {counted(self._header.count(name), 'time')} in the header: {_RENAME}")
 

@@ -176,7 +176,7 @@ class RawLog:
         if self._fd < 0:
             self._fd, _, same = self._open()
             if same != self._same:
-                raise SeatrialError(f"{self.path}: the file was replaced while it was read")
+                raise SeatrialError(f"{self.path}: the file was replaced while it was read; run the command again")
         try:
             return os.pread(self._fd, max(stop - start, 0), start)
         except OSError as error:

@@ -149,12 +149,13 @@ class DiscoveredAutopilot(DiscoveredDevice):
                 lines.append(f"# caveat: output {node} steers (SERVO{node}_FUNCTION 26): rudders cannot be driven")
             elif function == THROTTLE:
                 lines.append(
-                    f"# caveat: output {node} is the throttle of both sides (70): only 73 and 74 can be driven"
+                    f"# caveat: output {node} is the throttle of both sides (SERVO{node}_FUNCTION 70): only 73 (left) "
+                    "and 74 (right) can be driven"
                 )
             elif int(function) in MOTORS:
                 lines.append(f"# caveat: output {node} is motor {int(function) - 32}: omni frames cannot be driven")
         if not thrusters:
-            lines.append("# caveat: no output is a left (73) or right (74) throttle: no [[thruster]]")
+            lines.append("# caveat: no SERVOn_FUNCTION is 73 (left throttle) or 74 (right throttle): no [[thruster]]")
         return lines
 
 
@@ -288,7 +289,9 @@ def identify_autopilot(port: str, baud: int, ask: bool) -> DiscoveredDevice:
         if listener.heartbeat is None:
             frames = listener.decoder.frames
             says = (
-                f"{frames} MAVLink frames, but no heartbeat of an autopilot" if frames else "silent: no MAVLink frames"
+                f"{frames} MAVLink frames, but no heartbeat of an autopilot"
+                if frames
+                else "silent: no MAVLink frames; check address, baud rate, power and cable"
             )
             return DiscoveredDevice(port, "", says=says)
         listener.until(lambda: len(listener.attitudes) > 1, 1.0)

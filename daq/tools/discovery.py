@@ -200,7 +200,7 @@ def discover_devices(
     for folder in sorted(Path("/sys/class/net").glob("*")) if Path("/sys/class/net").is_dir() else []:
         kind = folder / "type"
         if kind.is_file() and kind.read_text().strip() == str(CAN_TYPE):
-            says = "CAN bus: vesc, dronecan, nmea2000 or dbc"
+            says = "CAN bus of unknown protocol: name it in the rig (vesc, dronecan, nmea2000 or dbc)"
             found.append(DiscoveredDevice(f"socketcan:{folder.name}", "CAN interface", says=says))
     return found
 
@@ -276,7 +276,8 @@ def identify_protocol(
         says = f"frames of {' or '.join(framed)}, but without measurements: check which outputs are switched on"
         return DiscoveredDevice(path, description, says=says, hint=hint)
     tried = ", ".join(map(str, answered_at))
-    return DiscoveredDevice(path, description, says=f"bytes of no known protocol at {tried} baud", hint=hint)
+    says = f"bytes of no known protocol at {tried} baud: check the output settings of the device"
+    return DiscoveredDevice(path, description, says=says, hint=hint)
 
 
 def _feed_candidates(port: SerialPort, candidates: Sequence[_ProtocolCandidate], seconds: float, silent: float) -> int:

@@ -81,7 +81,10 @@ class LiveServer:
                 self._gate = OriginGate(live.host, live.port, (behind, self._server.port), live.origins)
             except Exception as error:  # the library raises errors of other classes, too
                 reason = " ".join(str(error).split())
-                raise SeatrialError(f"{live.host}:{live.port}: the live view cannot listen there: {reason}") from error
+                raise SeatrialError(
+                    f"{live.host}:{live.port}: the live view cannot listen there: {reason}; give another port in "
+                    "[live] of the rig"
+                ) from error
             stack.pop_all()
         self._thread.start()
         return self
