@@ -354,7 +354,10 @@ def _fitting_patterns(texts: Sequence[str], patterns: Sequence[str]) -> list[str
 
 
 def _text_shape(text: str) -> str:
-    """Return the text with each number replaced by 0 and each word by a: "12 May 2024" becomes "0 a 0"."""
+    """Return the shape of a text in a time column: each number becomes 0 and each word a.
+
+    The text "12 May 2024" has the shape "0 a 0".
+    """
     return re.sub(r"[^\W\d_]+", "a", re.sub(r"\d+", "0", text))
 
 
@@ -398,7 +401,7 @@ def _day_format(texts: Sequence[str]) -> str:
 
 
 def _reads_all(read: Callable[[str], object], texts: Sequence[str]) -> bool:
-    """Return whether a parser, the function `read`, reads all texts without a ValueError."""
+    """Return whether a parser of times, the function `read`, reads all texts without a ValueError."""
     try:
         for text in texts:
             read(text)

@@ -162,7 +162,7 @@ def _is_log(path: Path) -> bool:
 
 
 def _toml_text(text: str) -> str:
-    """Return a text in quotes, with the escapes of TOML."""
+    """Return a text in quotes, with the escapes of TOML, for a guessed import map."""
     return json.dumps(text, ensure_ascii=False)
 
 

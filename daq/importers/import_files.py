@@ -286,5 +286,5 @@ def _within_piece(signal: SignalData, piece: Piece) -> SignalData:
 
 
 def _sha256(text: str) -> str:
-    """Return the SHA-256 of a text in UTF-8, as hexadecimal digits."""
+    """Return the SHA-256 of the text of an import map in UTF-8, as hexadecimal digits."""
     return hashlib.sha256(text.encode()).hexdigest()

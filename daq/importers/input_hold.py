@@ -96,7 +96,7 @@ def _lags_like_shaft(values: Column) -> bool:
 
 
 def _rows_per_change(values: Column) -> int:
-    """Return the largest k such that the values (n,) change only at every k-th row.
+    """Return the largest k such that the values of an input (n,) change only at every k-th row of its table.
 
     The result is 1 if there are fewer than 12 changes, which may be regular by chance.
     """

@@ -206,7 +206,7 @@ def _row_times(value: Any, n_rows: int) -> NDArray[np.float64] | None:
 
 
 def _single_number(value: Any) -> float | None:
-    """Return the number in an array of one element; None for any other value."""
+    """Return the number in a MATLAB array of one element; None for any other value."""
     ok = isinstance(value, np.ndarray) and value.size == 1 and value.dtype.kind in "biuf"
     return float(value.flat[0]) if ok else None
 

@@ -78,7 +78,7 @@ def row_times(table: Table, time: TimeColumn | None, *, lenient: bool = False) -
 
 
 def _seconds_of_numbers(raw: Column, weeks: Column, form: str) -> Column:
-    """Convert numbers (n,) of a time format to s, shape (n,).
+    """Convert the numbers (n,) of a time column to s, shape (n,), by their format.
 
     The format is a unit of time ("ms"), days of a spreadsheet ("excel"), "labview", "gps" or "gps_ms". `weeks` (n,) are
     the GPS weeks, which only the last two use.
@@ -178,7 +178,7 @@ def _continued_after_midnight(t: Column, form: str) -> Column:
 
 
 def _add_remark(table: Table, text: str) -> None:
-    """Add a text to the remark of a table, unless the remark contains it already."""
+    """Add a text to the remark of an imported table, unless the remark contains it already."""
     if text not in table.remark:
         table.remark = "; ".join(part for part in (table.remark, text) if part)
 
@@ -216,7 +216,7 @@ def _take_out_clock_changes(table: Table, t: Column, time: TimeColumn) -> None:
 
 
 def _may_daylight_time_change(t: float) -> bool:
-    """Return whether daylight saving time may begin or end at a local time [s since 1970].
+    """Return whether daylight saving time may begin or end at the local time of a row [s since 1970].
 
     This is between 0 and 5 o'clock on a Sunday in March, April, September, October or November; on any day if the time
     has no date.
@@ -228,7 +228,7 @@ def _may_daylight_time_change(t: float) -> bool:
 
 
 def read_date(text: str, pattern: str) -> datetime:
-    """Read a date and time by a strptime pattern.
+    """Read the date and time in a cell of a table by a strptime pattern.
 
     Parameters
     ----------

@@ -368,9 +368,10 @@ def _in_ned(signal: Signal, values: Column) -> tuple[Signal, Column]:
 
 
 def _wrapped_or_unwrapped(values: Column, how: str) -> Column:
-    """Return angles (n,) [rad]: wrapped to -pi < angle <= pi for "wrap", continuous for "unwrap", else unchanged.
+    """Convert the angles (n,) [rad] of an imported signal as `how` says, the key `angle` of the import map.
 
-    NaN stays NaN; a continuous angle goes on after it.
+    "wrap" gives -pi < angle <= pi, "unwrap" a continuous angle, and "keep" no change. NaN stays NaN; a continuous angle
+    goes on after it.
     """
     if how == "wrap":
         return np.asarray(np.pi - np.mod(np.pi - values, 2.0 * np.pi))  # -pi < angle <= pi
@@ -383,7 +384,7 @@ def _wrapped_or_unwrapped(values: Column, how: str) -> Column:
 
 
 def _changed_rows(values: Sequence[Column]) -> NDArray[np.bool_]:
-    """Return the flags (n,) of rows in which any of the columns (n,) differs from the row before.
+    """Return the flags (n,) of rows of an imported table in which any of the columns (n,) differs from the row before.
 
     The first row counts as changed. NaN after NaN is no change.
     """
@@ -395,7 +396,7 @@ def _changed_rows(values: Sequence[Column]) -> NDArray[np.bool_]:
 
 
 def _with_timeouts(t: Column, values: Column, timeout: float) -> tuple[Column, Column]:
-    """Insert a zero where an input times out, and return its times [s] and values (n,).
+    """Insert a zero where an imported input times out, and return its times [s] and values (n,).
 
     This is `timeout` [s] after each sample that no other sample follows within this time, also after the last one. With
     a timeout of 0 nothing is inserted.
@@ -446,7 +447,7 @@ def coarse_advice(rate: float) -> str:
 
 
 def _longest_rising(t: Column) -> NDArray[np.bool_]:
-    """Select the largest number of rows whose times (n,) rise strictly, and return their flags (n,).
+    """Select the most rows of an imported table whose times (n,) rise strictly, and return their flags (n,).
 
     A single time that is too large then costs only its own row (Fredman, Discrete Mathematics 11, 1975). Of equal
     times, only the first is selected.

@@ -109,7 +109,7 @@ def _read_text_table(path: Path, options: SourceOptions) -> list[Table]:
 
 
 def _first_bytes(path: Path) -> bytes:
-    """Return the first 65536 bytes of a file. Raise SeatrialError if the file cannot be read."""
+    """Return the first 65536 bytes of a source file. Raise SeatrialError if the file cannot be read."""
     try:
         with path.open("rb") as file:
             return file.read(_HEAD_BYTES)

@@ -135,9 +135,10 @@ def _receipt_rate(times: MessageTimes) -> float:
 
 
 def _running_median(values: Column) -> Column:
-    """Return the running median over 51 values, (n,); over fewer if there are fewer values (the largest odd number).
+    """Return the running median over 51 values (n,) of the offset between message stamps and their receipts.
 
-    The first and the last value are repeated beyond the ends.
+    If there are fewer values, it is over the largest odd number of them. The first and the last value are repeated
+    beyond the ends.
     """
     window = min(SMOOTH, len(values) - 1 + len(values) % 2)
     if window < 3:

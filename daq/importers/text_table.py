@@ -334,7 +334,7 @@ class _WatchedLines:
 
 
 def _numbers_of_plain_cells(cells: Sequence[str], decimal: str) -> list[float]:
-    """Convert the cells of a column to numbers (n,). `decimal` is the decimal mark.
+    """Convert the cells of a column of a text table to numbers (n,). `decimal` is the decimal mark.
 
     Raise ValueError if a cell is not a plain number, also if it is empty.
     """
@@ -344,7 +344,7 @@ def _numbers_of_plain_cells(cells: Sequence[str], decimal: str) -> list[float]:
 
 
 def to_number(text: str, decimal: str, has_thousands: bool = False) -> float:
-    """Convert the text of a cell to a number.
+    """Convert the text of a cell of a text table to a number.
 
     Parameters
     ----------
@@ -416,13 +416,16 @@ def is_comment(cells: Sequence[str], width: int) -> bool:
 
 
 def is_subheading(cells: Sequence[str]) -> bool:
-    """Return whether a row below the header has words and no digits, as Smp and Avg in files of Campbell loggers."""
+    """Return whether a row below the header of a text table has words and no digits.
+
+    Campbell loggers write such rows (Smp, Avg).
+    """
     texts = [text for cell in cells if (text := cell.strip())]
     return not any(c.isdigit() for text in texts for c in text) and any(text.lower() not in _EMPTY for text in texts)
 
 
 def without_brackets(cell: str) -> str:
-    """Return the text of a cell without blanks and brackets around it: "[m/s]" becomes "m/s"."""
+    """Return a cell of a text table without blanks and brackets around it: "[m/s]" becomes "m/s"."""
     return cell.strip().strip("()[]{}<>").strip()
 
 
@@ -438,7 +441,7 @@ def is_units_row(cells: list[str]) -> bool:
 
 
 def has_decimal_commas(head: bytes) -> bool:
-    """Return whether a text has the comma as delimiter and as decimal mark: rows have more cells than the header.
+    """Return whether a text table has the comma as delimiter and as decimal mark: its rows are longer than its header.
 
     Parameters
     ----------
@@ -460,7 +463,7 @@ def has_decimal_commas(head: bytes) -> bool:
 
 
 def wide_encoding(head: bytes) -> str:
-    """Return the encoding of a text with two bytes per character (Excel's "Unicode text").
+    """Return the encoding of a text table with two bytes per character (Excel's "Unicode text").
 
     Parameters
     ----------

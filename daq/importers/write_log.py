@@ -340,7 +340,7 @@ def replacing(out: Path, force: bool, reads: Sequence[Path]) -> Iterator[Path]:
 
 
 def sha256_of(path: Path) -> str:
-    """Return the SHA-256 of a file, or of the files of a folder in the order of their names.
+    """Return the SHA-256 of a source file of an import, or of the files of a folder in the order of their names.
 
     Parameters
     ----------

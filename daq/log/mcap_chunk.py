@@ -91,7 +91,7 @@ def chunk_at(head: bytes, start: int, stop: int, cut: bool = False) -> ChunkAt:
 
     Raises
     ------
-    One of DAMAGE
+    ValueError, or another error in DAMAGE
         If the header is invalid, or if the chunk is larger than `MAX_CHUNK_BYTES`.
     """
     _, _, size, checksum, n_name = _CHUNK.unpack_from(head)
@@ -111,7 +111,7 @@ def unpack_chunk(packed: bytes | memoryview, chunk: ChunkAt) -> Buffer:
 
     Raises
     ------
-    One of DAMAGE
+    ValueError, or another error in DAMAGE
         If size or checksum is wrong, or if the data cannot be decompressed.
     """
     data: bytes | memoryview = packed
@@ -138,7 +138,7 @@ def unpack_cut(packed: bytes, chunk: ChunkAt) -> Buffer:
 
     Raises
     ------
-    One of DAMAGE
+    ValueError, or another error in DAMAGE
         If the compression is lz4, or if the zstd data before the cut are damaged.
     """
     if chunk.compression == "lz4":
@@ -160,7 +160,7 @@ class Messages(NamedTuple):
     offsets
         Offset of each message record in the buffer, shape (n,).
     heads
-        Head of each message record, dtype MESSAGE_HEAD, shape (n,).
+        Head of each message record (channel, times, sequence number), dtype MESSAGE_HEAD, shape (n,).
     """
 
     buffer: Buffer

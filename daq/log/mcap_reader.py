@@ -289,7 +289,7 @@ class RawLog:
 
         Raises
         ------
-        One of DAMAGE
+        ValueError, or another error in DAMAGE
             If the chunk is damaged or was left out. The first time a warning is added.
         """
         if number in self._cache:
@@ -518,7 +518,7 @@ class RawLog:
 
         Raises
         ------
-        One of DAMAGE
+        ValueError, or another error in DAMAGE
             If the record is damaged.
         """
         if opcode not in _KEPT:
@@ -609,7 +609,7 @@ class _FoundChunks:
 
         Raises
         ------
-        One of DAMAGE
+        ValueError, or another error in DAMAGE
             If the header of a chunk is invalid.
         """
         if opcode == Opcode.CHUNK:
@@ -664,7 +664,7 @@ class _Summary:
 
     Raises
     ------
-    One of DAMAGE
+    ValueError, or another error in DAMAGE
         If a record of the summary is invalid.
     """
 
@@ -783,5 +783,5 @@ def _parse(read: Callable[[ReadDataStream], Record], data: bytes) -> Record:
 
 
 def _error_line(error: BaseException) -> str:
-    """Return the text of an error as one line; the name of its class if it has no text."""
+    """Return the text of an error about a damaged log as one line; the name of its class if it has no text."""
     return " ".join(str(error).split()) or type(error).__name__

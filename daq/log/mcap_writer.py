@@ -100,8 +100,8 @@ class LogWriter:
     Raises
     ------
     SeatrialError
-        If the file cannot be created. After a failed write every method raises this error; the file is then closed,
-        and has a footer if the ballast had room for it.
+        If the file cannot be created. After a failed write every method raises this error; the file is then closed, and
+        has a footer if the reserved disk space (ballast) had room for it.
     """
 
     def __init__(

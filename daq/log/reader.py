@@ -472,7 +472,7 @@ class Log:
         return 0 if node is None else node
 
     def _with_ascending_times(self, table: NDArray[np.void], topic: str, span: tuple[int, int]) -> NDArray[np.void]:
-        """Raise times in the column `t` of a table so that they never decrease, and return the table.
+        """Correct times in the column `t` of a table so that they never decrease, and return the table.
 
         A time that is less than the time before gets that time. Raise SeatrialError if the table is empty although it
         covers the whole log (`span`): no message of the topic is readable.
@@ -710,7 +710,8 @@ class _TopicTable:
     topic
         Name of the topic.
     channels
-        Numbers of the channels whose messages belong to the table, those of companion topics included.
+        Numbers of the channels whose messages belong to the table, those with the device times and the magnetic field
+        of an AHRS included.
     """
 
     def __init__(self, log: Log, topic: str, channels: list[int], dtype: np.dtype[np.void]) -> None:

@@ -160,7 +160,7 @@ class WholeRecordStream:
 
 
 def sync_folder(folder: Path) -> None:
-    """Wait until the names of the files in a folder are on the disk, if the operating system supports this."""
+    """Wait until the names of the log files in a folder are on the disk, if the operating system supports this."""
     with contextlib.suppress(OSError):
         fd = os.open(folder, os.O_RDONLY)
         try:

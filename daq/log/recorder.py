@@ -393,7 +393,7 @@ class _KeptMessage(NamedTuple):
 
 
 def free_bytes(path: Path) -> int:
-    """Return the free space [bytes] of the disk of a path, by the nearest parent folder that exists."""
+    """Return the free space [bytes] of the disk to which a log is written, by its nearest parent folder that exists."""
     folder = next((parent for parent in path.absolute().parents if parent.is_dir()), Path("/"))
     return shutil.disk_usage(folder).free
 

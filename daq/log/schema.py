@@ -108,7 +108,7 @@ _GETTERS[Scalar] = lambda sample: (sample.value,)  # type: ignore[attr-defined]
 
 
 def topic(kind: type[Measured], source: str, node: int | None = None) -> str:
-    """Return the topic of a log whose messages contain the samples of a kind, for example "/imu1/gnss".
+    """Return the topic of a log whose messages contain the samples of a kind, for example "/gps/gnss" for `Gnss`.
 
     Parameters
     ----------

@@ -43,7 +43,7 @@ class DiscoveredAutopilot(DiscoveredDevice):
     system_id : int
         MAVLink system number.
     signed : bool
-        Whether it signs its frames.
+        Whether it signs its MAVLink frames.
     parameters : dict
         Parameters that it reported, by name; empty if none were read.
     """

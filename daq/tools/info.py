@@ -167,10 +167,10 @@ def _with_repeats_joined(events: list[tuple[float, str, str]]) -> list[tuple[flo
 
 
 def _size_text(n_bytes: int) -> str:
-    """Return a size [bytes] as a text in MB, or in kB below one million."""
+    """Return the size of a log [bytes] as a text in MB, or in kB below one million."""
     return f"{n_bytes / 1e6:.2f} MB" if n_bytes >= 1e6 else f"{n_bytes / 1e3:.1f} kB"
 
 
 def _number_text(value: float, digits: int) -> str:
-    """Return a number with `digits` digits behind the point as a text; "-" for NaN."""
+    """Return a rate, gap or delay of a log as a text with `digits` digits behind the point; "-" for NaN."""
     return "-" if math.isnan(value) else f"{value:.{digits}f}"

@@ -341,7 +341,7 @@ def log_summary(status: Status, path: Path) -> str:
 
 
 def duration_text(seconds: float) -> str:
-    """Return a duration [s] as a text: `1:02:03`, or `2:03.4` for less than an hour."""
+    """Return the duration of a recording [s] as a text: `1:02:03`, or `2:03.4` for less than an hour."""
     minutes, rest = divmod(max(seconds, 0.0), 60.0)
     if minutes < 60.0:
         return f"{int(minutes)}:{math.floor(rest * 10.0) / 10.0:04.1f}"
@@ -349,7 +349,7 @@ def duration_text(seconds: float) -> str:
 
 
 def size_text(n_bytes: int) -> str:
-    """Return a number of bytes as a text such as `1.2 MB`, with decimal units."""
+    """Return the size of a log [bytes] as a text such as `1.2 MB`, with decimal units."""
     size = float(n_bytes)
     for unit in ("B", "kB", "MB"):
         if size < 1000.0:

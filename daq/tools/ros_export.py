@@ -254,7 +254,7 @@ def _has_position(rows: NDArray[np.void]) -> NDArray[np.bool_]:
 
 
 def _nanoseconds(t: float) -> int:
-    """Convert a time from s to whole nanoseconds."""
+    """Convert the time of a message from s to whole nanoseconds."""
     return round(float(t) * NANO)
 
 

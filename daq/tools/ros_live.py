@@ -43,7 +43,7 @@ _ROS2 = "live ROS 2 needs the packages eclipse-zenoh and rosbags: pip install 's
 
 
 class ReceivedCommand(NamedTuple):
-    """Command of a thruster that was received by ROS 2.
+    """Command of a thruster that was received by ROS 2, with the attachment that rmw_zenoh adds to a message.
 
     Attributes
     ----------
@@ -350,7 +350,7 @@ class _Publisher:
 
 
 def _dds_type_name(type_name: str) -> str:
-    """Return the DDS name of a message type, by the rule of rosidl.
+    """Return the DDS name of a ROS 2 message type, by the rule of rosidl.
 
     The name of "std_msgs/msg/Float64" is "std_msgs::msg::dds_::Float64_".
     """
