@@ -196,8 +196,8 @@ def _rated_times(device: Device | None, tables: Tables) -> FloatArray:
 def _check_stuck(kind: type, name: str, table: Any) -> Iterator[Finding]:
     """Yield a fault for the longest interval in which all values of a sensor stay exactly the same for too long.
 
-    `kind` is the kind of the samples, `name` the device in the finding. Kinds without limits in STUCK_IN_LOG are not
-    checked.
+    `kind` is the kind of the samples, `name` the device in the finding. Kinds without limits in the table STUCK_IN_LOG
+    (daq/sensor_limits.py) are not checked.
     """
     if kind not in STUCK_IN_LOG:
         return
@@ -250,8 +250,8 @@ def _smallest_step(counts: Any) -> float:
 def _constant_intervals(kind: type, table: Any) -> Iterator[tuple[float, float]]:
     """Yield begin and end [s] of each interval in which all compared values of a sensor stay the same for too long.
 
-    The compared columns, the smallest number of samples and the shortest duration come from STUCK_IN_LOG. NaN equals
-    NaN.
+    The compared columns, the smallest number of samples and the shortest duration come from the table STUCK_IN_LOG in
+    daq/sensor_limits.py. NaN equals NaN.
     """
     columns, samples, seconds = STUCK_IN_LOG[kind]
     same = np.ones(max(len(table) - 1, 0), dtype=bool)

@@ -42,7 +42,7 @@ _HEAD_BYTES = 65536  # bytes in which the dialect is recognised
 
 
 def is_can_log(head: bytes) -> bool:
-    """Return whether a file with these first bytes is a CAN log: a BLF file, or a text in one of the known dialects."""
+    """Return whether a file with these first bytes is a CAN log: a BLF file, or a text in one of the known formats."""
     return head.startswith(BLF) or bool(dialect_of(head))
 
 
@@ -236,7 +236,7 @@ class _FixedClock(NamedTuple):
     origin: object = None
 
     def now(self) -> float:
-        """Return the time of the first frame [s since 1970]."""
+        """Return the time of the first frame of the CAN log [s since 1970], at every call."""
         return self.t
 
 

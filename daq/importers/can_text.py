@@ -127,6 +127,7 @@ class _LogState:
     """
 
     def __init__(self) -> None:
+        """Begin with the state before the first line of a log: time 0, base 16, and absolute times."""
         self.start = 0.0  # s since 1970
         self.since_midnight = 0.0  # s; time of day of the start
         self.base = 16  # number base of identifiers and data

@@ -384,7 +384,8 @@ def _is_unpadded(pattern: str, texts: Sequence[str]) -> bool:
 def _typical_texts(texts: Sequence[str]) -> list[str]:
     """Return up to about 400 different texts of a column of times, taken evenly over the file, without blank texts.
 
-    Texts of a shape that at most 5 % of them have are left out, because they are not times: ERR, OVERFLOW.
+    Texts whose shape (the places of numbers and words) at most 5 % of them have are left out, because they are not
+    times: ERR, OVERFLOW.
     """
     # Over the whole file a day above 12 is likely; only such a day shows the order of day and month.
     filled = [text.strip() for text in texts if text.strip()]

@@ -57,6 +57,7 @@ class _MessageConverter:
     """
 
     def __init__(self, rig: Rig | None, device: Device | None) -> None:
+        """Prepare the conversion. The thrusters of `device` in `rig` name and scale the outputs; both may be None."""
         self.vehicle = NO_TYPE  # MAV_TYPE
         thrusters = [t for t in rig.thrusters if device is not None and t.device == device.name] if rig else []
         self._outputs = {t.node: (t.output, -1.0 if t.reversed else 1.0) for t in thrusters if t.output is not None}
@@ -245,7 +246,10 @@ def read_dataflash(path: Path, rig: Rig | None, device: Device | None) -> tuple[
             skipped = log.data_len - sum(len(log.offsets[kind]) * form.len for kind, form in log.formats.items())
             while (message := log.recv_match(type=list(reader.take))) is not None:
                 n_messages += 1
-                kind, stopped = message.get_type(), f"damaged, read only to byte {log.offset} of {log.data_len}"
+                kind = message.get_type()
+                stopped = (
+                    f"damaged, read only to byte {log.offset} of {log.data_len}; download it from the autopilot again"
+                )
                 try:
                     t = float(message._timestamp)
                     t_device = float(getattr(message, "TimeUS", math.nan)) * 1e-6
@@ -260,7 +264,10 @@ def read_dataflash(path: Path, rig: Rig | None, device: Device | None) -> tuple[
         raise SeatrialError(
             f"{path}: this DataFlash log contains no attitude, GPS or outputs; set LOG_BITMASK and record again"
         )
-    remarks = [f"{counted(n, 'message')} {kind} of unknown form left out" for kind, n in strange.items()]
+    remarks = [
+        f"{counted(n, 'message')} {kind} of unknown form left out: another firmware wrote them"
+        for kind, n in strange.items()
+    ]
     remarks += [f"{counted(n_torn, 'damaged place')}: the messages there are left out"] * bool(n_torn)
     remarks += [f"{counted(n_wrong_times, 'message')} with an impossible time left out"] * bool(n_wrong_times)
     remarks += [stopped] * bool(stopped)
@@ -357,7 +364,7 @@ def firmware_type(texts: Iterable[str]) -> int | None:
 
 
 def _vehicle_of_log(log: Any) -> int:
-    """Return the MAV_TYPE (type of vehicle) by the texts of a DataFlash log, `NO_TYPE` (0) if unknown.
+    """Return the MAV_TYPE (type of vehicle) by the text messages of a DataFlash log, `NO_TYPE` (0) if unknown.
 
     Read the log and rewind it to its beginning.
     """

@@ -53,7 +53,8 @@ class TimeColumn:
     date : str
         Column of the dates if `column` has times of day, or of the GPS weeks; "" if not needed.
     fraction : str
-        How the text behind the last point is read: "decimal" or "unpadded-ns"; "" for the usual way.
+        How the text behind the last point is read: "decimal" (a fraction of a second) or "unpadded-ns" (a number of ns
+        without leading zeros); "" to read it by `format`.
     rate_hz : float
         Rate of the rows [Hz]; 0 for times of a column.
     origin : float

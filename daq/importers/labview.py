@@ -125,6 +125,7 @@ class _SegmentRows:
     """
 
     def __init__(self, path: Path, decimal: str, x_columns: str, start: float) -> None:
+        """Begin without rows. The header of the LabVIEW file has decimal mark, kind of X and start [s since 1970]."""
         self._path, self._decimal, self._x_columns, self._start = path, decimal, x_columns.lower(), start
         self._names: list[str] = []
         self._units: dict[str, str] = {}

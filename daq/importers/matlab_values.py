@@ -302,7 +302,7 @@ class Hdf5Variables:
     """
 
     def __init__(self, file: Any) -> None:
-        """Read the list of objects of an open h5py file, if it has one."""
+        """Read the list of MATLAB objects in an open HDF5 file (version 7.3), if it has one."""
         self._file = file
         self._contents: list[Any] = []
         self._classes: list[str] = []

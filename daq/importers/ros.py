@@ -236,6 +236,7 @@ class _TopicMessages:
     """
 
     def __init__(self, kind: str) -> None:
+        """Begin without messages. `kind` is the type of the topic's messages, as "sensor_msgs/msg/Imu"."""
         self.kind, self.frame_id = kind, ""
         self.t_log, self.t_stamp = array("d"), array("d")  # s
         self._frames: dict[str, list[float]] = {}  # frame_id -> number of messages, first and last receipt [s]

@@ -241,6 +241,7 @@ class _RowCounter:
     """
 
     def __init__(self, table: Table, t: Column) -> None:
+        """Begin the count for the rows of a table, whose times `t` (n,) are in s."""
         self._table, self._t = table, t
         self._kept, self._valued = np.zeros(len(t), bool), np.zeros(len(t), bool)
         self._again = np.append(False, np.diff(t) == 0.0)  # rows that are copies of the row before

@@ -85,6 +85,7 @@ class Table:
         return f"{self.topic}: {remarks}" if self.topic and remarks else remarks
 
     def __len__(self) -> int:
+        """Return the number of rows of the table, n."""
         return len(next(iter((*self.columns.values(), *self.texts.values())), ()))
 
     def numbers(self, column: str) -> Column:

@@ -212,6 +212,7 @@ class TextTable(Table):
         return self._header
 
     def __len__(self) -> int:
+        """Return the number of rows of the text table, n, without header, comments and lines left out."""
         return len(self.lines)
 
     def text(self, column: str) -> list[str]:
@@ -324,10 +325,12 @@ class _WatchedLines:
     """
 
     def __init__(self, lines: Iterable[str]) -> None:
+        """Prepare the iteration over the lines of a text file."""
         self._lines = lines
         self.is_cut = False
 
     def __iter__(self) -> Iterator[str]:
+        """Yield each line of the file without zero bytes, and note whether it has a line end."""
         for line in self._lines:
             self.is_cut = not line.endswith(("\n", "\r"))
             yield line.replace("\0", "")  # zero bytes come from blocks of a card that were never written

@@ -189,11 +189,15 @@ class _LimitedFile(io.BufferedReader):
     """File that raises SeatrialError if more than 100 times its size and 16 MiB are read."""
 
     def __init__(self, path: Path) -> None:
+        """Open the file and compute how many bytes may be read from it."""
         super().__init__(io.FileIO(path))
         self._bytes_left = 100 * path.stat().st_size + (16 << 20)
 
     def read(self, size: int | None = -1, /) -> bytes:
-        """Read up to `size` bytes of the file; all for -1 or None. Raise SeatrialError beyond the limit of the file."""
+        """Read up to `size` bytes of the file; all for -1 or None.
+
+        Raise SeatrialError if all reads together exceed 100 times the size of the file and 16 MiB.
+        """
         data = super().read(size)
         self._bytes_left -= len(data) + 16
         if self._bytes_left < 0:

@@ -146,6 +146,7 @@ class CdrLayout:
     """
 
     def __init__(self, type_name: str, frame_id: bytes, lacking: tuple[str, ...] = ()) -> None:
+        """Compute the byte layout of a message type whose header has this `frame_id`, without the `lacking` fields."""
         fields = [field for field in flatten(type_name) if field.name not in lacking]
         if [field.name for field in fields[:3]] != [
             "header.stamp.sec",

@@ -112,6 +112,7 @@ class RawLog:
     """
 
     def __init__(self, path: Path) -> None:
+        """Open an MCAP file and read its index, from its summary or from all its records."""
         self.path = path
         self.warnings: list[str] = []
         self.complete = False  # whether the file has its footer
@@ -582,6 +583,7 @@ class _FoundChunks:
     """List of the chunks that are found when an MCAP file is read from beginning to end."""
 
     def __init__(self) -> None:
+        """Begin with an empty list of chunks."""
         self.at, self._stop, self._index_bytes, self._size = (array("q") for _ in range(4))
         self._begin_ns, self._end_ns = array("Q"), array("Q")
         self.counts: list[dict[int, int]] = []  # for each chunk: messages by channel, from its message indexes
@@ -669,6 +671,7 @@ class _Summary:
     """
 
     def __init__(self, read: Callable[[int, int], bytes], start: int, stop: int) -> None:
+        """Decode the summary of an MCAP file, at the bytes `start` to `stop` that `read` returns."""
         self.start = start
         self.schemas: list[tuple[int, bytes]] = []
         self.channels: list[tuple[int, bytes]] = []

@@ -77,6 +77,7 @@ class DiskFull(SeatrialError):
     """
 
     def __init__(self, text: str, complete: bool) -> None:
+        """Store the message for the user, and whether the file of the log is complete."""
         super().__init__(text)
         self.complete = complete
 
@@ -112,6 +113,7 @@ class LogWriter:
         attachments: Mapping[str, bytes],
         time_ns: int,
     ) -> None:
+        """Create the file of a log and write its header, metadata and attachments."""
         self.path = path
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -335,6 +337,7 @@ class RecordWriter:
     """
 
     def __init__(self, stream: Output, *, chunk_bytes: int, profile: str, library: str) -> None:
+        """Begin an MCAP file: write its magic bytes and its header record to `stream`."""
         self._stream, self._chunk_bytes = stream, chunk_bytes
         self._compressor = zstandard.ZstdCompressor()
         # Records that the summary repeats at the end, as bytes: objects for a day of chunks would take gigabytes.
@@ -360,7 +363,7 @@ class RecordWriter:
         return sum(map(len, kept)) + 10 * self._n_channels + _SUMMARY_REST
 
     def add_metadata(self, name: str, data: Mapping[str, str]) -> None:
-        """Write a metadata record, texts by name, to the MCAP file immediately."""
+        """Write a metadata record, which contains texts by name, to the MCAP file immediately."""
         at, record = self._stream.tell(), _encode_record(Metadata(name=name, metadata=dict(data)))
         self._stream.write(record)
         self._n_metadata += 1

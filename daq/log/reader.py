@@ -100,6 +100,7 @@ class Log:
     """
 
     def __init__(self, path: Path) -> None:
+        """Open the log that begins with the MCAP file `path`, and read its index and metadata."""
         self.path = path
         self._file = open_raw(path)
         self.paths = [raw.path for raw in self._file.files]
@@ -679,6 +680,7 @@ class _GrowingArray:
     """
 
     def __init__(self, dtype: np.dtype[Any]) -> None:
+        """Begin with an array without rows; `dtype` is the type of a row."""
         self._all, self._n = np.zeros(0, dtype), 0
 
     @property
@@ -715,6 +717,7 @@ class _TopicTable:
     """
 
     def __init__(self, log: Log, topic: str, channels: list[int], dtype: np.dtype[np.void]) -> None:
+        """Begin a table without rows for the messages of these channels of a log; `dtype` is the type of a row."""
         self.topic, self.channels = topic, channels
         self._log, self._table = log, _GrowingArray(dtype)
 
@@ -734,6 +737,7 @@ class _SampleTable(_TopicTable):
     """Table of the samples of a topic in which each message is one sample."""
 
     def __init__(self, log: Log, kind: type[Measured], topic: str) -> None:
+        """Begin a table without rows for the samples of a kind on a topic. Raise SeatrialError for another type."""
         self._kind, self._type_name = kind, schema.TYPES[kind]
         fixed = cdr_layout(self._type_name, b"").dtype
         whole = [name for name in schema.field_names(kind) if fixed[name].kind in "iu"]
@@ -770,6 +774,7 @@ class _AhrsTable(_TopicTable):
     """
 
     def __init__(self, log: Log, topic: str, source: str, join: bool) -> None:
+        """Begin a table without rows, and find the channels of Imu, device times and magnetic field in the log."""
         self._source, self._numbers = source, {"imu": log._channel_numbers(topic, schema.IMU)}
         for name, (type_name, _) in _COMPANIONS.items() if join else ():
             with contextlib.suppress(SeatrialError):
@@ -861,6 +866,7 @@ class _StampStatistics:
     """Rate, longest gap and backward steps of the time stamps of a topic, computed from batches of stamps."""
 
     def __init__(self) -> None:
+        """Begin the statistics of a topic without any time stamp."""
         self._n, self._first, self._last, self._gap, self._newest = 0, np.inf, -np.inf, 0.0, -np.inf
         self.n_back, self.longest_back = 0, 0.0  # steps back in the order of the file
 

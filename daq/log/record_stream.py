@@ -33,6 +33,7 @@ class ReservedSpace:
     """
 
     def __init__(self, folder: Path) -> None:
+        """Create a file without a name in `folder`, which has 0 bytes at first."""
         name = folder / f".seatrial-ballast-{os.getpid()}-{id(self):x}"
         self._fd = os.open(name, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
         name.unlink()
@@ -87,6 +88,7 @@ class WholeRecordStream:
     """
 
     def __init__(self, path: Path) -> None:
+        """Create the output file and reserve disk space for its last records."""
         self._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
         # Without this a loss of power may remove the name of the file, and with the name the whole file.
         for folder in (path.parent, path.absolute().parent.parent):
@@ -179,6 +181,7 @@ class FileSyncer(threading.Thread):
     """
 
     def __init__(self, stream: WholeRecordStream) -> None:
+        """Prepare the thread that syncs the output file `stream` to the disk; `start` begins it."""
         super().__init__(name="log-sync", daemon=True)
         self.error: OSError | None = None
         self._stream, self._wanted, self._ending = stream, threading.Event(), False

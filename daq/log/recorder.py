@@ -39,7 +39,7 @@ class Clock(Protocol):
 
     @property
     def origin(self) -> object:
-        """Plain numbers from which another process can rebuild the clock."""
+        """Numbers [s] from which another process can rebuild the run clock; the recorder stores them in the log."""
 
     def now(self) -> float:
         """Return the time of the run clock [s since 1970]."""
@@ -87,6 +87,7 @@ class Recorder:
         metadata: Mapping[str, str] | None = None,
         patient: bool = False,
     ) -> None:
+        """Create the first file of the log at `path`. A `patient` recorder goes on when a full disk has room again."""
         origin = json.dumps(clock.origin)
         about = {"format": LOG_FORMAT, "rig": rig.name, "speed": repr(clock.speed), "origin": origin}
         self._metadata = {**collect_provenance(), **about, **(metadata or {})}

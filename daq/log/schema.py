@@ -219,9 +219,9 @@ def imu_columns(rows: NDArray[np.void]) -> Columns:
 
 
 def own_columns(kind: type[Measured], rows: NDArray[np.void]) -> Columns:
-    """Return the columns of a kind of samples, t_rx and t_device included, from decoded messages of its own type.
+    """Convert decoded messages of a kind of samples, shape (n,), to the columns of its table, with t_rx and t_device.
 
-    The kind is any but `Ahrs`. Speed and kind of fix that an older log lacks are computed.
+    The kind is any but `Ahrs`. Speed and kind of fix (2D, 3D) that an older log lacks are computed.
     """
     columns: Columns = {name: rows[name] for name in rows.dtype.names or ()}
     if kind is Gnss and "speed" not in columns:  # a log of an older version: same rule as the defaults of `Gnss`

@@ -86,6 +86,7 @@ class SegmentedLog:
     """
 
     def __init__(self, files: list[RawLog], warnings: list[str]) -> None:
+        """Join the channels, message counts and times of the segments of a log."""
         self.files = files
         self.path = files[0].path
         self._warnings = warnings

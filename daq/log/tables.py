@@ -41,10 +41,10 @@ class Log(Protocol):
         """Return the ids of the motor controllers of a device that have samples of a kind."""
 
     def table(self, kind: type[Any], source: str, node: int | None = None) -> NDArray[np.void]:
-        """Return the samples of a device or signal, shape (n,)."""
+        """Return the samples of a device or signal of the log as a structured array, shape (n,)."""
 
     def unit(self, signal: str) -> str:
-        """Return the unit of an imported signal."""
+        """Return the unit of an imported signal of the log, for example "m/s"."""
 
     def hold(self, signal: str) -> str:
         """Return the hold of an imported signal: "zero", "linear" or "sampled"."""

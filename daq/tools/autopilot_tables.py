@@ -199,6 +199,7 @@ class _AutopilotListener:
     """
 
     def __init__(self, port: Port) -> None:
+        """Prepare the decoder of MAVLink messages at an open port. Nothing is received yet."""
         self._port = port
         self.decoder = MavlinkDecoder(SampleConverter({}), 0, 1)
         self.decoder.listener = self._store_message

@@ -92,6 +92,7 @@ class _ProtocolCandidate:
     """
 
     def __init__(self, protocol: str) -> None:
+        """Prepare the decoder of a protocol, such as "nmea", with all counts at zero."""
         self.protocol = protocol
         self.decoder: Decoder | slcan.Decoder = slcan.Decoder() if protocol == SLCAN else default_decoder(protocol)
         self.decoder.reset()

@@ -50,6 +50,7 @@ class LiveServer:
     """
 
     def __init__(self, rig: Rig, status: Callable[[], Status]) -> None:
+        """Store rig and status. The server starts at the beginning of the `with` block."""
         self._rig, self._status = rig, status
         self._ending = threading.Event()
         self._channels: dict[str, Any] = {}
@@ -62,6 +63,7 @@ class LiveServer:
         return f"ws://{self._rig.live.host}:{self._gate.port}"
 
     def __enter__(self) -> LiveServer:
+        """Start the server of the live view, its gate, and the thread that sends the samples."""
         try:
             import foxglove
         except ModuleNotFoundError as error:
@@ -92,6 +94,7 @@ class LiveServer:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        """Stop the thread that sends the samples, the server and the gate."""
         self._ending.set()
         self._thread.join()
         # Stop the server before the gate, which forwards its close messages. Otherwise the library prints errors.
@@ -163,6 +166,7 @@ class OriginGate:
     """
 
     def __init__(self, host: str, port: int, behind: tuple[str, int], origins: Sequence[str]) -> None:
+        """Listen at `host` and `port`, and forward accepted connections to the server `behind` the gate."""
         self._behind, self._origins = behind, origins
         self._loop = asyncio.new_event_loop()
         self._tasks: dict[asyncio.Task[None], asyncio.StreamWriter] = {}  # task of each connection, and its client

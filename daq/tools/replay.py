@@ -110,6 +110,7 @@ class ReplayFolder:
     """
 
     def __init__(self, folder: Path) -> None:
+        """Create the folder of a replay if it does not exist, and open it."""
         self.path = folder
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -281,6 +282,7 @@ class ReplayPort:
     """
 
     def __init__(self, folder: ReplayFolder, name: str) -> None:
+        """Open a pty for the device `name`, and create the link to its host's end in the folder."""
         self.backlog = bytearray()
         self._slave = -1
         self._master, slave = os.openpty()

@@ -81,6 +81,7 @@ class LateCommands:
     """
 
     def __init__(self, allowed_s: float) -> None:
+        """Begin without any command; `allowed_s` is the largest allowed delay after the fastest command [s]."""
         self._allowed = allowed_s
         # By sender: smallest difference of time of receipt and time of sending, which contains the difference of the
         # clocks; and the time of the last update [s].
@@ -132,6 +133,7 @@ class Ros2Node:
     """
 
     def __init__(self, rig: Rig, thrusters: Sequence[str] = ()) -> None:
+        """Prepare the ROS 2 node. It connects to the router at the beginning of the `with` block."""
         self._ros2, self._thrusters = rig.ros2, thrusters
         self._queue: deque[StreamedSample] = deque()
         self._filled, self._ending = threading.Event(), threading.Event()
@@ -163,6 +165,7 @@ class Ros2Node:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        """End the thread of the ROS 2 node. Wait for it 1 s at most, because the router may hang."""
         self._ending.set()
         self._filled.set()
         # If the router hangs or the network is cut, Zenoh waits for half a minute. The program must not wait for it.
@@ -340,6 +343,7 @@ class _Publisher:
     """
 
     def __init__(self, publisher: Any, token: str) -> None:
+        """Store the Zenoh publisher, and derive its unique id from its key expression `token`."""
         self._publisher, self._numbers = publisher, itertools.count(1)
         self._gid = hashlib.blake2b(token.encode(), digest_size=16).digest()
 
