@@ -246,10 +246,7 @@ def read_dataflash(path: Path, rig: Rig | None, device: Device | None) -> tuple[
             skipped = log.data_len - sum(len(log.offsets[kind]) * form.len for kind, form in log.formats.items())
             while (message := log.recv_match(type=list(reader.take))) is not None:
                 n_messages += 1
-                kind = message.get_type()
-                stopped = (
-                    f"damaged, read only to byte {log.offset} of {log.data_len}; download it from the autopilot again"
-                )
+                kind, stopped = message.get_type(), f"damaged, read only to byte {log.offset} of {log.data_len}"
                 try:
                     t = float(message._timestamp)
                     t_device = float(getattr(message, "TimeUS", math.nan)) * 1e-6
@@ -265,8 +262,7 @@ def read_dataflash(path: Path, rig: Rig | None, device: Device | None) -> tuple[
             f"{path}: this DataFlash log contains no attitude, GPS or outputs; set LOG_BITMASK and record again"
         )
     remarks = [
-        f"{counted(n, 'message')} {kind} of unknown form left out: another firmware wrote them"
-        for kind, n in strange.items()
+        f"{counted(n, 'message')} {kind} of unknown form (another firmware) left out" for kind, n in strange.items()
     ]
     remarks += [f"{counted(n_torn, 'damaged place')}: the messages there are left out"] * bool(n_torn)
     remarks += [f"{counted(n_wrong_times, 'message')} with an impossible time left out"] * bool(n_wrong_times)
