@@ -104,9 +104,8 @@ class LinkStatus:
 class DeviceDriver(ABC):
     """Interface of the drivers. A driver encodes all bytes that one port sends to its device; it does not write them.
 
-    Set-points are commands to thrusters, -1..1. `now` is wall time [s] with any origin. All methods except
-    `request` are
-    called in the thread of the port.
+    Set-points are commands to thrusters, -1..1. `now` is wall time [s] with any origin. All methods except `request`
+    are called in the thread of the port.
     """
 
     @abstractmethod
@@ -170,9 +169,8 @@ class DeviceDriver(ABC):
     def zero(self, now: float) -> list[tuple[bytes, list[Due]]]:
         """Encode the command zero for all thrusters of the port, for an emergency stop by the watchdog.
 
-        The result does not depend on earlier commands. It is a list of messages, as from `command`, each with an
-        empty list of
-        set-points. The default returns no message.
+        The result does not depend on earlier commands. It is a list of messages, as from `command`, each with an empty
+        list of set-points. The default returns no message.
         """
         return []
 

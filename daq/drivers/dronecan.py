@@ -17,8 +17,7 @@ class DronecanDriver(DeviceDriver):
     """Driver of all DroneCAN speed controllers on one CAN bus.
 
     Each message contains a command for every controller in `nodes`: its newest set-point, or zero if it has none.
-    Nothing is
-    sent before the first command, so that a program that only logs sends nothing.
+    Nothing is sent before the first command, so that a program that only logs sends nothing.
 
     Parameters
     ----------
@@ -40,9 +39,8 @@ class DronecanDriver(DeviceDriver):
         """Encode one message with the commands of all controllers.
 
         A NodeStatus precedes it if one is due (each second). `dues` are the set-points to send now, `held` are the
-        present
-        commands, -1..1, by controller, and `now` is wall time [s]. The message is returned with the set-points that
-        it contains.
+        present commands, -1..1, by controller, and `now` is wall time [s]. The message is returned with the set-points
+        that it contains.
         """
         setpoints = {**dict.fromkeys(self._nodes, 0.0), **held, **{due.node: due.n for due in dues}}
         return [(self._node_status_if_due(now) + self._encode_command(setpoints), list(dues))]

@@ -168,8 +168,7 @@ class MavlinkDriver(DeviceDriver):
         """Update the state of the link from a message of the autopilot, received at wall time `now` [s].
 
         The messages are attitudes, heartbeats, answers to commands, parameters, texts, and the state of estimator,
-        receiver and
-        clock. Messages of other types are ignored.
+        receiver and clock. Messages of other types are ignored.
         """
         name = message.get_type()
         if name == "ATTITUDE":
@@ -197,9 +196,8 @@ class MavlinkDriver(DeviceDriver):
     def _receive_heartbeat(self, m: Any, now: float) -> None:
         """Update mode and arming of the autopilot from its heartbeat `m`, received at wall time `now` [s].
 
-        After the first heartbeat, the message rates and the parameters are requested. The rates are requested again
-        if fewer
-        than half of the requested attitudes arrived during 3 heartbeats in a row (RATE_PART, RATE_BEATS).
+        After the first heartbeat, the message rates and the parameters are requested. The rates are requested again if
+        fewer than half of the requested attitudes arrived during 3 heartbeats in a row (RATE_PART, RATE_BEATS).
         """
         since, self._last_heartbeat = now - self._last_heartbeat, now
         mode, armed = mode_name(m.custom_mode, m.type, m.autopilot), bool(m.base_mode & ARMED)
@@ -231,8 +229,8 @@ class MavlinkDriver(DeviceDriver):
     def _receive_timesync(self, m: Any, now: float) -> None:
         """Compute the round trip [s] from the autopilot's answer `m` to our TIMESYNC, and keep the shortest one.
 
-        The time stamps of the samples are late by about half of it. After 10 answers (TRIPS), the result is logged
-        as an event.
+        The time stamps of the samples are late by about half of it. After 10 answers (TRIPS), the result is logged as
+        an event.
         """
         trip = now - m.ts1 * 1e-9
         if 0.0 < trip < TIMESYNC_S and not trip >= self._status.round_trip:
@@ -247,11 +245,10 @@ class MavlinkDriver(DeviceDriver):
     def _receive_answer(self, m: Any) -> None:
         """Process the autopilot's answer to a command (message COMMAND_ACK `m`).
 
-        Only an answer to the first command of the queue counts, and not the answers to other ground stations. If
-        the command was
-        temporarily rejected, it is sent again, up to 4 times (TRIES). Otherwise it is removed from the queue. The
-        answer to a
-        request of the operator is then stored and logged. A denied message rate is requested again at half the rate.
+        Only an answer to the first command of the queue counts, and not the answers to other ground stations. If the
+        command was temporarily rejected, it is sent again, up to 4 times (TRIES). Otherwise it is removed from the
+        queue. The answer to a request of the operator is then stored and logged. A denied message rate is requested
+        again at half the rate.
         """
         if m.target_system not in (0, self._codec.system):
             return  # this is the answer to another ground station
@@ -278,12 +275,10 @@ class MavlinkDriver(DeviceDriver):
             self._store_answer(command.label, word + reasons)
 
     def _handle_refused_rate(self, command: _Command, word: str) -> None:
-        """Log that the autopilot refused a message rate. If it was denied, put a request of half the rate into the
-        queue.
+        """Log that the autopilot refused a message rate. If it was denied, request half the rate.
 
         `command` is the refused request, and `word` is the answer, such as "denied". A rate of 1 Hz or less is not
-        requested
-        again; the autopilot then keeps its old rate.
+        requested again; the autopilot then keeps its old rate.
         """
         line = f"{command.label} at {command.rate:g} Hz: {word}"
         if line not in self._status.refused:
@@ -324,8 +319,7 @@ class MavlinkDriver(DeviceDriver):
         """Store a text of the autopilot (message STATUSTEXT `m`) if it is important.
 
         A text that begins with "PreArm:" or "Arm:" is stored as the reason for a refused arming. Another text of
-        severity
-        critical or above is stored as an alarm, which ends a run. All other texts are ignored here.
+        severity critical or above is stored as an alarm, which ends a run. All other texts are ignored here.
         """
         number, received = self._chunk
         continues = bool(m.id and m.id == number and m.chunk_seq)  # this is a later chunk of a long text
@@ -344,9 +338,8 @@ class MavlinkDriver(DeviceDriver):
         Parameters
         ----------
         action
-            "arm" or "disarm"; "mode"; "mute", to send nothing except zero commands for a time, as if the link was
-            cut; "leave",
-            to disarm the autopilot if this program has armed it.
+            "arm" or "disarm"; "mode"; "mute", to send nothing except zero commands for a time, as if the link was cut;
+            "leave", to disarm the autopilot if this program has armed it.
         value
             Number of the mode, or time of the muting [s].
         """
@@ -376,9 +369,8 @@ class MavlinkDriver(DeviceDriver):
     def _put_first(self, command: _Command) -> None:
         """Put a command to the autopilot at the front of the queue, and remove all others except requests of rates.
 
-        A disarming must not wait for the requests of rates, each of which may take more than a second. An arming
-        that was
-        requested earlier must not follow the disarming.
+        A disarming must not wait for the requests of rates, each of which may take more than a second. An arming that
+        was requested earlier must not follow the disarming.
         """
         rates = (queued for queued in self._commands if queued.number == SET_INTERVAL)
         self._commands = deque([command, *rates])
@@ -386,9 +378,8 @@ class MavlinkDriver(DeviceDriver):
     def poll(self, now: float) -> bytes:
         """Return the frames that have to be sent to the autopilot at wall time `now` [s], except commands of thrust.
 
-        They are a heartbeat, TIMESYNC, the first command of the queue, requests of parameters, and a neutral
-        override while no
-        thrust is commanded. Nothing is returned in the role LISTEN or while sending is muted.
+        They are a heartbeat, TIMESYNC, the first command of the queue, requests of parameters, and a neutral override
+        while no thrust is commanded. Nothing is returned in the role LISTEN or while sending is muted.
         """
         if self._role is LinkRole.LISTEN:
             self._requests.clear()
@@ -410,17 +401,17 @@ class MavlinkDriver(DeviceDriver):
         return out
 
     def _is_muted(self, now: float) -> bool:
-        """Return whether the operator has muted the link at wall time `now` [s]. While zero is commanded, it is never
-        muted.
+        """Return whether the operator has muted the link at wall time `now` [s].
+
+        While zero is commanded, it is never muted.
         """
         return now < self._muted_until and any(self._held.values())
 
     def _is_neutral_due(self, now: float) -> bool:
         """Return whether the neutral command (RC override) has to be sent again at wall time `now` [s].
 
-        It is sent every 50 ms (NEUTRAL_S) while zero thrust is commanded, once a first command was sent. Without it
-        a vehicle
-        does not arm, or detects a lost link.
+        It is sent every 50 ms (NEUTRAL_S) while zero thrust is commanded, once a first command was sent. Without it a
+        vehicle does not arm, or detects a lost link.
         """
         neutral = math.isfinite(self._overridden) and not any(self._held.values())
         return neutral and now - self._overridden >= NEUTRAL_S
@@ -428,9 +419,8 @@ class MavlinkDriver(DeviceDriver):
     def _poll_command(self, now: float) -> bytes:
         """Return the frame of the first command in the queue, if it is due at wall time `now` [s]; else no bytes.
 
-        It is due every 0.4 s (ANSWER_S) until it is answered. A command that was sent 4 times (TRIES) without an
-        answer is
-        removed, and "no answer" is stored as its answer.
+        It is due every 0.4 s (ANSWER_S) until it is answered. A command that was sent 4 times (TRIES) without an answer
+        is removed, and "no answer" is stored as its answer.
         """
         while self._commands:
             command = self._commands[0]
@@ -448,8 +438,9 @@ class MavlinkDriver(DeviceDriver):
         return b""
 
     def _encode_command(self, command: _Command) -> bytes:
-        """Encode a command to the autopilot as a frame (COMMAND_LONG). Its field `confirmation` is the number of
-        earlier tries.
+        """Encode a command to the autopilot as a frame (COMMAND_LONG).
+
+        Its field `confirmation` is the number of earlier tries.
         """
         address = (self._settings.system_id, self._settings.component_id)
         return self._codec.encode("COMMAND_LONG", *address, command.number, command.tries - 1, *command.parameters)
@@ -480,8 +471,7 @@ class MavlinkDriver(DeviceDriver):
         """Return the request to read one known parameter of the autopilot again, to notice a change; or no bytes.
 
         One request is due every 0.2 s (REREAD_S), and only in the role DRIVE. Another ground station may change a
-        parameter, and
-        the message about the change may be lost. `now` is wall time [s].
+        parameter, and the message about the change may be lost. `now` is wall time [s].
         """
         if self._role is not LinkRole.DRIVE or now - self._reread_at < REREAD_S:
             return b""
@@ -519,8 +509,7 @@ class MavlinkDriver(DeviceDriver):
         """Encode the commands of all thrusters behind the autopilot as one frame (RC_CHANNELS_OVERRIDE).
 
         `dues` are the set-points to send now. `held` are the present commands, -1..1, by servo output; an output
-        without a
-        command gets neutral. The list is empty if nothing is due or sending is muted. `now` is wall time [s].
+        without a command gets neutral. The list is empty if nothing is due or sending is muted. `now` is wall time [s].
         """
         self._held = dict(held)
         return [(self._encode_override(now), list(dues))] if dues and not self._is_muted(now) else []
@@ -535,10 +524,10 @@ class MavlinkDriver(DeviceDriver):
         return [(data, [])]
 
     def _encode_override(self, now: float) -> bytes:
-        """Encode the present commands of all thrusters as RC_CHANNELS_OVERRIDE, and note the time of sending `now`
-        [wall s].
+        """Encode the present commands of all thrusters behind the autopilot as one RC_CHANNELS_OVERRIDE.
 
-        Channels of the transmitter that drive no thruster are left as they are.
+        Channels of the transmitter that drive no thruster are left as they are. `now` is stored as the wall time [s] of
+        sending.
         """
         self._overridden = now
         channels = [IGNORED_LOW] * 8 + [IGNORED_HIGH] * 10
@@ -573,8 +562,8 @@ class MavlinkDriver(DeviceDriver):
     def message(self) -> str:
         """Return the fault in the signing of the autopilot's frames, in one line; empty if there is none.
 
-        Either the autopilot signs its frames and the rig has no key, or its frames are not signed with the key of
-        the rig.
+        Either the autopilot signs its frames and the rig has no key, or its frames are not signed with the key of the
+        rig.
         """
         decoder = self._decoder
         if self._role is not LinkRole.LISTEN and decoder.signed and not self._codec.signs:

@@ -86,12 +86,10 @@ class Setpoints:
             return self._is_active()
 
     def is_settled(self, now_wall: float) -> bool:
-        """Return whether thrust has ended: the port has written the last zero, and has repeated it for 0.5 s
-        (ZERO_FOR_S).
+        """Return whether thrust has ended: the last zero was written to the port and repeated for 0.5 s (ZERO_FOR_S).
 
-        It is False while a command other than zero holds or a set-point is scheduled. It is True if no node ever
-        had a command.
-        `now_wall` is wall time [s].
+        It is False while a command other than zero holds or a set-point is scheduled. It is True if no node ever had a
+        command. `now_wall` is wall time [s].
         """
         with self._lock:
             waiting = bool(self._zeroed) or self._unwritten or now_wall < self._repeat_until
@@ -111,9 +109,8 @@ class Setpoints:
     def due(self, now_run: float, now_wall: float) -> list[Due]:
         """Return the set-points that the port has to send now, and remove them from the schedule.
 
-        Commands are repeated every 20 ms (REPEAT_S) while thrust is commanded, and for 0.5 s (ZERO_FOR_S)
-        afterwards. If several
-        set-points of a node are due, only the newest one is returned; the others count as skipped.
+        Commands are repeated every 20 ms (REPEAT_S) while thrust is commanded, and for 0.5 s (ZERO_FOR_S) afterwards.
+        If several set-points of a node are due, only the newest one is returned; the others count as skipped.
 
         Parameters
         ----------

@@ -43,8 +43,9 @@ class Port(ABC):
 
     @property
     def is_confirmed(self) -> bool:
-        """Whether the bytes of the last read are from a sender that is known to be the device. Always True except on
-        UDP.
+        """Whether the bytes of the last read are from a sender that is known to be the device.
+
+        Always True except on UDP.
         """
         return True
 
@@ -142,8 +143,7 @@ def decode_read(port: Port, decoder: Decoder, data: bytes, t_rx: float) -> list[
     """Decode the bytes of one read from a port, and return the samples that they complete.
 
     Datagrams of an unknown sender are decoded apart from others. If they contain a frame of the device, the port
-    accepts
-    their sender as the device (`Port.confirm`).
+    accepts their sender as the device (`Port.confirm`).
 
     Parameters
     ----------

@@ -30,8 +30,8 @@ class _OpeningAnswers:
     def feed(self, data: bytes) -> bool | None:
         """Process bytes that the adapter has sent after the commands that open its channel.
 
-        Return True if it refused the bit rate or the opening, False if it accepted both, and None as long as this
-        is unknown.
+        Return True if it refused the bit rate or the opening, False if it accepted both, and None as long as this is
+        unknown.
         """
         for byte in data:
             if byte not in (CR, BELL):
@@ -127,9 +127,8 @@ class SlcanPort(Port):
     def read(self) -> bytes:
         """Return the complete CAN frames that have arrived, 16 bytes each (`struct can_frame`).
 
-        If the adapter has refused the bit rate or the opening of its channel, `hint` is set. PortError is raised if
-        the adapter
-        refuses 10 sent frames in a row (REFUSED), or if it was unplugged.
+        If the adapter has refused the bit rate or the opening of its channel, `hint` is set. PortError is raised if the
+        adapter refuses 10 sent frames in a row (REFUSED), or if it was unplugged.
         """
         data = self._serial.read()
         if self._opening is not None and (refused := self._opening.feed(data)) is not None:

@@ -26,10 +26,10 @@ BUFFER_BYTES = 1 << 20  # for datagrams that arrive while this process is not ru
 def _resolve_address(
     host: str, number: int, kind: socket.SocketKind, passive: bool
 ) -> tuple[socket.AddressFamily, Any]:
-    """Return the address family and the socket address of a host name and port number. Raise PortError if there is
-    none.
+    """Return the address family and the socket address of a host name and port number.
 
-    `kind` is that of the socket (UDP or TCP). `passive` is true for a local address to listen at.
+    `kind` is that of the socket (UDP or TCP). `passive` is true for a local address to listen at. PortError is raised
+    if there is no such address.
     """
     flags = socket.AI_PASSIVE if passive else 0
     try:
