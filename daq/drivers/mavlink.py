@@ -446,12 +446,10 @@ class MavlinkDriver(DeviceDriver):
         return self._codec.encode("COMMAND_LONG", *address, command.number, command.tries - 1, *command.parameters)
 
     def _poll_parameters(self, now: float) -> bytes:
-        """Return requests for all parameters that the autopilot has not yet sent, if they are due at wall time `now`
-        [s].
+        """Return requests for all parameters that the autopilot has not yet sent, if requests are due.
 
-        They are due every 0.5 s (PARAMETER_S). A parameter that stays unanswered is given up, with an event. If no
-        parameter is
-        missing, one known parameter is requested again, to notice a change.
+        They are due every 0.5 s (PARAMETER_S); `now` is wall time [s]. A parameter that stays unanswered is given up,
+        with an event. If no parameter is missing, one known parameter is requested again, to notice a change.
         """
         if not self._awaited:
             if self._status.parameters_pending:
