@@ -162,7 +162,7 @@ def make_design(source: str, request: DesignRequest, out: Path, command: str, re
         raise SeatrialError(
             f"a mission for model {task.model.name} commands {len(model_thrusters)} thrusters "
             f"({', '.join(model_thrusters)}); "
-            f"--thrusters names {len(thrusters)}"
+            f"--thrusters names {len(thrusters)}: name one for each"
         )
     idle = Segment("static", np.zeros(1), np.zeros((1, len(thrusters))))
     parse_mission(dump_mission(Mission("names", "mission", tuple(thrusters), (idle,), 1.0)), "--thrusters")
@@ -529,7 +529,7 @@ def with_effect(model: Model, name: str) -> Model:
         raise SeatrialError(f"there is no effect {name!r}; the effects are {', '.join(catalogue())}")
     effect = own or catalogue()[name]
     if own is None and not model.accepts(effect):
-        raise SeatrialError(f"effect {name!r} does not apply to model {model.name}")
+        raise SeatrialError(f"effect {name!r} does not apply to model {model.name}; use another effect or model")
     with_it = model if own is not None else model + effect
     # Only these parameters are sizes. Others are places or shapes: they are not zero without the effect, or follow the
     # amplitude of a one-sided effect.
