@@ -1,4 +1,7 @@
-"""Characterisation of components: thrusters on the bench, static thrust curves, and sensor noise."""
+"""Numerical characterisation of components: thrusters on the bench, static thrust curves, load cells and sensor noise.
+
+The commands `ident thruster` and `ident noise`, which call it, are in workflows.
+"""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""Optimal experiment design: Fisher information, optimality criteria, input design, and model discrimination."""
+"""Optimal experiment design: Fisher information, optimality criteria, search of input signals, discrimination."""
 
 import lazy_loader
 

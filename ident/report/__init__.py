@@ -1,4 +1,4 @@
-"""Reports: HTML pages and terminal tables of results. No other package draws figures."""
+"""Reports: HTML pages, figures, formatted numbers and terminal tables of results. No other package draws figures."""
 
 import lazy_loader
 

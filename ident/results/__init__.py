@@ -1,4 +1,4 @@
-"""Results of the commands: their types, their sentences, and result.json."""
+"""Results of the commands as data: the types and table rows of result.json, their writer, and the sentences in them."""
 
 import lazy_loader
 

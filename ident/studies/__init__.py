@@ -1,4 +1,4 @@
-"""Monte Carlo studies of the estimator: recovery of known true values, and coverage of its intervals."""
+"""Monte Carlo studies of the estimator: simulated replicates, bias and variance of estimates, coverage."""
 
 import lazy_loader
 

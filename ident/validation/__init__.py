@@ -1,4 +1,4 @@
-"""Model validation: prediction errors, calibration of prediction intervals, and whiteness of residuals."""
+"""Model validation on records: prediction errors, calibration of prediction intervals, and whiteness of residuals."""
 
 import lazy_loader
 
