@@ -196,7 +196,7 @@ def _segment_table(
 
     The times are those of the log [s], and each row names the mission step that takes up most of it. ``loaded`` and
     ``records`` are the logs and records of the same names. ``lost`` of a row is the share of each parameter's
-    information that only this segment holds, 0 to 1.
+    information that would be lost without the segment, 0 to 1.
     """
     starts = {r.name: float(r.meta["t0"]) for r in records}
     steps = {log.run.name: log.segments for log in loaded}
