@@ -1,6 +1,5 @@
-"""Numerical characterisation of components: thrusters on the bench, static thrust curves, load cells and sensor noise.
-
-The commands `ident thruster` and `ident noise`, which call it, are in workflows.
+"""Numerical characterisation of components: thrusters on the bench, static thrust curves, load cells, sensor noise. The
+commands that use it, `ident thruster` and `ident noise`, are in workflows.
 """
 
 import lazy_loader

@@ -1,1 +1,3 @@
-"""Command line of `seatrial ident` and `seatrial mission design`: arguments and options. The steps are in workflows."""
+"""Command line of `seatrial ident` and `seatrial mission design`: arguments, options and progress display. The steps of
+each command are in workflows.
+"""

@@ -1,4 +1,6 @@
-"""Monte Carlo studies of the estimator: simulated replicates, bias and variance of estimates, coverage."""
+"""Monte Carlo studies of the estimator: cases with known true values, their replicates, bias, variance and coverage.
+The command `ident study` is in workflows.
+"""
 
 import lazy_loader
 
