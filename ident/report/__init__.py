@@ -1,4 +1,4 @@
-"""Reports of results: HTML pages with figures, formatted numbers, and terminal tables. Only this package draws figures."""
+"""Reports of results: HTML pages with figures, formatted numbers, and tables. Only this package draws figures."""
 
 import lazy_loader
 
