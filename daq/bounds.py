@@ -96,9 +96,9 @@ def require_files(path: Path) -> None:
 
 
 def _walk_files(path: Path) -> Iterator[Path]:
-    """Yield the file itself, or all files in a folder and its subfolders. Links to folders are not followed.
+    """Yield the file `path` itself, or all files in the folder `path` and its subfolders.
 
-    A folder with more than MAX_FILES files raises SeatrialError.
+    Links to folders are not followed. A folder with more than 10,000 files (MAX_FILES) raises SeatrialError.
     """
     if not path.is_dir():
         yield path
@@ -115,9 +115,10 @@ def _walk_files(path: Path) -> Iterator[Path]:
 def bounded(
     *names: str, when: Callable[[dict[str, Any]], bool] = lambda _: True
 ) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Return a decorator for click commands that read files from strangers. The command runs in a limited child.
+    """Return a decorator for a command of the command line that reads files from strangers.
 
-    The decorator adds the option `--trust-file`, which turns the limits off.
+    The command then runs in a child process with limited memory, time and disk. The decorator adds the option
+    `--trust-file`, which turns the limits off.
 
     Parameters
     ----------
@@ -128,10 +129,14 @@ def bounded(
     """
 
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
-        """Return the command with the option `--trust-file`, running in a limited child unless the option is given."""
+        """Return the command with the option `--trust-file`. Without this option it runs in a limited child process."""
 
         @functools.wraps(command)
         def run(*args: Any, trust_file: bool, **options: Any) -> Any:
+            """Run the command, in a limited child process unless `trust_file` is true or no limit applies.
+
+            `args` and `options` are the parameters of the command.
+            """
             if _enabled and not trust_file and when(options):
                 values = (options[name] for name in names)
                 paths = [path for value in values for path in (value if isinstance(value, tuple) else (value,)) if path]
@@ -213,7 +218,7 @@ def _companion_files(path: Path) -> Iterator[Path]:
 
 
 def _become_child(bounds: Bounds, scratch: str, reports: int) -> None:
-    """Set the limits, the signal handlers and the temporary folder of this process, which is the child.
+    """Make this process the limited child: set its resource limits, signal handlers and temporary folder.
 
     Parameters
     ----------
@@ -248,7 +253,7 @@ def _become_child(bounds: Bounds, scratch: str, reports: int) -> None:
 
 
 def _interrupt_once() -> Callable[[int, FrameType | None], None]:
-    """Return a signal handler for SIGINT that ignores repetitions.
+    """Return a handler of SIGINT for the child process that ignores a second signal which follows at once.
 
     A Ctrl-C reaches the child twice, from the terminal and from its parent. The second signal must not interrupt the
     clean-up.
@@ -256,7 +261,7 @@ def _interrupt_once() -> Callable[[int, FrameType | None], None]:
     last = -REPEAT_S
 
     def interrupt(number: int, frame: FrameType | None) -> None:
-        """Raise KeyboardInterrupt, unless the last interrupt is less than REPEAT_S old."""
+        """Handle SIGINT: raise KeyboardInterrupt, unless the last one was raised less than 1 s ago (REPEAT_S)."""
         nonlocal last
         now = time.monotonic()
         if now - last >= REPEAT_S:
@@ -267,26 +272,27 @@ def _interrupt_once() -> Callable[[int, FrameType | None], None]:
 
 
 def _raise_time_limit(number: int, frame: FrameType | None) -> NoReturn:
-    """Handle SIGXCPU: raise the error of the limit of processor time."""
+    """Handle the signal SIGXCPU: raise the error that the limit of processor time was reached."""
     assert _bounds is not None
     signal.signal(number, signal.SIG_IGN)  # raise this error only once; the hard limit kills the process later
     raise SeatrialError(_time_message(_bounds))
 
 
 def _time_message(bounds: Bounds) -> str:
-    """Return the error message of the limit of processor time."""
+    """Return the error message that reading a file has reached the limit of processor time, with advice."""
     return f"{bounds.path}: reading it took more than {bounds.cpu_s} s of processor time: {ADVICE}"
 
 
 def _disk_message(bounds: Bounds) -> str:
-    """Return the error message of the limit of written bytes."""
+    """Return the error message that reading a file has reached the limit of written bytes, with advice."""
     return f"{bounds.path}: reading it wrote more than {bounds.disk / 1e6:.0f} MB to the disk: {ADVICE}"
 
 
 def limit_message(error: BaseException) -> str:
-    """Return the message for an error that was caused by the limit of memory or of the size of a file.
+    """Return the message for the user if a limit of this process caused an error: the limit of memory or of file size.
 
-    The causes of the error are searched too. The text is empty for other errors, and if this process has no limits.
+    The causes of the error (`__cause__`) are searched too. The text is empty for other errors, and if this process has
+    no limits.
     """
     if _bounds is None:
         return ""

@@ -35,10 +35,14 @@ class LogPath(click.Path):
     """Type of an argument that is an existing log: a file, or a folder with one log, whose segments count as one."""
 
     def __init__(self) -> None:
+        """Make the type of an argument that must be an existing file or folder."""
         super().__init__(exists=True, path_type=Path)
 
     def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> Path:
-        """Return the file to open. Fail with a usage error if there is no log or more than one."""
+        """Return the path of the log file to open, from the text of an argument LOG.
+
+        A folder without a log, or with more than one log, is a usage error.
+        """
         path = Path(super().convert(value, param, ctx))  # type: ignore[arg-type]
         if not path.is_dir():
             return path
@@ -188,12 +192,12 @@ def recover(log: Path, out: Path | None, force: bool) -> None:
 
 
 class _ImportGroup(click.Group):
-    """Group of commands in which a first argument that is not a sub-command is taken as a map or a source."""
+    """Command group `seatrial import`. If its first argument is not a sub-command, the sub-command `map` is meant."""
 
     default = "map"
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Put the default command before the arguments if the first one is neither a command nor the help option."""
+        """Put the sub-command `map` before the arguments, unless the first one is a sub-command or the help option."""
         if args and args[0] not in (*self.commands, "-h", "--help"):
             args = [self.default, *args]
         return super().parse_args(ctx, args)

@@ -39,6 +39,7 @@ class RunClock:
     """
 
     def __init__(self, speed: float = 1.0, origin: Origin | None = None) -> None:
+        """Start the clock at the present wall time, or at the instant `origin` of another process."""
         if not (math.isfinite(speed) and speed > 0.0):
             raise ValueError(f"clock speed must be a positive number, not {speed}")
         self.speed = speed
@@ -70,6 +71,7 @@ class SuspendDetector:
     LEAST = 0.1  # s, shortest suspend that is detected
 
     def __init__(self) -> None:
+        """Note the time that the computer was suspended so far. Earlier suspends are not reported."""
         self._ahead = self._suspended_time()
 
     @staticmethod
@@ -79,9 +81,9 @@ class SuspendDetector:
         return 0.0 if clock is None else time.clock_gettime(clock) - time.clock_gettime(time.CLOCK_MONOTONIC)
 
     def slept(self) -> float:
-        """Return the seconds that the computer was suspended since the last detected suspend.
+        """Return the time [s] that the computer was suspended since the last call that returned a suspend; else 0.
 
-        The result is 0 if the computer was not suspended for longer than `LEAST`. Each suspend is returned once.
+        Suspends up to 0.1 s (`LEAST`) are not reported. Each suspend is returned once.
         """
         ahead = self._suspended_time()
         slept = ahead - self._ahead
@@ -92,23 +94,29 @@ class SuspendDetector:
 
 
 class _Hull:
-    """Lower convex hull of points (device time [s], offset [s]), which are added in the order of device time.
+    """Lower convex hull of points (device time [s], offset [s]) of a clock map. Points are added in the order of time.
+
+    The offset of a message is its receive time minus its device time. The hull is the lower edge of all points.
 
     Parameters
     ----------
     start : float
-        Device time of the first point.
+        Device time of the first point [s].
     """
 
     __slots__ = ("offset", "start", "x")
 
     def __init__(self, start: float) -> None:
+        """Make a hull without points. `start` is the device time [s] from which its points count."""
         self.start = start  # device time of the first point
         self.x: list[float] = []
         self.offset: list[float] = []
 
     def push(self, x: float, offset: float) -> None:
-        """Add the newest point, and drop points that are no longer on the lower hull. O(1) amortised."""
+        """Add the newest point: device time `x` [s] and offset [s] of the receive time from it.
+
+        Points that are no longer on the lower hull are dropped. The cost is O(1), averaged over the calls.
+        """
         xs, ys = self.x, self.offset
         while len(xs) > 1 and (ys[-1] - ys[-2]) * (x - xs[-2]) >= (offset - ys[-2]) * (xs[-1] - xs[-2]):
             xs.pop()
@@ -117,7 +125,10 @@ class _Hull:
         ys.append(offset)
 
     def slope(self) -> float:
-        """Return the slope [s/s] of the edge of the hull over the middle of its device times; 0 for a single point."""
+        """Return the slope [s/s] of the hull in the middle of its device times: the rate difference of the two clocks.
+
+        It is 0 for a single point.
+        """
         xs, ys = self.x, self.offset
         middle = 0.5 * (xs[0] + xs[-1])
         for i in range(1, len(xs)):
@@ -135,6 +146,7 @@ class _SampleKindTimes:
     __slots__ = ("after", "back", "back_at", "last", "least", "newest", "since")
 
     def __init__(self, newest: float, least: float) -> None:
+        """Start with the device time [s] of the first sample of a kind, and its delay `least` [s]."""
         self.newest = self.last = newest  # device times [s]: the largest one, and that of the last sample
         self.least = least  # s, smallest delay
         self.since = math.inf  # run time [s] since which all samples are late
@@ -146,7 +158,7 @@ class _SampleKindTimes:
 
 
 class ClockMap:
-    """Online map from a device clock to run time, by the lower convex hull of (device time, delay).
+    """Online map from the clock of a device to run time, by the lower convex hull of (device time, delay).
 
     If a device restarts or its clock jumps, a new map begins. `resets` counts these events.
 
@@ -180,6 +192,7 @@ class ClockMap:
     AGAIN_FOR, AGAIN_N = 1.0, 3  # s, and number of samples
 
     def __init__(self, window: float = 100.0) -> None:
+        """Make a map without data. `window` is the largest length [s] of the data that determine it."""
         self.window = window
         self.resets = 0
         self._old: _Hull | None = None
@@ -196,7 +209,7 @@ class ClockMap:
         self._m2 = 0.0
 
     def update(self, t_device: float, t_rx: float) -> float:
-        """Take the times of a message and return its estimated run time [s].
+        """Update the map from device time to run time by one message, and return the run time [s] at which it was sent.
 
         The estimate is never later than `t_rx` and never decreases.
 
@@ -210,7 +223,7 @@ class ClockMap:
         return self.estimate(t_device, t_rx)
 
     def estimate(self, t_device: float, t_rx: float, unordered: bool = False, kind: object = None) -> float:
-        """Take the times of a sample of a device that may send several kinds of samples, and return its run time [s].
+        """Update the map by one sample of a device that may send several kinds of samples, and return its run time [s].
 
         Parameters
         ----------
@@ -219,11 +232,11 @@ class ClockMap:
         t_rx : float
             Run time of receipt [s].
         unordered : bool
-            Whether device times may run back by up to `LATE`, as an older fix may follow a newer attitude. Such a
+            Whether device times may run back by up to 1 s (`LATE`), as an older fix may follow a newer attitude. Such a
             sample is mapped, but does not change the map.
         kind : object
-            Kind of the sample. Times of one kind ascend. If they run back and the samples stay late, the clock was set
-            back.
+            Kind of the sample, such as its class. Times of one kind ascend. If they run back and the samples stay late,
+            the clock was set back.
         """
         if not math.isfinite(t_device):
             return t_rx
@@ -260,18 +273,18 @@ class ClockMap:
         return math.sqrt(self._m2 / (self._count - 1)) if self._count > 1 else math.nan
 
     def forget_statistics(self) -> None:
-        """Reset `bias` and `spread`. The map does not change."""
+        """Discard the statistics of the delays, `bias` and `spread`. The clock map itself does not change."""
         self._count, self._mean, self._m2 = 0, 0.0, 0.0
 
     def _to_run_time(self, t_device: float) -> float:
-        """Return the run time [s] of a device time [s] by the present map, which must have at least one point."""
+        """Convert a device time [s] to run time [s] by the present clock map, which must have at least one point."""
         return t_device + self._base + self._skew * (t_device - self._zero)
 
     def _has_jumped(self, t_device: float, t_rx: float, unordered: bool, kind: object) -> bool:
-        """Return whether the device clock has jumped or the device has restarted. Update the state of the kind.
+        """Return whether the device clock has jumped or the device has restarted, by the times of a new sample.
 
-        The parameters are those of `estimate`. A jump is a time too far ahead of the map or behind the newest time, or
-        samples of one kind that stay late.
+        The parameters are those of `estimate`. A jump is a device time more than 0.5 s ahead of the map (`JUMP`), a
+        time that runs back, or samples of one kind that stay late. The stored times of this kind of sample are updated.
         """
         late = t_rx - self._to_run_time(t_device)
         if late < -self.JUMP or self._last_device - t_device > (self.LATE if unordered else 0.0):
@@ -301,10 +314,10 @@ class ClockMap:
         return False
 
     def _add_point(self, t_device: float, t_rx: float) -> None:
-        """Add a point (device time, receive time) [s] to both hulls, and compute skew and offset of the map.
+        """Add the device time and the receive time [s] of a message to the clock map, and compute its skew and offset.
 
-        If there is no map, it begins with this point. The younger hull takes the place of the older one when it covers
-        half of the window.
+        If there is no map, it begins with this point. Both hulls get the point. The younger hull takes the place of the
+        older one when it covers half of the window.
         """
         if self._old is None or self._young is None:
             # Offsets are relative to the first point, which keeps the precision of doubles.

@@ -32,9 +32,9 @@ def counted(number: int, word: str) -> str:
 
 
 class _EscapeTable(dict[int, str]):
-    """Table of the replacement of each character by its code point, for `printable`.
+    """Table for `str.translate` that replaces each unsafe character by its escape sequence; see `printable`.
 
-    The table is filled on demand. `str.translate` with it is ten times as fast as a loop.
+    A key is the code point of a character. The table is filled on demand, and is ten times as fast as a loop.
     """
 
     def __missing__(self, number: int) -> str:

@@ -174,15 +174,18 @@ def append_to(path: Path) -> IO[str]:
 
 
 def report_scratch_to(pipe: int) -> None:
-    """Report the names of all later scratch files on a pipe, given by its file descriptor (see `daq.bounds`)."""
+    """Write the names of all scratch files that this process makes later to a pipe, given by its file descriptor.
+
+    The parent process, which limits this process, deletes these files if this process is killed.
+    """
     global _report_pipe
     _report_pipe = pipe
 
 
 def note_scratch(path: Path) -> None:
-    """Report a scratch file to the parent process, if there is one.
+    """Report the path of a new scratch file to the parent process, which deletes it if this process is killed.
 
-    The parent process deletes the file if this process is killed.
+    Nothing happens if this process has no such parent.
     """
     if _report_pipe >= 0:
         os.write(_report_pipe, os.fsencode(path.absolute()) + b"\0")

@@ -13,7 +13,10 @@ class FiniteRange(click.FloatRange):
     """Type of an option that takes finite numbers within bounds. The range of click would accept `nan`."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """Return the number. Fail with a usage error if the value is not a finite number within the bounds."""
+        """Return the value of a command-line option as a number.
+
+        A value that is not a finite number within the bounds of the option is a usage error.
+        """
         number = float(super().convert(value, param, ctx))
         if not math.isfinite(number):
             self.fail(f"{value} is not a finite number", param, ctx)

@@ -75,5 +75,5 @@ def load_or_warn(point: EntryPoint, kind: type[T]) -> T | None:
 
 
 def _package_name(point: EntryPoint) -> str:
-    """Return name and version of the package of an entry point, or "unknown"."""
+    """Return name and version of the installed package that adds a plugin; "unknown" if it has no metadata."""
     return f"{point.dist.name} {point.dist.version}" if point.dist is not None else "unknown"

@@ -148,10 +148,11 @@ class MavlinkSettings:
     rates: Mapping[str, float] = field(default_factory=dict)
 
     def requested(self, rate_hz: float) -> dict[str, float]:
-        """Return the rates to request [Hz] by name of the message, in the order of RATES.
+        """Return the message rates [Hz] to request from an autopilot, by name of the MAVLink message.
 
-        `rate_hz` is the rate of the device [Hz]. Messages with rate 0 are left out. With fused positions the estimate
-        of the autopilot takes the place of the fixes of its receiver.
+        `rate_hz` is the rate of the device in the rig file [Hz], which applies to messages without a rate of their own.
+        Messages with rate 0 are left out. If `gnss` is "fused", the position estimate of the autopilot takes the place
+        of the fixes of its receiver.
         """
         rates = {name: rate_hz if rate is None else rate for name, rate in RATES.items()}
         if self.gnss == "fused":
@@ -224,21 +225,25 @@ class Device:
 
     @property
     def sends_many_kinds(self) -> bool:
-        """Whether the port has several kinds of samples, of which only one counts for ``rate_hz``."""
+        """Whether the device is an autopilot or a ship's bus, which sends several kinds of samples at different rates.
+
+        Only one kind of its samples is compared with the rate ``rate_hz`` of the rig file.
+        """
         return self.protocol in MANY_KINDS
 
     def is_rated(self, kind: type, yaw: Any, with_attitudes: bool) -> Any:
-        """Return whether a sample, or each sample of a table, counts for ``rate_hz``.
+        """Return whether a sample, or each sample of a table, counts for the rate ``rate_hz`` of the rig file.
 
-        All samples of a device with one kind of samples count. Of a device with several kinds, only attitudes count.
-        On a ship's bus without attitudes, the fixes count.
+        All samples of a device with one kind of samples count. Of a device with several kinds, only attitudes count. On
+        a ship's bus without attitudes, the fixes count.
 
         Parameters
         ----------
         kind
             Class of the sample.
         yaw
-            Yaw of an `Ahrs` sample, or array (n_samples,) of a table [rad]. Other kinds do not use it.
+            Yaw of an `Ahrs` sample, or array (n_samples,) of a table [rad]; NaN if it is no attitude. Other kinds do
+            not use it.
         with_attitudes
             Whether the device sends attitudes.
 
@@ -272,16 +277,19 @@ class AutopilotOutput:
     pwm_us: tuple[float, float, float]
 
     def command(self, n: float) -> int:
-        """Return the pulse [us] of a command, -1..1. Return the neutral pulse for NaN and for values out of range."""
+        """Return the pulse width [us] on the command channel of the autopilot for a command, -1..1.
+
+        The width is neutral for NaN and for a command out of range.
+        """
         low, neutral, high = self.rc_us
         if not -1.0 <= n <= 1.0:
             return round(neutral)
         return round(neutral + n * (high - neutral if n > 0.0 else neutral - low))
 
     def applied(self, pwm: float) -> float:
-        """Return the command of a pulse [us] at the output, NaN without a pulse.
+        """Return the command, -1..1, that belongs to a pulse width [us] at the servo output of the autopilot.
 
-        The result is out of -1..1 if the pulse is out of the range of the output.
+        The result is NaN without a pulse (0). It is out of -1..1 if the pulse is out of the range of the output.
         """
         low, neutral, high = self.pwm_us
         if pwm <= 0.0:
@@ -516,9 +524,9 @@ def parse_address(port: str) -> tuple[str, int]:
 
 
 def _find_by_name(name: str, rows: Sequence[Named], label: str, path: Path) -> Named:
-    """Return the device or thruster with a name. If there is none, raise SeatrialError, which lists the known names.
+    """Return the device or thruster of a rig with a name. If there is none, raise SeatrialError with the known names.
 
-    `label` is "device" or "thruster", and `path` is that of the rig file, for the message.
+    `rows` are all devices or thrusters, `label` is "device" or "thruster", and `path` is that of the rig file.
     """
     for row in rows:
         if row.name == name:

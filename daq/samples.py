@@ -119,7 +119,10 @@ class Gnss:
     dimensions: int = -1
 
     def __post_init__(self) -> None:
-        """Set `speed` and `dimensions` from the velocity and `fix` if the receiver does not report them."""
+        """Complete a GNSS fix whose receiver reports no speed or no dimensions.
+
+        The speed is then the norm of the velocity, and the dimensions follow from `fix`.
+        """
         if self.speed != self.speed:
             object.__setattr__(self, "speed", math.hypot(self.vel_n, self.vel_e))
         if self.dimensions < 0 and self.fix in (0, 2, 3):
@@ -267,6 +270,13 @@ class Transducer(Scalar):
     """Value of a named transducer of a device, for example of the NMEA sentence XDR.
 
     A log stores it as the `Scalar` signal `name`, not under the name of the device.
+
+    Attributes
+    ----------
+    name
+        Name of the signal in the log, such as `xdr_ENGINE_0`.
+    unit
+        Unit of the value.
     """
 
     name: str  # of the signal in the log, for example xdr_ENGINE_0: letters, digits and _

@@ -54,7 +54,7 @@ def _shared_options(effects: Sequence[str]) -> Callable[[Command], Command]:
     choice = click.Choice(["none", "draw", *effects])
 
     def decorate(command: Command) -> Command:
-        """Add the argument and the options to ``command``, in the order in which the help shows them."""
+        """Add the argument RIG and the shared options to ``command``, in the order in which the help shows them."""
         for option in reversed(
             (
                 click.argument("rig", type=click.Path(exists=True, dir_okay=False, path_type=Path)),
@@ -243,15 +243,15 @@ def _open_port(port: str) -> PtyPort | NetPort:
 def _signal_handlers(server: Server) -> Iterator[None]:
     """Handle signals while the context lasts; at its end the earlier handlers are restored.
 
-    Ctrl-C and SIGTERM stop the server. SIGUSR1 starts the faults with the time `usr1`.
+    Ctrl-C and SIGTERM stop the server. SIGUSR1 starts the faults whose time is `usr1`.
     """
 
     def stop(number: int, frame: object) -> None:
-        """Let the server end."""
+        """Let the server of the simulated devices end (handler of Ctrl-C and SIGTERM)."""
         server.stopping = True
 
     def trigger(number: int, frame: object) -> None:
-        """Let the server start the faults with the time `usr1`."""
+        """Let the server start the faults that wait for this signal (handler of SIGUSR1; time `usr1` of a fault)."""
         server.triggered = True
 
     handlers = {signal.SIGINT: stop, signal.SIGTERM: stop, signal.SIGUSR1: trigger}

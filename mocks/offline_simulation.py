@@ -208,14 +208,16 @@ def _command_rows(t: ArrayLike, n: ArrayLike, thrusters: int) -> list[tuple[floa
     if values.ndim == 1 and thrusters == 1:
         values = values[:, None]
     if times.ndim != 1 or values.shape != (len(times), thrusters):
-        raise ValueError(f"commands must be (k,) and (k, {thrusters}), not {times.shape} and {values.shape}")
+        raise ValueError(
+            f"times and commands must have the shapes (k,) and (k, {thrusters}), not {times.shape} and {values.shape}"
+        )
     if np.any(np.diff(times) < 0.0):
-        raise ValueError("the times of the commands must not decrease")
+        raise ValueError("the times of the commands must not decrease; sort the commands by time")
     return list(zip(times.tolist(), values.tolist(), strict=True))
 
 
 def _columns_by_name(names: Sequence[str], rows: Sequence[Sequence[float]]) -> Truth:
-    """Return the columns of ``rows`` (n_rows, n_columns) as arrays (n_rows,), by the names of the columns."""
+    """Return the columns of ``rows`` (n_rows, n_columns) as arrays (n_rows,), by their ``names`` in the same order."""
     table = np.array(rows, dtype=float)
     return {name: table[:, i] for i, name in enumerate(names)}
 

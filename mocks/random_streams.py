@@ -40,7 +40,7 @@ def normals(rng: np.random.Generator) -> Draw:
 
     # Numbers are drawn in blocks, since single draws are slow.
     def blocks() -> Iterator[float]:
-        """Yield standard normal numbers without end."""
+        """Yield standard normal numbers of ``rng`` without end; they are drawn in blocks of 1024 for speed."""
         while True:
             yield from rng.standard_normal(1024).tolist()
 
@@ -72,7 +72,7 @@ class WhiteWalk:
         self._walk = bias * draw()
 
     def __call__(self) -> float:
-        """Return the noise of the next sample."""
+        """Return the next value of the sensor noise (white noise plus random walk), in the unit of the sensor."""
         draw = self._draw
         if self._step:
             self._walk += self._step * draw()
@@ -83,7 +83,7 @@ class OrnsteinUhlenbeck:
     """First-order Gauss-Markov (Ornstein-Uhlenbeck) process. The attribute `value` is its present value."""
 
     def __init__(self, draw: Draw, dt: float, sigma: float, tau: float) -> None:
-        """Draw the initial value from the stationary distribution.
+        """Set up a Gauss-Markov process, and draw its initial value from the stationary distribution.
 
         Parameters
         ----------
@@ -102,6 +102,6 @@ class OrnsteinUhlenbeck:
         self.value = sigma * draw()
 
     def step(self) -> float:
-        """Advance by one step and return the new value."""
+        """Advance the Gauss-Markov process by one step ``dt``, and return its new value in its unit."""
         self.value = self._phi * self.value + self._sigma * self._draw()
         return self.value

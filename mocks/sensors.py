@@ -55,7 +55,7 @@ class AhrsSensor:
     """
 
     def __init__(self, seed: int, run: int, rate: float, effects: Sequence[HiddenEffect] = (), index: int = 0) -> None:
-        """Set up a sensor.
+        """Set up an AHRS with its noise and its hidden effects.
 
         Parameters
         ----------
@@ -197,12 +197,12 @@ class FilteredHeading:
 
 
 def _rounded(value: float, resolution: float) -> float:
-    """Return the whole multiple of ``resolution`` that is nearest to ``value``; ``value`` itself if it is 0."""
+    """Round ``value`` to the nearest whole multiple of ``resolution``; return it unchanged if ``resolution`` is 0."""
     return round(value / resolution) * resolution if resolution else value
 
 
 def _noise_gain(effects: Sequence[HiddenEffect]) -> float:
-    """Return the factor of all effects together on the standard deviation of the white noise; 1 without one."""
+    """Return the product of the factors by which ``effects`` multiply the sensors' white noise; 1 without any."""
     return math.prod(e.noise.gain for e in effects if e.noise is not None)
 
 
@@ -218,7 +218,7 @@ class GnssSensor:
         sigma: float = 0.15,
         index: int = 0,
     ) -> None:
-        """Set up a receiver.
+        """Set up a GNSS receiver with its noise and its hidden effects.
 
         Parameters
         ----------
@@ -285,7 +285,7 @@ class GnssErrors:
         self._rng = random_stream(seed, OUTLIERS, run, index)
 
     def step(self) -> tuple[float, float]:
-        """Return the error [m] of the next fix, north and east; zeros without such an effect."""
+        """Return the error [m] that hidden effects add to the next GNSS fix, north and east; zeros without any."""
         north = sum(pair[0].step() for pair in self._correlated)
         east = sum(pair[1].step() for pair in self._correlated)
         for share, sigma in self._outliers:

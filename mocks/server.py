@@ -32,7 +32,7 @@ class Server:
     stopping : bool
         Set it to True to end `run`.
     triggered : bool
-        Set it to True to start the faults with the time `usr1`.
+        Set it to True to start the faults that wait for the signal SIGUSR1 (time `usr1`).
     max_lag : float
         Largest delay of a sample so far [wall s].
     """
@@ -46,7 +46,7 @@ class Server:
         faults: Faults,
         trace: IO[str] | None = None,
     ) -> None:
-        """Set up a server.
+        """Set up a server of simulated devices.
 
         Parameters
         ----------
@@ -102,7 +102,7 @@ class Server:
 
     @property
     def t(self) -> float:
-        """Run time of the world since the start [s]."""
+        """Simulated time of the server's world since the start of the run [s]."""
         return self._world.t
 
     def _extend_deadlines(self, wall: float) -> None:
@@ -120,7 +120,8 @@ class Server:
     def _apply_faults(self, t: float) -> None:
         """Start and end the faults of ports and controllers that are due at run time ``t`` [s].
 
-        The faults are "pull", "esc-dead" and "esc-stuck". Faults with the time `usr1` start if `triggered` is set.
+        The faults are "pull", "esc-dead" and "esc-stuck". Faults that wait for
+        the signal SIGUSR1 (time `usr1`) start if `triggered` is set.
         """
         if self.triggered:
             self.triggered = False

@@ -65,7 +65,7 @@ class Plant(Protocol):
 
     @property
     def shafts(self) -> Sequence[Shaft | BenchShaft]:
-        """Shafts of the thrusters, by index."""
+        """Shafts of the thrusters of the simulated plant, in the order of the thrusters' indices."""
         ...
 
     def command(self, thruster: int, t: float, n_cmd: float) -> None:
@@ -77,7 +77,7 @@ class Plant(Protocol):
         ...
 
     def advance(self) -> None:
-        """Integrate one step."""
+        """Integrate the simulated plant by one step of ``step_s`` seconds."""
         ...
 
 
@@ -151,7 +151,7 @@ class EscController:
 
     @property
     def duty(self) -> float:
-        """The effective command (-1 to 1) with its sign on the bus."""
+        """Effective command of the speed controller (-1 to 1), with its sign on the bus."""
         return -self.n if self.spec.reversed else self.n
 
     def command(self, t: float, duty: float) -> None:
@@ -202,7 +202,7 @@ class SampledStream:
     def __init__(
         self, device: str, rate_hz: float, step_s: float, read: Callable[[], Sample | None], phase: float = 0.0
     ) -> None:
-        """Set up a stream.
+        """Set up the periodic samples of one device.
 
         Parameters
         ----------
@@ -225,11 +225,11 @@ class SampledStream:
         self._schedule_next()
 
     def _schedule_next(self) -> None:
-        """Compute `due`: the number of the plant's step at which the next sample is due."""
+        """Compute `due`: the number of the plant's step at which the next sample of this device is due."""
         self.due = math.ceil(self._count * self._period - 1e-6)
 
     def take(self) -> Sample | None:
-        """Return the sample that is due, or None if the device is silent. Schedule the next sample."""
+        """Return the sample of the device that is due, or None if the device is silent. Schedule the next sample."""
         self._count += 1.0
         self._schedule_next()
         return self._read()
@@ -260,19 +260,19 @@ class TelemetryDelay:
     """Dead time from the state of a thruster to the telemetry of its speed controller."""
 
     def __init__(self, steps: int, present: Callable[[], ThrusterState]) -> None:
-        """Start with the present state. ``steps`` is the dead time in steps of the plant.
+        """Set up the dead time of a thruster's telemetry: ``steps`` steps of the plant.
 
-        ``present`` is a function that returns the present state of the thruster.
+        ``present`` is a function that returns the present state of the thruster. The dead time starts with this state.
         """
         self._present = present
         self._states = deque([present()], maxlen=steps + 1)  # from the oldest to the newest
 
     def advance(self) -> None:
-        """Add the present state. It must be called once after each step of the plant."""
+        """Store the present state of the thruster. Call this once after each step of the plant."""
         self._states.append(self._present())
 
     def state(self) -> ThrusterState:
-        """Return the state before the dead time; the initial state until the dead time has passed once."""
+        """Return the state of the thruster one dead time ago; its initial state until one dead time has passed."""
         return self._states[0]
 
 
@@ -294,7 +294,7 @@ class World:
     """
 
     def __init__(self, plant: Plant) -> None:
-        """Set up the world of a plant, without devices."""
+        """Set up the world of a simulated boat or bench, at first without devices."""
         self.plant = plant
         self.controllers: list[EscController] = []
         self.channels: list[SampledStream] = []
@@ -303,11 +303,11 @@ class World:
 
     @property
     def t(self) -> float:
-        """Time since the start of the run [s]."""
+        """Simulated time since the start of the run [s]."""
         return self.plant.steps * self.plant.step_s
 
     def add(self, device: str, rate_hz: float, read: Callable[[], Sample | None], phase: float = 0.0) -> None:
-        """Add a stream of samples.
+        """Add a device with periodic samples to the simulated world.
 
         Parameters
         ----------
@@ -350,7 +350,7 @@ class World:
         sign = -1.0 if controller.spec.reversed else 1.0
 
         def present() -> ThrusterState:
-            """Return the present state of the thruster."""
+            """Return the present state of the thruster: shaft speed, thrust, command and used energy."""
             return ThrusterState(plant.shafts[thruster].n, plant.thrust(thruster), controller.duty, plant.energy)
 
         reported = present
@@ -360,7 +360,7 @@ class World:
             reported = delay.state
 
         def read() -> Sample | None:
-            """Return the next telemetry sample, or None if the controller is dead."""
+            """Return the next telemetry sample of the speed controller, or None if the controller is dead."""
             if controller.dead:
                 return None
             state = reported()
@@ -467,7 +467,7 @@ def bench_world(bench: Bench, run: int, gear: DeviceSpecs, *, utc: float = 0.0, 
     world = World(plant)
 
     def at_rest() -> RigidBodyState:
-        """Return the motion of a body at rest at the present time."""
+        """Return the motion of a body at rest at the present time, for an AHRS or GNSS receiver on the bench."""
         return RigidBodyState(world.t, *[0.0] * (len(RigidBodyState._fields) - 1))
 
     for index, (name, rate) in enumerate(gear.ahrs.items()):
@@ -492,7 +492,7 @@ def _gnss_reader(sensor: GnssSensor, motion: Callable[[], RigidBodyState], utc: 
     """
 
     def read() -> Sample:
-        """Return the next GNSS sample."""
+        """Return the next GNSS sample for the present motion of the boat."""
         m = motion()
         return sensor.read(m, utc + m.t)
 

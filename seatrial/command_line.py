@@ -89,11 +89,11 @@ class LazyGroup(click.Group):
     """Group of commands that imports a command only when it is used. It lists the commands without imports."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """Return the names of all commands, in the order of COMMANDS. No part is imported."""
+        """Return the names of all commands of `seatrial`, in the order of the help. No part is imported."""
         return list(COMMANDS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Import a command and return it; None if the table does not have its name."""
+        """Import a command of `seatrial` by its name, and return it; None if there is no such command."""
         row = COMMANDS.get(cmd_name)
         if row is None:
             return None
@@ -108,14 +108,20 @@ class LazyGroup(click.Group):
         super().invoke(ctx)
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
-        """Return completions of names and options from the table. The method of click would import every part."""
+        """Return the completions of an incomplete word in the shell: commands and options of `seatrial`.
+
+        They are taken from the table of commands. The method of click would import every part.
+        """
         names = [
             CompletionItem(name, help=row.short_help) for name, row in COMMANDS.items() if name.startswith(incomplete)
         ]
         return names + click.Command.shell_complete(self, ctx, incomplete)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the list of commands from the table. The method of click would import every part."""
+        """Write the list of commands for `seatrial --help`, from the table of commands.
+
+        The method of click would import every part.
+        """
         with formatter.section("Commands"):
             formatter.write_dl([(name, row.short_help) for name, row in COMMANDS.items()])
 
@@ -150,7 +156,7 @@ def _load_command(name: str, target: str) -> click.Command:
 
 
 class MotionChecksOfIdent:
-    """Checks of ident for `seatrial check`. ident is imported when a check is called."""
+    """The checks of `seatrial check` that need the part ident. ident is imported when a check is called."""
 
     def check_log(self, path: Path) -> list[Finding]:
         """Return findings about sensors and thrusters from the motion in a log.
@@ -194,7 +200,10 @@ def cli(context: click.Context, debug: bool) -> None:
 
 
 def _line_and_status(error: BaseException) -> tuple[str, int]:
-    """Return the line for stderr and the exit status of an error, except for wrong usage."""
+    """Return the line for stderr and the exit status of the process, for an error that has ended a command.
+
+    The error is not one of wrong usage, which `_usage_line` describes.
+    """
     if limit := bounds.limit_message(error):
         line, status = limit, FAILED
     elif isinstance(error, SeatrialError):
@@ -216,7 +225,7 @@ def _line_and_status(error: BaseException) -> tuple[str, int]:
 
 
 def _usage_line(error: click.UsageError) -> str:
-    """Return the line for stderr about wrong usage. It ends with the command that shows the help."""
+    """Return the line for stderr about a wrong command line. It ends with the command that shows the help."""
     path = "seatrial" if error.ctx is None else error.ctx.command_path
     text = printable(" ".join(error.format_message().split()).rstrip("."))
     return f"{path}: {text}{'' if text.endswith(('?', ')')) else ';'} `{path} --help` shows how"
@@ -229,7 +238,7 @@ def _warning_printer(default: Callable[..., None]) -> Callable[..., None]:
     """
 
     def show(message: Warning | str, category: type[Warning], *args: Any, **kwargs: Any) -> None:
-        """Print a warning in the form of its category."""
+        """Print a SeatrialWarning as one line on stderr; pass any other warning to the default of Python."""
         if issubclass(category, SeatrialWarning):
             print(f"seatrial: {printable(str(message))}", file=sys.stderr)
         else:

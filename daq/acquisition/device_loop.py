@@ -40,7 +40,7 @@ def _is_attitude(sample: Sample) -> bool:
 
 
 def source_of(device: Device, sample: Sample) -> Source:
-    """Return the name and the node under which a sample is stored as the newest one of its kind.
+    """Return the name and the node under which the newest sample of this kind is stored in the status.
 
     Parameters
     ----------
@@ -52,10 +52,10 @@ def source_of(device: Device, sample: Sample) -> Source:
     Returns
     -------
     Source
-        The name is that of the device for its main kind of sample, and `DEVICE/KIND` in lower case for every further
-        kind, such as `autopilot/gnss`. The main kind of an autopilot or an NMEA 2000 bus is its attitude; servo outputs
-        of an autopilot also have the name of the device. The node is None except for speed controllers and servo
-        outputs.
+        Name, and node or None. The name is that of the device for its main kind of sample, and `DEVICE/KIND` in lower
+        case for every further kind, such as `autopilot/gnss`. The main kind of an autopilot or an NMEA 2000 bus is its
+        attitude; servo outputs of an autopilot also have the name of the device. The node is the number of the speed
+        controller or of the servo output, and None for other samples.
     """
     if not device.sends_many_kinds:
         if isinstance(sample, MAIN.get(device.protocol, Sample)):
@@ -102,6 +102,7 @@ class DeviceLoop(threading.Thread):
         driver: DeviceDriver | None = None,
         on_lost: Callable[[str], None] = lambda reason: None,
     ) -> None:
+        """Prepare the thread of a port. The port is not opened, and the thread is not started."""
         super().__init__(name=f"port {device.name}", daemon=True)
         self.device = device
         self._port, self._decoder, self._clock, self._sink = port, decoder, clock, sink
@@ -129,7 +130,7 @@ class DeviceLoop(threading.Thread):
         self._rate = RateMeter(max(RATE_WINDOW_S * clock.speed, 10.0 / device.rate_hz))
 
     def wake(self) -> None:
-        """Wake the thread from its wait, so that it checks the set-points and the driver now.
+        """Wake the thread of the port from its wait, so that it checks the set-points and the driver now.
 
         Any thread may call this.
         """
@@ -137,14 +138,14 @@ class DeviceLoop(threading.Thread):
             os.write(self._wake_write, b"x")
 
     def end(self) -> None:
-        """Request the thread to send zero, close the port and end; `join` waits for it."""
+        """Request the thread of the port to send zero, close the port and end. It does not wait; `join` does."""
         self._ending = True
         self.wake()
 
     def run(self) -> None:
-        """Open the port, serve it until `end` is called, send zero and close it. This method is the thread.
+        """Open the port, serve it until `end` is called, send zero and close it. This is the code of the thread.
 
-        After any error the port is closed and opened again, after a wait that grows with the number of failures in a
+        After any error the port is closed and opened again. The wait before that grows with the number of failures in a
         row.
         """
         failures = 0
@@ -166,15 +167,19 @@ class DeviceLoop(threading.Thread):
         self._send_final_zero()
 
     def _retry_s(self, failures: int) -> float:
-        """Return the wall seconds until the next attempt to open the port.
+        """Return the time [wall s] to wait before the next attempt to open the port.
 
-        The wait is short for a port that has commanded thrust, because it still has to send zero.
+        `failures` is the number of failed attempts in a row. The wait is short for a port that has commanded thrust,
+        because it still has to send zero.
         """
         drives = self._setpoints is not None and bool(self._setpoints.held)
         return min(RETRY_S[min(failures, len(RETRY_S) - 1)], DRIVEN_RETRY_S if drives else math.inf)
 
     def is_at_zero(self, now: float) -> bool:
-        """Return whether the port is open and zero was repeated on it. True if it has never commanded thrust."""
+        """Return whether zero was sent to all thrusters of the port and repeated, and the port is open.
+
+        True if the port has never commanded thrust. `now` is a monotonic time [s].
+        """
         if self._setpoints is None or not self._setpoints.held:
             return True
         return self._open and self._setpoints.is_settled(now)
@@ -193,9 +198,10 @@ class DeviceLoop(threading.Thread):
             self._setpoints.zero(time.monotonic())  # a command from before the loss must not be sent
 
     def _close_lost_port(self, why: str) -> None:
-        """Close the port and store `why` as its problem.
+        """Close the port after an error, and store the reason `why` as the fault of the port.
 
-        If the port was open and has commanded thrust, the set-points are first set to zero and `on_lost` is called.
+        If the port was open and has commanded thrust, the set-points are first set to zero, and the function `on_lost`
+        of the acquisition process is called with the reason.
         """
         was_open, self._open, self._problem = self._open, False, why
         if was_open and self._setpoints is not None and self._setpoints.held:
@@ -204,7 +210,11 @@ class DeviceLoop(threading.Thread):
         self._port.close()
 
     def _step(self) -> None:
-        """Wait for bytes or for the next set-point. Then read, send due set-points and poll the driver."""
+        """Serve the port once. Wait for received bytes or for the next set-point, then read and send.
+
+        Set-points that are due, and messages of the driver, are sent. Zero is commanded if the thread or the computer
+        had stopped for a while.
+        """
         self._stepped = time.monotonic()
         wait = IDLE_S
         if self._setpoints is not None:
@@ -227,11 +237,11 @@ class DeviceLoop(threading.Thread):
             self._poll_driver(self._driver)
 
     def _check_pause(self, setpoints: Setpoints, waited: float = 0.0) -> None:
-        """Command zero if this thread was stopped for a while, because it would repeat an old command.
+        """Command zero if this thread was stopped for more than 0.25 s (STUCK_S): it would repeat an old command.
 
-        A pause is the time since the last check minus `waited`, the seconds [wall s] of an intended wait. A pause
-        longer than STUCK_S counts unless zero was already sent and repeated. The method is called at several places,
-        because a pause can occur at any line of the loop.
+        The pause is the time since the last check, minus the intended wait `waited` [wall s]. It does not count if zero
+        was already sent and repeated. The method is called at several places, because a pause can occur at any line of
+        the loop.
         """
         now = time.monotonic()
         paused, self._checked = now - self._checked - waited, now
@@ -240,13 +250,16 @@ class DeviceLoop(threading.Thread):
             self._on_lost(f"the acquisition process stood still for {paused:.1f} s")
 
     def _check_suspend(self, setpoints: Setpoints) -> None:
-        """Command zero if the computer was suspended, because the thread would repeat an old command."""
+        """Command zero if the computer was suspended since the last check, because an old command would be repeated.
+
+        A port that has never commanded a thruster is not affected.
+        """
         if (slept := self._suspended.slept()) and setpoints.held:
             setpoints.zero(time.monotonic())
             self._on_lost(f"the computer was suspended for {slept:.1f} s")
 
     def _poll_driver(self, driver: DeviceDriver) -> None:
-        """Write the bytes of the driver that are due to the port, and log these bytes and the driver's events."""
+        """Write the requests and heartbeats of the driver that are due to the port and to the log, with its events."""
         data = driver.poll(time.monotonic())
         t = self._clock.now()
         if data:
@@ -301,7 +314,7 @@ class DeviceLoop(threading.Thread):
         self._queue_for_log("rx", data, t_rx, frames)
 
     def _is_rated(self, sample: Sample) -> bool:
-        """Return whether a sample counts for the rate of the device.
+        """Return whether a sample counts for the measured rate, which is compared with `rate_hz` of the rig.
 
         For a device with several kinds of samples only the attitudes count. On an NMEA 2000 bus without attitudes the
         fixes count.
@@ -315,7 +328,8 @@ class DeviceLoop(threading.Thread):
     def _exclude_join_bytes(self) -> None:
         """Exclude the bytes before the first valid frame from the unparsed bytes, once after the port was opened.
 
-        The port may have been opened in the middle of a frame. More than JOIN_BYTES are not excluded.
+        The port may have been opened in the middle of a frame. If there are more than 256 such bytes (JOIN_BYTES), none
+        is excluded.
         """
         if self._joining:
             self._joining = False
@@ -327,7 +341,10 @@ class DeviceLoop(threading.Thread):
         return self._decoder.unparsed_bytes + self._port.unparsed_bytes - self._uncounted_bytes
 
     def _estimate_run_time(self, frame: Frame) -> float:
-        """Return the estimated run time [s] of a frame; its time of receipt if the device has no clock."""
+        """Return the estimated run time [s] of a sample, by the clock map of the device.
+
+        If the device has no clock, it is the time at which the sample was received.
+        """
         if math.isnan(frame.t_device):
             return frame.t_rx
         self._has_clock = True
@@ -370,25 +387,26 @@ class DeviceLoop(threading.Thread):
         self._port.close()
 
     def latest(self) -> dict[Source, Latest]:
-        """Return a copy of the newest samples by source (name and node, as `source_of` returns them)."""
+        """Return the newest samples of the device as a new dictionary, by name and node (`source_of`)."""
         return dict(self._latest)
 
     def request(self, action: str, value: float) -> None:
-        """Pass a request to the driver, and wake the thread. Without a driver nothing happens.
+        """Pass a request of the operator to the driver of the device. Without a driver nothing happens.
 
         Parameters
         ----------
         action : str
-            `arm`, `disarm`, `mode`, `mute` (send no frame, except a zero command) or `leave` (the run ends).
+            `arm`, `disarm`, `mode`, `mute` (send no frame, except a zero command) or `leave` (disarm at the end of the
+            run).
         value : float
-            Number of the mode for `mode`, seconds for `mute`; unused otherwise.
+            Number of the mode for `mode`, wall seconds for `mute`; unused otherwise.
         """
         if self._driver is not None:
             self._driver.request(action, value)
             self.wake()
 
     def is_stuck(self, now: float) -> bool:
-        """Return whether the thread hangs under thrust: it has not checked its set-points for `STUCK_S`.
+        """Return whether the thread of the port hangs under thrust: it did not check its set-points for 0.25 s.
 
         `now` is a monotonic time [s]. False if the port is not open, or if zero was sent and repeated.
         """
@@ -396,7 +414,7 @@ class DeviceLoop(threading.Thread):
         return commanded and self._open and now - self._stepped > STUCK_S
 
     def link(self) -> LinkStatus | None:
-        """Return the state of the connected autopilot; None for a port without a driver."""
+        """Return the state of the autopilot at the port; None without a driver, or if the device is no autopilot."""
         return None if self._driver is None else self._driver.link_at(time.monotonic())
 
     @property
@@ -405,7 +423,7 @@ class DeviceLoop(threading.Thread):
         return self._port.hint or ("" if self._driver is None else self._driver.hint)
 
     def health(self) -> PortHealth:
-        """Return the counters of the port for the log."""
+        """Return the counters of the port since the start of the log: bytes, frames, errors, losses, clock."""
         decoder, port = self._decoder, self._port
         return PortHealth(
             port=self.device.port,
@@ -420,7 +438,10 @@ class DeviceLoop(threading.Thread):
         )
 
     def status(self, now: float) -> PortStatus:
-        """Return counters, rate and age at run time `now` [s], for the live table and the safety guard."""
+        """Return counters, rate and age of the samples, and the fault of the port at run time `now` [s].
+
+        The live table and the safety guard use it.
+        """
         health = self.health()
         return PortStatus(
             name=self.device.name,
@@ -447,7 +468,8 @@ class DeviceLoop(threading.Thread):
     def _message(self) -> str:
         """Return the most severe fault of the device in one line; without a fault the remark of the decoder, or "".
 
-        The order is: lost port, fault of the driver, no valid frame in MUTE_BYTES, faulty samples.
+        The order is: lost port, fault of the driver, no valid frame in the last 2000 bytes (MUTE_BYTES), faulty
+        samples.
         """
         if self._problem:
             return self._problem
@@ -468,6 +490,7 @@ class RateMeter:
     """
 
     def __init__(self, window: float) -> None:
+        """Start without a reading of the counter. `window` is the time [run s] over which the rate is averaged."""
         self._window = window
         self._seen: list[tuple[float, int]] = []
 

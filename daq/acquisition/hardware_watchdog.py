@@ -34,21 +34,27 @@ class HardwareWatchdog:
     """
 
     def __init__(self, path: Path) -> None:
-        """Open the timer, which arms it, and set its time-out to TIMEOUT_S. Raise OSError if it cannot be opened."""
+        """Open the timer, which arms it, and set its time-out to 10 s (TIMEOUT_S).
+
+        Raise OSError if it cannot be opened.
+        """
         self._file = os.open(path, os.O_WRONLY | os.O_CLOEXEC | os.O_NONBLOCK)
         with contextlib.suppress(OSError):  # some drivers have a fixed time-out
             fcntl.ioctl(self._file, SET_TIMEOUT, struct.pack("i", TIMEOUT_S))
         self._next = -float("inf")
 
     def beat(self, now: float) -> None:
-        """Restart the timer, at most once in `BEAT_S`. `now` is a monotonic time [s]. A failed write is ignored."""
+        """Restart the time-out of the timer, at most once in 1 s (`BEAT_S`), so that the computer is not restarted.
+
+        `now` is a monotonic time [s]. A failed write is ignored.
+        """
         if now >= self._next:
             self._next = now + BEAT_S
             with contextlib.suppress(OSError):
                 os.write(self._file, b"\0")
 
     def close(self) -> None:
-        """Disarm the timer and close it."""
+        """Disarm the watchdog timer of the computer and close its device file."""
         with contextlib.suppress(OSError):
             os.write(self._file, DISARM)
         os.close(self._file)

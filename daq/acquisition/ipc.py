@@ -70,12 +70,12 @@ class Configuration:
 
 @dataclass(frozen=True)
 class ParentAlive:
-    """Heartbeat of the parent.
+    """Heartbeat of the parent process to the acquisition process.
 
     Attributes
     ----------
     runner
-        Whether the runner has called `Acquisition.alive` since the last heartbeat.
+        Whether the runner of the mission has called `Acquisition.alive` since the last heartbeat.
     """
 
     runner: bool
@@ -83,12 +83,12 @@ class ParentAlive:
 
 @dataclass(frozen=True)
 class ScheduleSetpoints:
-    """Request to append set-points: rows of (run time [s], {thruster: n_cmd}).
+    """Request of the parent to the acquisition process: append set-points to the schedule.
 
     Attributes
     ----------
     rows
-        Run time [s], and n_cmd, -1..1, by name of the thruster, of each set-point.
+        Run time [s], and the command n_cmd, -1..1, by name of the thruster, of each set-point.
     """
 
     rows: Sequence[tuple[float, Mapping[str, float]]]
@@ -96,7 +96,7 @@ class ScheduleSetpoints:
 
 @dataclass(frozen=True)
 class ZeroThrust:
-    """Request to clear the schedule and command zero at once.
+    """Request of the parent to the acquisition process: clear the schedule and command zero at once.
 
     Attributes
     ----------
@@ -109,7 +109,7 @@ class ZeroThrust:
 
 @dataclass(frozen=True)
 class LogEvent:
-    """Request to write an event to the log.
+    """Request of the parent to the acquisition process: write an event to the log.
 
     Attributes
     ----------
@@ -125,14 +125,14 @@ class LogEvent:
 
 @dataclass(frozen=True)
 class DriverRequest:
-    """Request to the driver of a device.
+    """Request of the operator that the acquisition process passes to the driver of a device.
 
     Attributes
     ----------
     device
         Name of the device.
     action
-        `arm`, `disarm`, `mode` or `mute`.
+        `arm`, `disarm`, `mode` or `mute` (send no frame, except a zero command).
     value
         Number of the mode for `mode`, wall seconds for `mute`; unused otherwise.
     """
@@ -144,12 +144,12 @@ class DriverRequest:
 
 @dataclass(frozen=True)
 class StreamSamples:
-    """Request to send all further logged samples to the parent."""
+    """Request of the parent to the acquisition process: send it all further logged samples."""
 
 
 @dataclass(frozen=True)
 class Stop:
-    """Request to command zero, close the log and end."""
+    """Request of the parent to the acquisition process: command zero, close the log and end."""
 
 
 @dataclass(frozen=True)
@@ -167,7 +167,7 @@ class StatusReport:
 
 @dataclass(frozen=True)
 class SampleBatch:
-    """Logged samples.
+    """Logged samples that the acquisition process sends to the parent.
 
     Attributes
     ----------
@@ -183,7 +183,7 @@ class SampleBatch:
 
 @dataclass(frozen=True)
 class Failed:
-    """Report that the process ends because of an error.
+    """Last message of the acquisition process to the parent: it ends because of an error.
 
     Attributes
     ----------
@@ -196,7 +196,7 @@ class Failed:
 
 @dataclass(frozen=True)
 class Closed:
-    """Report that the log is closed without an error and that the process ends.
+    """Last message of the acquisition process to the parent: the log is closed, and no error has occurred.
 
     Attributes
     ----------
@@ -250,7 +250,10 @@ _TYPES: dict[str, type[Message]] = {kind.__name__: kind for kind in Message.__ar
 
 
 def encode_message(message: Message) -> bytes:
-    """Return a message as one line of JSON with its line end. NaN and Infinity are written as Python's json does."""
+    """Return a message between processes as one line of JSON with its line end.
+
+    NaN and Infinity are written as these words, as Python's json does.
+    """
     values: dict[str, Any] = {name.name: getattr(message, name.name) for name in dataclasses.fields(message)}
     if isinstance(message, Configuration):
         values["attachments"] = {name: base64.b64encode(data).decode() for name, data in message.attachments.items()}
@@ -283,27 +286,28 @@ class AcquisitionChannel:
     """One end of the socket between two processes. Any thread may call `send`; only one thread may call `receive`."""
 
     def __init__(self, sock: socket.socket) -> None:
+        """Take over a connected stream socket, which is closed by `close`."""
         self._socket = sock
         self._lock = threading.Lock()
         self._buffer = bytearray()
 
     def fileno(self) -> int:
-        """Return the file descriptor of the socket, for `select`."""
+        """Return the file descriptor of the channel's socket, for `select`."""
         return self._socket.fileno()
 
     def send(self, message: Message) -> None:
-        """Send one message. Raises OSError if the other end is closed."""
+        """Send one message to the other process. Raise OSError if it has closed its end."""
         data = encode_message(message)
         with self._lock:
             self._socket.sendall(data)
 
     def receive(self) -> list[Message]:
-        """Wait for bytes, and return the messages that are complete. The list may be empty.
+        """Wait for bytes from the other process, and return the messages that are complete. The list may be empty.
 
         Raises
         ------
         EOFError
-            If the other end is closed.
+            If the other process has closed its end.
         """
         try:
             data = self._socket.recv(1 << 20)
@@ -317,13 +321,16 @@ class AcquisitionChannel:
         return [decode_message(line) for line in lines]
 
     def receive_first(self) -> Message:
-        """Wait for the first message and return it. Raises EOFError if the other end is closed before."""
+        """Wait for the first message of the other process, and return it.
+
+        Raise EOFError if it closes its end before.
+        """
         while not (messages := self.receive()):
             pass
         return messages[0]
 
     def messages(self) -> Iterator[Message]:
-        """Yield all messages until the other end is closed."""
+        """Yield all messages of the other process until it closes its end."""
         while True:
             try:
                 yield from self.receive()
@@ -331,7 +338,7 @@ class AcquisitionChannel:
                 return
 
     def close(self) -> None:
-        """Close the socket. A `receive` that waits in another thread ends too."""
+        """Close the socket of the channel. A `receive` that waits in another thread ends too."""
         with contextlib.suppress(OSError):  # the other end may be closed already
             self._socket.shutdown(socket.SHUT_RDWR)
         self._socket.close()

@@ -62,18 +62,22 @@ class LogSink:
     """
 
     def __init__(self, limit: int = QUEUE_ITEMS) -> None:
+        """Make an empty queue for at most `limit` items with raw bytes."""
         self._items: deque[LogItem] = deque()
         self._limit = limit
 
     def put(self, item: LogItem) -> bool:
-        """Append an item. Return False, without appending, if the queue is full."""
+        """Append the bytes and samples of one read or write to the queue of the log.
+
+        Return False, without appending, if the queue is full.
+        """
         if len(self._items) >= (self._limit if item.raw else 2 * self._limit):
             return False
         self._items.append(item)
         return True
 
     def take(self) -> list[LogItem]:
-        """Remove and return all items, oldest first. Only the log thread may call it."""
+        """Remove and return all items of the queue, oldest first. Only the thread that writes the log may call this."""
         out = []
         with contextlib.suppress(IndexError):
             while True:
@@ -96,12 +100,13 @@ class SampleStream:
     """
 
     def __init__(self, limit: int = STREAM_SAMPLES) -> None:
+        """Make an empty queue for at most `limit` samples."""
         self._samples: deque[StreamedSample] = deque()
         self._limit = limit
         self.dropped = 0
 
     def put(self, sample: StreamedSample) -> None:
-        """Append a sample, or count it as dropped if the queue is full."""
+        """Append a sample to the queue for the parent process, or count it as dropped if the queue is full."""
         if len(self._samples) < self._limit:
             self._samples.append(sample)
         else:
@@ -109,11 +114,11 @@ class SampleStream:
 
     @property
     def waiting(self) -> int:
-        """Number of samples in the queue."""
+        """Number of samples that wait to be sent to the parent process."""
         return len(self._samples)
 
     def take(self, n_max: int) -> list[StreamedSample]:
-        """Remove and return the oldest samples, at most `n_max`."""
+        """Remove and return the oldest samples of the queue, at most `n_max`."""
         return [self._samples.popleft() for _ in range(min(n_max, len(self._samples)))]
 
 
@@ -148,6 +153,7 @@ class LogThread(threading.Thread):
     def __init__(
         self, recorder: Recorder, sink: LogSink, health: Callable[[], dict[str, PortHealth]], clock: RunClock
     ) -> None:
+        """Prepare the thread that writes the log. It is not started."""
         super().__init__(name="writer", daemon=True)
         self._recorder, self._sink, self._health_of, self._clock = recorder, sink, health, clock
         self._ending = threading.Event()
@@ -187,11 +193,11 @@ class LogThread(threading.Thread):
         self.size = self._recorder.size
 
     def end(self) -> None:
-        """Request the last write; `join` waits until the log is closed."""
+        """Request the thread to write the rest of the queue, close the log and end. It does not wait; `join` does."""
         self._ending.set()
 
     def _write_queue(self) -> None:
-        """Write all items of the queue to the log, and put their samples into the stream.
+        """Write all items of the queue to the log, and pass their samples on to the parent if it has requested them.
 
         Samples of transducers, which no receiver of the stream uses, are only written to the log.
         """

@@ -89,6 +89,7 @@ class Process:
         heartbeat: Heartbeat | None = None,
         terminal: int = -1,
     ) -> None:
+        """Prepare the threads of all ports and of the log. No thread is started, and no port is opened."""
         self._role, self._terminal = role, terminal
         self._parent = os.getppid()
         self._path = recorder.path
@@ -109,9 +110,9 @@ class Process:
         self._unrequested = self._parent_hangs = False
 
     def terminate(self, number: int, frame: FrameType | None) -> None:
-        """Handle SIGTERM: request the end of the acquisition.
+        """Handle the signal SIGTERM: note that the acquisition has to end.
 
-        The main thread notices it at its next check of time-outs.
+        The main thread ends it at its next check of time-outs. `number` and `frame` are not used.
         """
         self._terminated = True
 
@@ -133,7 +134,7 @@ class Process:
     def _serve(self) -> None:
         """Send status, samples and heartbeats, handle messages and check time-outs, until there is a reason to end.
 
-        The status is sent every STATUS_S. The reason is stored in `_end_reason`.
+        The status is sent to the parent every 50 ms (STATUS_S). The reason to end is stored in `_end_reason`.
         """
         status_at = 0.0
         while not self._end_reason:
@@ -202,12 +203,12 @@ class Process:
             self._stop_thrust(self._heartbeat.trouble)
 
     def _check_timeouts(self) -> None:
-        """Request the end, or stop thrust, after a time-out or a failure.
+        """Request the end of the acquisition, or stop thrust, after a time-out or a failure.
 
         The end is requested after SIGTERM, after a failure of the log, and if under thrust the parent or the runner
-        gives no sign of life for SILENCE_S. Thrust is stopped if no data can be written to the log at present. The
-        method must be called after messages were received, so that a pause of this process does not count as one of the
-        parent.
+        gives no sign of life for 0.25 s (SILENCE_S). Thrust is stopped if no data can be written to the log at present.
+        The method must be called after messages were received, so that a pause of this process does not count as one of
+        the parent.
         """
         now = time.monotonic()
         if self._terminated:
@@ -232,7 +233,10 @@ class Process:
                 )
 
     def _request_end(self, reason: str, unrequested: bool) -> None:
-        """Store the reason to end; only the first reason counts. `unrequested`: the parent did not request the end."""
+        """Store the reason to end the acquisition; only the first reason counts.
+
+        `unrequested` is whether it ends without a request of the parent.
+        """
         if not self._end_reason:
             self._end_reason, self._unrequested = reason, unrequested
 
@@ -256,9 +260,9 @@ class Process:
                 self._request_end("closed on request", unrequested=False)
 
     def _append_setpoints(self, message: ScheduleSetpoints) -> None:
-        """Append set-points, given by thruster, to the schedules of their devices, and wake the threads of the ports.
+        """Append set-points of the parent to the schedules of the devices, and wake the threads of their ports.
 
-        The set-points are ignored after this process has stopped thrust. The message also counts as a sign of life of
+        They are ignored after this process has stopped thrust by itself. The message also counts as a sign of life of
         the runner.
         """
         self._runner_seen = self._parent_seen
@@ -279,7 +283,7 @@ class Process:
                 self._loops[device].wake()
 
     def _port_counters(self) -> dict[str, PortHealth]:
-        """Return the counters of each port by device."""
+        """Return the counters of each port since the start of the log, by name of the device."""
         return {name: loop.health() for name, loop in self._loops.items()}
 
     def _command_zero(self) -> None:
@@ -299,7 +303,10 @@ class Process:
         self._log_event("stop", reason)
 
     def _log_event(self, kind: str, text: str) -> None:
-        """Put an event with the present run time into the queue of the log. `kind` is a word such as "stop"."""
+        """Put an event, with the present run time, into the queue of the log.
+
+        `kind` is a word such as "stop", and `text` describes the event in one line.
+        """
         t = self._clock.now()
         self._sink.put(LogItem("", "", b"", t, [(Frame(Event(kind, text), t, NAN), t)]))
 
@@ -348,10 +355,10 @@ class Process:
                 os.write(self._terminal, text.encode(errors="replace"))
 
     def _may_close(self, since: float) -> bool:
-        """Return whether the log may be closed, `since` seconds after the end of the run.
+        """Return whether the log may be closed, `since` wall seconds after the end of the run.
 
-        Zero must have been repeated on every port of a thruster, or `RETURN_S` must have passed. After a stop that the
-        parent did not request, `RECORD_ON_S` must have passed too.
+        Zero must have been repeated on every port of a thruster, or 3 s (`RETURN_S`) must have passed. After a stop
+        that the parent did not request, 1 s (`RECORD_ON_S`) must have passed too.
         """
         if self._unrequested and since < RECORD_ON_S and not self._writer.failure:
             return False
@@ -359,7 +366,7 @@ class Process:
         return since > RETURN_S or all(loop.is_at_zero(now) for loop in self._loops.values())
 
     def _send_samples(self) -> None:
-        """Send the logged samples to the parent, in messages of BATCH samples, if it has requested them.
+        """Send the logged samples to the parent, in messages of 100 samples (BATCH), if it has requested them.
 
         The method never waits for a parent that does not read, because this thread also checks the time-outs.
         """

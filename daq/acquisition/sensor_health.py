@@ -26,7 +26,7 @@ ERA = 1024 * 604_800.0  # s; the GPS week number repeats after this time
 
 
 class _RepeatedSample(NamedTuple):
-    """Values that successive samples of one form repeat.
+    """Values that successive samples of one kind, with the same known fields, have in common.
 
     Attributes
     ----------
@@ -69,6 +69,7 @@ class SensorHealth:
     """
 
     def __init__(self) -> None:
+        """Start the checks of a device without samples and without a fault."""
         self._same: dict[_SampleForm, _RepeatedSample] = {}
         self._last = self._now = 0.0
         self._jumps, self._jumped = 0, -math.inf
@@ -78,7 +79,10 @@ class SensorHealth:
         self._counters: deque[tuple[float, int, int]] = deque()
 
     def take(self, frame: Frame) -> None:
-        """Add the sample of a decoded frame to the checks for repeated values, spikes and the date of a receiver."""
+        """Check the sample of a decoded frame for repeated values, spikes and a wrong date of a GNSS receiver.
+
+        The result is returned by `message`.
+        """
         sample, t = frame.sample, frame.t_rx
         kind = type(sample)
         if kind in _VALUES and can_be_stuck(kind, sample):
@@ -113,13 +117,14 @@ class SensorHealth:
 
     @property
     def stuck(self) -> tuple[type, ...]:
-        """Kinds of samples that repeat the same values, as a dead sensor does."""
+        """Classes of samples of the device whose values do not change any more, as those of a dead sensor."""
         return tuple(dict.fromkeys(form[0] for form in self._same if self._is_stuck(form)))
 
     def _is_stuck(self, form: _SampleForm) -> bool:
-        """Return whether the samples of a form (kind and fields with a value) repeat the same values for too long.
+        """Return whether the samples of a form repeat the same values for too long, as a dead sensor does.
 
-        The limits of number and duration are those of STUCK_LIVE. A form that is not sent any more is not stuck.
+        A form is the class of a sample and which of its fields have a value. The smallest number and duration are those
+        of STUCK_LIVE, for example 20 attitudes in 5 s. A form that is not sent any more is not stuck.
         """
         same, limit = self._same[form], STUCK_LIVE[form[0]]
         still_sent = self._last - same.until < limit.seconds
@@ -147,9 +152,10 @@ class SensorHealth:
         return ""
 
     def _count_repeats(self, kind: type, values: tuple[float, ...], t: float) -> None:
-        """Compare the values of a sample with those of the previous sample of its form, and count repetitions.
+        """Count how often the values of successive samples of one kind repeat exactly.
 
-        `kind` is the type of the sample, `values` are its compared fields, and `t` is its run time [s]. NaN equals NaN.
+        `kind` is the class of the sample, `values` are its compared fields, and `t` is its run time [s]. Samples with
+        other missing fields (NaN) are counted separately.
         """
         total = sum(values)
         if total == total:  # the usual case: no value is NaN
@@ -165,7 +171,7 @@ class SensorHealth:
             self._same[form] = _RepeatedSample(key, before.since, t, before.repeats + 1)
 
     def _count_spikes(self, t: float, flags: int) -> None:
-        """Add the flags of a load cell sample at run time `t` [s], and count the spikes of the last `SPIKES_S`."""
+        """Add the flags of a load cell at run time `t` [s], and count the spikes of the last 10 s (`SPIKES_S`)."""
         self._cell.append((t, flags))
         self._spikes += bool(flags & SPIKE)
         while t - self._cell[0][0] > SPIKES_S:

@@ -97,6 +97,7 @@ class Acquisition:
         drive: bool = False,
         ask: bool = False,
     ) -> None:
+        """Prepare the acquisition. The process is started when the context begins."""
         self._drive = drive
         self._role = LinkRole.DRIVE if drive else LinkRole.ASK if ask else LinkRole.LISTEN
         self.rig, self.path, self.clock = rig, Path(path), clock
@@ -175,7 +176,10 @@ class Acquisition:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Call `stop`. An error that was raised in the context takes precedence over an error of `stop`."""
+        """Stop the acquisition at the end of the context: command zero, close the log and end the process.
+
+        An error that was raised in the context takes precedence over an error of the stop.
+        """
         try:
             self.stop()
         except SeatrialError:
@@ -280,7 +284,10 @@ class Acquisition:
         self._raise_failure()
 
     def _configuration(self, terminal: int) -> Configuration:
-        """Return the first message to the process. `terminal`: descriptor of standard error, or -1."""
+        """Return the configuration, which is the first message to the acquisition process.
+
+        `terminal` is the file descriptor of standard error that the process inherits, or -1.
+        """
         return Configuration(
             rig_text=self.rig.text,
             rig_path=str(Path(self.rig.path).absolute()),
@@ -305,7 +312,10 @@ class Acquisition:
             raise SeatrialError(f"the acquisition process ended{why}; the log is {self.path}") from None
 
     def _send_heartbeats(self) -> None:
-        """Send heartbeats until the end. Each contains whether `alive` was called since the last. Runs as a thread."""
+        """Send heartbeats to the acquisition process until the end. This is the code of a thread.
+
+        Each heartbeat contains whether the runner has called `alive` since the last one.
+        """
         set_realtime_priority()  # a busy machine must not delay the heartbeats, without which thrust ends
         while not self._stopping.wait(HEARTBEAT_S):
             alive = self._alive.is_set()

@@ -49,6 +49,7 @@ class StatusReporter:
         writer: LogThread,
         event: Callable[[str, str], None],
     ) -> None:
+        """Store the objects whose state is reported. Nothing is sent."""
         self._link, self._rig, self._path, self._clock = link, rig, path, clock
         self._loops, self._setpoints, self._writer, self._event = loops, setpoints, writer, event
         self._started = clock.now()
@@ -95,7 +96,11 @@ class StatusReporter:
         return sum(setpoints.skipped for setpoints in self._setpoints.values())
 
     def _status(self, stopped: str, ended: str) -> Status:
-        """Return the present status of all ports, set-points and the log. The parameters are those of `report`."""
+        """Return the present status of all ports, set-points and the log.
+
+        `stopped` is why the process has stopped thrust, and `ended` why it ends without a request; both are empty
+        otherwise.
+        """
         now = self._clock.now()
         ports = {name: loop.status(now) for name, loop in self._loops.items()}
         warnings = [f"{port.name} ({port.port}): {port.message}" for port in ports.values() if port.message]

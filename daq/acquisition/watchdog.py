@@ -114,7 +114,7 @@ class Heartbeat:
             self._hear(now)
 
     def _hear(self, now: float) -> None:
-        """Read the answers of the watchdog. Set `trouble` if there was no answer for `ANSWER_S`.
+        """Read the watchdog's answers to the heartbeats. Set `trouble` if there was no answer for 1 s (`ANSWER_S`).
 
         `now` is a monotonic time [s]. If this process itself was stopped since the last call, the time without an
         answer starts anew.
@@ -129,13 +129,17 @@ class Heartbeat:
             self.trouble = f"the watchdog has not answered for {ANSWER_S:g} s"
 
     def end(self) -> None:
-        """End the monitoring. The thrusters must be at zero."""
+        """Report to the watchdog that the acquisition process ends and monitoring is over.
+
+        The thrusters must be at zero.
+        """
         self._send(FINISHED)
 
     def _send(self, word: bytes) -> None:
-        """Send one byte, `ACTIVE`, `IDLE` or `FINISHED`, without waiting. Set `trouble` if the watchdog is gone.
+        """Send a heartbeat of one byte to the watchdog, without waiting. Set `trouble` if the watchdog is gone.
 
-        A full buffer is ignored.
+        `word` is `ACTIVE` (thrust is commanded), `IDLE` (no thrust) or `FINISHED` (the process ends). A full buffer is
+        ignored.
         """
         try:
             self._socket.send(word)
@@ -155,13 +159,14 @@ class HeartbeatMonitor:
     """
 
     def __init__(self, now: float) -> None:
+        """Start at monotonic time `now` [s] without a heartbeat."""
         self._last_heartbeat = self._looked = now
         self._active = False
 
     def look(self, now: float, words: bytes | None) -> str | None:
-        """Process the heartbeats that were received, and decide whether to step in.
+        """Process the heartbeats that the watchdog has received, and decide whether it has to step in.
 
-        The watchdog steps in only while thrust is commanded: if the socket is closed, or after `HANG_S` without a
+        It steps in only while thrust is commanded: if the socket is closed, or after 0.6 s (`HANG_S`) without a
         heartbeat. A pause of the watchdog itself does not count.
 
         Parameters
@@ -209,6 +214,7 @@ class FailsafeSender(threading.Thread):
     """
 
     def __init__(self, device: Device, rig: Rig) -> None:
+        """Prepare the thread for one port. The thread is not started, and the port is not opened."""
         super().__init__(name=f"failsafe {device.name}")
         self._device, self._rig = device, rig
         self._thrusters = [thruster for thruster in rig.thrusters if thruster.device == device.name]
@@ -231,15 +237,15 @@ class FailsafeSender(threading.Thread):
         self._driver = make_driver(self._device, self._rig, self._decoder, LinkRole.RESCUE)
 
     def _zero(self) -> bytes:
-        """Return the bytes that command zero to all thrusters of the port."""
+        """Return the bytes that command zero to all thrusters of the port, in the protocol of the device."""
         if self._driver is None:
             return self._frames
         return b"".join(data for data, _ in self._driver.zero(time.monotonic()))
 
     def run(self) -> None:
-        """Open the port, send zero for `ZERO_S`, and close the port. After an error, retry for up to `OPEN_S`.
+        """Open the port, send zero for 1 s (`ZERO_S`), and close the port. After an error, retry for 3 s (`OPEN_S`).
 
-        The result is stored in `outcome`.
+        The result is stored in `outcome`. This is the code of the thread.
         """
         deadline = time.monotonic() + OPEN_S
         if self._driver is not None:
@@ -259,7 +265,7 @@ class FailsafeSender(threading.Thread):
         self._port.close()
 
     def _send_zero(self) -> None:
-        """Send zero thrust repeatedly for `ZERO_S`, and decode the replies of the device."""
+        """Send the command zero to the thrusters of the port repeatedly for 1 s (`ZERO_S`), and decode the replies."""
         until = time.monotonic() + ZERO_S
         while time.monotonic() < until:
             ready, _, _ = select.select([self._port.fileno()], [], [], POLL_S)

@@ -15,7 +15,7 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class PredictedTrack:
-    """Predicted track of a mission.
+    """Track of the boat over ground that is predicted for a mission.
 
     Attributes
     ----------
@@ -36,7 +36,7 @@ class PredictedTrack:
 
 @dataclass(frozen=True)
 class DryRun:
-    """Dry run of a mission: its commands and its predicted track.
+    """Dry run of a mission, in which no thruster is commanded: its commands and its predicted track.
 
     Attributes
     ----------
@@ -67,7 +67,7 @@ class DryRun:
 
 @dataclass(frozen=True)
 class CheckReport:
-    """Result of a check: findings, and for a mission its dry run. It is the data of the page.
+    """Result of `seatrial check`, the data of its HTML page: findings, and for a mission its dry run.
 
     Attributes
     ----------

@@ -53,7 +53,7 @@ LEAST = 200  # smallest number of time stamps whose digits are checked
 
 
 def check_devices(log: Log) -> Iterator[Finding]:
-    """Yield all findings on the devices of an open log, and on the log itself: damage and clocks that ran back."""
+    """Check all devices in an open log, and the log itself for damage and clocks that ran back. Yield all findings."""
     rig = log.rig
     for text in log.warnings:
         yield Finding(
@@ -93,7 +93,7 @@ def check_devices(log: Log) -> Iterator[Finding]:
 
 
 def _tables_by_device(log: Log) -> dict[str, Tables]:
-    """Return the tables of samples of each device by name of the device.
+    """Return the tables of samples in a log, by name of the device: kind of sample, name for findings, table.
 
     Speed controllers have a table for each node. An autopilot that sends only its state has an empty list.
     """
@@ -111,7 +111,7 @@ def _tables_by_device(log: Log) -> dict[str, Tables]:
 
 
 def _check_devices_present(log: Log, rig: Rig | None) -> Iterator[Finding]:
-    """Yield a finding for each device of the rig without a sample in the log; none if the log has no rig.
+    """Yield a fault for each device of the rig without a sample in the log; none if the log has no rig.
 
     Commands to a device do not count as samples.
     """
@@ -130,7 +130,9 @@ def _check_devices_present(log: Log, rig: Rig | None) -> Iterator[Finding]:
 
 
 def _check_rate(source: str, device: Device | None, log: Log, tables: Tables, gaps_known: bool) -> Iterator[Finding]:
-    """Yield the finding on the rate of the samples of one device, compared with `rate_hz` of the rig.
+    """Compare the rate of the samples of one device with `rate_hz` of the rig, and yield the finding.
+
+    A fault is a difference of more than 20 %, or fewer than three samples.
 
     Parameters
     ----------
@@ -180,7 +182,8 @@ def _check_rate(source: str, device: Device | None, log: Log, tables: Tables, ga
 def _rated_times(device: Device | None, tables: Tables) -> FloatArray:
     """Return the sorted times (n,) [s] of the samples that count for the rate of a device, as in the live table.
 
-    If `device` is None, all samples count.
+    They are the samples of the kind to which `rate_hz` of the rig applies. If `device` is None, all samples count.
+    `tables` has kind, name and table of its samples.
     """
     with_attitudes = any(kind is Ahrs and np.isfinite(table["yaw"]).any() for kind, _, table in tables)
     found = [np.empty(0)]
@@ -191,9 +194,10 @@ def _rated_times(device: Device | None, tables: Tables) -> FloatArray:
 
 
 def _check_stuck(kind: type, name: str, table: Any) -> Iterator[Finding]:
-    """Yield a finding on the longest interval in which all values of a sensor stay exactly the same for too long.
+    """Yield a fault for the longest interval in which all values of a sensor stay exactly the same for too long.
 
-    `kind` is the kind of the samples. Kinds without limits in STUCK_IN_LOG are not checked.
+    `kind` is the kind of the samples, `name` the device in the finding. Kinds without limits in the table STUCK_IN_LOG
+    (daq/sensor_limits.py) are not checked.
     """
     if kind not in STUCK_IN_LOG:
         return
@@ -221,9 +225,9 @@ def _check_stuck(kind: type, name: str, table: Any) -> Iterator[Finding]:
 
 
 def _rows_that_can_be_stuck(kind: type, table: Any) -> Any:
-    """Return a mask (n,): for each row of a table, whether its values would change if the sensor worked.
+    """Return a mask (n,) of the samples in a table whose values would change if the sensor worked.
 
-    For a load cell these are the rows that are not at rest, because under load even coarse counts flicker.
+    For a load cell these are the samples that are not at rest, because under load even coarse counts flicker.
     """
     if kind is not LoadCell:
         return can_be_stuck(kind, table.view(np.recarray))
@@ -244,9 +248,10 @@ def _smallest_step(counts: Any) -> float:
 
 
 def _constant_intervals(kind: type, table: Any) -> Iterator[tuple[float, float]]:
-    """Yield begin and end [s] of each interval in which all compared columns of a table repeat their values too long.
+    """Yield begin and end [s] of each interval in which all compared values of a sensor stay the same for too long.
 
-    The smallest number of samples and the shortest duration come from STUCK_IN_LOG. NaN equals NaN.
+    The compared columns, the smallest number of samples and the shortest duration come from the table STUCK_IN_LOG in
+    daq/sensor_limits.py. NaN equals NaN.
     """
     columns, samples, seconds = STUCK_IN_LOG[kind]
     same = np.ones(max(len(table) - 1, 0), dtype=bool)
@@ -263,7 +268,11 @@ def _constant_intervals(kind: type, table: Any) -> Iterator[tuple[float, float]]
 
 
 def _check_ahrs(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
-    """Yield the findings on noise, specific force and mounting of an AHRS. `rig` is not used."""
+    """Check noise, specific force and mounting of an AHRS in a log, and yield the findings. `rig` is not used.
+
+    Faults are white noise above 2 deg in yaw or 0.05 rad/s in yaw rate. Warnings are a median specific force that
+    differs from 9.81 m/s2 by more than 15 %, and a median roll or pitch above 20 deg.
+    """
     is_quiet, noises = True, dict[str, float]()
     for column, (limit, unit) in NOISE.items():
         noise = noises[column] = white_noise_sd(_finite_values(table, column))
@@ -312,7 +321,7 @@ def _check_ahrs(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
 
 
 def _finite_values(table: Any, column: str) -> FloatArray:
-    """Return the finite values of a column, in order. Values of the column `yaw` are unwrapped [rad]."""
+    """Return the finite values of a column of a table, in order. Values of the column `yaw` are unwrapped [rad]."""
     values: FloatArray = table[column][np.isfinite(table[column])]
     return np.unwrap(values) if column == "yaw" else values
 
@@ -337,7 +346,10 @@ def white_noise_sd(values: FloatArray) -> float:
 
 
 def _check_gnss(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
-    """Yield the findings on the fixes and satellites of a GNSS receiver. `rig` is not used."""
+    """Check the fixes and satellites of a GNSS receiver in a log, and yield the findings. `rig` is not used.
+
+    Findings are positions at 0 N 0 E, more than 5 % of the samples without a position, and a median below 6 satellites.
+    """
     at_zero = (table["fix"] >= 2) & (table["lat"] == 0.0) & (table["lon"] == 0.0)
     if at_zero.any():
         first = float(table["t"][int(np.argmax(at_zero))] - table["t"][0])
@@ -368,15 +380,16 @@ def _check_gnss(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
             "few-satellites",
             "fix",
             name,
-            f"{np.median(used):.0f} satellites",
+            f"{np.median(used):.0f} satellites in the median, expected at least {FEW_SATELLITES}",
             "check the antenna, its cable, and its view of the sky",
         )
 
 
 def _check_esc_voltage(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
-    """Yield the finding on the voltage of a speed controller: the median of its last 20 values against the rig's limit.
+    """Compare the voltage of a speed controller in a log with the limit of the rig, and yield the finding.
 
-    There is no finding if the rig has no limit or the controller reports no voltage.
+    The voltage is the median of its last 20 values. There is no finding if the rig has no limit or the controller
+    reports no voltage.
     """
     lowest = None if rig is None else rig.limits.voltage_min_v
     volts = table["voltage"][np.isfinite(table["voltage"])]
@@ -385,7 +398,10 @@ def _check_esc_voltage(name: str, table: Any, rig: Rig | None) -> Iterator[Findi
 
 
 def _voltage_finding(name: str, volts: float, lowest: float) -> Finding:
-    """Return the finding on a voltage and its lower limit [V]: fault below the limit, warning within 5 % above it."""
+    """Compare a voltage with its lower limit [V] and return the finding.
+
+    It is a fault below the limit, and a warning within 5 % above it.
+    """
     if volts < lowest:
         return Finding(FAULT, "voltage-low", "battery", name, f"{volts:.1f} V, limit {lowest:g}", "charge the battery")
     near = volts < 1.05 * lowest
@@ -396,7 +412,7 @@ def _voltage_finding(name: str, volts: float, lowest: float) -> Finding:
 
 
 def _check_load_cell(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
-    """Yield a finding if too many readings of a load cell are flagged as saturated or as spikes. `rig` is not used."""
+    """Yield a warning if too many samples of a load cell are flagged as saturated or as spikes. `rig` is not used."""
     bad = float(np.mean(table["flags"] != 0))
     if bad > FLAGGED_SHARE:
         text = f"{100 * bad:.0f} % of the readings are saturated or spikes"
@@ -411,7 +427,10 @@ def _check_load_cell(name: str, table: Any, rig: Rig | None) -> Iterator[Finding
 
 
 def _check_battery(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
-    """Yield the finding on the last reported charge of a battery against the rig's limit; none if either is missing."""
+    """Compare the last reported charge of a battery with the limit of the rig, and yield the finding.
+
+    There is no finding if the charge or the limit is missing.
+    """
     left, least = table["remaining"][-1], None if rig is None else rig.limits.battery_min
     if least is not None and np.isfinite(left):
         low = left < least
@@ -429,12 +448,12 @@ _VALUE_CHECKS = {
 
 
 def _no_findings(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
-    """Return no finding, for kinds of samples whose values are not checked."""
+    """Return no finding. This is the check of kinds of samples whose values are not checked."""
     return iter(())
 
 
 def _check_port_counters(source: str, log: Log) -> Iterator[Finding]:
-    """Yield the findings on the last counters of a device's port in the log.
+    """Check the last counters of a device's port in the log, and yield the findings.
 
     The counters are those of checksum errors, unparsed bytes, dropped samples and lost ports. A log without counters of
     the port has no finding.
@@ -471,9 +490,9 @@ def _check_port_counters(source: str, log: Log) -> Iterator[Finding]:
 
 
 def _check_shaft_speeds(log: Log) -> Iterator[Finding]:
-    """Yield a finding for each controller whose shaft speed stays equal for more than 2 s while its command changes.
+    """Yield a fault for each speed controller whose shaft speed stays equal while its command changes.
 
-    Controllers without commands in the log, and a speed of zero, are not checked.
+    It must stay equal for more than 2 s. Controllers without commands in the log, and a speed of zero, are not checked.
     """
     for source in log.sources(Esc):
         for node in log.nodes(Esc, source):
@@ -505,7 +524,7 @@ def _check_shaft_speeds(log: Log) -> Iterator[Finding]:
 
 
 def _check_imported_signals(log: Log) -> Iterator[Finding]:
-    """Yield the findings on imported signals.
+    """Check the imported signals of a log, and yield the findings.
 
     They are about rows left out, missing inputs, damaged time stamps and outputs with constant values.
     """
@@ -522,7 +541,7 @@ def _check_imported_signals(log: Log) -> Iterator[Finding]:
         yield from (f for f in here if f.check != "gap" or log.role(source) == "output")
         yield from check_lost_zeros(source, table["t"])
         if len(table) > 20 and log.role(source) == "output" and np.nanstd(table["value"]) == 0.0:
-            text = f"{table['value'][0]:g} all the time"
+            text = f"its value is {table['value'][0]:g} in all samples"
             yield Finding(
                 WARNING,
                 "signal-constant",
@@ -534,7 +553,10 @@ def _check_imported_signals(log: Log) -> Iterator[Finding]:
 
 
 def check_timestamps(name: str, table: Any, end: float | None, speed: float = 1.0) -> Iterator[Finding]:
-    """Yield the findings on the times of one table.
+    """Check the times of the samples of one device or signal, and yield the findings.
+
+    They are about times that do not increase, samples that arrive in bunches, gaps, an early end, and the device's
+    clock.
 
     Parameters
     ----------
@@ -583,7 +605,9 @@ def check_timestamps(name: str, table: Any, end: float | None, speed: float = 1.
 
 
 def _check_gaps(name: str, t: FloatArray, pauses: FloatArray, speed: float, imported: bool) -> Iterator[Finding]:
-    """Yield a finding if there are pauses between samples that are too long, so that sections of the data are missing.
+    """Yield a warning if pauses between samples are so long that sections of the data are missing.
+
+    A pause is too long above 1 s, 10 median sample periods and 0.2 s of wall time.
 
     Parameters
     ----------
@@ -616,7 +640,7 @@ def _check_gaps(name: str, t: FloatArray, pauses: FloatArray, speed: float, impo
 
 
 def _check_clock(name: str, table: Any, speed: float) -> Iterator[Finding]:
-    """Yield the findings on the clock of a device: jumps, delays and drift against the clock of the computer.
+    """Check a device's clock for jumps, delays and drift against the computer's clock, and yield the findings.
 
     `table` has the columns t_rx and t_device [s]. With fewer than 50 times of the device nothing is checked. `speed` is
     the number of run seconds per wall second.
@@ -681,10 +705,10 @@ def _check_clock(name: str, table: Any, speed: float) -> Iterator[Finding]:
 
 
 def _earliest_arrivals(received: FloatArray, offset: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return receive time and clock offset [s] of the sample with the smallest offset in each block of samples.
+    """Return receive time and clock offset [s] of the sample with the smallest offset in each block of time.
 
-    A block lasts BLOCK_S, or BLOCK_SAMPLES median sample periods if that is longer. Blocks with fewer than three
-    samples are left out. `received` (n,) are receive times, and `offset` (n,) is receive time minus device time [s].
+    A block lasts 2 s, or 5 median sample periods if that is longer. Blocks with fewer than three samples are left out.
+    `received` (n,) are receive times, and `offset` (n,) is receive time minus device time [s].
     """
     long = max(BLOCK_S, BLOCK_SAMPLES * float(np.median(np.diff(received))))
     block = ((received - received[0]) / long).astype(int)
@@ -695,9 +719,9 @@ def _earliest_arrivals(received: FloatArray, offset: FloatArray) -> tuple[FloatA
 
 
 def check_lost_zeros(name: str, t: FloatArray) -> Iterator[Finding]:
-    """Yield a finding if the fractions of time stamps were written without leading zeros.
+    """Yield a fault if a logger wrote the fractions of time stamps without leading zeros (12.5 for 12.005).
 
-    No such time stamp lies in the first tenth of its second. Fewer than LEAST time stamps are not checked.
+    No such time stamp lies in the first tenth of its second. Fewer than 200 time stamps are not checked.
 
     Parameters
     ----------

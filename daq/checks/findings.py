@@ -40,19 +40,19 @@ class Finding(NamedTuple):
 
 
 def worst_first(findings: Iterable[Finding]) -> list[Finding]:
-    """Return faults first, then warnings, then the rest. The order within each level stays."""
+    """Sort the findings of a check: faults first, then warnings, then the rest. The order within each level stays."""
     order = (FAULT, WARNING, OK)
     return sorted(findings, key=lambda f: order.index(f.level))
 
 
 def findings_lines(findings: Sequence[Finding]) -> list[str]:
-    """Return one line for each finding: level, place, check, text and advice, in columns."""
+    """Return each finding of a check as one line: level, place, check, text and advice, in columns."""
     rows = zip(_line_beginnings(findings), findings, strict=True)
     return [f"{head}{f.text}{f': {f.advice}' if f.advice else ''}" for head, f in rows]
 
 
 def findings_paragraphs(findings: Sequence[Finding], width: int) -> list[str]:
-    """Return the findings as lines for a terminal.
+    """Return the findings of a check as wrapped lines for a terminal.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ def findings_paragraphs(findings: Sequence[Finding], width: int) -> list[str]:
 
 
 def _line_beginnings(findings: Sequence[Finding]) -> list[str]:
-    """Return the beginning of the line of each finding: level, place and check, padded to one length."""
+    """Return the beginning of each finding's line: level, place and check, padded to one length."""
     where_width = max((len(f.where) for f in findings), default=0)
     check_width = max((len(f.check) for f in findings), default=0)
     return [f"{f.level:<{LEVEL}} {f.where:<{where_width}}  {f.check:<{check_width}}  " for f in findings]

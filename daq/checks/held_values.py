@@ -41,7 +41,7 @@ TOGETHER = (("x", "y"), ("vx", "vy"), ("u", "v"), ("ax", "ay"), ("speed_x", "spe
 
 
 class HeldValues(NamedTuple):
-    """Rows of a table that have a measurement of a slow sensor; all other rows repeat its last value.
+    """Result for a slow sensor in a faster table: the rows with a measurement; all other rows repeat the last value.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class HeldValues(NamedTuple):
 
 
 def held_values(columns: Sequence[FloatArray]) -> HeldValues | None:
-    """Decide from the values of one sensor whether they are held, and find the rows that have a measurement.
+    """Decide whether a table repeats each measurement of a slow sensor in several rows, by the values of the sensor.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def held_values(columns: Sequence[FloatArray]) -> HeldValues | None:
 
 
 def held_signals(t: FloatArray, signals: Mapping[str, FloatArray]) -> dict[str, HeldValues]:
-    """Find the held signals of one table.
+    """Find the signals of a table that are held: the table repeats each measurement in several rows.
 
     Parameters
     ----------
@@ -130,6 +130,8 @@ def held_signals(t: FloatArray, signals: Mapping[str, FloatArray]) -> dict[str, 
 def is_measured(levels: FloatArray, interval: float) -> bool:
     """Return whether a held input comes from a sensor or a joystick, and is not a sequence of commanded steps.
 
+    It has at least 50 values, most of them different, and at most 1.05 s between two of them.
+
     Parameters
     ----------
     levels
@@ -143,7 +145,7 @@ def is_measured(levels: FloatArray, interval: float) -> bool:
 
 
 def group_held_signals(found: Mapping[str, HeldValues]) -> list[tuple[str, HeldValues]]:
-    """Join the names of held signals with equal numbers of measurements, which mostly come from one sensor.
+    """Group the held signals with equal numbers of measurements, which mostly come from one sensor.
 
     Parameters
     ----------
@@ -153,7 +155,7 @@ def group_held_signals(found: Mapping[str, HeldValues]) -> list[tuple[str, HeldV
     Returns
     -------
     list
-        Joined names, and the held values of the first of them.
+        For each group the names, joined by commas, and the result for the first of them.
     """
     groups: dict[int, list[str]] = {}
     for name, held in found.items():
@@ -162,16 +164,20 @@ def group_held_signals(found: Mapping[str, HeldValues]) -> list[tuple[str, HeldV
 
 
 def _mean_rows_between_changes(changed: Mask) -> float:
-    """Return the mean number of rows from one change to the next.
+    """Return the mean number of rows from one change of a signal to the next.
 
-    `changed` (n,) is true in rows of change. Distances of more than three times the median are left out.
+    `changed` (n,) is true in rows in which the signal changes. Distances of more than three times the median are left
+    out.
     """
     lengths = np.diff(np.flatnonzero(changed))
     return float(np.mean(lengths[lengths <= 3.0 * np.median(lengths)]))
 
 
 def _rows_of_change(columns: Sequence[FloatArray]) -> Mask:
-    """Return a mask (n,) of rows in which a column differs from the previous row. The first row is included."""
+    """Return a mask (n,) of rows in which any of the columns (n,) differs from the previous row.
+
+    The first row is included.
+    """
     new = np.zeros(len(columns[0]), bool)
     new[:1] = True
     for column in columns:
@@ -180,10 +186,10 @@ def _rows_of_change(columns: Sequence[FloatArray]) -> Mask:
 
 
 def _share_of_single_steps(columns: Sequence[FloatArray], rows: npt.NDArray[np.intp]) -> float:
-    """Return the share, 0 to 1, of the changes that are at most one step of the resolution in every column.
+    """Return the share (0 to 1) of the changes of a sensor's values that are at most one step of its resolution.
 
-    `columns` are the values (n,) of each signal, and `rows` are the rows of change. The resolution of a column is its
-    smallest change.
+    `columns` are the values (n,) of each signal of the sensor, all of which must change so little, and `rows` are the
+    rows of change. The resolution of a column is its smallest change.
     """
     small = np.ones(rows.size, bool)
     for column in columns:
@@ -195,10 +201,10 @@ def _share_of_single_steps(columns: Sequence[FloatArray], rows: npt.NDArray[np.i
 
 
 def _rows_of_measurement(changed: Mask, period: float) -> Mask:
-    """Return a mask (n,) of rows with a measurement.
+    """Return a mask (n,) of the rows with a measurement of a slow sensor, from the rows in which its value changes.
 
-    These are the rows of changes. In a run that is much longer than a period [rows], a row in each period is added,
-    because the sensor has measured the same value again, as for a boat at rest.
+    These are the rows of changes. In a run of equal values that is much longer than a period [rows], a row in each
+    period is added, because the sensor has measured the same value again, as for a boat at rest.
     """
     new = changed.copy()
     first = np.append(np.flatnonzero(changed), changed.size)
@@ -210,6 +216,6 @@ def _rows_of_measurement(changed: Mask, period: float) -> Mask:
 def _change_together(a: Mask, b: Mask) -> bool:
     """Return whether two signals change in mostly the same rows, so that they come from one sensor.
 
-    `a` and `b` are masks (n,) of the rows of change. At least SAME_ROWS of all rows of change must be common.
+    `a` and `b` are masks (n,) of the rows of change. At least 80 % of all rows of change must be common.
     """
     return float(np.sum(a & b)) >= SAME_ROWS * float(np.sum(a | b))

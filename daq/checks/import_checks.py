@@ -17,7 +17,9 @@ SHORTEST_GAP_S = 0.5  # s without a value of an input; in a shorter gap the last
 
 
 def check_rows_left_out(metadata: Mapping[str, str]) -> Iterator[Finding]:
-    """Yield the findings on rows that an import left out because of their times.
+    """Yield a finding for each group of rows that an import left out because of their times.
+
+    It is a fault if these are 5 rows or more, and more than 5 % of the source.
 
     Parameters
     ----------
@@ -43,7 +45,7 @@ def check_rows_left_out(metadata: Mapping[str, str]) -> Iterator[Finding]:
 
 
 def check_missing_inputs(log: Log) -> Iterator[Finding]:
-    """Yield a finding for each imported input of a log that is NaN for longer than `SHORTEST_GAP_S`."""
+    """Yield a warning for each imported input of a log that is unknown (NaN) for longer than 0.5 s."""
     for source in log.sources(Scalar):
         if log.role(source) != "input":
             continue
@@ -59,7 +61,7 @@ def check_missing_inputs(log: Log) -> Iterator[Finding]:
 
 
 def unknown_times(t: npt.NDArray[np.float64], values: npt.NDArray[np.float64]) -> list[tuple[float, float]]:
-    """Find when a signal is unknown.
+    """Find the intervals of time in which a signal is unknown.
 
     Parameters
     ----------

@@ -17,7 +17,7 @@ FEWEST = 10  # smallest number of samples of the fastest controller from which r
 
 
 def _check_rpm_max(log: Log, rig: Rig) -> Iterator[Finding]:
-    """Yield a finding for each thruster whose speed cannot be normalised, because the rig lacks its rpm_max.
+    """Yield a warning for each thruster whose measured speed cannot be normalised, because the rig lacks its rpm_max.
 
     Only thrusters with a shaft speed above zero in the log count.
     """
@@ -31,8 +31,8 @@ def _check_rpm_max(log: Log, rig: Rig) -> Iterator[Finding]:
             yield Finding(WARNING, "rpm-max-missing", "thrusters", thruster.name, text, advice)
 
 
-def _numbering_advice(rig: Rig, device: str, nodes: set[int], heard: set[int]) -> str:
-    """Return the advice on wrong numbers (nodes) of the speed controllers of a bus.
+def _numbering_advice(rig: Rig, device: str, nodes: set[int], logged: set[int]) -> str:
+    """Return the advice for the user if the log has other numbers (nodes) of speed controllers than the rig.
 
     Parameters
     ----------
@@ -42,13 +42,13 @@ def _numbering_advice(rig: Rig, device: str, nodes: set[int], heard: set[int]) -
         Name of the bus.
     nodes : set of int
         Numbers of the controllers in the rig.
-    heard : set of int
-        Numbers of the controllers that are in the log. If they differ by one constant on a DroneCAN bus, the advice is
-        that constant.
+    logged : set of int
+        Numbers of the controllers that are in the log. If they differ from those of the rig by one constant on a
+        DroneCAN bus, the advice is that constant.
     """
-    offset = min(heard) - min(nodes)
+    offset = min(logged) - min(nodes)
     of_dronecan = any(d.name == device and d.protocol == "dronecan" for d in rig.devices)
-    if of_dronecan and offset and {node + offset for node in nodes} == heard:
+    if of_dronecan and offset and {node + offset for node in nodes} == logged:
         return f"give the device index_offset = {offset}, if telemetry and commands count from different numbers"
     return "check `node` of the thrusters in the rig"
 
@@ -66,10 +66,10 @@ def check_thruster_coverage(log: Log) -> Iterator[Finding]:
     yield from _check_rpm_max(log, rig)
     for device in log.sources(Esc):
         names = {t.node: t.name for t in rig.thrusters if t.device == device and t.output is None}
-        heard = log.nodes(Esc, device)
-        if not names or not heard:
+        logged = log.nodes(Esc, device)
+        if not names or not logged:
             continue
-        unknown = [node for node in heard if node not in names]
+        unknown = [node for node in logged if node not in names]
         listed = ", ".join(str(node) for node in unknown)
         for node in unknown:
             text = f"node {node} reports a speed, and no thruster of the rig has it"
@@ -77,13 +77,13 @@ def check_thruster_coverage(log: Log) -> Iterator[Finding]:
             yield Finding(WARNING, "node-unknown", "thrusters", device, text, advice)
         for node, name in names.items():
             # A silent node that was commanded is reported by another check (seatrial.ident.checks.log_checks).
-            if node not in heard and node not in log.nodes(Command, device):
+            if node not in logged and node not in log.nodes(Command, device):
                 text = f"its controller, node {node} of {device}, is not in the log"
                 advice = "check its power and cable"
                 if unknown:
-                    advice += f"; node {listed} is unknown: {_numbering_advice(rig, device, set(names), set(heard))}"
+                    advice += f"; node {listed} is unknown: {_numbering_advice(rig, device, set(names), set(logged))}"
                 yield Finding(FAULT, "thruster-not-heard", "thrusters", name, text, advice)
-        counts = {node: len(log.table(Esc, device, node)) for node in names if node in heard}
+        counts = {node: len(log.table(Esc, device, node)) for node in names if node in logged}
         most_samples = max(counts.values(), default=0)
         for node, n in counts.items():
             if most_samples < FEWEST:
@@ -93,7 +93,7 @@ def check_thruster_coverage(log: Log) -> Iterator[Finding]:
             steps = steps[steps < LONGEST_PAUSE_S]
             rate = steps.size / float(steps.sum()) if steps.sum() > 0.0 else 0.0
             if n < SLOW * most_samples:
-                text = f"{n} speeds ({rate:.3g} Hz); another controller on {device} has {most_samples}"
+                text = f"{n} shaft speeds ({rate:.3g} Hz); another controller on {device} has {most_samples}"
                 advice = "check the load of the bus, and cable and power of the controller"
                 yield Finding(WARNING, "thruster-rate-low", "thrusters", names[node], text, advice)
             else:

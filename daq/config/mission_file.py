@@ -44,7 +44,10 @@ class Segment:
     n: FloatArray
 
     def __eq__(self, other: object) -> bool:
-        """Return whether names and numbers are equal. The default of dataclasses raises an error for arrays."""
+        """Return whether the other object is a segment with the same name, times and commands.
+
+        The default of dataclasses raises an error for arrays.
+        """
         return (
             isinstance(other, Segment)
             and self.name == other.name
@@ -53,7 +56,7 @@ class Segment:
         )
 
     def __hash__(self) -> int:
-        """Return a hash of the name and of the bytes of both arrays."""
+        """Return a hash of a segment, from its name and the bytes of its times and commands."""
         return hash((self.name, self.t.tobytes(), self.n.tobytes()))
 
 
@@ -88,11 +91,11 @@ class Prediction:
         return isinstance(other, Prediction) and self._content() == other._content()
 
     def __hash__(self) -> int:
-        """Return a hash of the model's name and of the positions `x` and `y`."""
+        """Return a hash of a predicted track, from the name of its model and its positions `x` and `y`."""
         return hash((self.model, self.x.tobytes(), self.y.tobytes()))
 
     def _content(self) -> tuple[object, ...]:
-        """Return all fields as lists and dictionaries, which `==` can compare."""
+        """Return all fields of a predicted track as lists and dictionaries, which `==` can compare."""
         arrays = (self.t.tolist(), self.x.tolist(), self.y.tolist(), self.radius.tolist())
         return (self.model, *arrays, dict(self.errors_before))
 
@@ -171,10 +174,10 @@ class Mission:
 
 
 def _limit_slew(t: FloatArray, n: FloatArray, end: float, slew: float) -> tuple[FloatArray, FloatArray]:
-    """Return times and commands in which each step is replaced by a ramp of at most `slew` [1/s].
+    """Return times and commands of a mission in which each step is replaced by a ramp of at most `slew` [1/s].
 
-    The first ramp starts from zero. The rows of a ramp are RAMP_DT apart. A ramp ends when it reaches its command, or
-    unfinished at the time of the next row.
+    The first ramp starts from zero. The rows of a ramp are 40 ms apart (RAMP_DT). A ramp ends when it reaches its
+    command, or unfinished at the time of the next row.
 
     Parameters
     ----------
@@ -331,8 +334,8 @@ def _check_order_and_size(mission: Mission, root: TomlTable) -> None:
     """Raise SeatrialError if the segments of a mission do not follow each other, or if a value is beyond its limit.
 
     The checks are: there is at least one segment, the times ascend from 0 s to the end of the mission, no command
-    exceeds `n_max`, and ramps by the slew limit have at most MAX_RAMP_ROWS rows. `root` is the root table of the file;
-    error messages name the file and the key by it.
+    exceeds `n_max`, and the ramps of the slew limit have at most 1,000,000 rows (MAX_RAMP_ROWS). `root` is the root
+    table of the file; error messages name the file and the key by it.
     """
     if not mission.segments:
         raise root.error("segment", "missing; a mission needs at least one [[segment]]")

@@ -117,7 +117,7 @@ def default_decoder(protocol: str) -> Decoder:
 
 
 def _read_clock_speed(root: TomlTable) -> float:
-    """Return `speed` of the table [clock], in run seconds per wall second; 1 if the rig has no such table."""
+    """Return `speed` of the table [clock] of a rig file, in run seconds per wall second; 1 without the table."""
     clock = root.table("clock")
     if clock is None:
         return 1.0
@@ -127,10 +127,10 @@ def _read_clock_speed(root: TomlTable) -> float:
 
 
 def _read_log(root: TomlTable) -> tuple[str, Segments]:
-    """Read the table [log]. Return the folder of the logs as written, and the rules by which a log is split into files.
+    """Read the table [log] of a rig file: the folder of the logs, and the rules by which a log is split into files.
 
-    Without the table they are "logs" and the default rules. `keep_gb` must fit LEAST_SEGMENTS files; otherwise
-    SeatrialError is raised.
+    Without the table the folder is "logs" and the rules are the defaults. The folder is returned as written. If the
+    disk space `keep_gb` is smaller than 3 files of a log (LEAST_SEGMENTS), SeatrialError is raised.
     """
     log = root.table("log")
     if log is None:
@@ -203,7 +203,10 @@ def _check_ports_differ(root: TomlTable, devices: Sequence[Device]) -> None:
 
 
 def _check_unique(root: TomlTable, key: str, names: Sequence[str]) -> None:
-    """Raise SeatrialError for the first name that appears twice. The message names `key`, such as "thruster"."""
+    """Raise SeatrialError for the first name that appears twice in a rig file.
+
+    `names` are the names of all devices or thrusters. The message contains `key`, "device" or "thruster".
+    """
     for name in names:
         if names.count(name) > 1:
             raise root.error(key, f"'{name}' appears twice; give each {key} its own")
@@ -328,7 +331,10 @@ def _read_own_node(table: TomlTable, folder: Path) -> dict[str, Any]:
 
 
 def _read_index_offset(table: TomlTable, folder: Path) -> dict[str, Any]:
-    """Read `index_offset`, the number of a controller in its telemetry minus its number in commands, -19 to 19."""
+    """Read `index_offset` of a DroneCAN bus: the number of a controller in its telemetry minus that in its commands.
+
+    It is a whole number, -19 to 19.
+    """
     return {"index_offset": table.integer("index_offset", 0, low=-19, high=19)}
 
 

@@ -79,6 +79,10 @@ class TomlTable:
     """
 
     def __init__(self, values: Mapping[str, object], source: str, where: str = "") -> None:
+        """Wrap the values of a table, of which no key counts as read.
+
+        `source` is the path of the file and `where` the name of the table in it, both for error messages.
+        """
         self.values: dict[str, Any] = dict(values)
         self.source = source
         self.where = where
@@ -93,10 +97,10 @@ class TomlTable:
         return f"{self.where}.{key}" if self.where else key
 
     def _read_value(self, key: str, default: object) -> object:
-        """Note that a key was read, and return its value, or `default` if the table lacks the key.
+        """Return the value of a key, or `default` if the table lacks the key, and note that the key was read.
 
-        If the key is missing and `default` is _MISSING, SeatrialError is raised. The message suggests an unread key
-        with a similar name.
+        If the key is missing and there is no default (_MISSING), SeatrialError is raised. The message suggests an
+        unread key with a similar name.
         """
         self._taken.append(key)
         if key in self.values:
@@ -115,11 +119,11 @@ class TomlTable:
         return f"; is {near[0]!r} a typing error?" if near else ""
 
     def has(self, key: str) -> bool:
-        """Return whether the table contains the key. The key does not count as read."""
+        """Return whether the table contains the key. The key does not count as read by this."""
         return key in self.values
 
     def text(self, key: str, default: object = _MISSING, choices: Collection[str] = ()) -> str:
-        """Return a string, or `default` if the key is missing.
+        """Return the string of a key, or `default` if the key is missing.
 
         The string must be one of `choices`, unless this is empty.
         """
@@ -132,9 +136,9 @@ class TomlTable:
         return value
 
     def line(self, key: str, default: object = _MISSING) -> str:
-        """Return a string that has only printable characters, so that it can be shown in a terminal.
+        """Return the string of a key, or `default` if the key is missing. All its characters must be printable.
 
-        A terminal executes control characters, and the file may be from an unknown person.
+        A terminal would execute control characters, and the file may be from an unknown person.
         """
         value = self.text(key, default)
         if not value.isprintable():
@@ -149,7 +153,10 @@ class TomlTable:
         return value
 
     def integer(self, key: str, default: object = _MISSING, low: int | None = None, high: int | None = None) -> int:
-        """Return a whole number within [low, high]. A bound that is None does not apply; 1.0 is no whole number."""
+        """Return the whole number of a key within [low, high], or `default` if the key is missing.
+
+        A bound that is None does not apply. 1.0 is no whole number.
+        """
         value = self._read_value(key, default)
         if isinstance(value, bool) or not isinstance(value, int):
             raise self.error(key, f"must be a whole number, not {_describe_value(value)}")
@@ -164,9 +171,10 @@ class TomlTable:
         high: float | None = None,
         positive: bool = False,
     ) -> float:
-        """Return a finite number within [low, high], and above zero if `positive` is true.
+        """Return the finite number of a key, or `default` if the key is missing.
 
-        A bound that is None does not apply. True and false are no numbers.
+        It must be within [low, high], and above zero if `positive` is true. A bound that is None does not apply. True
+        and false are no numbers.
         """
         value = self._read_value(key, default)
         number = self._to_finite(key, value)
@@ -176,7 +184,7 @@ class TomlTable:
         return number
 
     def scalar(self, key: str, default: object = _MISSING) -> str | float | bool:
-        """Return a text, a finite number or a boolean, or `default` if the key is missing.
+        """Return the text, finite number or boolean of a key, or `default` if the key is missing.
 
         Lists, tables and dates are errors.
         """
@@ -186,11 +194,17 @@ class TomlTable:
         return self._to_finite(key, value)
 
     def maybe_number(self, key: str, low: float | None = None, high: float | None = None) -> float | None:
-        """Return a finite number within [low, high], or None if the key is absent."""
+        """Return the finite number of a key within [low, high], or None if the key is missing.
+
+        A bound that is None does not apply.
+        """
         return self.number(key, low=low, high=high) if key in self.values else None
 
     def numbers(self, key: str, default: object = _MISSING, length: int | None = None) -> tuple[float, ...]:
-        """Return a list of finite numbers. It must have `length` items if a length is given."""
+        """Return the list of finite numbers of a key, or `default` if the key is missing.
+
+        The list must have `length` items, unless this is None.
+        """
         value = self._read_value(key, default)
         if not isinstance(value, (list, tuple)):
             raise self.error(key, f"must be a list of numbers, not {_describe_value(value)}")
@@ -212,14 +226,14 @@ class TomlTable:
         return {key: self.number(key) for key in self.values}
 
     def texts(self, key: str, default: object = _MISSING) -> tuple[str, ...]:
-        """Return a list of strings, which may be empty."""
+        """Return the list of strings of a key, or `default` if the key is missing. The list may be empty."""
         value = self._read_value(key, default)
         if not isinstance(value, (list, tuple)) or not all(isinstance(item, str) for item in value):
             raise self.error(key, "must be a list of texts in quotes")
         return tuple(value)
 
     def table(self, key: str) -> TomlTable | None:
-        """Return a sub-table, or None if it is absent."""
+        """Return the sub-table of a key, or None if the key is missing."""
         value = self._read_value(key, None)
         if value is None:
             return None
@@ -228,7 +242,7 @@ class TomlTable:
         return TomlTable(value, self.source, self._full_key(key))
 
     def tables(self, key: str) -> list[TomlTable]:
-        """Return the tables of a `[[key]]` list in order, or an empty list if it is absent."""
+        """Return the tables of a `[[key]]` list in their order; an empty list if the key is missing."""
         value = self._read_value(key, [])
         if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
             raise self.error(key, f"must be a list of tables, [[{self._full_key(key)}]]")
@@ -263,7 +277,7 @@ class TomlTable:
 def _describe_value(value: object) -> str:
     """Return a description of a wrong value for an error message: a number itself, else the kind, such as "a list".
 
-    Numbers beyond HUGE are not printed, because they may have thousands of digits.
+    Numbers beyond 1e15 (HUGE) are described and not printed, because they may have thousands of digits.
     """
     if isinstance(value, bool):
         return str(value).lower()

@@ -20,7 +20,19 @@ DISARMED = ", and it has disarmed"  # confirmation of a zero command by an autop
 
 
 class LinkRole(enum.StrEnum):
-    """Role of this program on a link to a device."""
+    """Role of this program on a link to an autopilot, which determines what it sends.
+
+    Attributes
+    ----------
+    LISTEN
+        Nothing is sent.
+    ASK
+        Requests of message rates and parameters are sent, but no heartbeat and no command.
+    DRIVE
+        The program is the ground station: it sends heartbeats, requests and commands.
+    RESCUE
+        The watchdog sends only zero commands, in place of the process that drove.
+    """
 
     # Nothing is sent. Even a heartbeat would have an effect: an autopilot takes it for that of its ground station.
     LISTEN = "listen"
@@ -90,21 +102,22 @@ class LinkStatus:
 
 
 class DeviceDriver(ABC):
-    """Encoder of all bytes that one port sends.
+    """Interface of the drivers. A driver encodes all bytes that one port sends to its device; it does not write them.
 
-    `now` is wall time [s] with any origin. All methods except `request` are called in the thread of the port.
+    Set-points are commands to thrusters, -1..1. `now` is wall time [s] with any origin. All methods except `request`
+    are called in the thread of the port.
     """
 
     @abstractmethod
     def command(self, dues: Sequence[Due], held: Mapping[int, float], now: float) -> list[tuple[bytes, list[Due]]]:
-        """Encode set-points.
+        """Encode set-points as the messages of the device.
 
         Parameters
         ----------
         dues
             Set-points to send now.
         held
-            Present command, -1..1, of each node of the link.
+            Present command, -1..1, of each node (controller or servo output) of the port.
         now
             Wall time [s].
 
@@ -115,52 +128,64 @@ class DeviceDriver(ABC):
         """
 
     def opened(self, now: float) -> None:
-        """Reset the state of the link, because the port was opened for the first time or again.
+        """Reset the driver's state of the link, because the port was opened for the first time or again.
 
-        The default does nothing.
+        The default does nothing. `now` is wall time [s].
         """
         return
 
     def poll(self, now: float) -> bytes:
-        """Return the bytes to send now, except set-points. The default returns none."""
+        """Return the bytes that the port must send at wall time `now` [s], without set-points: requests and heartbeats.
+
+        The default returns no bytes.
+        """
         return b""
 
     def wait(self, now: float) -> float:
-        """Return the wall time [s] until `poll` may return bytes. The default is infinite."""
+        """Return the wall time [s] from `now` until `poll` may have bytes to send. The default is infinite."""
         return math.inf
 
     def request(self, action: str, value: float) -> None:
-        """Take a request of the operator. This method is called from another thread.
+        """Store a request of the operator to the device, which `poll` sends. The default ignores it.
+
+        This method is called from another thread than the other methods.
 
         Parameters
         ----------
         action
-            "arm", "disarm", "mode" or "mute". After "mute" only zero is sent for a time.
+            "arm" or "disarm" the motors, change the "mode", or "mute": send only zero commands for a time.
         value
             Number of the mode, or time of the muting [s].
         """
         return
 
     def shutdown_bytes(self, now: float) -> bytes:
-        """Return the last bytes, which are sent after the last zero and before the port is closed.
+        """Return the last bytes that the port sends to the device: after the last zero command and before it is closed.
 
-        The default returns none.
+        The default returns no bytes.
         """
         return b""
 
     def zero(self, now: float) -> list[tuple[bytes, list[Due]]]:
-        """Encode zero for all thrusters of the link, independent of the commands before, for an emergency stop.
+        """Encode the command zero for all thrusters of the port, for an emergency stop by the watchdog.
 
-        The result is that of `command`; the lists of set-points are empty. The default returns no message.
+        The result does not depend on earlier commands. It is a list of messages, as from `command`, each with an empty
+        list of set-points. The default returns no message.
         """
         return []
 
     def events(self) -> list[Event]:
-        """Return the events since the last call, for the log, and forget them. The default returns none."""
+        """Return the events of the device since the last call, for the log, and forget them.
+
+        The default returns none.
+        """
         return []
 
     def link_at(self, now: float) -> LinkStatus | None:
-        """Return the state of the autopilot at the other end, or None if the device reports no state."""
+        """Return the state of the autopilot at the other end of the link, at wall time `now` [s].
+
+        Return None if the device is no autopilot, which is the default.
+        """
         return None
 
     @property
@@ -170,11 +195,14 @@ class DeviceDriver(ABC):
 
     @property
     def confirmation(self) -> str:
-        """End of a sentence with the device's answer to `zero`; empty if the device does not answer."""
+        """Last words of the sentence "zero was sent ...": whether the device has confirmed that it stopped.
+
+        The text is empty if the device does not answer.
+        """
         return ""
 
     def message(self) -> str:
-        """Return the fault of the link in one line, empty if there is none."""
+        """Return the fault of the link to the device in one line, such as a wrong signing key; empty without one."""
         return ""
 
 
@@ -195,6 +223,7 @@ class PollingDriver(DeviceDriver):
     """
 
     def __init__(self, request: bytes, period: float) -> None:
+        """Store the bytes of one request, and the period of the requests [wall s]."""
         self._request, self._period = request, period
         self._due = 0.0  # wall time [s] of the next request
 
@@ -203,7 +232,7 @@ class PollingDriver(DeviceDriver):
         return []
 
     def opened(self, now: float) -> None:
-        """Make the next request due now."""
+        """Make the next request due at wall time `now` [s], because the port was opened."""
         self._due = now
 
     def poll(self, now: float) -> bytes:
@@ -219,5 +248,5 @@ class PollingDriver(DeviceDriver):
         return self._request
 
     def wait(self, now: float) -> float:
-        """Return the wall time [s] until the next request."""
+        """Return the wall time [s] from `now` until the next request is due."""
         return max(self._due - now, 0.0)

@@ -70,7 +70,7 @@ VERSION = 3  # HEARTBEAT.mavlink_version
 
 @dataclass
 class _Command:
-    """COMMAND_LONG that waits for being sent or for its answer.
+    """Command to the autopilot (MAVLink message COMMAND_LONG) in the queue, not yet sent or not yet answered.
 
     Attributes
     ----------
@@ -81,7 +81,7 @@ class _Command:
     label
         "arm", "disarm", "mode", or the name of the message whose rate is requested.
     rate
-        Requested rate of a message [Hz].
+        Requested rate of a message [Hz]; 0 for other commands.
     tries
         How often the command was sent.
     sent
@@ -122,6 +122,10 @@ class MavlinkDriver(DeviceDriver):
         role: LinkRole,
         decoder: MavlinkDecoder,
     ) -> None:
+        """Prepare the link to an autopilot, and set this driver as the listener of the decoder. Nothing is sent.
+
+        The parameters are described in the docstring of the class.
+        """
         assert device.mavlink is not None
         self._role, self._decoder = role, decoder
         decoder.secure(codec)
@@ -143,7 +147,10 @@ class MavlinkDriver(DeviceDriver):
         self.opened(0.0)
 
     def opened(self, now: float) -> None:
-        """Discard the state of the link. All requests are sent again after the first heartbeat."""
+        """Discard the state of the link to the autopilot, because the port was opened or the autopilot has restarted.
+
+        After the next heartbeat of the autopilot, rates and parameters are requested again. `now` is wall time [s].
+        """
         self._beat = self._last_heartbeat = -math.inf  # wall s of our last heartbeat, and of the autopilot's
         self._commands: deque[_Command] = deque()
         self._awaited: dict[str, int] = {}  # missing parameter -> remaining number of requests
@@ -158,7 +165,11 @@ class MavlinkDriver(DeviceDriver):
         self._status = replace(self._status, receiver=None)
 
     def receive(self, message: Any, now: float) -> None:
-        """Process a message of the autopilot, received at wall time `now` [s]. Messages of other types are ignored."""
+        """Update the state of the link from a message of the autopilot, received at wall time `now` [s].
+
+        The messages are attitudes, heartbeats, answers to commands, parameters, texts, and the state of estimator,
+        receiver and clock. Messages of other types are ignored.
+        """
         name = message.get_type()
         if name == "ATTITUDE":
             if message.time_boot_ms < self._boot_ms - REBOOT_MS:
@@ -183,10 +194,10 @@ class MavlinkDriver(DeviceDriver):
             self._receive_timesync(message, now)
 
     def _receive_heartbeat(self, m: Any, now: float) -> None:
-        """Update the state of the autopilot from its heartbeat `m`.
+        """Update mode and arming of the autopilot from its heartbeat `m`, received at wall time `now` [s].
 
-        After the first heartbeat the message rates and the parameters are requested. The rates are requested again if
-        they have fallen for RATE_BEATS heartbeats.
+        After the first heartbeat, the message rates and the parameters are requested. The rates are requested again if
+        fewer than half of the requested attitudes arrived during 3 heartbeats in a row (RATE_PART, RATE_BEATS).
         """
         since, self._last_heartbeat = now - self._last_heartbeat, now
         mode, armed = mode_name(m.custom_mode, m.type, m.autopilot), bool(m.base_mode & ARMED)
@@ -208,14 +219,18 @@ class MavlinkDriver(DeviceDriver):
         self._attitudes = 0
 
     def _ask_rates(self, now: float) -> None:
-        """Put requests of all message rates of the rig into the queue. They are checked again after LATER_S."""
+        """Put a request for the rate of each message that the rig needs into the queue of commands.
+
+        The received rates are not checked for the next 30 s (LATER_S). `now` is wall time [s].
+        """
         self._slow_beats, self._rates_at = 0, now + LATER_S
         self._commands += [_rate_request(name, rate) for name, rate in self._settings.requested(self._rate_hz).items()]
 
     def _receive_timesync(self, m: Any, now: float) -> None:
-        """Measure the shortest round trip from the answer to our TIMESYNC.
+        """Compute the round trip [s] from the autopilot's answer `m` to our TIMESYNC, and keep the shortest one.
 
-        The time stamps of the samples are late by about half of it.
+        The time stamps of the samples are late by about half of it. After 10 answers (TRIPS), the result is logged as
+        an event.
         """
         trip = now - m.ts1 * 1e-9
         if 0.0 < trip < TIMESYNC_S and not trip >= self._status.round_trip:
@@ -228,12 +243,12 @@ class MavlinkDriver(DeviceDriver):
             self._events.append(Event("autopilot", text))
 
     def _receive_answer(self, m: Any) -> None:
-        """Process COMMAND_ACK, the answer of the autopilot to a command.
+        """Process the autopilot's answer to a command (message COMMAND_ACK `m`).
 
-        Answers to other ground stations, and to other commands than the first of the queue, are ignored. A command that
-        was temporarily rejected is sent again, up to TRIES times. Otherwise the command is removed from the queue: the
-        answer to a request of the operator is stored and logged, and a refused message rate is requested at half the
-        rate.
+        Only an answer to the first command of the queue counts, and not the answers to other ground stations. If the
+        command was temporarily rejected, it is sent again, up to 4 times (TRIES). Otherwise it is removed from the
+        queue. The answer to a request of the operator is then stored and logged. A denied message rate is requested
+        again at half the rate.
         """
         if m.target_system not in (0, self._codec.system):
             return  # this is the answer to another ground station
@@ -260,9 +275,10 @@ class MavlinkDriver(DeviceDriver):
             self._store_answer(command.label, word + reasons)
 
     def _handle_refused_rate(self, command: _Command, word: str) -> None:
-        """Log a refused message rate, and put a request of half the rate into the queue if the rate was denied.
+        """Log that the autopilot refused a message rate. If it was denied, request half the rate.
 
-        `word` is the answer, such as "denied". The autopilot keeps its old rate until it accepts one.
+        `command` is the refused request, and `word` is the answer, such as "denied". A rate of 1 Hz or less is not
+        requested again; the autopilot then keeps its old rate.
         """
         line = f"{command.label} at {command.rate:g} Hz: {word}"
         if line not in self._status.refused:
@@ -274,12 +290,18 @@ class MavlinkDriver(DeviceDriver):
             self._commands.appendleft(_rate_request(command.label, command.rate / 2.0))
 
     def _store_answer(self, label: str, word: str) -> None:
-        """Store the answer to a request of the operator, such as "arm: accepted", and log it as an event."""
+        """Store the answer to a request of the operator, and log it as an event.
+
+        `label` is the request and `word` the answer, which together give a text such as "arm: accepted".
+        """
         self._status = replace(self._status, answer=f"{label}: {word}")
         self._events.append(Event("autopilot", self._status.answer))
 
     def _receive_parameter(self, m: Any) -> None:
-        """Store the value of a requested parameter, and log it if it is new or has changed. Others are ignored."""
+        """Store the value of a parameter of the autopilot, and log it if it is new or has changed.
+
+        `m` is the message PARAM_VALUE. A parameter that a run does not need is ignored.
+        """
         if self._awaited.pop(m.param_id, None) is not None or m.param_id in self._names:
             if m.param_id in GROUND_STATION_NAMES:  # each version has only one of both names
                 self._awaited = {name: n for name, n in self._awaited.items() if name not in GROUND_STATION_NAMES}
@@ -294,7 +316,11 @@ class MavlinkDriver(DeviceDriver):
             self._status = replace(self._status, parameters=parameters)
 
     def _receive_text(self, m: Any) -> None:
-        """Store a text as a reason for a refused arming, or as an alarm if it is critical."""
+        """Store a text of the autopilot (message STATUSTEXT `m`) if it is important.
+
+        A text that begins with "PreArm:" or "Arm:" is stored as the reason for a refused arming. Another text of
+        severity critical or above is stored as an alarm, which ends a run. All other texts are ignored here.
+        """
         number, received = self._chunk
         continues = bool(m.id and m.id == number and m.chunk_seq)  # this is a later chunk of a long text
         text = received + printable(m.text) if continues else printable(m.text)
@@ -307,20 +333,23 @@ class MavlinkDriver(DeviceDriver):
             self._status = replace(self._status, alarm=f"{SEVERITIES[m.severity]}: {text}")
 
     def request(self, action: str, value: float) -> None:
-        """Take a request of the operator, from another thread.
+        """Store a request of the operator to the autopilot. Any thread may call this; `poll` sends the request.
 
         Parameters
         ----------
         action
-            "arm" or "disarm"; "mode"; "mute", to send only zero for a time, as if the link was cut; "leave", to disarm
-            the autopilot if this program has armed it.
+            "arm" or "disarm"; "mode"; "mute", to send nothing except zero commands for a time, as if the link was cut;
+            "leave", to disarm the autopilot if this program has armed it.
         value
             Number of the mode, or time of the muting [s].
         """
         self._requests.append((action, value))
 
     def _take_requests(self, now: float) -> None:
-        """Convert the waiting requests of the operator to commands in the queue, or mute from `now` [wall s] on."""
+        """Put the waiting requests of the operator into the queue of commands.
+
+        A request to mute takes effect at wall time `now` [s] and is not queued.
+        """
         while self._requests:
             action, value = self._requests.popleft()
             if action == "leave":
@@ -338,19 +367,19 @@ class MavlinkDriver(DeviceDriver):
                 self._put_first(_Command(ARM, (float(action == "arm"), 0, 0, 0, 0, 0, 0), action))
 
     def _put_first(self, command: _Command) -> None:
-        """Put a command at the front of the queue, and remove an earlier request of the operator.
+        """Put a command to the autopilot at the front of the queue, and remove all others except requests of rates.
 
-        A disarming must not wait for the requests of rates, each of which may take more than a second. An arming must
-        not follow it.
+        A disarming must not wait for the requests of rates, each of which may take more than a second. An arming that
+        was requested earlier must not follow the disarming.
         """
         rates = (queued for queued in self._commands if queued.number == SET_INTERVAL)
         self._commands = deque([command, *rates])
 
     def poll(self, now: float) -> bytes:
-        """Return the bytes that are due.
+        """Return the frames that have to be sent to the autopilot at wall time `now` [s], except commands of thrust.
 
-        They are a heartbeat, TIMESYNC, the first command of the queue, parameter requests, and a neutral override while
-        no thrust is commanded.
+        They are a heartbeat, TIMESYNC, the first command of the queue, requests of parameters, and a neutral override
+        while no thrust is commanded. Nothing is returned in the role LISTEN or while sending is muted.
         """
         if self._role is LinkRole.LISTEN:
             self._requests.clear()
@@ -372,19 +401,27 @@ class MavlinkDriver(DeviceDriver):
         return out
 
     def _is_muted(self, now: float) -> bool:
-        """Return whether sending is muted at wall time `now` [s]. With zero thrust nothing is muted."""
+        """Return whether the operator has muted the link at wall time `now` [s].
+
+        While zero is commanded, it is never muted.
+        """
         return now < self._muted_until and any(self._held.values())
 
     def _is_neutral_due(self, now: float) -> bool:
-        """Return whether a neutral override is due: after a first command, at zero thrust, every NEUTRAL_S.
+        """Return whether the neutral command (RC override) has to be sent again at wall time `now` [s].
 
-        Without it a vehicle does not arm, or detects a lost link.
+        It is sent every 50 ms (NEUTRAL_S) while zero thrust is commanded, once a first command was sent. Without it a
+        vehicle does not arm, or detects a lost link.
         """
         neutral = math.isfinite(self._overridden) and not any(self._held.values())
         return neutral and now - self._overridden >= NEUTRAL_S
 
     def _poll_command(self, now: float) -> bytes:
-        """Return the first command of the queue if it is due. Discard commands without an answer after TRIES."""
+        """Return the frame of the first command in the queue, if it is due at wall time `now` [s]; else no bytes.
+
+        It is due every 0.4 s (ANSWER_S) until it is answered. A command that was sent 4 times (TRIES) without an answer
+        is removed, and "no answer" is stored as its answer.
+        """
         while self._commands:
             command = self._commands[0]
             if now - command.sent < ANSWER_S:
@@ -401,12 +438,19 @@ class MavlinkDriver(DeviceDriver):
         return b""
 
     def _encode_command(self, command: _Command) -> bytes:
-        """Encode a command as COMMAND_LONG. Its confirmation field is the number of earlier tries."""
+        """Encode a command to the autopilot as a frame (COMMAND_LONG).
+
+        Its field `confirmation` is the number of earlier tries.
+        """
         address = (self._settings.system_id, self._settings.component_id)
         return self._codec.encode("COMMAND_LONG", *address, command.number, command.tries - 1, *command.parameters)
 
     def _poll_parameters(self, now: float) -> bytes:
-        """Return requests of all missing parameters if they are due, else the request of one known parameter."""
+        """Return requests for all parameters that the autopilot has not yet sent, if requests are due.
+
+        They are due every 0.5 s (PARAMETER_S); `now` is wall time [s]. A parameter that stays unanswered is given up,
+        with an event. If no parameter is missing, one known parameter is requested again, to notice a change.
+        """
         if not self._awaited:
             if self._status.parameters_pending:
                 self._status = replace(self._status, parameters_pending=False)
@@ -422,10 +466,10 @@ class MavlinkDriver(DeviceDriver):
         return b"".join(self._codec.encode("PARAM_REQUEST_READ", *address, name.encode(), -1) for name in self._awaited)
 
     def _poll_one_parameter(self, now: float) -> bytes:
-        """Return the request of one known parameter if it is due and the program drives; else no bytes.
+        """Return the request to read one known parameter of the autopilot again, to notice a change; or no bytes.
 
-        The parameters are requested one after the other. Another ground station may change a parameter, and the message
-        about the change may be lost. `now` is a wall time [s].
+        One request is due every 0.2 s (REREAD_S), and only in the role DRIVE. Another ground station may change a
+        parameter, and the message about the change may be lost. `now` is wall time [s].
         """
         if self._role is not LinkRole.DRIVE or now - self._reread_at < REREAD_S:
             return b""
@@ -440,7 +484,7 @@ class MavlinkDriver(DeviceDriver):
         return self._codec.encode("PARAM_REQUEST_READ", *address, names[turn // 2 % len(names)].encode(), -1)
 
     def wait(self, now: float) -> float:
-        """Return the wall time [s] until `poll` may return bytes."""
+        """Return the wall time [s] from `now` until `poll` may have frames to send to the autopilot; at least 0."""
         if self._requests:
             return 0.0
         if self._role is LinkRole.LISTEN:
@@ -460,18 +504,29 @@ class MavlinkDriver(DeviceDriver):
         return max(min(times) - now, 0.0)
 
     def command(self, dues: Sequence[Due], held: Mapping[int, float], now: float) -> list[tuple[bytes, list[Due]]]:
-        """Encode one RC_CHANNELS_OVERRIDE with all thrusters of the link. Thrusters without a command get neutral."""
+        """Encode the commands of all thrusters behind the autopilot as one frame (RC_CHANNELS_OVERRIDE).
+
+        `dues` are the set-points to send now. `held` are the present commands, -1..1, by servo output; an output
+        without a command gets neutral. The list is empty if nothing is due or sending is muted. `now` is wall time [s].
+        """
         self._held = dict(held)
         return [(self._encode_override(now), list(dues))] if dues and not self._is_muted(now) else []
 
     def zero(self, now: float) -> list[tuple[bytes, list[Due]]]:
-        """Encode neutral for all thrusters and a disarming. No further command follows."""
+        """Encode neutral for all thrusters behind the autopilot, and the command to disarm it, for an emergency stop.
+
+        The result is one message with an empty list of set-points. `now` is wall time [s].
+        """
         self._held = {}
         data = self._encode_override(now) + self._encode_command(_Command(ARM, (0.0,) * 7, "disarm", tries=1))
         return [(data, [])]
 
     def _encode_override(self, now: float) -> bytes:
-        """Encode the present commands of all thrusters as RC_CHANNELS_OVERRIDE. Other channels are not changed."""
+        """Encode the present commands of all thrusters behind the autopilot as one RC_CHANNELS_OVERRIDE.
+
+        Channels of the transmitter that drive no thruster are left as they are. `now` is stored as the wall time [s] of
+        sending.
+        """
         self._overridden = now
         channels = [IGNORED_LOW] * 8 + [IGNORED_HIGH] * 10
         for node, (output, is_reversed) in self._outputs.items():
@@ -488,7 +543,10 @@ class MavlinkDriver(DeviceDriver):
         return "nothing is sent to it, so it chooses the message rates; --request-rates requests the rates of the rig"
 
     def shutdown_bytes(self, now: float) -> bytes:
-        """Encode a disarming if this program has armed the autopilot. It is sent twice, since no answer is awaited."""
+        """Encode the command to disarm the autopilot, if this program has armed it; else return no bytes.
+
+        The frame is contained twice, because no answer is awaited and one frame may be lost. `now` is not used.
+        """
         if not self._armed_by_us:
             return b""
         command = _Command(ARM, (0.0,) * 7, "disarm", tries=1)
@@ -496,11 +554,15 @@ class MavlinkDriver(DeviceDriver):
 
     @property
     def confirmation(self) -> str:
-        """End of a sentence that reports whether the autopilot has confirmed the disarming."""
+        """End of the sentence "zero was sent ...": whether the autopilot has confirmed that it is disarmed."""
         return DISARMED if self._disarmed else ", and not answered: it may still be armed"
 
     def message(self) -> str:
-        """Return the fault of the signatures in one line, empty if there is none."""
+        """Return the fault in the signing of the autopilot's frames, in one line; empty if there is none.
+
+        Either the autopilot signs its frames and the rig has no key, or its frames are not signed with the key of the
+        rig.
+        """
         decoder = self._decoder
         if self._role is not LinkRole.LISTEN and decoder.signed and not self._codec.signs:
             return "the autopilot signs its frames and will ignore ours: the rig has no key_file for it"
@@ -510,7 +572,10 @@ class MavlinkDriver(DeviceDriver):
         return ""
 
     def events(self) -> list[Event]:
-        """Return the events since the last call and forget them. Lost frames are reported at most once in LOST_S."""
+        """Return the events of the link since the last call, and forget them.
+
+        The number of lost frames becomes an event at most once in 10 s (LOST_S).
+        """
         lost = self._decoder.lost
         if lost > self._reported_lost and self._last_heartbeat - self._lost_at >= LOST_S:
             self._reported_lost, self._lost_at = lost, self._last_heartbeat
@@ -520,7 +585,7 @@ class MavlinkDriver(DeviceDriver):
         return out
 
     def link_at(self, now: float) -> LinkStatus:
-        """Return the state of the autopilot at wall time `now` [s]."""
+        """Return the last reported state of the autopilot, with the age of its heartbeat at wall time `now` [s]."""
         other_station_frames = self._decoder.foreign.get(self._settings.own_system_id, 0)
         age = now - self._last_heartbeat
         return replace(self._status, age=age, other_station_frames=other_station_frames, lost=self._decoder.lost)

@@ -17,16 +17,16 @@ ZERO_FOR_S = 0.5  # wall s in which zero is repeated, because a single frame may
 
 
 class Due(NamedTuple):
-    """Set-point to send.
+    """Set-point that has to be sent now.
 
     Attributes
     ----------
     node
-        Controller, or output of an autopilot.
+        Number of the speed controller on the bus, or of the autopilot's servo output.
     n
         Command, -1..1.
     fresh
-        Whether the set-point is new; False for a repetition.
+        Whether the set-point is new; False for the repetition of an earlier one.
     """
 
     node: int
@@ -35,17 +35,18 @@ class Due(NamedTuple):
 
 
 class Setpoints:
-    """Schedule of set-points, and the present command of each node.
+    """Schedule of the set-points of one port, and the present command of each node (controller or servo output).
 
-    A row of the schedule is a run time [s] and the commands, -1..1, by node.
+    A row of the schedule is a run time [s] and the commands, -1..1, by node. Any thread may call the methods.
 
     Attributes
     ----------
     skipped
-        Number of set-points that a later one replaced before they were sent.
+        Number of set-points that were never sent, because a later set-point was due before they could be sent.
     """
 
     def __init__(self) -> None:
+        """Make an empty schedule. No node has a command."""
         self._lock = threading.Lock()
         self._rows: deque[tuple[float, dict[int, float]]] = deque()
         self._held: dict[int, float] = {}  # node -> present command
@@ -58,14 +59,20 @@ class Setpoints:
         self.skipped = 0
 
     def append(self, rows: Iterable[tuple[float, dict[int, float]]]) -> None:
-        """Add rows (run time [s], command by node) to the schedule, in any order of time."""
+        """Add set-points to the schedule, as rows of run time [s] and command, -1..1, by node, in any order of time.
+
+        Of two rows with equal times, the later added one counts.
+        """
         with self._lock:
             merged = [*self._rows, *((t, dict(row)) for t, row in rows)]
             merged.sort(key=lambda item: item[0])  # stable sort: the last appended of two rows with equal times counts
             self._rows = deque(merged)
 
     def zero(self, now_wall: float) -> None:
-        """Clear the schedule. Zero is sent at once, and repeated for ZERO_FOR_S, to each node that had a command."""
+        """Discard all scheduled set-points, and command zero to each node that has had a command.
+
+        Zero is due at once, and is repeated for ZERO_FOR_S (0.5 s). `now_wall` is wall time [s].
+        """
         with self._lock:
             self._rows.clear()
             self._held = dict.fromkeys(self._held, 0.0)
@@ -74,32 +81,36 @@ class Setpoints:
 
     @property
     def active(self) -> bool:
-        """Whether thrust is commanded now or scheduled."""
+        """Whether a command other than zero holds at present, or any set-point is scheduled."""
         with self._lock:
             return self._is_active()
 
     def is_settled(self, now_wall: float) -> bool:
-        """Return whether no thrust is commanded and the last zero has been written and repeated for ZERO_FOR_S."""
+        """Return whether thrust has ended: the last zero was written to the port and repeated for 0.5 s (ZERO_FOR_S).
+
+        It is False while a command other than zero holds or a set-point is scheduled. It is True if no node ever had a
+        command. `now_wall` is wall time [s].
+        """
         with self._lock:
             waiting = bool(self._zeroed) or self._unwritten or now_wall < self._repeat_until
             return not self._is_active() and not (self._held and waiting)
 
     @property
     def pending(self) -> int:
-        """Number of rows that have not been sent."""
+        """Number of rows of the schedule that have not been sent yet."""
         return len(self._rows)
 
     @property
     def held(self) -> dict[int, float]:
-        """Present command, -1..1, of each node."""
+        """Present command, -1..1, of each node that has had a command; the caller gets a copy."""
         with self._lock:
             return dict(self._held)
 
     def due(self, now_run: float, now_wall: float) -> list[Due]:
-        """Return the set-points to send now, and remove them from the schedule.
+        """Return the set-points that the port has to send now, and remove them from the schedule.
 
-        All commands are repeated every REPEAT_S while thrust is commanded, and for ZERO_FOR_S afterwards. Of several
-        rows that are due, only the newest command of a node is returned; the others count as skipped.
+        Commands are repeated every 20 ms (REPEAT_S) while thrust is commanded, and for 0.5 s (ZERO_FOR_S) afterwards.
+        If several set-points of a node are due, only the newest one is returned; the others count as skipped.
 
         Parameters
         ----------
@@ -134,9 +145,10 @@ class Setpoints:
             self._unwritten = False
 
     def wait(self, now_run: float, now_wall: float, speed: float) -> float:
-        """Return the wall time [s] until a set-point may be due, infinite if there is none.
+        """Return the wall time [s] until the next set-point or repetition is due; infinite if there is none.
 
-        `speed` is the run time per wall time.
+        `now_run` is run time [s], `now_wall` is wall time [s], and `speed` is the number of run seconds per wall
+        second.
         """
         with self._lock:
             if self._zeroed:
@@ -146,5 +158,5 @@ class Setpoints:
             return max(min(row, repeat), 0.0)
 
     def _is_active(self) -> bool:
-        """Return whether thrust is commanded now or scheduled. The caller holds the lock."""
+        """Return whether a command other than zero holds, or a set-point is scheduled. The caller holds the lock."""
         return bool(self._rows) or any(n != 0.0 for n in self._held.values())

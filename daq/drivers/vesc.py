@@ -21,10 +21,15 @@ class VescDriver(DeviceDriver):
     """
 
     def __init__(self, reversed_nodes: frozenset[int]) -> None:
+        """Store the numbers of the controllers whose commands change their sign."""
         self._reversed = reversed_nodes
 
     def command(self, dues: Sequence[Due], held: Mapping[int, float], now: float) -> list[tuple[bytes, list[Due]]]:
-        """Encode one frame for each set-point. The sign of reversed nodes is changed."""
+        """Encode each set-point of `dues` as one CAN frame with a duty command, for one VESC controller.
+
+        The sign changes for reversed controllers. `held` and `now` are not used. Each frame is returned with its
+        set-point.
+        """
         out = []
         for due in dues:
             n = -due.n if due.node in self._reversed else due.n

@@ -22,7 +22,7 @@ USUAL_REST_US = (1000.0, 1500.0)  # us; rest of an ESC for one direction, and of
 
 
 class _StandColumns(NamedTuple):
-    """Names of the columns of a thrust stand.
+    """Names of the columns of a thrust stand's table: thrust, command and speed of its motor.
 
     Attributes
     ----------
@@ -40,12 +40,12 @@ class _StandColumns(NamedTuple):
 
 
 def bench_candidates(table: Table, t: Column | None) -> list[Candidate]:
-    """Return the signals of a table of a thrust stand.
+    """Return the signals in a table of a thrust stand, as candidates for a guessed import map.
 
     Parameters
     ----------
     table
-        The table.
+        Table of a source file.
     t
         Times of the rows, shape (n,) [s]; None if the table has no times.
 
@@ -86,7 +86,7 @@ def bench_candidates(table: Table, t: Column | None) -> list[Candidate]:
 
 
 def _number_columns(table: Table) -> Iterator[tuple[str, Column]]:
-    """Yield the name and the values (n,) of each column of numbers.
+    """Yield the name and the values (n,) of each column of a table that contains numbers.
 
     Columns without a name, of text, without any finite number, or with a name that appears twice are skipped.
     """
@@ -101,10 +101,11 @@ def _number_columns(table: Table) -> Iterator[tuple[str, Column]]:
 
 
 def _stand_columns(table: Table, numbers: Mapping[str, Column]) -> _StandColumns | None:
-    """Return the columns of thrust, command and speed.
+    """Find the columns of thrust, command and speed in the table of a thrust stand.
 
-    The result is None if the table is from a boat, has no command that changes, or has no thrust or more than one. Of
-    several speeds the one with the most values other than zero is taken; of several commands the first.
+    `numbers` has the values of the columns of numbers. The result is None if the table is from a boat, has no command
+    that changes, or has no thrust or more than one. Of several speeds the one with the most values other than zero is
+    taken; of several commands the first.
     """
     # A name of a side or of a signal of motion means that the table is from a boat. A stand may have an accelerometer.
     words = {name: read_name(name).words for name in numbers}
@@ -124,13 +125,16 @@ def _stand_columns(table: Table, numbers: Mapping[str, Column]) -> _StandColumns
 
 
 def _column_unit(table: Table, column: str) -> str:
-    """Return the unit of a column as a map writes it, or, for an unknown unit, as the column writes it."""
+    """Return the unit of a column as an import map writes it, for example "rev/min"; "" without a unit.
+
+    An unknown unit is returned as the column writes it.
+    """
     name = read_name(f"{column} [{table.units[column]}]" if column in table.units else column)
     return name.unit or name.no_unit
 
 
 def _force_unit(table: Table, column: str) -> str:
-    """Return the unit of a thrust column as a map writes it; "" if it is not a unit of force.
+    """Return the unit of a thrust column as an import map writes it; "" if it is not a unit of force.
 
     Grams and kilograms count as forces on a thrust stand ("gf", "kgf"). A column without a unit gets "N".
     """
@@ -138,7 +142,7 @@ def _force_unit(table: Table, column: str) -> str:
 
 
 def _command_scale(command: Column, response: Column, is_reversed: bool) -> tuple[str, str]:
-    """Return the map keys that scale a command (n,) to -1 .. 1, and the caveat about this scale.
+    """Return the import map's keys that scale a command (n,) to -1 .. 1, and the caveat about this scale.
 
     Rest is the most frequent command at which the response (n,), a speed or a thrust, is about zero. Without such a row
     it is the usual rest of an ESC, 1000 us, or 1500 us if `is_reversed` (both directions); 0 if the command is no

@@ -42,12 +42,12 @@ _HEAD_BYTES = 65536  # bytes in which the dialect is recognised
 
 
 def is_can_log(head: bytes) -> bool:
-    """Return whether a file with these first bytes is a CAN log: a BLF file, or a text in one of the known dialects."""
+    """Return whether a file with these first bytes is a CAN log: a BLF file, or a text in one of the known formats."""
     return head.startswith(BLF) or bool(dialect_of(head))
 
 
 def read_frames(path: Path) -> list[BusFrame]:
-    """Return the data frames of a CAN log in the order of the file.
+    """Read the data frames of a CAN log (BLF, candump, ASC, ...), in the order of the file.
 
     Raises
     ------
@@ -84,7 +84,7 @@ def _library_frames(path: Path, name: str) -> Iterator[BusFrame]:
 
 
 def read_can(path: Path, options: SourceOptions) -> list[Table]:
-    """Return the tables of a CAN log.
+    """Read a CAN log as tables: its frames are decoded by a DBC file, by a rig, or by a CAN protocol.
 
     Parameters
     ----------
@@ -125,10 +125,10 @@ def read_can(path: Path, options: SourceOptions) -> list[Table]:
 
 
 def _samples_without_rig(frames: list[BusFrame], protocol: str) -> list[tuple[str, Frame]]:
-    """Return the samples that a CAN protocol decodes without a rig, each after the name of its bus.
+    """Decode CAN frames by one protocol, for example "vesc", without a rig file.
 
-    The list is empty if the log has no frame of the protocol. The speed of a VESC is electrical: the number of pole
-    pairs is unknown, so it is taken as one.
+    Return (bus, decoded sample with its times) for each sample; the list is empty if the log has no frame of the
+    protocol. The speed of a VESC is electrical: the number of pole pairs is unknown, so it is taken as one.
     """
     decoders = {bus: _decoder_without_rig(protocol) for bus in {bus_frame.bus for bus_frame in frames}}
     return [
@@ -139,23 +139,23 @@ def _samples_without_rig(frames: list[BusFrame], protocol: str) -> list[tuple[st
 
 
 def _decoder_without_rig(protocol: str) -> Decoder:
-    """Return the decoder of a CAN protocol ("vesc", "dronecan" or "nmea2000") for all nodes of a bus."""
+    """Return a decoder for all nodes of a CAN bus: "vesc", "dronecan", or NMEA 2000 for any other name."""
     if protocol == "vesc":
         return vesc.Decoder(dict.fromkeys(range(256), 1))  # one pole pair for every possible node
     return dronecan.Decoder(frozenset()) if protocol == "dronecan" else nmea2000.Decoder(0.0)
 
 
 def _can_frame_bytes(frame: BusFrame) -> bytes:
-    """Return the 16 bytes of a frame as `struct can_frame` of Linux, which the decoders read."""
+    """Return a CAN frame as the 16 bytes of Linux's `struct can_frame`, the form that the protocol decoders read."""
     return CAN_FRAME.pack(frame.word, len(frame.data), frame.data)
 
 
 def _dbc_tables(path: Path, frames: list[BusFrame], database: Path) -> list[Table]:
-    """Return a table for each message of the DBC that the log contains.
+    """Decode CAN frames by a DBC file (`database`): one table for each message, with a column for each of its signals.
 
-    The topic is MESSAGE, or MESSAGE_SENDER if a PGN has several senders. It begins with the bus, can0_MESSAGE, if the
-    messages come from several buses. Frames that the DBC cannot decode are counted in the remark of their table. Raise
-    SeatrialError if no frame is in the DBC.
+    The topic of a table is MESSAGE, or MESSAGE_SENDER if a PGN has several senders. It begins with the bus,
+    can0_MESSAGE, if the messages come from several buses. Frames that the DBC cannot decode are counted in the remark
+    of their table. Raise SeatrialError if no frame is in the DBC.
     """
     messages = dbc.load_dbc(str(database)).messages
     messages_by_name = {m.name: m for m in messages}
@@ -179,7 +179,9 @@ def _dbc_tables(path: Path, frames: list[BusFrame], database: Path) -> list[Tabl
         t.append(bus_frame.t)
         rows.append({name: dbc.number(message, name, value) for name, value in raw.items()})
     if not found:
-        raise SeatrialError(f"{path}: none of its {counted(len(frames), 'frame')} is defined in {database}")
+        raise SeatrialError(
+            f"{path}: none of its {counted(len(frames), 'frame')} is defined in {database}; give the DBC of this bus"
+        )
     tables = []
     buses = {bus for bus, _, _ in found}
     for key, (t, rows) in found.items():
@@ -194,13 +196,15 @@ def _dbc_tables(path: Path, frames: list[BusFrame], database: Path) -> list[Tabl
 
 
 def _samples_of_rig(frames: list[BusFrame], rig: Rig) -> Iterator[tuple[Device, BusFrame, Frame | None]]:
-    """Yield each frame for each CAN device of the rig: first with None, then once for each sample that it completes.
+    """Decode CAN frames as the CAN devices of a rig would have received them.
 
-    Raise SeatrialError if the rig has no CAN device.
+    Yield (device, CAN frame, None) for each frame that a device receives, then (device, CAN frame, sample) for each
+    sample that this frame completes. If the log has the bus name of the device's port, the device receives the frames
+    of this bus only; otherwise it receives all frames. Raise SeatrialError if the rig has no CAN device.
     """
     devices = [device for device in rig.devices if DEVICES[device.protocol].bus == CAN]
     if not devices:
-        raise SeatrialError(f"{rig.path}: the rig has no device on a CAN bus")
+        raise SeatrialError(f"{rig.path}: the rig has no device on a CAN bus; name the rig of this log")
     buses = {frame.bus for frame in frames}
     decoders = {device.name: make_decoder(device, rig) for device in devices}
     for bus_frame in frames:
@@ -215,7 +219,7 @@ def _samples_of_rig(frames: list[BusFrame], rig: Rig) -> Iterator[tuple[Device, 
 
 
 class _FixedClock(NamedTuple):
-    """Clock of a recorder that writes an old log: its time [s] is that of the first frame.
+    """Clock for a recorder that converts an old log: it always shows the time of the log's first frame.
 
     Attributes
     ----------
@@ -232,12 +236,12 @@ class _FixedClock(NamedTuple):
     origin: object = None
 
     def now(self) -> float:
-        """Return the time of the first frame [s since 1970]."""
+        """Return the time of the first frame of the CAN log [s since 1970], at every call."""
         return self.t
 
 
 def import_can(path: Path, rig_path: Path, *, out: Path | None = None, force: bool = False) -> tuple[Path, str]:
-    """Write the frames of a CAN log as a log that the rig could have recorded: raw bytes and samples.
+    """Convert a CAN log to an MCAP log as a live recording with the rig would have made it: raw bytes and samples.
 
     Parameters
     ----------
@@ -263,7 +267,7 @@ def import_can(path: Path, rig_path: Path, *, out: Path | None = None, force: bo
     rig = load_rig(rig_path)
     frames = sorted(read_frames(path), key=lambda frame: frame.t)
     if not frames:
-        raise SeatrialError(f"{path}: contains no CAN frames")
+        raise SeatrialError(f"{path}: contains no CAN frames; record the bus again")
     target, n_samples = out or Path(f"{path.stem}.mcap"), 0
     with replacing(target, force, [path, rig_path]) as part:
         recorder = Recorder(part, rig=rig, clock=_FixedClock(frames[0].t), metadata={"import": "can"})
@@ -282,6 +286,7 @@ def import_can(path: Path, rig_path: Path, *, out: Path | None = None, force: bo
             recorder.close()
         if not n_samples:  # raised inside the block: an existing log is then not replaced
             raise SeatrialError(
-                f"{path}: none of its {counted(len(frames), 'frame')} belongs to a device of {rig_path}"
+                f"{path}: none of its {counted(len(frames), 'frame')} belongs to a device of {rig_path}; correct "
+                "the ports, protocols and node numbers of its CAN devices"
             )
     return target, f"{counted(n_samples, 'sample')} of {counted(len(frames), 'frame')}"

@@ -32,7 +32,7 @@ _MONTHS = ("jan", "feb", "m.r", "apr", "ma[iy]", "jun", "jul", "aug", "sep", "o[
 
 
 class BusFrame(NamedTuple):
-    """Data frame of a CAN bus.
+    """One data frame of a CAN log: its time, bus, identifier and data bytes.
 
     Attributes
     ----------
@@ -89,7 +89,7 @@ _CANBOAT = re.compile(
 
 
 class _Dialect(NamedTuple):
-    """Dialect of a text log.
+    """Text format of CAN logs, for example that of candump: its name, the pattern of a line, and the parser of a line.
 
     Attributes
     ----------
@@ -98,7 +98,8 @@ class _Dialect(NamedTuple):
     form : re.Pattern
         Pattern of a line with a frame.
     frames : callable
-        Function that converts the groups of a matching line to frames. It may change the state of the log.
+        Function that converts the named groups of a matching line to CAN frames. It may change the `_LogState` of the
+        log.
     """
 
     name: str
@@ -107,7 +108,7 @@ class _Dialect(NamedTuple):
 
 
 class _LogState:
-    """State of the reader of one log: the values of its heading, and a counter of fast packets.
+    """State of the parser of one CAN log in text form: the values of its heading, and a counter of fast packets.
 
     Attributes
     ----------
@@ -126,6 +127,7 @@ class _LogState:
     """
 
     def __init__(self) -> None:
+        """Begin with the state before the first line of a log: time 0, base 16, and absolute times."""
         self.start = 0.0  # s since 1970
         self.since_midnight = 0.0  # s; time of day of the start
         self.base = 16  # number base of identifiers and data
@@ -135,9 +137,9 @@ class _LogState:
 
 
 def dialect_of(head: bytes) -> str:
-    """Return the name of the dialect of a text with these first bytes; "" if the text is not a CAN log.
+    """Return the text format of a CAN log, for example "candump" or "ASC", from its first bytes; "" if it is none.
 
-    ASC and BusMaster are recognised by their headings. For other dialects at least half of the first 40 lines that are
+    ASC and BusMaster are recognised by their headings. For other formats at least half of the first 40 lines that are
     not blank must be frames.
     """
     lines = [line.strip() for line in head.decode("utf-8", "replace").splitlines() if line.strip()][:LOOKED_AT]
@@ -154,7 +156,19 @@ def dialect_of(head: bytes) -> str:
 
 
 def read_text_frames(path: Path, dialect: str) -> list[BusFrame]:
-    """Return the data frames of a text log. Warn about lines that are not frames.
+    """Read the data frames of a CAN log in text form. Warn about lines that are not frames.
+
+    Parameters
+    ----------
+    path
+        The log.
+    dialect
+        Its text format, as `dialect_of` returns it, for example "candump".
+
+    Returns
+    -------
+    list of BusFrame
+        The frames in the order of the file, with times in s since 1970 or since the start of the log.
 
     Raises
     ------
@@ -192,9 +206,10 @@ def read_text_frames(path: Path, dialect: str) -> list[BusFrame]:
 
 
 def _with_continuous_times(log: _LogState, dialect: str, frames: list[BusFrame]) -> list[BusFrame]:
-    """Return the frames with continuous times [s].
+    """Return CAN frames with times [s] that do not start again: the start of the log plus the time since then.
 
-    Times that count from the previous frame are summed. In dialects with times of day, a day is added after midnight.
+    Times that count from the previous frame are summed. In formats with times of day, 24 h are added at each midnight.
+    `log` has the start, in s since 1970, or 0 if the log has no date.
     """
     t, total = [frame.t for frame in frames], 0.0
     is_delta = log.is_delta
@@ -214,7 +229,7 @@ def _with_continuous_times(log: _LogState, dialect: str, frames: list[BusFrame])
 
 
 def _is_heading(log: _LogState, dialect: str, line: str) -> bool:
-    """Return whether a line is part of the heading of the log, a comment, or an event without data.
+    """Return whether a line of a CAN log that is no frame is part of the heading, a comment, or an event without data.
 
     The date, number base and time mode in a heading are stored in `log`.
     """
@@ -253,7 +268,10 @@ def _is_asc_heading(log: _LogState, line: str) -> bool:
 
 
 def _asc_date(parts: Fields) -> float:
-    """Return the date of an ASC file, taken as UTC [s since 1970]; 0 if its month is unknown."""
+    """Return the date in the heading of an ASC file, taken as UTC [s since 1970]; 0 if the month is unknown.
+
+    `parts` are the groups of `_ASC_DATE`: year, month, day, h, m, s, and half ("am", "pm" or "").
+    """
     month = next((k for k, name in enumerate(_MONTHS, 1) if re.match(name, parts["month"].lower())), 0)
     hours = int(parts["h"])
     if parts["half"]:
@@ -265,10 +283,10 @@ def _asc_date(parts: Fields) -> float:
 
 
 def _candump_frames(log: _LogState, parts: Fields) -> Iterator[BusFrame]:
-    """Yield the frame of a candump line.
+    """Yield the CAN frame of a candump line; `parts` are its texts: time "t", "bus", "id" and hexadecimal "data".
 
     CAN FD frames, remote requests and error messages yield no frame. A line without a time sets `log.has_no_times`.
-    Raise ValueError if the number of bytes is not that in the line.
+    Raise ValueError if the number of data bytes differs from the number that the line states.
     """
     text = parts["data"]
     if not parts["t"]:
@@ -286,7 +304,7 @@ def _candump_frames(log: _LogState, parts: Fields) -> Iterator[BusFrame]:
 
 
 def _text_seconds(text: str) -> float:
-    """Return a time [s] from a text: a number, or a date and a time of day, which are taken as UTC.
+    """Convert the time in a line of a CAN log to s: a number, or a date and a time of day, which are taken as UTC.
 
     An empty text gives 0. Raise ValueError for other texts.
     """
@@ -297,7 +315,10 @@ def _text_seconds(text: str) -> float:
 
 
 def _asc_frames(log: _LogState, parts: Fields) -> Iterator[BusFrame]:
-    """Yield the frame of an ASC line; no frame for a remote request."""
+    """Yield the CAN frame of a line of a Vector ASC file; no frame for a remote request.
+
+    `parts` are the texts of the line, for example its "id" and "data", and `log` has their number base, 10 or 16.
+    """
     data = bytes(int(part, log.base) for part in parts["data"].split())
     if parts["kind"] in "dD":
         word = int(parts["id"], log.base) | (EXTENDED if parts["long"] else 0)
@@ -305,7 +326,10 @@ def _asc_frames(log: _LogState, parts: Fields) -> Iterator[BusFrame]:
 
 
 def _busmaster_frames(log: _LogState, parts: Fields) -> Iterator[BusFrame]:
-    """Yield the frame of a BusMaster line, with the time since midnight [s]; no frame for a remote request."""
+    """Yield the CAN frame of a BusMaster line, with the time since midnight [s]; no frame for a remote request.
+
+    `parts` are the texts of the line, for example its "id" and "data", and `log` has their number base, 10 or 16.
+    """
     data = bytes(int(part, log.base) for part in parts["data"].split())
     word = int(parts["id"], 16 if parts["id"].startswith("0x") else log.base)
     if parts["kind"] in ("s", "x") and len(data) <= LONGEST_FRAME:
@@ -315,9 +339,9 @@ def _busmaster_frames(log: _LogState, parts: Fields) -> Iterator[BusFrame]:
 
 
 def _yacht_frames(log: _LogState, parts: Fields) -> Iterator[BusFrame]:
-    """Yield the frame of a Yacht Devices line, with the time since midnight [s].
+    """Yield the CAN frame of a line in Yacht Devices' RAW format, with the time since midnight [s].
 
-    Data beyond 8 bytes are cut off.
+    `parts` are the texts of the line: time "t", "id" and "data". Data beyond 8 bytes are cut off.
     """
     hours, minutes, seconds = parts["t"].split(":")
     t = 3600.0 * int(hours) + 60.0 * int(minutes) + float(seconds)
@@ -325,7 +349,10 @@ def _yacht_frames(log: _LogState, parts: Fields) -> Iterator[BusFrame]:
 
 
 def _n2k_frames(log: _LogState, parts: Fields) -> Iterator[BusFrame]:
-    """Yield the frames of an N2K ASCII message, with the time since midnight [s]."""
+    """Yield the CAN frames of a message in Actisense's N2K ASCII format, with the time since midnight [s].
+
+    `parts` are the texts of the line, for example "pgn" and "data". A message above 8 bytes becomes several frames.
+    """
     clock = parts["t"]
     t = 3600.0 * int(clock[:2]) + 60.0 * int(clock[2:4]) + float(clock[4:])
     numbers = [int(parts[name], 16) for name in ("priority", "pgn", "source", "to")]
@@ -333,7 +360,11 @@ def _n2k_frames(log: _LogState, parts: Fields) -> Iterator[BusFrame]:
 
 
 def _canboat_frames(log: _LogState, parts: Fields) -> Iterator[BusFrame]:
-    """Yield the frames of a canboat message, with the time since 1970 [s]. Raise ValueError if its length is wrong."""
+    """Yield the CAN frames of an NMEA 2000 message in canboat's text format, with the time since 1970 [s].
+
+    `parts` are the texts of the line, for example "pgn" and "data". A message above 8 bytes becomes several frames.
+    Raise ValueError if the number of data bytes differs from the number that the line states.
+    """
     text = parts["t"]
     t = _text_seconds(text[:10] + "T" + text[11:])
     numbers = [int(parts[name]) for name in ("priority", "pgn", "source", "to")]
@@ -344,10 +375,10 @@ def _canboat_frames(log: _LogState, parts: Fields) -> Iterator[BusFrame]:
 
 
 def _message_frames(log: _LogState, t: float, numbers: Sequence[int], data: bytes) -> Iterator[BusFrame]:
-    """Yield the frames of a complete NMEA 2000 message. Split a message above 8 bytes into a fast packet.
+    """Yield the CAN frames of a complete NMEA 2000 message at the time `t` [s]; above 8 bytes they are a fast packet.
 
-    `numbers` are priority, PGN, source and destination address. A message with an impossible number gives no frame. The
-    sequence number of `log` is increased by each fast packet.
+    `numbers` are priority, PGN, source and destination address. A PGN above 0x3FFFF or an address above 255 gives no
+    frame. The sequence number in `log` is increased by each fast packet.
     """
     priority, pgn, source, to = numbers
     if pgn > LARGEST_PGN or source > 255 or to > 255:

@@ -72,14 +72,14 @@ _ZONES = {"utc", "gmt", "local"}  # words that stand in the place of the unit of
 
 
 class Clock(NamedTuple):
-    """Source of the times of a table.
+    """Column with the times of a table's rows, and the format of these times.
 
     Attributes
     ----------
     column : str
         Column of the times; "" if the table has its own times, or no times.
     form : str
-        Format of the times, as in [time] of a map: a unit, "iso", "gps", ... or a strptime pattern.
+        Format of the times, as in the table [time] of an import map: a unit, "iso", "gps", ... or a strptime pattern.
     caveat : str
         What is uncertain in the format, for a comment in the map; "" if there is none.
     rate : float
@@ -99,12 +99,17 @@ class Clock(NamedTuple):
 
 
 def clock_of(table: Table) -> Clock:
-    """Return the clock of a table, recognised by names and values of its columns.
+    """Find the column with the times of a table, and their format, by the names and values of the columns.
+
+    Parameters
+    ----------
+    table
+        The table of a source file.
 
     Returns
     -------
     Clock
-        Without a column if the table has its own times, or if no column is recognised.
+        The column and its format. The column is "" if the table has its own times, or if no column is recognised.
     """
     if table.t is not None:
         return Clock()
@@ -141,10 +146,10 @@ def clock_of(table: Table) -> Clock:
 
 
 def _named_clock(table: Table, name: str, dates: Sequence[str], weeks: Sequence[str]) -> Clock:
-    """Return the clock of the column `name`, with its column of dates or GPS weeks if it needs one.
+    """Return the format of the time column `name`, with a column of dates or GPS weeks if the times need one.
 
-    The first of `weeks` is used for times of a GPS week, with a caveat if it counts modulo 1024. The first of `dates`
-    is used for times of day.
+    `dates` and `weeks` are names of such columns; the first of each is used. A GPS week completes times in s or ms,
+    with a caveat if it counts modulo 1024. A date completes times of day.
     """
     form, caveat = _time_format(table, name)
     clock = Clock(name, form, caveat)
@@ -157,15 +162,15 @@ def _named_clock(table: Table, name: str, dates: Sequence[str], weeks: Sequence[
         form, caveat = format_of_text(dated(table, dates[0], name))
         if form == "iso" or "%d" in form or "%j" in form:
             clock = Clock(name, form, caveat, date=dates[0])
-    elif form == "s" and (compact := _compact_date(table, name)) is not None:
+    elif form == "s" and (compact := _digits_only_clock(table, name)) is not None:
         clock = compact
-    return _even_clock(table, clock)
+    return _with_row_rate(table, clock)
 
 
-def _compact_date(table: Table, name: str) -> Clock | None:
-    """Return the clock of a date and a time of day of digits only, as 120524 and 130000.5.
+def _digits_only_clock(table: Table, name: str) -> Clock | None:
+    """Return the time column `name` with its date column if both are digits only, as 130000.5 and 120524 (ddmmyy).
 
-    The result is None if the times are not of this form, or no column of dates fits.
+    A date of 8 digits is yyyymmdd. Return None if the times are not of the form hhmmss, or no column of dates fits.
     """
     times = _typical_texts(table.text(name))
     if not times or not all(re.fullmatch(r"([01]\d|2[0-3])([0-5]\d){2}(\.\d+)?", text) for text in times):
@@ -184,7 +189,7 @@ def _compact_date(table: Table, name: str) -> Clock | None:
 
 
 def _is_text(table: Table, name: str) -> bool:
-    """Return whether a column cannot be read as numbers."""
+    """Return whether a column of a table contains texts that are not numbers."""
     try:
         table.numbers(name)
     except SeatrialError:
@@ -193,9 +198,9 @@ def _is_text(table: Table, name: str) -> bool:
 
 
 def row_seconds(table: Table, clock: Clock) -> Column | None:
-    """Return the times of the rows [s], shape (n,); None if the table has no readable time column.
+    """Return the times of a table's rows [s], shape (n,), from the column in `clock`; None if they cannot be read.
 
-    A row without a time has NaN, and a remark of the table counts these rows. For a clock without a column they are the
+    A row without a time has NaN, and a remark of the table counts these rows. If `clock` names no column, return the
     table's own times, which may be None.
     """
     if not clock.column:
@@ -207,7 +212,7 @@ def row_seconds(table: Table, clock: Clock) -> Column | None:
 
 
 def _rises_evenly(values: Column) -> bool:
-    """Return whether a column (n,) rises evenly.
+    """Return whether the values of a column (n,) rise evenly, as the times of rows at a fixed rate.
 
     It has more than 10 steps, all positive, which differ by less than half their mean.
     """
@@ -215,11 +220,11 @@ def _rises_evenly(values: Column) -> bool:
     return bool(len(steps) > 10 and np.all(steps > 0.0) and np.ptp(steps) < 0.5 * np.mean(steps))
 
 
-def _even_clock(table: Table, clock: Clock) -> Clock:
-    """Return the clock with the rate of the rows if several rows share each stamp, as with whole seconds.
+def _with_row_rate(table: Table, clock: Clock) -> Clock:
+    """Add the rate of the rows [Hz] to a clock whose time stamps are coarser than the rows, as whole seconds at 10 Hz.
 
     The rate is set only if all stamps except the first and the last have about the same number of rows. Otherwise the
-    clock gets a caveat.
+    clock gets a caveat. A clock whose times fall, are missing, or differ from row to row is returned unchanged.
     """
     t = row_seconds(table, clock)
     if t is None or not np.all(np.diff(t) >= 0.0):  # also for NaN
@@ -241,7 +246,7 @@ def _even_clock(table: Table, clock: Clock) -> Clock:
 
 
 def _may_be_time(table: Table, name: str, rising: float = 0.5) -> bool:
-    """Return whether a column may be the time, by its values.
+    """Return whether the values of a column allow that it is the time of the rows.
 
     More than the share `rising` (0 to 1) of the steps of numbers must be positive. Texts must contain digits and differ
     from row to row.
@@ -256,10 +261,10 @@ def _may_be_time(table: Table, name: str, rising: float = 0.5) -> bool:
 
 
 def _time_format(table: Table, column: str) -> tuple[str, str]:
-    """Return the format of a column of times, as in [time] of a map, and the caveat about it.
+    """Return the format of a column of times, for example "ms", "iso" or "%H:%M:%S", and the caveat about it.
 
-    A column that the file declares as seconds has the format "s". Texts that are not recognised have the format
-    "%d.%m.%Y %H:%M:%S" with a caveat.
+    The caveat is "" if the format is certain. A column that the file declares as seconds has the format "s". Texts that
+    are not recognised have the format "%d.%m.%Y %H:%M:%S" with a caveat.
     """
     if column in table.seconds:
         return "s", ""
@@ -334,7 +339,10 @@ def format_of_text(texts: Sequence[str]) -> tuple[str, str]:
 
 
 def _fitting_patterns(texts: Sequence[str], patterns: Sequence[str]) -> list[str]:
-    """Return the patterns that read all texts. If the texts end with a time zone, the patterns include it."""
+    """Return the strptime patterns, out of `patterns`, that read all texts.
+
+    If the texts end with a time zone, the returned patterns include it.
+    """
     fitting = []
     zone = _ZONE.search(texts[0])
     for end in ("", zone[1] + (zone[2] or "%z")) if zone else ("",):
@@ -346,13 +354,19 @@ def _fitting_patterns(texts: Sequence[str], patterns: Sequence[str]) -> list[str
 
 
 def _text_shape(text: str) -> str:
-    """Return the text with each number replaced by 0 and each word by a: "12 May 2024" becomes "0 a 0"."""
+    """Return the shape of a text in a time column: each number becomes 0 and each word a.
+
+    The text "12 May 2024" has the shape "0 a 0".
+    """
     return re.sub(r"[^\W\d_]+", "a", re.sub(r"\d+", "0", text))
 
 
 @cache
 def _pattern_shapes(pattern: str) -> frozenset[str]:
-    """Return the shapes of the texts that a pattern reads, with and without the fraction of a second."""
+    """Return the shapes of the texts that a strptime pattern reads, with and without the fraction of a second.
+
+    In a shape each number is 0 and each word is a: "%d %b %Y" has the shape "0 a 0".
+    """
     shapes = [
         re.sub("%[bBpa]", "a", re.sub("%[dmYyHIMSfj]", "0", p)) for p in (pattern, re.sub("[.,:]%f", "", pattern))
     ]
@@ -360,14 +374,18 @@ def _pattern_shapes(pattern: str) -> frozenset[str]:
 
 
 def _is_unpadded(pattern: str, texts: Sequence[str]) -> bool:
-    """Return whether milliseconds behind a colon lack leading zeros: 12:00:00:5 means 5 ms, not half a second."""
+    """Return whether a pattern reads milliseconds behind a colon, and a text has fewer than three digits for them.
+
+    Such a logger leaves out leading zeros: 12:00:00:5 means 5 ms, not half a second.
+    """
     return ":%f" in pattern and not all(re.search(r":\d{3}(\D|$)", text) for text in texts)
 
 
 def _typical_texts(texts: Sequence[str]) -> list[str]:
-    """Return up to about 400 different texts, taken evenly over the file, without blank texts.
+    """Return up to about 400 different texts of a column of times, taken evenly over the file, without blank texts.
 
-    Texts of a shape that less than 5 % of them have are left out, because they are not times: ERR, OVERFLOW.
+    Texts whose shape (the places of numbers and words) at most 5 % of them have are left out, because they are not
+    times: ERR, OVERFLOW.
     """
     # Over the whole file a day above 12 is likely; only such a day shows the order of day and month.
     filled = [text.strip() for text in texts if text.strip()]
@@ -378,13 +396,13 @@ def _typical_texts(texts: Sequence[str]) -> list[str]:
 
 
 def _day_format(texts: Sequence[str]) -> str:
-    """Return the pattern of dates without a time of day; "" if the texts are not such dates."""
+    """Return the strptime pattern of dates without a time of day; "" if the texts are not such dates."""
     tried = _typical_texts(texts)
     return next(iter(_fitting_patterns(tried, _DAYS)), "") if tried else ""
 
 
 def _reads_all(read: Callable[[str], object], texts: Sequence[str]) -> bool:
-    """Return whether a function reads all texts without a ValueError."""
+    """Return whether a parser of times, the function `read`, reads all texts without a ValueError."""
     try:
         for text in texts:
             read(text)
@@ -394,9 +412,10 @@ def _reads_all(read: Callable[[str], object], texts: Sequence[str]) -> bool:
 
 
 def _format_of_numbers(values: Column, name: Name) -> tuple[str, str]:
-    """Return the format of times that are numbers (n,), by their size and their usual step, and the caveat about it.
+    """Return the format of times that are numbers (n,), by their size and their median step, and the caveat about it.
 
-    The default is "s"; the caveat is "" if size and step are clear.
+    The format is a unit ("s", "ms", "us", "ns", "day"), "labview", "datenum" or "excel". The default is "s". The caveat
+    is "" if size and step are clear. `name` has the unit and the words in the name of the column.
     """
     top, steps = float(np.max(np.abs(values))), np.diff(values)
     step = float(np.median(steps))

@@ -87,7 +87,7 @@ def read_matlab(path: Path, options: SourceOptions) -> list[Table]:
 
 
 def _merged_by_times(path: Path, tables: Sequence[Table]) -> list[Table]:
-    """Return the tables, with the tables of one signal each merged into one if their times are equal.
+    """Merge the tables of one signal each whose times are equal into one table, and return all tables.
 
     Simulink's To Workspace blocks write one variable for each signal. Only signals of one table, as x and y, are
     recognised as a position.
@@ -108,7 +108,7 @@ def _merged_by_times(path: Path, tables: Sequence[Table]) -> list[Table]:
 
 
 def _vector_columns(vector: Vector) -> Iterator[tuple[str, Column]]:
-    """Yield name and values (n,) of a vector, or of each column of a matrix.
+    """Yield name and values (n,) of a MATLAB vector, or of each column of a matrix: M[0], M[1], ...
 
     The longer side of a matrix is the time. A matrix of more than 16 columns, or an array of more dimensions, yields
     nothing.
@@ -207,7 +207,10 @@ def read_parquet(path: Path, options: SourceOptions) -> list[Table]:
 
 
 def _seconds_of_column(pyarrow: Any, column: Any) -> Column:
-    """Return a column of dates, times or durations in s, (n,); NaN for an empty cell."""
+    """Convert a pyarrow column of dates (s since 1970), times of day (s since midnight) or durations to s, shape (n,).
+
+    An empty cell becomes NaN. `pyarrow` is the imported module.
+    """
     kind, types = column.type, pyarrow.types
     if types.is_date(kind):
         column = column.cast(pyarrow.timestamp("ns"))

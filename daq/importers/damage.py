@@ -8,7 +8,7 @@ RESYNC_MESSAGES = 3  # complete messages in a row that mark the end of a damaged
 
 
 def is_chain(place: int, size: int, end_of: Callable[[int], int]) -> bool:
-    """Return whether complete messages follow each other from a place on.
+    """Return whether complete messages of a binary log follow each other from an offset on, without a gap.
 
     Parameters
     ----------

@@ -57,6 +57,7 @@ class _MessageConverter:
     """
 
     def __init__(self, rig: Rig | None, device: Device | None) -> None:
+        """Prepare the conversion. The thrusters of `device` in `rig` name and scale the outputs; both may be None."""
         self.vehicle = NO_TYPE  # MAV_TYPE
         thrusters = [t for t in rig.thrusters if device is not None and t.device == device.name] if rig else []
         self._outputs = {t.node: (t.output, -1.0 if t.reversed else 1.0) for t in thrusters if t.output is not None}
@@ -75,15 +76,18 @@ class _MessageConverter:
         self._pilot = Autopilot(0, 0, 3)
 
     def _on_imu(self, m: Any) -> Found:
-        """Store angular rates and specific forces of the first IMU, for `joined`. Return no sample."""
+        """Store time, angular rates and specific forces of an IMU message, if it is of the first IMU. Return no sample.
+
+        After the whole log has been read, `joined` adds them to the attitudes.
+        """
         if getattr(m, "I", 0) == 0:
             self._imu.append((m._timestamp, m.GyrX, m.GyrY, m.GyrZ, m.AccX, m.AccY, m.AccZ))
         return []
 
     def _on_gpa(self, m: Any) -> Found:
-        """Store the age [s] of the fix of the first receiver: time of its message less its arrival.
+        """Store the age [s] of a fix of the first receiver from a GPA message: its time minus the arrival of the fix.
 
-        Return no sample.
+        Return no sample. After the whole log has been read, `joined` sets the fix back by this age.
         """
         age = getattr(m, "TimeUS", NAN) * 1e-6 - getattr(m, "SMS", NAN) * 1e-3
         if getattr(m, "I", 0) == 0 and 0.0 <= age < OLDEST_FIX_S:
@@ -91,10 +95,10 @@ class _MessageConverter:
         return []
 
     def joined(self, rows: list[Timed]) -> Iterator[Timed]:
-        """Yield the rows in order, with completed samples.
+        """Complete the samples of a DataFlash log after the whole log has been read, and yield them in order.
 
         An attitude gets rates and specific forces of the IMU message nearest in time. If no shaft speed of the log is
-        negative, each gets the sign of its output. A fix gets the time of its arrival. Other rows are unchanged.
+        negative, each gets the sign of its output. A fix gets the time of its arrival. Other samples are unchanged.
         """
         times = np.array([row[0] for row in self._imu])
         middle = (times[1:] + times[:-1]) / 2
@@ -109,12 +113,18 @@ class _MessageConverter:
             yield Timed(Frame(sample, t_rx, t_device - age), row.t - age)
 
     def _on_att(self, m: Any) -> Found:
-        """Return the attitude [rad] as an AHRS sample without rates and accelerations, which `joined` adds."""
+        """Convert an ATT message to an AHRS sample with the attitude [rad].
+
+        Rates and accelerations are NaN until `joined` adds them.
+        """
         yaw, pitch, roll = (math.radians(angle) for angle in (m.Yaw, m.Pitch, m.Roll))
         return [Ahrs(wrap_angle(yaw), pitch, roll, *[NAN] * 6)]
 
     def _on_gps(self, m: Any) -> Found:
-        """Return the fix of the first receiver. Values that its kind of fix does not determine are NaN."""
+        """Convert a GPS message of the first receiver to a fix; no sample for other receivers.
+
+        Values that its kind of fix does not determine are NaN: the position without a fix, the velocity below a 2D fix.
+        """
         if getattr(m, "I", 0) != 0:
             return []
         fix, course = FIXES.get(m.Status, 0), math.radians(m.GCrs)
@@ -136,10 +146,10 @@ class _MessageConverter:
         ]
 
     def _on_rcou(self, m: Any) -> Found:
-        """Return the outputs: with a rig those of its thrusters, else those of 1 to 14 that have had a pulse.
+        """Convert an RCOU message to a Servo sample with the pulse width [us] of each output.
 
-        With a rig, an output of a thruster also has the command (-1 to 1) by the scale of the rig; without a pulse it
-        is 0.
+        With a rig these are the outputs of its thrusters. Each also has the command (-1 to 1) by the scale of the rig;
+        without a pulse it is 0. Without a rig these are the outputs of 1 to 14 that have had a pulse.
         """
         found: Found = []
         for node in range(1, 15):
@@ -154,47 +164,53 @@ class _MessageConverter:
         return found
 
     def _on_esc(self, m: Any) -> Found:
-        """Return speed, current, voltage and temperature of a motor controller. Store whether a speed was negative."""
+        """Convert an ESC message to a sample with speed, current, voltage and temperature of a motor controller.
+
+        The sample also has the last command of the output with the same number. Store whether a speed was negative.
+        """
         node = m.Instance + 1
         self._is_signed = self._is_signed or m.RPM < 0.0
         return [Esc(node, m.RPM, m.Curr, self._n.get(node, NAN), m.Volt, m.Temp)]
 
     def _on_bat(self, m: Any) -> Found:
-        """Return voltage, current and charge (0 to 1, NaN if unknown) of the first battery."""
+        """Convert a BAT message to voltage, current and charge (0 to 1, NaN if unknown) of the first battery.
+
+        Messages of other batteries give no sample.
+        """
         if getattr(m, "Inst", getattr(m, "I", 0)) != 0:
             return []
         return [Battery(m.Volt, m.Curr, getattr(m, "RemPct", NAN) * 0.01)]
 
     def _on_msg(self, m: Any) -> Found:
-        """Return a text of the autopilot as an event."""
+        """Convert an MSG message, a text of the autopilot, to an event."""
         return [Event("statustext", str(m.Message))]
 
     def _on_mode(self, m: Any) -> Found:
-        """Return the state of the autopilot with its new mode, and an event with the name of the mode."""
+        """Convert a MODE message to the state of the autopilot with its new mode, and an event with the mode's name."""
         self._pilot = replace(self._pilot, mode=m.ModeNum if hasattr(m, "ModeNum") else int(m.Mode))
         return [self._pilot, Event("autopilot", mode_name(self._pilot.mode, self.vehicle))]
 
     def _on_arm(self, m: Any) -> Found:
-        """Return the state of the autopilot after arming or disarming, and an event."""
+        """Convert an ARM message to the state of the autopilot after arming or disarming, and an event."""
         self._pilot = replace(self._pilot, armed=int(bool(m.ArmState)), state=3 + bool(m.ArmState))
         return [self._pilot, Event("autopilot", "armed" if self._pilot.armed else "disarmed")]
 
     def _on_ev(self, m: Any) -> Found:
-        """Return an event with the number of the autopilot's event."""
+        """Convert an EV message to an event with the number of the autopilot's event (LogEvent of ArduPilot)."""
         return [Event("autopilot", f"event {m.Id} (LogEvent)")]
 
     def _on_err(self, m: Any) -> Found:
-        """Return an event with the code of an error and the number of the subsystem."""
+        """Convert an ERR message to an event with the error code and the number of the autopilot's subsystem."""
         return [Event("autopilot", f"error {m.ECode} of subsystem {m.Subsys} (LogErrorSubsystem)")]
 
     def _on_parm(self, m: Any) -> Found:
-        """Store a parameter of the autopilot. Return no sample."""
+        """Store a parameter of the autopilot from a PARM message, by its name. Return no sample."""
         self.parameters[str(m.Name)] = float(m.Value)
         return []
 
 
 def read_dataflash(path: Path, rig: Rig | None, device: Device | None) -> tuple[list[Timed], str, dict[str, float]]:
-    """Read a DataFlash log.
+    """Read the samples in a DataFlash log (BIN), which ArduPilot writes.
 
     Parameters
     ----------
@@ -245,7 +261,9 @@ def read_dataflash(path: Path, rig: Rig | None, device: Device | None) -> tuple[
         raise SeatrialError(
             f"{path}: this DataFlash log contains no attitude, GPS or outputs; set LOG_BITMASK and record again"
         )
-    remarks = [f"{counted(n, 'message')} {kind} of unknown form left out" for kind, n in strange.items()]
+    remarks = [
+        f"{counted(n, 'message')} {kind} of unknown form (another firmware) left out" for kind, n in strange.items()
+    ]
     remarks += [f"{counted(n_torn, 'damaged place')}: the messages there are left out"] * bool(n_torn)
     remarks += [f"{counted(n_wrong_times, 'message')} with an impossible time left out"] * bool(n_wrong_times)
     remarks += [stopped] * bool(stopped)
@@ -257,10 +275,10 @@ def read_dataflash(path: Path, rig: Rig | None, device: Device | None) -> tuple[
 
 
 def whole_messages(raw: bytes) -> tuple[bytes | None, int, int]:
-    """Remove damaged messages from a log.
+    """Remove damaged messages from the bytes of a DataFlash log.
 
-    A message is complete if another message or the end of the file follows it. Its time must lie near the median of
-    the five times around it. For times that rise, this median is the time itself.
+    A message is complete if another message or the end of the file follows it. Its time must lie within 1 s of the
+    median of the five times around it. For times that rise, this median is the time itself.
 
     Parameters
     ----------
@@ -270,13 +288,14 @@ def whole_messages(raw: bytes) -> tuple[bytes | None, int, int]:
     Returns
     -------
     tuple
-        The remaining bytes, None if no message is damaged; the number of damaged places; the number of wrong times.
+        The remaining bytes, None if no message is damaged; the number of damaged places; the number of messages with a
+        wrong time.
     """
     sizes = {FMT: FMT_SIZE}  # bytes of a message by its type
     timed: set[int] = set()  # types whose first field is TimeUS
 
     def end_of(place: int) -> int:
-        """Return the end of a message; -1 if no message of a known type begins here."""
+        """Return the end [bytes] of the DataFlash message at an offset; -1 if none of a known type begins there."""
         if raw[place : place + 2] != HEAD or place + 3 > len(raw):
             return -1
         size = sizes.get(raw[place + 2], -1)
@@ -319,7 +338,10 @@ def whole_messages(raw: bytes) -> tuple[bytes | None, int, int]:
 
 @contextlib.contextmanager
 def _file_of_whole_messages(path: Path, whole: bytes | None) -> Iterator[Path]:
-    """Yield the file to read: a temporary file with the bytes `whole`, or the log itself if `whole` is None."""
+    """Yield the file to read: a temporary file with the bytes `whole`, or the log itself if `whole` is None.
+
+    `whole` are the bytes of the log without its damaged messages. The temporary file is deleted at the end.
+    """
     if whole is None:
         yield path
         return
@@ -330,12 +352,15 @@ def _file_of_whole_messages(path: Path, whole: bytes | None) -> Iterator[Path]:
 
 
 def firmware_type(texts: Iterable[str]) -> int | None:
-    """Return the MAV_TYPE of the first text that begins with a firmware, as "ArduRover V4.7.0"; None without one."""
+    """Return the MAV_TYPE (type of vehicle) of the first text that begins with an ArduPilot firmware; None without one.
+
+    For example "ArduRover V4.7.0" gives 10.
+    """
     return next((number for text in texts for name, number in FIRMWARE.items() if text.startswith(name)), None)
 
 
 def _vehicle_of_log(log: Any) -> int:
-    """Return the MAV_TYPE by the texts of a log, `NO_TYPE` (0) if unknown.
+    """Return the MAV_TYPE (type of vehicle) by the text messages of a DataFlash log, `NO_TYPE` (0) if unknown.
 
     Read the log and rewind it to its beginning.
     """
@@ -347,7 +372,7 @@ def _vehicle_of_log(log: Any) -> int:
 
 @contextlib.contextmanager
 def _opened_log(path: Path) -> Iterator[Any]:
-    """Yield pymavlink's reader of a log and close its file at the end.
+    """Yield pymavlink's reader of a DataFlash log, and close its file at the end of the `with` block.
 
     What the reader prints is discarded. It may raise any error for a damaged file.
     """
@@ -371,7 +396,7 @@ def _opened_log(path: Path) -> Iterator[Any]:
 
 @contextlib.contextmanager
 def _without_error_output() -> Iterator[None]:
-    """Discard what the block writes to standard error. C code writes to the descriptor, so sys.stderr is not enough."""
+    """Discard what a `with` block writes to standard error, also from C code, which writes to the file descriptor."""
     before = os.dup(2)
     try:
         with open(os.devnull, "wb") as nowhere:

@@ -80,13 +80,13 @@ def read_flysight(path: Path, options: SourceOptions) -> list[Table]:
         if _TIME in columns[name]
     ]
     if not sensors:
-        raise SeatrialError(f"{path}: no rows below the header")
+        raise SeatrialError(f"{path}: no rows below the header, so there are no data")
     _move_to_utc(sensors)
     return [sensor.table for sensor in sensors if sensor.table.topic != _CLOCK] or [sensor.table for sensor in sensors]
 
 
 class _SensorRows(NamedTuple):
-    """Rows of one sensor of a file.
+    """Rows of one sensor of a FlySight file.
 
     Attributes
     ----------
@@ -101,23 +101,24 @@ class _SensorRows(NamedTuple):
 
     @property
     def t(self) -> Column:
-        """Times of the rows [s], (n,)."""
+        """Times of the sensor's rows [s], (n,): since 1970, or since power-on."""
         assert self.table.t is not None
         return self.table.t
 
     @property
     def has_utc(self) -> bool:
-        """Return whether the times are UTC."""
+        """Return whether the times of the sensor's rows are UTC, by the first time; False without rows."""
         return bool(len(self.t) and self.t[0] > _UTC)
 
 
 def _sensor_rows(
     path: Path, name: str, columns: list[str], units: dict[str, str], rows: list[list[str]], n_lost: int
 ) -> _SensorRows:
-    """Return the rows of one sensor as a table, with the number of their lines.
+    """Convert the text cells of one FlySight sensor to a table, with the line number of each row.
 
     Rows whose time cannot be read are left out. The remark of the table counts these and the `n_lost` incomplete rows.
-    A cell that is not a number becomes NaN. `columns` contains the column "time".
+    A cell that is not a number becomes NaN. `columns` contains the column "time". Each of `rows` has its line number in
+    front.
     """
     at = columns.index(_TIME)
     t = np.array([_cell_seconds(row[at + 1]) for row in rows])
@@ -133,7 +134,7 @@ def _sensor_rows(
 
 
 def _cell_seconds(cell: str) -> float:
-    """Return a time in UTC [s since 1970] or since power-on [s]; NaN if the cell is not a time."""
+    """Return the time in a FlySight cell: UTC [s since 1970] or time since power-on [s]; NaN for another text."""
     try:
         return float(cell)
     except ValueError:
@@ -146,7 +147,7 @@ def _cell_seconds(cell: str) -> float:
 
 
 def _cell_number(cell: str) -> float:
-    """Return the number in a cell; NaN if the cell is not a number."""
+    """Return the number in a cell of a FlySight file; NaN if the cell is not a number."""
     try:
         return float(cell)
     except ValueError:
@@ -154,7 +155,7 @@ def _cell_number(cell: str) -> float:
 
 
 def _move_to_utc(sensors: list[_SensorRows]) -> None:
-    """Move the times since power-on to UTC, in place.
+    """Move the times since power-on of FlySight sensors to UTC, in place.
 
     The TIME rows give the conversion. Without them the fixes among the rows give an offset, with a remark. Without
     fixes the times are not changed.
@@ -187,10 +188,10 @@ def _move_to_utc(sensors: list[_SensorRows]) -> None:
 
 
 def _on_other_clock(t: Column, known: Column, delay: Column) -> Column:
-    """Return times (n,) converted by a straight line through the differences `delay` (m,) of two clocks.
+    """Convert times (n,) [s] to another clock by a straight line through the differences of both clocks.
 
-    The differences were measured at the times `known` (m,). The median is added if there are fewer than three of them,
-    or all are of one time.
+    The differences `delay` (m,) [s] were measured at the times `known` (m,). Their median is added if there are fewer
+    than three of them, or all are of one time.
     """
     if len(known) < 3 or np.ptp(known) == 0.0:
         return np.asarray(t + np.median(delay))

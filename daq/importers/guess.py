@@ -69,12 +69,12 @@ BOATS = {10, 11, 12}  # MAV_TYPE: rover (ArduPilot's boats too), boat, submarine
 
 
 class Guess(NamedTuple):
-    """Guessed map.
+    """Import map that was guessed from a source file.
 
     Attributes
     ----------
     text : str
-        Text of the map.
+        Text of the map, in TOML.
     problem : str
         Reason why no fit is possible with the map; "" if a fit should be possible.
     """
@@ -84,12 +84,12 @@ class Guess(NamedTuple):
 
 
 def guess_map(path: Path, dbc: Path | None = None, folder: Path | None = None) -> Guess:
-    """Guess the map of a source for `seatrial import`.
+    """Guess the import map of a source file: which of its columns are which signals, in which units.
 
     Parameters
     ----------
     path
-        The source.
+        The source file, or the folder of a ROS bag.
     dbc
         Database of the messages of a CAN log.
     folder
@@ -141,13 +141,13 @@ def guess_map(path: Path, dbc: Path | None = None, folder: Path | None = None) -
     benches = [c for t in tables if not t.kind for c in bench_candidates(t, row_seconds(t, clocks[id(t)]))]
     candidates = [c for t in tables for c in (*message_candidates(t), *_column_candidates(t, clocks, together))]
     candidates = benches or [*candidates, *outputs(tables)]
-    candidates = [_with_units(_in_frame(c) if kind.name == "ros" else c) for c in candidates]
+    candidates = [_with_unit_caveats(_with_frame_key(c) if kind.name == "ros" else c) for c in candidates]
     main = _main_clock(candidates, clocks)
     taken, lines = _chosen_signals(candidates, clocks, main)
     problem = _missing_for_fit(taken, tables)
     head += _style_line(options, kind.name) + _time_lines(tables, candidates, clocks, main)
     remarks = [f"# caveat: {table.full_remark}" for table in tables if table.full_remark]
-    remarks += [f"# caveat: {line}" for line in _held_lines(candidates, taken, clocks)]
+    remarks += [f"# caveat: {line}" for line in _held_signal_comments(candidates, taken, clocks)]
     text = "\n".join([*head, *remarks, "signal = [", *lines, *_unrecognised_lines(tables, candidates, clocks), "]"])
     return Guess(text + (f"\n# no fit: {problem}" if problem else "") + "\n", problem)
 
@@ -162,14 +162,15 @@ def _is_log(path: Path) -> bool:
 
 
 def _toml_text(text: str) -> str:
-    """Return a text in quotes, with the escapes of TOML."""
+    """Return a text in quotes, with the escapes of TOML, for a guessed import map."""
     return json.dumps(text, ensure_ascii=False)
 
 
 def _style_line(options: SourceOptions, kind: str) -> list[str]:
-    """Return the line `csv = ...` of the map with the text style, in a list; an empty list if the source is not text.
+    """Return the line `csv = ...` of a guessed import map, in a list; an empty list if the source is not a text table.
 
-    The line also drops cells without a number and rows out of order.
+    The line has delimiter, decimal mark, encoding and header of the text. Its keys also drop cells without a number and
+    rows out of order.
     """
     if kind != "csv":
         return []
@@ -188,18 +189,21 @@ def _style_line(options: SourceOptions, kind: str) -> list[str]:
 
 
 def _main_clock(candidates: Sequence[Candidate], clocks: Clocks) -> Clock:
-    """Return the clock for [time] of the map: that of the first candidate whose table has a column of times.
+    """Return the time column for [time] of a guessed import map: that of the first candidate whose table has one.
 
-    Without such a candidate it is the clock of any table with a column of times, else an empty clock.
+    Without such a candidate it is the time column of any table, else an empty `Clock`. `clocks` has the time column of
+    each table, by the id of the table.
     """
     found = [clocks[id(candidate.table)] for candidate in candidates]
     return next((clock for clock in (*found, *clocks.values()) if clock.column), Clock())
 
 
 def _time_lines(tables: Sequence[Table], candidates: Sequence[Candidate], clocks: Clocks, main: Clock) -> list[str]:
-    """Return the line `time = ...` of the map, after comments with the caveats of all clocks.
+    """Return the line `time = ...` of a guessed import map, after comments with the caveats about all time columns.
 
-    Empty if all tables have their own times. Without a column of times, the line is a guessed rate of 10 Hz.
+    The line names the time column in `main`. It has `rate_hz` instead if the stamps are coarser than the rows, and a
+    guessed rate of 10 Hz without a time column. The list is empty if all tables have their own times. `clocks` has the
+    time column of each table, by the id of the table.
     """
     if not tables or all(table.t is not None for table in tables):
         return []
@@ -220,11 +224,11 @@ def _time_lines(tables: Sequence[Table], candidates: Sequence[Candidate], clocks
     return [*(f"# caveat: {caveat}" for caveat in dict.fromkeys(caveats)), line]
 
 
-def _held_lines(candidates: Sequence[Candidate], taken: Sequence[MapSignal], clocks: Clocks) -> Iterator[str]:
-    """Yield a comment for each group of chosen signals whose values the table holds between measurements.
+def _held_signal_comments(candidates: Sequence[Candidate], taken: Sequence[MapSignal], clocks: Clocks) -> Iterator[str]:
+    """Yield a comment for each group of signals whose values the source repeats in each row until the next measurement.
 
-    `taken` has the chosen signals. Inputs without a hold in the map are not tested, since their last value holds
-    anyway.
+    Only signals in `taken`, those chosen for the import map, are tested. Inputs without a hold in the map are not
+    tested, since their last value holds anyway. `clocks` has the time column of each table, by the id of the table.
     """
     tables: dict[tuple[int, bytes], tuple[Column, dict[str, Column]]] = {}
     for candidate in candidates:
@@ -249,10 +253,11 @@ def _held_lines(candidates: Sequence[Candidate], taken: Sequence[MapSignal], clo
 
 
 def _named_columns(table: Table, clocks: Clocks) -> Iterator[tuple[str, Name, frozenset[str], Column]]:
-    """Yield column, parsed name, words of column and topic, and values (n,) for the columns of numbers of a table.
+    """Yield (column, parsed name, words of column and topic, values (n,)) for each column of numbers of a table.
 
     Tables with messages of a known type, and set-points, yield no columns. The column of times and columns of text are
-    skipped. A message with a single number is named by its topic.
+    skipped. A message with a single number is named by its topic. `clocks` has the time column of each table, by the id
+    of the table.
     """
     message = table.kind.rpartition("/")[2]
     is_scalar = message in SCALARS and not table.kind.startswith("seatrial_msgs/")
@@ -273,9 +278,11 @@ def _named_columns(table: Table, clocks: Clocks) -> Iterator[tuple[str, Name, fr
 
 
 def _column_candidates(table: Table, clocks: Clocks, together: Mapping[frozenset[str], Column]) -> Iterator[Candidate]:
-    """Yield the candidates by the names of columns, in tables without known messages.
+    """Yield the signals that the names of columns suggest, as candidates for a guessed import map.
 
-    `together` has the numbers of the left and right columns of each quantity of thrusters.
+    Tables with messages of a known type yield nothing here. `together` has the numbers of the left and right columns of
+    each quantity of thrusters, so that both sides get the same scale. `clocks` has the time column of each table, by
+    the id of the table.
     """
     message = table.kind.rpartition("/")[2]
     names: dict[str, tuple[str, Name]] = {}
@@ -311,9 +318,10 @@ def _column_candidates(table: Table, clocks: Clocks, together: Mapping[frozenset
 
 
 def _with_hold(taken: MapSignal, t: Column | None, values: Column, words: frozenset[str]) -> tuple[MapSignal, str]:
-    """Return an input with the hold that its values (n,) show, and a caveat about the hold.
+    """Add to an input of a guessed map its hold ("linear" or "sampled") between its rows, judged by its values (n,).
 
-    The input is unchanged, without a caveat, if its times `t` (n,) [s] are None or it has a hold already.
+    Return the input, and a caveat about the hold. The input is unchanged, without a caveat, if its times `t` (n,) [s]
+    are None or it has a hold already. `words` are the words of its name: words of a set-point exclude a shaft speed.
     """
     if t is None or "hold = " in taken.extra:
         return taken, ""
@@ -323,7 +331,7 @@ def _with_hold(taken: MapSignal, t: Column | None, values: Column, words: frozen
 
 
 def _position_axis(letter: str, letters: Collection[str], stated: str) -> str:
-    """Return "x" or "y" if a column named by a capital letter is a position, "" if it is not.
+    """Return "x" (north) or "y" (east) if a column named by one capital letter is a position, "" if it is not.
 
     A position has a unit of length (`stated`), or no unit and a matching letter among all `letters` of the table: X and
     Y, or N and E.
@@ -333,10 +341,11 @@ def _position_axis(letter: str, letters: Collection[str], stated: str) -> str:
     return ("y" if letter == "E" else "x") if is_length or (beside and not stated) else ""
 
 
-def _in_frame(candidate: Candidate) -> Candidate:
-    """Return a candidate of a bag, whose map has frame = "ENU".
+def _with_frame_key(candidate: Candidate) -> Candidate:
+    """Return a candidate from a ROS bag, with the key frame = "NED" in its signals if their topic is in NED.
 
-    Signals of a topic in NED get the key frame = "NED". A single number of unknown axes gets a caveat.
+    The guessed map of a bag has frame = "ENU" for all signals without this key. A topic with a single number, whose
+    axes are unknown, gets a caveat.
     """
     table, caveat = candidate.table, candidate.caveat
     is_ned = bool(_NED.search(f"{table.topic} {table.kind} {table.frame_id}"))
@@ -357,14 +366,14 @@ def _in_frame(candidate: Candidate) -> Candidate:
 
 
 def _with_key(signal: MapSignal, key: str) -> MapSignal:
-    """Return a signal with a further key of the map, as TOML text, for example 'frame = "NED"'."""
+    """Return a signal of a guessed import map with a further key, as TOML text, for example 'frame = "NED"'."""
     return signal._replace(extra=", ".join(part for part in (signal.extra, key) if part))
 
 
-def _with_units(candidate: Candidate) -> Candidate:
-    """Return a candidate with a caveat for each column whose name contains a unit that its signal cannot have.
+def _with_unit_caveats(candidate: Candidate) -> Candidate:
+    """Add a caveat for each column whose name contains a unit that its signal cannot have, and return the candidate.
 
-    The unit is ignored.
+    The unit is ignored. For example a heading cannot have the unit of a column "heading [m]".
     """
     columns = {column: read_name(column).no_unit for signal in candidate.signals for column in signal.columns}
     units = {signal.unit for signal in candidate.signals}
@@ -379,7 +388,7 @@ def _with_units(candidate: Candidate) -> Candidate:
 def _motion_candidates(
     table: Table, t: Column | None, names: dict[str, tuple[str, Name]], numbers: dict[str, Column]
 ) -> Iterator[Candidate]:
-    """Yield the candidates of position, velocity, acceleration, heading and yaw rate of a table.
+    """Yield the signals of position, velocity, acceleration, heading and yaw rate in a table, as candidates for a map.
 
     Parameters
     ----------
@@ -388,15 +397,16 @@ def _motion_candidates(
     t
         Times of its rows (n,) [s]; None if unknown.
     names
-        Column and parsed name by meaning, a key of `seatrial.daq.importers.recognise.NAMES`.
+        Column and parsed name by the meaning of the column: "x", "lat", "psi", ...
+        (`seatrial.daq.importers.recognise.NAMES`).
     numbers
         Values (n,) by column.
     """
 
     def pair(group: str, rank: int, a: str, b: str, unit: str, caveat: str = "") -> Iterator[Candidate]:
-        """Yield a candidate with two signals `a` and `b` if the table has both.
+        """Yield a candidate with the signals `a` and `b`, as x and y, if the table has both; nothing otherwise.
 
-        `unit` is the default for columns without a unit in their name.
+        `unit` is the default for columns without a unit in their name. A lower `rank` is preferred.
         """
         if a in names and b in names:
             taken = tuple(MapSignal(n, (names[n][0],), names[n][1].unit or unit) for n in (a, b))
@@ -485,10 +495,11 @@ def _angle_unit(name: Name, values: Column) -> tuple[str, str]:
 def _rate_unit(
     t: Column | None, numbers: dict[str, Column], column: str, names: dict[str, tuple[str, Name]]
 ) -> tuple[str, str]:
-    """Return the unit of a yaw rate and the caveat about it.
+    """Return the unit of a yaw rate, "rad/s" or "deg/s", and the caveat about it.
 
     The derivative of a heading in the same table shows the unit. The size of the yaw rate decides if there is no
-    heading, no column of times, or no correlation between the two rates.
+    heading, no column of times, or no correlation between the two rates. `numbers` has the values by column, `names`
+    the column and parsed name by meaning ("psi").
     """
     rate = numbers[column]
     if "psi" in names and t is not None:
@@ -515,7 +526,7 @@ def _rate_unit(
 
 
 def outputs(tables: Sequence[Table]) -> Iterator[Candidate]:
-    """Yield the candidates of the outputs of an autopilot and of the shaft speeds of motor controllers.
+    """Yield the outputs of an autopilot and the shaft speeds of motor controllers, as candidates for a guessed map.
 
     Parameters
     ----------
@@ -544,11 +555,11 @@ def outputs(tables: Sequence[Table]) -> Iterator[Candidate]:
         extra = 'role = "input", hold = "sampled"' if known else extra
         taken = MapSignal(name, ("n" if known else "pwm",), "1", "", extra)
         yield Candidate("drive", 0, nodes[node], (taken,), "" if known else caveat)
-    shafts = sorted((t for t in tables if t.kind == "Esc" and "rpm" in t.columns), key=_node_of)
+    shafts = sorted((t for t in tables if t.kind == "Esc" and "rpm" in t.columns), key=_controller_sort_key)
     # All controllers get the same scale, so that equal speeds stay equal.
     top = max((float(np.nanmax(np.abs(t.columns["rpm"]), initial=0.0)) for t in shafts), default=0.0) or 1.0
     for k, table in enumerate(shafts):
-        node = _node_of(table)[0]
+        node = _controller_sort_key(table)[0]
         name = (("n",) if len(shafts) == 1 else ("n_left", "n_right"))[k] if len(shafts) <= 2 else f"n_{node}"
         caveat = f"controller {node} is assumed to be {name}, {top:.5g} rev/min (electrical for a VESC) full speed"
         taken = MapSignal(name, ("rpm",), "1", "", f'scale = {1.0 / top:.9g}, role = "input", hold = "linear"')
@@ -565,16 +576,16 @@ def _servo_functions(tables: Sequence[Table]) -> dict[int, float]:
     return {node: p[key] for node in nodes if (key := f"SERVO{node}_FUNCTION") in p}
 
 
-def _node_of(table: Table) -> tuple[int, str]:
-    """Return the number of a controller, which is the end of its topic (esc_1), and the topic.
+def _controller_sort_key(table: Table) -> tuple[int, str]:
+    """Return the sort key of a motor controller's table: the number at the end of its topic (1 of esc_1), topic.
 
-    Tables are sorted by this pair. With several buses, the topic begins with the bus.
+    With several buses, the topic begins with the bus.
     """
     return int(table.topic.rpartition("_")[2]), table.topic
 
 
 def _pulse_scale(p: Mapping[str, float], node: int) -> tuple[str, str]:
-    """Return the map keys that scale the pulses of an output to -1 .. 1, and the caveat about this scale.
+    """Return the import map's keys that scale an output's pulses to -1 .. 1, and the caveat about this scale.
 
     The parameters `p` of the autopilot give the scale: SERVOn_MIN, SERVOn_TRIM and SERVOn_MAX of the output `node`. The
     default scale is used, with a caveat, if MIN is not below MAX.
@@ -595,10 +606,12 @@ def _pulse_scale(p: Mapping[str, float], node: int) -> tuple[str, str]:
 
 
 def _chosen_signals(candidates: Sequence[Candidate], clocks: Clocks, main: Clock) -> tuple[list[MapSignal], list[str]]:
-    """Return the chosen signals, and the lines of the map: one for each of them, then the other candidates as comments.
+    """Choose the signals of a guessed import map. Return them, and the lines of the map.
 
-    Candidates are tried in the order of their rank, then of the number of their rows. A candidate is chosen if none of
-    its signals has been chosen before, it has times, and its thrusters fit those chosen before.
+    The lines are one for each chosen signal, then the other candidates as comments. Candidates are tried in the order
+    of their rank, then of the number of their rows, the largest first. A candidate is chosen if none of its signals has
+    been chosen before, it has times, and its thrusters fit those chosen before. `main` is the time column in [time] of
+    the map, and `clocks` has that of each table, by the id of the table.
     """
 
     sides: dict[frozenset[str], set[str]] = {}
@@ -606,7 +619,10 @@ def _chosen_signals(candidates: Sequence[Candidate], clocks: Clocks, main: Clock
         sides.setdefault(c.quantity, set()).update(signal.name for signal in c.signals)
 
     def order(c: Candidate) -> tuple[int, int]:
-        """Return the sort key of a candidate. A thruster of one side alone comes after a pair of thrusters."""
+        """Return the sort key of a candidate: its rank, then its number of rows, the largest first.
+
+        A thruster of one side alone comes after a pair of thrusters.
+        """
         single = c.quantity and len({"n_left", "n_right", "f_left", "f_right"} & sides[c.quantity]) == 1
         return c.rank + 2 * bool(single), -len(c.table)
 
@@ -643,9 +659,10 @@ def _chosen_signals(candidates: Sequence[Candidate], clocks: Clocks, main: Clock
 
 
 def _signal_line(table: Table, signal: MapSignal, clock: Clock, main: Clock) -> str:
-    """Return one signal of the map as an inline table of TOML.
+    """Return one signal of an import map as an inline table of TOML.
 
-    The line names the signal's own column of times if the clock of its table is not `main`, the clock in [time].
+    The line names the time column of its own table (`clock`) if it differs from `main`, the time column in [time] of
+    the map.
     """
     keys = [f"name = {_toml_text(signal.name)}"]
     if table.topic:
@@ -662,10 +679,10 @@ def _signal_line(table: Table, signal: MapSignal, clock: Clock, main: Clock) -> 
 
 
 def _unrecognised_lines(tables: Sequence[Table], candidates: Sequence[Candidate], clocks: Clocks) -> list[str]:
-    """Return comment lines for the columns that were not recognised, with the range of their values.
+    """Return comment lines of a guessed map for the columns that were not recognised, with the range of their values.
 
     At most 12 columns are listed, and a last line has the number of the others. Columns of text are left out. The list
-    is empty if all columns were recognised.
+    is empty if all columns were recognised. `clocks` has the time column of each table, by the id of the table.
     """
     used = {(id(c.table), column) for c in candidates for signal in c.signals for column in signal.columns}
     lines = []
@@ -689,7 +706,7 @@ def _unrecognised_lines(tables: Sequence[Table], candidates: Sequence[Candidate]
 
 
 def _missing_for_fit(taken: Sequence[MapSignal], tables: Sequence[Table]) -> str:
-    """Return the reason why no fit is possible with the chosen signals; "" if a fit should be possible.
+    """Return the reason why no model can be fitted to the chosen signals; "" if a fit should be possible.
 
     Reasons are another vehicle than a boat, no motion, no thrusters, one side alone, or a recording shorter than 1 s.
     """

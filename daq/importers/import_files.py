@@ -28,7 +28,7 @@ _WHOLE = Piece("", -1e18, 1e18)  # the piece of a map without [[log]]
 def import_files(
     map_path: Path, files: Sequence[Path], *, out: Path | None = None, out_dir: Path | None = None, force: bool = False
 ) -> list[Path]:
-    """Import files by a map.
+    """Import source files by an import map, which assigns their columns to signals, and write the logs.
 
     Parameters
     ----------
@@ -94,14 +94,15 @@ def import_files(
 
 
 def _is_too_many(row: RowsLeftOut) -> bool:
-    """Return whether the rows left out are too many (above 5 %, at least 5) for a useful log."""
+    """Return whether so many rows of a source were left out (above 5 %, at least 5) that the log is not useful."""
     return too_many_rows_missing(row.n, row.n_rows)
 
 
 def _files_of_logs(import_map: ImportMap, files: Sequence[Path]) -> list[tuple[str, list[tuple[Path, Source]]]]:
-    """Return for each log its name without ending, and its files, each with its part of the map.
+    """Return for each log of an import its name without ending, and its source files, each with its [[file]] table.
 
-    Raise SeatrialError if the map merges files and a [[file]] does not match exactly one file, or a file is left over.
+    Each file makes its own log, unless the import map merges all files into one. Raise SeatrialError if the map merges
+    files and a [[file]] does not match exactly one file, or a file is left over.
     """
     if not import_map.merge:
         return [(path.stem, [(path, import_map.sources[0])]) for path in files]
@@ -110,7 +111,9 @@ def _files_of_logs(import_map: ImportMap, files: Sequence[Path]) -> list[tuple[s
         matching = [path for path in files if fnmatch(path.name, source.match)]
         if len(matching) != 1:
             found = ", ".join(path.name for path in matching) or "none"
-            raise SeatrialError(f"{import_map.path}: '{source.match}' must match exactly one file; it matches: {found}")
+            raise SeatrialError(
+                f"{import_map.path}: [[file]] match = '{source.match}' must match exactly one file; it matches: {found}"
+            )
         group.append((matching[0], source))
     used = [path for path, _ in group]
     for path in files:
@@ -122,7 +125,7 @@ def _files_of_logs(import_map: ImportMap, files: Sequence[Path]) -> list[tuple[s
 
 
 class _SourceFile(NamedTuple):
-    """Contents of one source file.
+    """Contents of one source file of an import.
 
     Attributes
     ----------
@@ -152,7 +155,7 @@ class _SourceFile(NamedTuple):
 
 
 def _read_source(path: Path, source: Source) -> _SourceFile:
-    """Read one source file by its part of the map, and collect the remarks about it.
+    """Read one source file by its [[file]] table of the import map, and collect the remarks about it.
 
     Remarks are about tables with signals of the map, rows left out, held values, unknown inputs, and signals without
     samples. Raise SeatrialError if the file cannot be read by the map.
@@ -181,7 +184,10 @@ def _read_source(path: Path, source: Source) -> _SourceFile:
 
 
 def _remarks_by_topic(tables: Sequence[Table]) -> list[str]:
-    """Return the remarks of tables. A remark of several tables becomes one line with all their topics."""
+    """Return the remarks of tables as lines for the user. A remark that several tables share is one line.
+
+    This line begins with the topics of all these tables.
+    """
     topics: dict[str, list[str]] = {}
     for table in tables:
         topics.setdefault(table.full_remark.removeprefix(f"{table.topic}: "), []).append(table.topic)
@@ -189,7 +195,9 @@ def _remarks_by_topic(tables: Sequence[Table]) -> list[str]:
 
 
 def held_lines(held: Sequence[Held]) -> list[str]:
-    """Return a line for each group of signals that the source holds together, with the number of repeats left out.
+    """Return a line for each group of signals that the source repeats together until their next measurement.
+
+    The line has the interval of the measurements and the number of repeats left out.
 
     Parameters
     ----------
@@ -212,12 +220,16 @@ def held_lines(held: Sequence[Held]) -> list[str]:
 
 
 def left_out_line(row: RowsLeftOut) -> str:
-    """Return rows left out as one line of the log's metadata. The check of the log parses this line."""
+    """Return the number of rows left out as a line of the log's metadata: "number rows why rate topic".
+
+    The check of the log parses this line. For example "12 4000 repeats 50 imu" are 12 of 4000 rows of the topic imu,
+    left out because their stamp repeats, at 50 Hz.
+    """
     return f"{row.n} {row.n_rows} {row.why} {row.rate:.6g} {row.topic}"
 
 
 def _files_named_in_map(import_map: ImportMap) -> list[Path]:
-    """Return the DBC and rig files that a map names, so that no log replaces them."""
+    """Return the DBC and rig files that an import map names. No log may replace them."""
     named = [path for source in import_map.sources for path in (source.options.dbc, source.options.rig)]
     return [path for path in named if path is not None]
 
@@ -225,10 +237,10 @@ def _files_named_in_map(import_map: ImportMap) -> list[Path]:
 def _write_piece(
     import_map: ImportMap, data: Sequence[_SourceFile], piece: Piece, target: Path, force: bool, reads: Sequence[Path]
 ) -> None:
-    """Write one log, `target`: the signals and events of the source files within one piece of the map.
+    """Write one log, `target`: the signals and events of the source files within one interval of time (`piece`).
 
-    The metadata contain the digest of map and files and the numbers of rows left out. `reads` are the files that are
-    never replaced, even with `force`.
+    The metadata contain the digests of the import map and the files, and the numbers of rows left out. `reads` are the
+    files that are never replaced, even with `force`, which lets the import replace an existing log.
     """
     signals: list[SignalData] = []
     events = [(t, event) for source_file in data for t, event in source_file.events if piece.t_from <= t <= piece.t_to]
@@ -255,10 +267,10 @@ def _write_piece(
 
 
 def _within_piece(signal: SignalData, piece: Piece) -> SignalData:
-    """Return the samples of a signal within a piece of the map (t_from <= t <= t_to, in s of the file's clock).
+    """Return the samples of a signal within an interval of time (t_from <= t <= t_to, in s of the file's clock).
 
-    A held command also gets its last value before the piece as a sample at t_from. If it is known after the piece, or
-    has a timeout, its last value within the piece becomes a sample at t_to.
+    A held command also gets its last value before the interval as a sample at t_from. If it is known after the
+    interval, or has a timeout, its last value within the interval becomes a sample at t_to.
     """
     inside = (signal.t >= piece.t_from) & (signal.t <= piece.t_to)
     t, values = signal.t[inside], signal.values[inside]
@@ -274,5 +286,5 @@ def _within_piece(signal: SignalData, piece: Piece) -> SignalData:
 
 
 def _sha256(text: str) -> str:
-    """Return the SHA-256 of a text in UTF-8, as hexadecimal digits."""
+    """Return the SHA-256 of the text of an import map in UTF-8, as hexadecimal digits."""
     return hashlib.sha256(text.encode()).hexdigest()

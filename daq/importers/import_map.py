@@ -41,7 +41,7 @@ SCALE = ("c1", "c2")  # thrust of one thruster at n = 1 and -1: c1 + c2 and -(c1
 
 @dataclass(frozen=True)
 class TimeColumn:
-    """Source of the times: a column, or a rate if the file has no times.
+    """Source of the times of rows in an import map: a column, or a rate if the file has no times.
 
     Attributes
     ----------
@@ -53,7 +53,8 @@ class TimeColumn:
     date : str
         Column of the dates if `column` has times of day, or of the GPS weeks; "" if not needed.
     fraction : str
-        How the text behind the last point is read: "decimal" or "unpadded-ns"; "" for the usual way.
+        How the text behind the last point is read: "decimal" (a fraction of a second) or "unpadded-ns" (a number of ns
+        without leading zeros); "" to read it by `format`.
     rate_hz : float
         Rate of the rows [Hz]; 0 for times of a column.
     origin : float
@@ -146,16 +147,16 @@ class Signal:
 
     @property
     def log_name(self) -> str:
-        """Name of the signal in the log, after conversion to NED.
+        """Name of a signal in the log, after conversion to NED.
 
-        In a frame ENU, x and y are exchanged, as are vx and vy.
+        In a frame ENU (east, north, up), x and y are exchanged, as are vx and vy; other names stay.
         """
         return self.name if self.frame == "NED" else RENAMED.get(self.name, self.name)
 
 
 @dataclass(frozen=True)
 class Source:
-    """Kind of source file: how it is read, its clock and its signals.
+    """One kind of source file in an import map: how it is read, its time column and its signals.
 
     Attributes
     ----------
@@ -177,7 +178,7 @@ class Source:
 
 @dataclass(frozen=True)
 class Piece:
-    """Interval of time that becomes a log of its own.
+    """Interval of time of the source files that becomes a log of its own, from a table [[log]] of an import map.
 
     Attributes
     ----------
@@ -194,7 +195,7 @@ class Piece:
 
 @dataclass(frozen=True)
 class ImportMap:
-    """Map of an import.
+    """Import map, a TOML file that assigns columns of source files to signals of a log.
 
     Attributes
     ----------
@@ -224,7 +225,7 @@ class ImportMap:
 
 
 def load_import_map(path: Path) -> ImportMap:
-    """Read and check a map.
+    """Read and check an import map.
 
     Parameters
     ----------
@@ -265,15 +266,16 @@ def load_import_map(path: Path) -> ImportMap:
 
 
 def _keeping_repeats(source: Source) -> Source:
-    """Return a source that keeps repeated values by default, as maps of the older format do."""
+    """Return a kind of source file that keeps repeated values by default, as import maps of the older format do."""
     style = source.options.style
     return replace(source, options=replace(source.options, style=replace(style, repeats=style.repeats or "keep")))
 
 
 def _boat_numbers(table: TomlTable | None, names: Sequence[str]) -> dict[str, float]:
-    """Return known numbers of the boat by name, and their standard uncertainties ``NAME_sd`` if given.
+    """Return the numbers of the boat in the table [geometry] or [scale] of an import map, by name.
 
-    Empty without a table. Raise SeatrialError if a number is impossible or a key is unknown: c1 and length must be
+    Standard uncertainties ``NAME_sd`` are included if the table has them. `names` are the possible keys. The result is
+    empty without a table. Raise SeatrialError if a number is impossible or a key is unknown: c1 and length must be
     positive, y_left must be less than y_right, and both within the length of the hull.
     """
     if table is None:
@@ -296,7 +298,7 @@ def _boat_numbers(table: TomlTable | None, names: Sequence[str]) -> dict[str, fl
 
 
 def _source_of_table(table: TomlTable, match: str, near: Path) -> Source:
-    """Return a source from its table in the map, [[file]] or the whole map.
+    """Parse one kind of source file from its table of the import map, a [[file]] or the whole map.
 
     `match` is the pattern of its file name. Paths in the table are relative to the folder `near`. Raise SeatrialError
     if the table has no signal or a wrong key.
@@ -315,7 +317,7 @@ def _source_of_table(table: TomlTable, match: str, near: Path) -> Source:
 
 
 def _reading_options(parent: TomlTable, near: Path) -> SourceOptions:
-    """Return the reading options of the tables [csv], [can] and [mavlink] of a source.
+    """Parse the reading options in the tables [csv], [can] and [mavlink] of an import map.
 
     Paths are relative to the folder `near`. A missing table gives the defaults. Raise SeatrialError for a wrong key.
     """
@@ -334,7 +336,10 @@ def _reading_options(parent: TomlTable, near: Path) -> SourceOptions:
 
 
 def _text_style(table: TomlTable | None) -> TextStyle:
-    """Return the text style of the table [csv]; the default style without it. Raise SeatrialError for a wrong key."""
+    """Parse the table [csv] of an import map: delimiter, decimal mark, encoding, header, handling of missing numbers.
+
+    None gives the default style. Raise SeatrialError for a wrong key.
+    """
     if table is None:
         return TextStyle()
     delimiter = table.text("delimiter", ",")
@@ -366,7 +371,7 @@ def _text_style(table: TomlTable | None) -> TextStyle:
 
 
 def _time_column(table: TomlTable) -> TimeColumn:
-    """Return the source of the times from the table [time].
+    """Parse the table [time] of an import map: the time column and its format, or the rate of the rows.
 
     Raise SeatrialError unless it has either a column or a rate, or if its keys do not fit together.
     """
@@ -391,7 +396,10 @@ def _time_column(table: TomlTable) -> TimeColumn:
 
 
 def _time_format(table: TomlTable, key: str, usual: str) -> str:
-    """Return the format of times at a key, by default `usual`. Raise SeatrialError if the format is invalid."""
+    """Return the format of times at a key of an import map, by default `usual`. Raise SeatrialError if it is invalid.
+
+    Valid are units ("s", "ms", ...), "iso", days of a spreadsheet, GPS times, and strptime patterns.
+    """
     pattern = table.text(key, usual)
     if pattern not in (*FORMATS_OF_TIME, usual) and "%" not in pattern:
         raise table.error(key, f"must be {', '.join(FORMATS_OF_TIME)} or a pattern with %, not '{pattern}'")
@@ -407,7 +415,7 @@ def _time_format(table: TomlTable, key: str, usual: str) -> str:
 
 
 def _time_origin(table: TomlTable) -> float:
-    """Return the origin that is added to the times [s since 1970], from the key `origin`; 0 without it.
+    """Return the key `origin` of the table [time], which is added to all times [s since 1970]; 0 without the key.
 
     A date and time without a zone is UTC. Raise SeatrialError if it is not in ISO form.
     """
@@ -422,9 +430,10 @@ def _time_origin(table: TomlTable) -> float:
 
 
 def _signal_of_table(table: TomlTable, frame: str) -> Signal:
-    """Return a signal from its table [[signal]]; `frame` is the default frame of its source.
+    """Parse one signal from its table [[signal]] of an import map.
 
-    Raise SeatrialError for a wrong key, or keys that do not fit together.
+    `frame` ("NED", "FRD", "ENU" or "FLU") is the default frame of the source. Raise SeatrialError for a wrong key, or
+    keys that do not fit together.
     """
     name = table.text("name")
     if not NAME.fullmatch(name):
@@ -477,10 +486,11 @@ def _signal_of_table(table: TomlTable, frame: str) -> Signal:
 
 
 def _signal_units(table: TomlTable, make: str, columns: Sequence[str], key: str) -> tuple[str, tuple[str, ...]]:
-    """Return the unit of a signal and, for a signal made of several columns, the units of these columns.
+    """Return the unit of a signal of an import map and, for a signal made of several columns, the units of the columns.
 
-    `key` is the key of the columns, for messages. For a single column the second result is empty. Raise SeatrialError
-    for an unknown unit, a wrong number of columns, or a unit of another quantity.
+    `make` is the computed quantity, for example "north", or "" for a single column, for which the second result is
+    empty. `key` is the key of the columns, for messages. Raise SeatrialError for an unknown unit, a wrong number of
+    columns, or a unit of another quantity.
     """
     known = f"known: {', '.join(UNITS)}"
     if not make:
@@ -499,9 +509,10 @@ def _signal_units(table: TomlTable, make: str, columns: Sequence[str], key: str)
 
 
 def _piece_of_table(table: TomlTable) -> Piece:
-    """Return a piece from its table [[log]]. Without t_from or t_to it has no limit on this side.
+    """Parse an interval of time that becomes a log, from a table [[log]]; t_from and t_to may be missing.
 
-    Raise SeatrialError for a name that is not safe in a file name, or if t_to is not after t_from.
+    Without one of them the interval has no limit on that side. Raise SeatrialError for a name that is not safe in a
+    file name, or if t_to is not after t_from.
     """
     name = table.text("name")
     if not re.fullmatch(r"[A-Za-z0-9_.-]+", name):

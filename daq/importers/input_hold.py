@@ -29,12 +29,13 @@ FEWEST_CHANGES, SLOWEST_COMB_S = 12, 2.0  # changes at every k-th row at least, 
 
 
 class InputHold(NamedTuple):
-    """Hold of an input.
+    """How an input continues between the rows of a table, as it is recognised from its values.
 
     Attributes
     ----------
     hold : str
-        "linear" or "sampled", as in a map; "" for the default of inputs, the last value.
+        "linear" (measured shaft speed) or "sampled" (held values recorded at a rate); "" for the default of inputs: the
+        last value holds.
     caveat : str
         What is uncertain in the hold, for the user; "" if the hold is certain.
     """
@@ -44,7 +45,7 @@ class InputHold(NamedTuple):
 
 
 def input_hold(t: Column, values: Column, *, may_be_shaft: bool) -> InputHold:
-    """Return the hold of an input, judged by its values.
+    """Recognise how an input continues between the rows of a table, by its values.
 
     Parameters
     ----------
@@ -76,7 +77,7 @@ def input_hold(t: Column, values: Column, *, may_be_shaft: bool) -> InputHold:
 
 
 def _lags_like_shaft(values: Column) -> bool:
-    """Return whether the changes of a signal (n,) continue in the next row, as for a shaft with a lag.
+    """Return whether the values of an input (n,) lag like the speed of a shaft: a change continues in the next row.
 
     At least 3 changes from rest are needed. In 70 % of them the next row must add 5 % to 95 % of the change.
     """
@@ -95,7 +96,7 @@ def _lags_like_shaft(values: Column) -> bool:
 
 
 def _rows_per_change(values: Column) -> int:
-    """Return the largest k such that the values (n,) change only at every k-th row.
+    """Return the largest k such that the values of an input (n,) change only at every k-th row of its table.
 
     The result is 1 if there are fewer than 12 changes, which may be regular by chance.
     """

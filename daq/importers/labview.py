@@ -79,20 +79,26 @@ def read_lvm(path: Path, options: SourceOptions) -> list[Table]:
 
 
 def _header_cells(lines: Sequence[Sequence[str]]) -> dict[str, Sequence[str]]:
-    """Return the cells of each line of a header after its first cell, by the first cell.
+    """Return the cells of each header line of a LabVIEW file by the first cell of the line, without that cell.
 
-    A line without cells is skipped.
+    A line without cells is skipped. If a first cell repeats, the last line counts.
     """
     return {cells[0].strip(): cells[1:] for cells in lines if cells}
 
 
 def _first_filled_cell(head: Mapping[str, Sequence[str]], key: str, usual: str) -> str:
-    """Return the first cell of the header line `key` that is not blank; `usual` if there is no such line or cell."""
+    """Return the first cell of a LabVIEW header line that is not blank; `usual` if there is no such line or cell.
+
+    `head` has the cells of each header line by its name, and `key` is the name.
+    """
     return next((cell.strip() for cell in head.get(key, ()) if cell.strip()), usual)
 
 
 def _header_seconds(head: Mapping[str, Sequence[str]], decimal: str) -> float:
-    """Return date and time of a header [s since 1970]; NaN if the header has no date."""
+    """Return the entries Date and Time of a LabVIEW header, taken as UTC [s since 1970]; NaN if there is no date.
+
+    `head` has the cells of each header line by name, and `decimal` is the decimal mark of the file.
+    """
     text = f"{_first_filled_cell(head, 'Date', '')} {_first_filled_cell(head, 'Time', '').replace(decimal, '.')}"
     for pattern in ("%Y/%m/%d %H:%M:%S.%f", "%Y-%m-%d %H:%M:%S.%f"):
         try:
@@ -104,7 +110,7 @@ def _header_seconds(head: Mapping[str, Sequence[str]], decimal: str) -> float:
 
 
 class _SegmentRows:
-    """Collector of the rows of all segments of one LabVIEW file.
+    """Collector of the rows of all segments of one LabVIEW file, which become one table.
 
     Parameters
     ----------
@@ -119,6 +125,7 @@ class _SegmentRows:
     """
 
     def __init__(self, path: Path, decimal: str, x_columns: str, start: float) -> None:
+        """Begin without rows. The header of the LabVIEW file has decimal mark, kind of X and start [s since 1970]."""
         self._path, self._decimal, self._x_columns, self._start = path, decimal, x_columns.lower(), start
         self._names: list[str] = []
         self._units: dict[str, str] = {}
@@ -129,11 +136,13 @@ class _SegmentRows:
         self._segment: Mapping[str, Sequence[str]] = {}
 
     def begin(self, segment: Mapping[str, Sequence[str]]) -> None:
-        """Begin a segment with the cells of its header, by name. `add` then adds its rows."""
+        """Begin a segment of a LabVIEW file with the cells of its header, by name. `add` then adds its rows."""
         self._segment = segment
 
     def add(self, rows: Sequence[Sequence[str]]) -> None:
-        """Add the rows of the segment. The first row has the names of the columns.
+        """Add the rows of a segment of a LabVIEW file, each a list of cells. The first has the names of the columns.
+
+        Without rows nothing is added. A row with too few cells is left out and counted.
 
         Raises
         ------
@@ -166,17 +175,17 @@ class _SegmentRows:
         self._values.append(values)
 
     def _cell_number(self, cell: str) -> float:
-        """Return the number in a cell; NaN if the cell is not a number."""
+        """Return the number in a cell by the decimal mark of the LabVIEW file; NaN if the cell is not a number."""
         try:
             return to_number(cell.strip(), self._decimal)
         except ValueError:
             return math.nan
 
     def _times(self, rows: Sequence[Sequence[str]], place: int | None) -> Column:
-        """Return the times of the rows of the segment, (n,).
+        """Return the times (n,) of the rows of a LabVIEW segment [s since 1970, or since the start without a date].
 
-        They are in s since 1970, or since the start if the file has no date. `place` is the index of the column X; None
-        if the rows have no X and are Delta_X apart. Raise SeatrialError if they have neither.
+        `place` is the index of the column X, which has the times; None if the rows have no X and are Delta_X apart.
+        Raise SeatrialError if they have neither.
         """
         x0 = self._cell_number(_first_filled_cell(self._segment, "X0", "0"))
         dx = self._cell_number(_first_filled_cell(self._segment, "Delta_X", "nan"))
@@ -195,9 +204,9 @@ class _SegmentRows:
         return np.asarray(start + x if is_continued or not begin else begin + x - x0)
 
     def table(self) -> Table:
-        """Return all rows that have a time as one table. Raise SeatrialError if there are no rows."""
+        """Return the rows of all segments that have a time as one table. Raise SeatrialError if there are no rows."""
         if not self._t or not sum(map(len, self._t)):
-            raise SeatrialError(f"{self._path}: no rows below the header")
+            raise SeatrialError(f"{self._path}: no rows below the header, so there are no data")
         t, values = np.concatenate(self._t), np.concatenate(self._values)
         known = np.isfinite(t)
         n_lost = self._n_short + int(np.sum(~known))

@@ -29,7 +29,7 @@ TABLES = ("table", "timetable")
 
 @dataclass(frozen=True)
 class MatlabObject:
-    """Object of MATLAB.
+    """Object of a MATLAB class, read from a file of version 7.3.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class MatlabObject:
 
 
 class Vector(NamedTuple):
-    """Numbers of a variable, with the topic and the name of their table and column.
+    """Array of numbers in a variable of a MATLAB file, with the topic and the name of the column that it becomes.
 
     Attributes
     ----------
@@ -68,7 +68,7 @@ class Vector(NamedTuple):
 
 
 def vectors(name: str, value: Any, left_out: list[str], topic: str = "", depth: int = 0) -> Iterator[Vector]:
-    """Yield the numbers in a variable.
+    """Yield all arrays of numbers in a variable of a MATLAB file, also those inside structs, cells and objects.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def vectors(name: str, value: Any, left_out: list[str], topic: str = "", depth: 
 
 
 def _object_vectors(name: str, value: MatlabObject, left_out: list[str], topic: str, depth: int) -> Iterator[Vector]:
-    """Yield the numbers of an object: times, the columns of a table, or the properties of another class.
+    """Yield the numbers in a MATLAB object: times, the columns of a table, or the properties of another class.
 
     Parameters are those of `vectors`. An object without readable numbers is added to `left_out`. A single time yields
     nothing.
@@ -138,9 +138,9 @@ def _object_vectors(name: str, value: MatlabObject, left_out: list[str], topic: 
 
 
 def _object_seconds(value: Any) -> NDArray[np.float64] | None:
-    """Return a datetime [s since 1970, in UTC if it has a zone] or a duration [s]; None for other values.
+    """Return a MATLAB datetime [s since 1970] or duration [s] as an array; None for values of other classes.
 
-    A datetime without a value in the file is NaN, a duration without one is 0.
+    A datetime with a zone is in UTC. A datetime without a value in the file is NaN, a duration without one is 0.
     """
     if not isinstance(value, MatlabObject) or value.kind not in ("datetime", "duration"):
         return None
@@ -154,9 +154,10 @@ def _object_seconds(value: Any) -> NDArray[np.float64] | None:
 
 
 def _table_columns(place: str, value: MatlabObject) -> Iterator[Vector]:
-    """Yield the columns of a table or timetable. The times of a timetable come first.
+    """Yield the columns of numbers of a MATLAB table or timetable. The times of a timetable come first.
 
-    Columns of text and of other classes are left out. Nothing is yielded if the object has another layout.
+    `place` is the name of the variable, which becomes the topic. Columns of text and of other classes are left out.
+    Nothing is yielded if the object has another layout.
     """
     inner = value.properties.get("any", value.properties)
     if not isinstance(inner, Mapping):
@@ -184,7 +185,7 @@ def _table_columns(place: str, value: MatlabObject) -> Iterator[Vector]:
 
 
 def _row_times(value: Any, n_rows: int) -> NDArray[np.float64] | None:
-    """Return the times of the rows of a timetable, (n_rows,) [s]; None if their kind is unknown.
+    """Return the times of the rows of a MATLAB timetable, (n_rows,) [s]; None if their kind is unknown.
 
     They are stored as a datetime or duration, or as a first time with a step or a rate.
     """
@@ -205,13 +206,13 @@ def _row_times(value: Any, n_rows: int) -> NDArray[np.float64] | None:
 
 
 def _single_number(value: Any) -> float | None:
-    """Return the number in an array of one element; None for any other value."""
+    """Return the number in a MATLAB array of one element; None for any other value."""
     ok = isinstance(value, np.ndarray) and value.size == 1 and value.dtype.kind in "biuf"
     return float(value.flat[0]) if ok else None
 
 
 def _simulink_signals(value: Mapping[str, Any]) -> list[Mapping[str, Any]] | None:
-    """Return the signals of a Simulink structure with time, each a struct with "values"; None for any other struct."""
+    """Return the signals of a Simulink structure with time, each a dict with "values"; None for any other struct."""
     signals, time = value.get("signals"), value.get("time")
     listed = [signals] if isinstance(signals, Mapping) else signals
     if not isinstance(time, np.ndarray) or time.size < 2 or not isinstance(listed, list) or not listed:
@@ -222,9 +223,10 @@ def _simulink_signals(value: Mapping[str, Any]) -> list[Mapping[str, Any]] | Non
 
 
 def _simulink_vectors(place: str, name: str, time: Any, signals: list[Mapping[str, Any]]) -> Iterator[Vector]:
-    """Yield the times and the signals of a Simulink structure with time.
+    """Yield the times and the signals of a Simulink structure with time as columns of the topic `place`.
 
-    A signal is named after its label, or else its block, or else the variable.
+    A signal is named after its label, or else its block, or else the variable `name`. With several unnamed signals,
+    signal k is named signals[k].
     """
     t = np.ravel(time)
     yield Vector(place, "time", t)
@@ -244,7 +246,7 @@ def _simulink_vectors(place: str, name: str, time: Any, signals: list[Mapping[st
 def _struct_array_vectors(
     name: str, value: list[Mapping[str, Any]], left_out: list[str], topic: str, depth: int
 ) -> Iterator[Vector]:
-    """Yield the numbers of a struct array.
+    """Yield the arrays of numbers in a MATLAB struct array.
 
     A field with one number in each struct becomes a column. If the array has no such field, each of the first 16
     structs becomes a topic, VARIABLE[0]. Parameters are those of `vectors`.
@@ -261,7 +263,7 @@ def _struct_array_vectors(
 
 
 def scipy_value(value: Any, depth: int = 0) -> Any:
-    """Return a variable of scipy.io.loadmat (squeezed) as a Python value.
+    """Convert a variable from scipy.io.loadmat (squeezed) to a dict, list, text or array.
 
     Parameters
     ----------
@@ -300,7 +302,7 @@ class Hdf5Variables:
     """
 
     def __init__(self, file: Any) -> None:
-        """Read the list of objects of an open h5py file, if it has one."""
+        """Read the list of MATLAB objects in an open HDF5 file (version 7.3), if it has one."""
         self._file = file
         self._contents: list[Any] = []
         self._classes: list[str] = []
@@ -312,7 +314,7 @@ class Hdf5Variables:
             self._read_objects(np.asarray(file[self._contents[0]][()], np.uint8).tobytes())
 
     def _read_objects(self, data: bytes) -> None:
-        """Store the classes, objects and properties of the file from the bytes of its list of objects.
+        """Store the classes, objects and properties of a MATLAB 7.3 file from the bytes of its list of objects.
 
         They are regions of 32-bit words after a header and the names.
         """
@@ -328,19 +330,24 @@ class Hdf5Variables:
         self._objects = region[2].reshape(-1, 6)
 
     def items(self) -> Iterator[tuple[str, Any]]:
-        """Yield the name and the value of each variable. Names that begin with # belong to MATLAB itself."""
+        """Yield the name and the value of each variable of the MATLAB file.
+
+        Entries whose name begins with # are skipped, because they belong to MATLAB itself.
+        """
         for name, node in self._file.items():
             if not name.startswith("#"):
                 yield name, self._python_value(node, 0)
 
     def _python_value(self, node: Any, depth: int) -> Any:
-        """Return the value of a group or dataset of the file.
+        """Convert a group or dataset of a MATLAB 7.3 file to a Python value.
 
         A struct becomes a dict or a list of dicts, a cell a list. Other values are text, arrays and objects. `depth` is
         the number of structs, cells and objects around the value. Raise SeatrialError if it is above 30.
         """
         if depth > DEEPEST:
-            raise SeatrialError(f"structs, cells or objects are nested more than {DEEPEST} deep")
+            raise SeatrialError(
+                f"structs, cells or objects are nested more than {DEEPEST} deep; save the needed vectors alone"
+            )
         if hasattr(node, "items"):
             return self._struct_value(node, depth)
         kind = node.attrs.get("MATLAB_class", b"")
@@ -358,9 +365,10 @@ class Hdf5Variables:
         return np.asarray(values).T
 
     def _struct_value(self, group: Any, depth: int) -> Any:
-        """Return a struct as a dict by field, and a struct array as a list of dicts.
+        """Convert an HDF5 group of a MATLAB file: a struct to a dict by field, and a struct array to a list of dicts.
 
-        A group is a struct array if all its fields are arrays of references.
+        A group is a struct array if all its fields are arrays of references. `depth` is the number of structs around
+        it.
         """
         is_array = [part.dtype.kind == "O" and "MATLAB_class" not in part.attrs for part in _datasets_of_group(group)]
         if not is_array or not all(is_array) or len(is_array) < len(group):
@@ -370,9 +378,10 @@ class Hdf5Variables:
         return [{field: column[k] for field, column in columns.items()} for k in range(n)]
 
     def _referenced_objects(self, reference: NDArray[Any], depth: int) -> Any:
-        """Return the object of a reference, or a list of objects; None if the reference is invalid.
+        """Return the MATLAB object of a reference, or a list of at most 16 objects; None if the reference is invalid.
 
-        The words of a reference: `OBJECT`, number of dimensions, the dimensions, the indices of the objects, the class.
+        The 32-bit words of a reference are: `OBJECT`, number of dimensions, the dimensions, the indices of the objects,
+        and the class. `depth` is the number of structs and objects around it.
         """
         words = [int(word) for word in np.ravel(reference)]
         if len(words) < 2 or words[0] != OBJECT or words[1] != len(words[2 : 2 + words[1]]):
@@ -382,9 +391,9 @@ class Hdf5Variables:
         return found[0] if len(found) == 1 else found
 
     def _object_of_number(self, number: int, depth: int) -> MatlabObject | None:
-        """Return the object that has this number in the file, from 1 on; None if the number is out of range.
+        """Return the MATLAB object that has this number in the file, from 1 on; None if the number is out of range.
 
-        Only properties that are stored as an entry of the file are read.
+        Only properties that are stored as an entry of the file are read, not those stored as a flag or an enumeration.
         """
         if not 0 < number < len(self._objects):
             return None
@@ -403,19 +412,20 @@ _NUMERIC = {b"double", b"single", b"logical", b"int8", b"uint8", b"int16", b"uin
 
 
 def _is_reference(values: Any) -> bool:
-    """Return whether the values of a dataset are the 32-bit words of a reference to an object."""
+    """Return whether the values of an HDF5 dataset are the 32-bit words of a reference to a MATLAB object."""
     return bool(values.dtype == np.uint32 and values.size >= 5 and values.ravel()[0] == OBJECT)
 
 
 def _datasets_of_group(group: Any) -> list[Any]:
-    """Return the datasets in a group of the file, without the groups in it."""
+    """Return the datasets in a group of an HDF5 file, without the groups in it."""
     return [part for part in group.values() if not hasattr(part, "items")]
 
 
 def _property_lists(words: NDArray[np.uint32], names: list[str]) -> list[list[tuple[str, int, int]]]:
-    """Return for each object its properties: name, kind of storage, and value or index of the value.
+    """Parse the property lists of all MATLAB objects of a file from its 32-bit words.
 
-    The length stands in front of each list, and each list begins at an even word.
+    Return for each object its properties: name, kind of storage (0 enumeration, 1 entry of the file, 2 number or bool),
+    and value or index of the entry. The length stands in front of each list, and each list begins at an even word.
     """
     found, at = [], 0
     while at < len(words):

@@ -40,7 +40,7 @@ DEVICE = "autopilot"  # name of the device in a log without a rig
 def import_mavlink(
     path: Path, *, rig: Rig | None = None, system: int | None = None, out: Path | None = None, force: bool = False
 ) -> tuple[Path, str]:
-    """Write the samples of an autopilot's log as a log.
+    """Convert a tlog or DataFlash log of an autopilot to an MCAP log with its samples.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ def import_mavlink(
 
 
 def read_autopilot(path: Path, rig: Rig | None, system: int | None) -> tuple[list[Timed], str, dict[str, float]]:
-    """Read a tlog or a DataFlash log.
+    """Read the samples in a tlog or a DataFlash log of an autopilot.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ def _mavlink_device(rig: Rig | None) -> Device | None:
 def read_tlog(
     path: Path, data: bytes, rig: Rig | None, device: Device | None, system: int | None
 ) -> tuple[list[Timed], str, dict[str, float]]:
-    """Read a tlog.
+    """Read the samples in a tlog, the log of MAVLink frames that a ground station writes.
 
     Parameters
     ----------
@@ -173,7 +173,7 @@ def read_tlog(
     parameters: dict[str, float] = {}
 
     def listen(message: Any) -> None:
-        """Store the value of a parameter message."""
+        """Store the value of a MAVLink message PARAM_VALUE by the parameter's name. Ignore all other messages."""
         if message.get_type() == "PARAM_VALUE":
             parameters[message.param_id] = float(message.param_value)
 
@@ -199,7 +199,7 @@ def read_tlog(
 
 
 def _refuse_two_autopilots(path: Path, rows: Sequence[Timed], system: int) -> None:
-    """Raise SeatrialError if two autopilots send with the same system number.
+    """Raise SeatrialError if two autopilots send with the same MAVLink system number.
 
     Then the boot times of attitudes or fixes run back by more than 0.05 s in more than 20 % of the samples, at least
     ten times.
@@ -217,7 +217,7 @@ def _refuse_two_autopilots(path: Path, rows: Sequence[Timed], system: int) -> No
 
 
 def mismatches(p: Mapping[str, float], rig: Rig | None) -> list[ParameterMismatch]:
-    """Return the output parameters whose pulse widths or directions differ from the rig.
+    """Compare the autopilot's parameters of pulse widths and directions with the rig, and return those that differ.
 
     Parameters
     ----------
@@ -242,13 +242,13 @@ def mismatches(p: Mapping[str, float], rig: Rig | None) -> list[ParameterMismatc
 
 
 def _other_systems_text(decoder: MavlinkDecoder) -> str:
-    """Return the part of an error message about the other systems of a tlog."""
+    """Return the part of an error message that lists the other MAVLink systems of a tlog and advises to choose one."""
     others = ", ".join(str(number) for number in sorted(decoder.foreign))
     return f"it contains systems {others}: choose one by --system" if others else "it contains no other MAVLink system"
 
 
 def _tlog_frames(data: bytes) -> Iterator[tuple[float, int, FrameHeader]]:
-    """Yield time [s since 1970], offset of the frame [bytes] and header of each complete frame of a tlog.
+    """Yield (time [s since 1970], offset of the frame [bytes], header) of each complete MAVLink frame of a tlog.
 
     Bytes between the frames, and frames with a wrong checksum, are skipped.
     """
@@ -269,14 +269,17 @@ def _tlog_frames(data: bytes) -> Iterator[tuple[float, int, FrameHeader]]:
 
 
 def _first_autopilot(path: Path, data: bytes) -> tuple[int, int]:
-    """Return system and component of the first heartbeat of an autopilot. Raise SeatrialError without one."""
+    """Return system and component number of the first autopilot heartbeat in a tlog.
+
+    Raise SeatrialError if no autopilot has sent one.
+    """
     for found, _ in _heartbeats(data):
         return found.system, found.component
     raise SeatrialError(f"{path}: contains no heartbeat of an autopilot; give a tlog or a DataFlash BIN")
 
 
 def _heartbeats(data: bytes) -> Iterator[tuple[FrameHeader, int]]:
-    """Yield header and MAV_TYPE (type of the vehicle) of each heartbeat of an autopilot.
+    """Yield header and MAV_TYPE (type of the vehicle) of each autopilot heartbeat in a tlog.
 
     Heartbeats of ground stations and other systems that are no autopilot are skipped.
     """
@@ -287,7 +290,7 @@ def _heartbeats(data: bytes) -> Iterator[tuple[FrameHeader, int]]:
 
 
 def vehicle_type(path: Path, rows: Sequence[Timed], system: int | None) -> int | None:
-    """Return the type of the vehicle of a tlog or a DataFlash log.
+    """Return the MAV_TYPE (type of the vehicle) of a tlog or a DataFlash log.
 
     Parameters
     ----------
@@ -320,11 +323,11 @@ def _write_log_file(
     note: str,
     source: Path,
 ) -> None:
-    """Write the samples in the order of receipt to `part`, the temporary file of the log `out`.
+    """Write the samples of an autopilot in the order of receipt to `part`, the temporary file of the log `out`.
 
-    Warn of clocks that run back and of dates that are 1024 weeks too early by the date of the file `source`, and add
-    these lines as events. Raise SeatrialError if a time is not between 1970 and
-    2038.
+    `device` is the name of the autopilot in the topics, `about` has metadata of the log, `note` becomes an event, and
+    the text of `rig` is attached. Warn of clocks that run back and of dates that are 1024 weeks too early by the date
+    of the file `source`, and add these lines as events. Raise SeatrialError if a time is not between 1970 and 2038.
     """
     in_file_order = rows
     rows = sorted(rows, key=lambda row: row.frame.t_rx)
@@ -349,7 +352,10 @@ def _write_log_file(
 def _add_events_and_samples(
     writer: LogWriter, device: str, rows: Sequence[Timed], first: int, events: Sequence[tuple[str, str]]
 ) -> None:
-    """Add events at the time `first` [ns], then the samples with their channels."""
+    """Write events at the time `first` [ns], then the samples of the device with their channels, to an MCAP log.
+
+    An event is a kind and a text.
+    """
     event = writer.channel("/event", schema.EVENT)
     about = cdr_layout(schema.EVENT, b"")
     for kind, text in events:

@@ -51,7 +51,7 @@ def stopped_motors(kind: str, columns: dict[str, Column]) -> str:
 
 
 def input_gaps(t: Column, values: Column) -> Mask:
-    """Find the rows in which an input becomes unknown.
+    """Find the rows in which an input (a command or shaft speed) becomes unknown, as after a lost connection.
 
     Parameters
     ----------
@@ -63,8 +63,8 @@ def input_gaps(t: Column, values: Column) -> Mask:
     Returns
     -------
     Mask
-        True in the first row of each gap (n,). A column whose values are usually more than a row apart has no gaps:
-        the other rows belong to other columns, and its last value holds.
+        True in the first row of each gap of more than 3 rows and 0.5 s (n,). A column whose values are usually more
+        than a row apart has no gaps: the other rows belong to other columns, and its last value holds.
     """
     found = np.zeros(len(values), bool)
     known = np.flatnonzero(np.isfinite(values))
@@ -78,7 +78,7 @@ def input_gaps(t: Column, values: Column) -> Mask:
 
 
 def gap_lines(gaps: Mapping[str, list[tuple[float, float]]]) -> list[str]:
-    """Return a line for each group of inputs that are unknown at the same times.
+    """Return a line for the user for each group of inputs that are unknown at the same times.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def gap_lines(gaps: Mapping[str, list[tuple[float, float]]]) -> list[str]:
     Returns
     -------
     list of str
-        The lines, for the user.
+        The lines; an input without gaps has none.
     """
     groups: dict[tuple[tuple[float, float], ...], list[str]] = {}
     for name, found in gaps.items():

@@ -14,7 +14,7 @@ from seatrial.daq.errors import SeatrialError, printable
 
 
 def refuse_data_of_other_files(path: Path, file: Any) -> None:
-    """Raise SeatrialError unless each object of an open h5py file is data of this file and has exactly one link.
+    """Raise SeatrialError if an HDF5 file refers to another file, or has two links to the same object.
 
     Parameters
     ----------
@@ -30,7 +30,8 @@ def refuse_data_of_other_files(path: Path, file: Any) -> None:
 
     Notes
     -----
-    An object with two links could contain itself, or be read any number of times.
+    A file from another person could name any file of this computer. An object with two links could contain itself, or
+    be read any number of times.
     """
     import h5py
 
@@ -46,7 +47,7 @@ def refuse_data_of_other_files(path: Path, file: Any) -> None:
             node = group[name]
             address = h5py.h5o.get_info(node.id).addr
             if address in known:
-                raise SeatrialError(f"{place} is a second link to the same object; a MATLAB file has only one")
+                raise SeatrialError(f"{place} is a second link to the same object; save the file again with MATLAB")
             known.add(address)
             if isinstance(node, h5py.Group):
                 groups.append(node)

@@ -30,12 +30,12 @@ UNDATED = 2 * nmea.DAY
 def import_raw(
     protocol: str, path: Path, *, rate: float | None = None, out: Path | None = None, force: bool = False
 ) -> tuple[Path, str]:
-    """Decode a capture and write its samples as a log.
+    """Decode the captured bytes of a device and write its samples as a log.
 
     Parameters
     ----------
     protocol
-        Protocol of the device.
+        Protocol of the device, for example "nmea" or "vectornav".
     path
         The captured bytes.
     rate
@@ -67,18 +67,18 @@ def import_raw(
     if not frames:
         raise SeatrialError(f"{path}: no {protocol} samples in {decoder.frames} complete frames ({wrong})")
     if isinstance(decoder, vectornav.Decoder):
-        frames, n_left_out = _without_doubles(frames)
+        frames, n_left_out = _without_duplicate_quantities(frames)
         wrong += f"; {counted(n_left_out, 'ASCII sample')} left out, contained in binary samples" * bool(n_left_out)
     if isinstance(decoder, nmea.Decoder) and decoder.two_receivers:
         advice = "record each receiver by itself, since only one position per time is kept"
         warnings.warn(f"{path}: {decoder.two_receivers}; {advice}", SeatrialWarning, stacklevel=2)
     if not rate and isinstance(decoder, (nmea.Decoder, ubx.Decoder)):
-        frames = _one_calendar(path, frames)
+        frames = _with_corrected_dates(path, frames)
     names = [_signal_name(frame) for frame in frames]
     device = next((name for name in names if not name.startswith(nmea.XDR)), None)
     if device is None:
-        raise SeatrialError(f"{path}: contains only transducers (XDR), which have no times; log a receiver too")
-    times = _even_times(frames, names, rate) if rate else _device_times(path, frames)
+        raise SeatrialError(f"{path}: contains only transducers (XDR), which have no times; record a GNSS receiver too")
+    times = _times_by_rate(frames, names, rate) if rate else _device_times(path, frames)
     summary = f"{counted(len(frames), 'sample')} of {counted(decoder.frames, f'{protocol} frame')}; {wrong}"
     target = out or Path(f"{path.stem}.mcap")
     metadata = {"import": "raw", "import.protocol": protocol, "source.1.name": path.name, "source.1.sha256": sha256}
@@ -98,14 +98,14 @@ def import_raw(
 
 
 def _signal_name(frame: Frame) -> str:
-    """Return the signal name of a transducer (`xdr_ENGINE_0`), or the name of the kind of another sample (`gnss`)."""
+    """Return the name of a decoded sample: that of a transducer (`xdr_ENGINE_0`), or else its kind ("gnss", "ahrs")."""
     return frame.sample.name if isinstance(frame.sample, Transducer) else _NAMES[type(frame.sample)]
 
 
 def _decoded_frames(decoder: Decoder, path: Path) -> tuple[list[Frame], str]:
-    """Return the decoded frames of a capture, and its SHA-256.
+    """Decode the captured bytes in a file. Return the decoded samples with their times, and the SHA-256 of the file.
 
-    A fix gets its UTC as device time, and frames before the first date get the date that follows. Raise SeatrialError
+    A fix gets its UTC as device time, and samples before the first date get the date that follows. Raise SeatrialError
     if the file cannot be read.
     """
     frames: list[Frame] = []
@@ -124,14 +124,14 @@ def _decoded_frames(decoder: Decoder, path: Path) -> tuple[list[Frame], str]:
     return frames, digest.hexdigest()
 
 
-def _without_doubles(frames: Sequence[Frame]) -> tuple[list[Frame], int]:
-    """Leave out the quantities that a VectorNav sends twice: in ASCII without a time, and in binary with a time.
+def _without_duplicate_quantities(frames: Sequence[Frame]) -> tuple[list[Frame], int]:
+    """Remove the quantities that a VectorNav sends twice: in ASCII without a time, and in binary with a time.
 
     Returns
     -------
     tuple
-        The frames, and the number of frames left out. A frame without a time keeps only the quantities that no binary
-        frame has.
+        The samples, and the number of samples left out. A sample without a time keeps only the quantities that no
+        sample with a time has.
     """
     timed = [frame.sample for frame in frames if math.isfinite(frame.t_device)]
     names = [
@@ -151,13 +151,16 @@ def _without_doubles(frames: Sequence[Frame]) -> tuple[list[Frame], int]:
 
 
 def _with_utc_as_device_time(frame: Frame) -> Frame:
-    """Return a fix with the receiver's UTC as its device time, even if the receiver marks this UTC as uncertain."""
+    """Return a fix with its UTC as its device time, even if the receiver marks this UTC as uncertain.
+
+    Samples of other kinds are returned unchanged.
+    """
     sample = frame.sample
     return frame._replace(t_device=sample.utc) if isinstance(sample, Gnss) else frame
 
 
 def _with_first_dates(frames: list[Frame]) -> list[Frame]:
-    """Return the frames, with those before the first date moved to the day of the frames that follow.
+    """Move the samples before the first date of a capture to the day of the samples that follow; return all samples.
 
     Without any date they are on 1970-01-01.
     """
@@ -170,11 +173,11 @@ def _with_first_dates(frames: list[Frame]) -> list[Frame]:
     return [_at_device_time(frame, t) if t != frame.t_device else frame for frame, t in zip(frames, times, strict=True)]
 
 
-def _one_calendar(path: Path, frames: list[Frame]) -> list[Frame]:
-    """Return the frames with dates of one calendar, and warn if some of them were moved or left out.
+def _with_corrected_dates(path: Path, frames: list[Frame]) -> list[Frame]:
+    """Correct the dates of a GNSS capture that are too early by years. Return the samples, and warn about them.
 
     A receiver counts from a date of its firmware until it has received the week, and its week number starts again every
-    1024 weeks. Both make its date too early by years, so the latest date is assumed to be right. Frames of other dates
+    1024 weeks. Both make its date too early by years, so the latest date is assumed to be right. Samples of other dates
     are moved next to it by whole days. They are left out if their time of day is also wrong.
     """
     t = np.array([frame.t_device for frame in frames])
@@ -204,16 +207,16 @@ def _one_calendar(path: Path, frames: list[Frame]) -> list[Frame]:
 
 
 def _at_device_time(frame: Frame, t: float) -> Frame:
-    """Return a frame with another device time [s since 1970]; the UTC of a fix changes with it."""
+    """Return a decoded sample with another device time [s since 1970]; the UTC of a fix changes with it."""
     sample = frame.sample
     return frame._replace(t_device=t, sample=replace(sample, utc=t) if isinstance(sample, Gnss) else sample)
 
 
-def _even_times(frames: Sequence[Frame], kinds: Sequence[str], rate: float) -> list[float]:
-    """Return times [s] of the frames, by a rate [Hz].
+def _times_by_rate(frames: Sequence[Frame], kinds: Sequence[str], rate: float) -> list[float]:
+    """Return times [s] for the samples of a capture without times, by their rate [Hz]; the first time is 0.
 
     Samples of the most frequent kind are 1/rate apart. A rarer sample has the time of the most frequent sample before
-    it.
+    it. `kinds` has the kind of each sample.
     """
     numbers = Counter(kinds)
     most, n_most = max(
@@ -230,9 +233,10 @@ def _even_times(frames: Sequence[Frame], kinds: Sequence[str], rate: float) -> l
 
 
 def _device_times(path: Path, frames: Sequence[Frame]) -> list[float]:
-    """Return the device times [s]. A sample without a time (a heading between fixes) has that of the sample before.
+    """Return the device time [s] of each sample of a capture.
 
-    Samples before the first time have the first time. Raise SeatrialError if no sample has a time.
+    A sample without a time (a heading between fixes) has that of the sample before. Samples before the first time have
+    the first time. Raise SeatrialError if no sample has a time.
     """
     times = [frame.t_device for frame in frames]
     last = next((t for t in times if math.isfinite(t)), math.nan)

@@ -16,7 +16,7 @@ UNCHOSEN_RANK = (
 
 
 class Candidate(NamedTuple):
-    """Signals of one topic that a guessed map could contain together.
+    """Signals of one table that a guessed import map could contain together.
 
     Attributes
     ----------
@@ -29,7 +29,7 @@ class Candidate(NamedTuple):
     table : Table
         Table of the columns.
     signals : tuple of MapSignal
-        Signals of the map.
+        Signals that the map would contain.
     caveat : str
         What is uncertain in the signals, for a comment in the map; "" if there is none.
     quantity : frozenset of str
@@ -45,7 +45,7 @@ class Candidate(NamedTuple):
 
 
 class MapSignal(NamedTuple):
-    """Signal of a candidate, as in a map.
+    """Signal that a guessed import map could contain: its name, its columns and their unit.
 
     Attributes
     ----------
@@ -72,7 +72,12 @@ Row = tuple[str, int, tuple[MapSignal, ...]]  # group, rank and signals of a can
 
 
 def _vector_row(group: str, names: str, fields: str, unit: str, rank: int, extra: str = "") -> Row:
-    """Return a row whose signals `names` are the fields `fields`, both separated by blanks."""
+    """Return a table entry (group, rank, signals) for fields of a message that are signals of a model.
+
+    `group` is the quantity, for example "velocity". Of several entries of a group the lowest `rank` is preferred.
+    `names` are the signals and `fields` the message fields, both separated by blanks, as "x y" and "position.x
+    position.y". `extra` are further keys of the import map.
+    """
     return (
         group,
         rank,
@@ -81,13 +86,20 @@ def _vector_row(group: str, names: str, fields: str, unit: str, rank: int, extra
 
 
 def _heading_row(prefix: str, rank: int, names: str = "x y z w") -> Row:
-    """Return a row with the heading of a quaternion; `names` are its fields x, y, z and w behind `prefix`."""
+    """Return a table entry (group, rank, signals) for the heading in a quaternion of a message.
+
+    The fields of the quaternion are `prefix` followed by the `names`, in the order x, y, z, w. A lower `rank` is
+    preferred.
+    """
     fields = tuple(f"{prefix}{axis}" for axis in names.split())
     return "heading", rank, (MapSignal("psi", fields, "", "yaw", 'angle = "unwrap"'),)
 
 
 def _fix_row(lat: str, lon: str, unit: str, rank: int) -> Row:
-    """Return a row with the position of a fix from the fields of latitude and longitude."""
+    """Return a table entry (group, rank, signals) for a position from the message fields of latitude and longitude.
+
+    `unit` is that of both fields, for example "deg" or "degE7". A lower `rank` is preferred.
+    """
     extra = "" if unit == "deg" else f'units = ["{unit}", "{unit}"]'
     signals = (MapSignal("x", (lat, lon), "", "north", extra), MapSignal("y", (lat, lon), "", "east", extra))
     return "position", rank, signals
@@ -243,7 +255,7 @@ _DRIVE_UNITS = {"", "1", "%", "us"} | _SPEED_UNITS | _FORCE_UNITS  # a power or 
 
 
 class Name(NamedTuple):
-    """Parts of the name of a column.
+    """Parsed name of a column of a source file.
 
     Attributes
     ----------
@@ -267,17 +279,17 @@ class Name(NamedTuple):
 
 
 def unit_of(text: str) -> str:
-    """Return the unit of a text as maps write it, for example "deg/s" for "dps"; "" if the unit is unknown."""
+    """Return a unit as import maps write it, for example "deg/s" for "dps"; "" if the unit is unknown."""
     return text if text in UNITS else _UNITS.get(text.lower(), "")
 
 
 def without_unit(column: str) -> str:
-    """Return the name of a column without the brackets at its end."""
+    """Return the name of a column without a unit in brackets at its end: "yaw [deg]" becomes "yaw"."""
     return _BRACKET.sub("", column).strip()
 
 
 def read_name(column: str) -> Name:
-    """Split the name of a column into meaning, unit and words.
+    """Parse the name of a column of a source file: its meaning in a model, its unit and its words.
 
     Parameters
     ----------
@@ -308,7 +320,7 @@ def read_name(column: str) -> Name:
 
 
 def message_candidates(table: Table) -> list[Candidate]:
-    """Return the candidates of a table with messages of a known type.
+    """Return the signals in a table of messages of a known type, as candidates for a guessed import map.
 
     Parameters
     ----------
@@ -342,15 +354,18 @@ def message_candidates(table: Table) -> list[Candidate]:
 
 
 def _is_pose(table: Table) -> bool:
-    """Return whether a transform is a pose of a vehicle.
+    """Return whether a table of transforms (ROS /tf) has the poses of a vehicle.
 
-    It is one from a frame of the earth (map, odom, world, earth, utm) to another frame.
+    This is a transform from a frame of the earth (map, odom, world, earth, utm) to another frame.
     """
     return table.frame_id.strip("/") in _EARTH_FRAMES and table.topic.rpartition(":")[2] not in _EARTH_FRAMES
 
 
 def _twist_rows(table: Table, prefix: str) -> tuple[Row, ...]:
-    """Return the rows of a twist: velocities over ground for a topic or frame of the earth, else in body axes."""
+    """Return the table entries (group, rank, signals) for ROS messages with a twist, whose fields begin with `prefix`.
+
+    For a topic or frame of the earth they are velocities over ground, else velocities and yaw rate in body axes.
+    """
     linear = f"{prefix}linear.x {prefix}linear.y"
     if _EARTH.search(table.topic) or table.frame_id.strip("/") in _EARTH_FRAMES:
         return (_vector_row("velocity", "vx vy", linear, "m/s", 0),)
@@ -391,7 +406,10 @@ def wrapped_negative(values: Column) -> np.typing.NDArray[np.bool_]:
 
 
 def _is_of_16_bits(values: Column, high: np.typing.NDArray[np.bool_]) -> bool:
-    """Return whether the high numbers span at most about three times the range of the low numbers, as negatives do."""
+    """Return whether the numbers flagged `high` can be negative numbers that a 16-bit counter stored as 65536 - n.
+
+    Then they span at most about three times the largest of the other numbers.
+    """
     top = float(np.max(values[high]))
     return top - float(np.min(values[high])) < 3.0 * float(np.max(values[~high])) + 1e-9
 
@@ -446,7 +464,10 @@ def drive(words: frozenset[str], values: Column, unit: str) -> tuple[str, MapSig
         caveat = "; ".join(part for part in (WRAPPED.format(np.max(good)), caveat) if part)
 
     def found(unit: str, extra: str, *caveats: str) -> tuple[str, MapSignal, str]:
-        """Return a candidate of the group "drive": the signal n of the side, and all caveats in one text."""
+        """Return group "drive", the signal n, n_left or n_right, and all caveats in one text.
+
+        `unit` is the unit of the signal, and `extra` are further keys of the import map.
+        """
         return (
             "drive",
             MapSignal(f"n{side}", (), unit, "", extra),

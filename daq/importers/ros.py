@@ -43,7 +43,7 @@ IMU_PARTS = {
 
 
 def read_bag(path: Path, options: SourceOptions) -> list[Table]:
-    """Read the topics of a bag that contain numbers.
+    """Read the topics of a ROS bag that contain numbers as tables.
 
     Parameters
     ----------
@@ -108,10 +108,11 @@ def read_bag(path: Path, options: SourceOptions) -> list[Table]:
 
 @contextlib.contextmanager
 def _readable_files(path: Path) -> Iterator[tuple[list[Path], str]]:
-    """Yield the readable files of a bag, and a remark about repairs.
+    """Yield the readable files of a ROS bag, and a remark about repairs. Temporary copies are deleted at the end.
 
     A folder without metadata.yaml is read file by file. A .mcap that was cut off is recovered to a temporary file. A
-    .db3 with a SQLite log beside it, which an interrupted recorder leaves, is completed in a temporary copy.
+    .db3 with a SQLite log beside it, which an interrupted recorder leaves, is completed in a temporary copy. Raise
+    SeatrialError if nothing is readable.
     """
     if path.name.endswith(".bag.active"):
         raise SeatrialError(
@@ -154,23 +155,23 @@ def _readable_files(path: Path) -> Iterator[tuple[list[Path], str]]:
 
 
 def _sqlite_logs(path: Path) -> list[Path]:
-    """Return the logs that SQLite left beside a database, with messages that it must still add or remove.
+    """Return the log files that SQLite left beside a database, with messages that it must still add or remove.
 
-    An empty log is not returned. A link counts as a log.
+    An empty log is not returned. A symbolic link counts as a log.
     """
     beside = (path.with_name(path.name + ending) for ending in SQLITE_LOGS)
     return [log for log in beside if os.path.lexists(log) and not (log.is_file() and log.stat().st_size == 0)]
 
 
 def _with_sqlite_logs(path: Path, copy: Path) -> Path:
-    """Copy a database with its logs, let SQLite complete the copy, and return the copy. The original is not changed.
+    """Copy a SQLite database with its logs to `copy`, let SQLite complete the copy, and return its path.
 
-    Raise SeatrialError if a log is a link or no regular file.
+    The original is not changed. Raise SeatrialError if a log is a link or no regular file.
     """
     shutil.copyfile(path, copy)
     for log in _sqlite_logs(path):
         if log.is_symlink():  # the link could name any file of this computer
-            raise SeatrialError(f"{log}: is a symbolic link, not a file")
+            raise SeatrialError(f"{log}: is a symbolic link, not a file; put the file itself beside the .db3")
         require_file(log)
         shutil.copyfile(log, copy.with_name(copy.name + log.name.removeprefix(path.name)))
     with contextlib.closing(sqlite3.connect(copy)) as database:
@@ -180,10 +181,10 @@ def _with_sqlite_logs(path: Path, copy: Path) -> Path:
 
 
 def _with_sqlite_logs_of_folder(path: Path, folder: Path) -> tuple[list[Path], list[str]]:
-    """Return the folder of a bag with metadata.yaml in a list, and remarks.
+    """Complete the databases of a ROS bag that is a folder with metadata.yaml. Return the folder to read, and remarks.
 
-    If a database in it has logs of SQLite, a copy in `folder` is returned: completed databases, and links to all other
-    files.
+    If a database in it has logs of SQLite, the returned folder is a copy inside `folder`: completed databases, and
+    links to all other files. Otherwise it is the bag itself, without remarks.
     """
     logs = {part.name: _sqlite_logs(part) for part in sorted(path.glob("*.db3"))}
     if not any(logs.values()):
@@ -203,20 +204,23 @@ def _with_sqlite_logs_of_folder(path: Path, folder: Path) -> tuple[list[Path], l
 
 
 def _split_number(path: Path) -> tuple[int, str]:
-    """Return the number and the name of a file of a split bag, so that run_10.mcap comes after run_9.mcap."""
+    """Return the sort key of a file of a split bag, its number and its name: run_10.mcap comes after run_9.mcap.
+
+    The number is -1 for a name without one.
+    """
     digits = path.stem.rpartition("_")[2]
     return int(digits) if digits.isdecimal() else -1, path.name
 
 
 def _has_end(path: Path) -> bool:
-    """Return whether a .mcap file ends with the MCAP magic bytes."""
+    """Return whether a .mcap file ends with the MCAP magic bytes. A file that was cut off does not."""
     with path.open("rb") as file:
         file.seek(-min(len(MCAP_MAGIC), path.stat().st_size), 2)
         return file.read() == MCAP_MAGIC
 
 
 class _TopicMessages:
-    """Collector of the messages of a topic.
+    """Collector of the messages of one topic of a ROS bag: their times and all their numbers.
 
     Attributes
     ----------
@@ -232,13 +236,14 @@ class _TopicMessages:
     """
 
     def __init__(self, kind: str) -> None:
+        """Begin without messages. `kind` is the type of the topic's messages, as "sensor_msgs/msg/Imu"."""
         self.kind, self.frame_id = kind, ""
         self.t_log, self.t_stamp = array("d"), array("d")  # s
         self._frames: dict[str, list[float]] = {}  # frame_id -> number of messages, first and last receipt [s]
         self.columns: dict[str, array[float]] = {}  # arrays take 8 bytes a number; an hour has tens of millions
 
     def add(self, t_log: float, message: Any) -> None:
-        """Add a message that the recorder received at `t_log` [s since 1970]: its times, its frame and all its numbers.
+        """Add a ROS message received at `t_log` [s since 1970]: its times, its frame and all its numbers.
 
         Images and other arrays of more than 16 numbers are left out.
         """
@@ -261,14 +266,15 @@ class _TopicMessages:
 
     @property
     def times(self) -> MessageTimes:
-        """Receipts and stamps of the messages."""
+        """Receipts by the recorder and stamps of the messages of the topic, each [s since 1970]."""
         return MessageTimes(np.array(self.t_log), np.array(self.t_stamp))
 
     def table(self, path: Path, topic: str, times: EstimatedTimes) -> Table:
-        """Return the messages that have a time as a table, in the order of time.
+        """Return the messages of the topic that have a time as a table, in the order of time.
 
-        Parts of an Imu that are not measured are left out. The position of a fix without a satellite fix becomes NaN.
-        NaN in commands of stopped motors becomes zero. The remark of the table describes what is unusual.
+        `times` are the estimated times of measurement. Parts of an Imu that are not measured are left out. The position
+        of a fix without a satellite fix becomes NaN. NaN in commands of stopped motors becomes zero. The remark of the
+        table describes what is unusual.
         """
         t = times.t
         order = np.argsort(t, kind="stable")[: int(np.sum(np.isfinite(t)))]
@@ -296,14 +302,18 @@ class _TopicMessages:
         return f"messages of several sensors in one topic ({listed}): record each sensor in its own topic"
 
     def _column_of_field(self, name: str) -> Column:
-        """Return the numbers of a field (n,), NaN for messages without this field."""
+        """Return the numbers of a field, one for each message of the topic (n,), NaN for a message without it."""
         found = np.full(len(self.t_log), np.nan)
         found[: len(self.columns[name])] = self.columns[name]
         return found
 
 
 def _leave_out_unmeasured(columns: dict[str, Column]) -> None:
-    """Remove the parts of an Imu topic that are not measured, in place."""
+    """Remove orientation, angular velocity or acceleration from the columns of ROS Imu messages if it is not measured.
+
+    Not measured means that in all messages its first covariance is -1 and its values are the defaults. `columns` is
+    changed in place.
+    """
     # By the definition of the message, a first covariance of -1 marks such a part. Many drivers write -1 also for an
     # unknown covariance, so a part with other values than its default stays.
     for part, defaults in IMU_PARTS.items():
@@ -317,10 +327,11 @@ def _leave_out_unmeasured(columns: dict[str, Column]) -> None:
 
 
 def _message_numbers(message: Any, prefix: str = "") -> Iterator[tuple[str, float]]:
-    """Yield name and value of each number of a message, in order. Skip header and text.
+    """Yield name and value of each number in a ROS message, in order. Skip header and text.
 
     The name is that of the field. An array with the same length as the list `name` of the message, as in a JointState,
-    has the names of the joints: velocity.left. Messages in a list have their index: esc[0].rpm.
+    has the names of the joints: velocity.left. Messages in a list have their index: esc[0].rpm. Lists and arrays of
+    more than 16 elements are skipped.
     """
     joints = getattr(message, "name", None)
     for field in fields(message):

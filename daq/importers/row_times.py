@@ -25,7 +25,7 @@ _LAST_HOUR, _MONTHS, _SUNDAY = 4, (3, 4, 9, 10, 11), 6
 
 
 def row_times(table: Table, time: TimeColumn | None, *, lenient: bool = False) -> Column:
-    """Return the time of each row.
+    """Return the time of each row of a table, from its time column or by the rate of the rows.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def row_times(table: Table, time: TimeColumn | None, *, lenient: bool = False) -
         raw = table.numbers(time.column)
         t = _seconds_of_numbers(raw, table.numbers(time.date) if time.date else np.zeros(len(raw)), time.format)
         untimed = np.flatnonzero(np.isnan(t))
-        if len(untimed) and not _may_leave_out(untimed, t, lenient):
+        if len(untimed) and not _may_leave_out_untimed_rows(untimed, t, lenient):
             raise table.error(int(untimed[0]), time.column, "the cell has no time; remove the line")
     else:
         t = _seconds_of_text(table, time, lenient)
@@ -78,9 +78,10 @@ def row_times(table: Table, time: TimeColumn | None, *, lenient: bool = False) -
 
 
 def _seconds_of_numbers(raw: Column, weeks: Column, form: str) -> Column:
-    """Return times (n,) [s] from numbers of a format: a unit of time, days of a spreadsheet, labview, gps or gps_ms.
+    """Convert the numbers (n,) of a time column to s, shape (n,), by their format.
 
-    `weeks` (n,) are the GPS weeks, which only the formats of GPS times use.
+    The format is a unit of time ("ms"), days of a spreadsheet ("excel"), "labview", "gps" or "gps_ms". `weeks` (n,) are
+    the GPS weeks, which only the last two use.
     """
     if form in TIME_UNITS:
         return raw * TIME_UNITS[form]
@@ -92,7 +93,7 @@ def _seconds_of_numbers(raw: Column, weeks: Column, form: str) -> Column:
 
 
 def gps_seconds(weeks: Column, seconds: Column) -> Column:
-    """Return the UTC of GPS times.
+    """Convert GPS weeks and seconds of the week to UTC.
 
     Parameters
     ----------
@@ -109,7 +110,10 @@ def gps_seconds(weeks: Column, seconds: Column) -> Column:
 
 
 def _seconds_of_text(table: Table, time: TimeColumn, lenient: bool) -> Column:
-    """Return times (n,) [s] from text, NaN for a cell of another format. Raise SeatrialError if NaN is not allowed."""
+    """Convert the text cells of a time column to s (n,). A cell of another format becomes NaN if `lenient`.
+
+    Raise SeatrialError for such a cell without `lenient`, or if too many cells are of another format.
+    """
     parse = _cell_parser(time)
     text = dated(table, time.date, time.column) if time.date else [cell.strip() for cell in table.text(time.column)]
     found = np.full(len(text), np.nan)
@@ -122,7 +126,7 @@ def _seconds_of_text(table: Table, time: TimeColumn, lenient: bool) -> Column:
             if not lenient:
                 break
     wrong = np.flatnonzero(np.isnan(found))
-    if len(wrong) and not _may_leave_out(wrong, found, lenient):
+    if len(wrong) and not _may_leave_out_untimed_rows(wrong, found, lenient):
         row = int(wrong[0])
         problem = f"'{text[row][:40]}' is not a time of format {time.format}"
         advice = "; give its strptime pattern as format in [time]" if "%" in time.format else ""
@@ -131,7 +135,7 @@ def _seconds_of_text(table: Table, time: TimeColumn, lenient: bool) -> Column:
 
 
 def dated(table: Table, date: str, time: str) -> list[str]:
-    """Join a column of dates and a column of times of day by a blank.
+    """Join the date and the time of day of each row of a table, which are in two columns, by a blank.
 
     Parameters
     ----------
@@ -152,18 +156,20 @@ def dated(table: Table, date: str, time: str) -> list[str]:
     return texts
 
 
-def _may_leave_out(untimed: NDArray[np.intp], t: Column, lenient: bool) -> bool:
-    """Return whether the rows without a time (indices `untimed`) may be left out of all rows (`t`, shape (n,)).
+def _may_leave_out_untimed_rows(untimed: NDArray[np.intp], t: Column, lenient: bool) -> bool:
+    """Return whether the rows without a time (indices `untimed`) may be left out of a table (times `t`, shape (n,)).
 
-    This needs `lenient`, some row with a time, and few rows without one. With more of them the format is wrong.
+    This needs `lenient`, some row with a time, and fewer than 5 rows, or at most 5 %, without one. With more of them
+    the format is wrong.
     """
     return lenient and len(untimed) < len(t) and not too_many_rows_missing(len(untimed), len(t))
 
 
 def _continued_after_midnight(t: Column, form: str) -> Column:
-    """Return times of day (n,) [s] that continue after midnight; for a format without hours, after the full hour.
+    """Return times of day (n,) [s] that go on beyond 24 h after midnight, instead of starting again at 0.
 
-    `t` is changed in place. Times that are not all within one day (or hour) are not changed.
+    For a format without hours they go on after the full hour. `t` is changed in place. Times that are not all within
+    one day (or hour) are not changed.
     """
     period = DAY if any(part in form for part in ("%H", "%I", "%c", "%X", "%T", "%s")) else HOUR
     if len(t) and np.all(t < period):
@@ -172,13 +178,13 @@ def _continued_after_midnight(t: Column, form: str) -> Column:
 
 
 def _add_remark(table: Table, text: str) -> None:
-    """Add a remark to a table, unless it has this remark already."""
+    """Add a text to the remark of an imported table, unless the remark contains it already."""
     if text not in table.remark:
         table.remark = "; ".join(part for part in (table.remark, text) if part)
 
 
 def _take_out_clock_changes(table: Table, t: Column, time: TimeColumn) -> None:
-    """Remove the change between standard and daylight saving time from local times t (n,) [s], in place.
+    """Remove the hour of a change between standard and daylight saving time from local times t (n,) [s], in place.
 
     The change is a step of one hour, forward or back, added to the usual step. It is at a full hour of a Sunday night
     in spring or autumn. The rows after it are moved, with a remark. A step of an hour at any other time is a pause of
@@ -210,7 +216,7 @@ def _take_out_clock_changes(table: Table, t: Column, time: TimeColumn) -> None:
 
 
 def _may_daylight_time_change(t: float) -> bool:
-    """Return whether daylight saving time may begin or end at a local time [s since 1970].
+    """Return whether daylight saving time may begin or end at the local time of a row [s since 1970].
 
     This is between 0 and 5 o'clock on a Sunday in March, April, September, October or November; on any day if the time
     has no date.
@@ -222,7 +228,7 @@ def _may_daylight_time_change(t: float) -> bool:
 
 
 def read_date(text: str, pattern: str) -> datetime:
-    """Read a date and time by a strptime pattern.
+    """Read the date and time in a cell of a table by a strptime pattern.
 
     Parameters
     ----------
@@ -254,10 +260,13 @@ def read_date(text: str, pattern: str) -> datetime:
 
 
 def _cell_parser(time: TimeColumn) -> Callable[[str], float]:
-    """Return a function that converts the text of a cell to a time [s]. The function raises ValueError."""
+    """Return a function that converts a text cell of a time column to s. The function raises ValueError.
+
+    The format, and how digits behind the last point are read, are those of `time`. A date without a zone is UTC.
+    """
 
     def whole(text: str) -> float:
-        """Return the time of a text without regard to `fraction`. Raise ValueError for another format."""
+        """Convert a cell of a time column to s by its format alone. Raise ValueError for another format."""
         if time.format == "s":
             return float(text)
         iso = time.format == "iso"
@@ -267,7 +276,11 @@ def _cell_parser(time: TimeColumn) -> Callable[[str], float]:
         return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
 
     def split(text: str) -> float:
-        """Return the time of the text before the last point, plus the digits behind it as `fraction` reads them."""
+        """Convert the text before the last point of a time cell to s, and add the digits behind the point.
+
+        They are a decimal fraction, or a number of ns if `fraction` of the time column is "unpadded-ns". Raise
+        ValueError if they are not one to nine digits.
+        """
         head, point, tail = text.rpartition(".")
         if not point:
             return whole(text)

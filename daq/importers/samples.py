@@ -18,14 +18,14 @@ FIX_2D = 2  # Gnss.fix; the position of a lower kind of fix is invalid
 
 
 def sample_tables(path: Path, rows: Sequence[tuple[str, float, Frame]]) -> list[Table]:
-    """Return a table for each kind of sample and node: `ahrs`, `gnss`, `esc_1`.
+    """Sort decoded samples into one table for each kind of sample and node: `ahrs`, `gnss`, `esc_1`.
 
     Parameters
     ----------
     path
         The source file.
     rows
-        Device, time [s] and frame of each sample, in the order of the file.
+        Device, time [s] and decoded sample (with its times of receipt and of the device), in the order of the file.
 
     Returns
     -------
@@ -58,7 +58,7 @@ def sample_tables(path: Path, rows: Sequence[tuple[str, float, Frame]]) -> list[
 
 
 def read_autopilot_log(path: Path, options: SourceOptions) -> list[Table]:
-    """Read a tlog or a DataFlash log as tables.
+    """Read a tlog or a DataFlash log of an autopilot as tables, for an import map.
 
     Parameters
     ----------

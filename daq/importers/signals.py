@@ -28,7 +28,7 @@ _ATTITUDE = ("roll", "pitch", "yaw")
 
 @dataclass(frozen=True)
 class SignalData:
-    """Samples of one signal in SI units.
+    """Samples of one signal that is imported by a map, in SI units.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class SignalData:
 
 @dataclass(frozen=True)
 class Held:
-    """Signal whose last value the source repeats until the next measurement.
+    """Signal whose source repeats each measurement in all rows until the next measurement.
 
     Attributes
     ----------
@@ -75,7 +75,7 @@ class Held:
 
 @dataclass(frozen=True)
 class RowsLeftOut:
-    """Rows of one table that are not in the log because of their times.
+    """Number of rows of one table that are not in the log because of their times, and the reason.
 
     Attributes
     ----------
@@ -102,7 +102,7 @@ class RowsLeftOut:
 
     @property
     def text(self) -> str:
-        """Topic, number of rows left out and reason in one line, for the user."""
+        """Topic of the table, number of rows left out and reason, in one line for the user."""
         place = f"{self.topic}: " if self.topic else ""
         reason = "because stamps are wrong" if self.why == "stamps" else "because times repeat or run back"
         return f"{place}{counted(self.n, 'row')} of {self.n_rows} left out, {reason}"
@@ -110,7 +110,7 @@ class RowsLeftOut:
 
 @dataclass(frozen=True)
 class Signals:
-    """Signals of one source file.
+    """Signals of one source file, converted by an import map, and what was left out.
 
     Attributes
     ----------
@@ -134,7 +134,7 @@ class Signals:
 
 
 def read_signals(tables: Sequence[Table], source: Source) -> Signals:
-    """Return the signals of one source file.
+    """Convert the tables of one source file to signals in SI units and NED axes, by an import map.
 
     Parameters
     ----------
@@ -230,7 +230,7 @@ def read_signals(tables: Sequence[Table], source: Source) -> Signals:
 
 
 class _RowCounter:
-    """Counter of the rows of a table that are in the log, over all signals with the same clock.
+    """Counter of the rows of a table that the log lacks because of their times, over all signals with one time column.
 
     Parameters
     ----------
@@ -241,20 +241,24 @@ class _RowCounter:
     """
 
     def __init__(self, table: Table, t: Column) -> None:
+        """Begin the count for the rows of a table, whose times `t` (n,) are in s."""
         self._table, self._t = table, t
         self._kept, self._valued = np.zeros(len(t), bool), np.zeros(len(t), bool)
         self._again = np.append(False, np.diff(t) == 0.0)  # rows that are copies of the row before
         self._has_time = np.isfinite(t)  # a remark of the table counts the rows without a time
 
     def add(self, raw: Column, ordered: NDArray[np.bool_]) -> None:
-        """Add a signal: its values (n,), NaN for none, and the flags (n,) of rows whose times are in order."""
+        """Count the rows of a signal: its values (n,), NaN for none, and the flags (n,) of rows with times in order."""
         known = np.isfinite(raw)
         self._kept |= ordered & known
         self._valued |= known
         self._again[1:] &= (raw[1:] == raw[:-1]) | ~known[1:]
 
     def left_out(self) -> Iterator[RowsLeftOut]:
-        """Yield the rows that the log lacks because of their times. Copies of other rows do not count."""
+        """Yield for the reasons "stamps" and "times out of order" the number of rows of the table that the log lacks.
+
+        Rows that are copies of the row before do not count. Nothing is yielded if no row is missing.
+        """
         table, t = self._table, self._t[self._has_time]
         if table.n_left_out:
             yield RowsLeftOut(table.topic, table.n_left_out, len(t) + table.n_left_out, "stamps", 0.0)
@@ -278,9 +282,11 @@ def _is_of_two_sources(t: Column) -> bool:
 
 
 def _without_held(table: Sequence[SignalData], places: Sequence[int]) -> Iterator[tuple[int, SignalData, Held]]:
-    """Yield each held signal of one table: its index in `places`, the signal without repeats, and their number.
+    """Remove the repeats of signals whose source repeats each measurement until the next one.
 
-    Signals that are not held are not yielded, nor inputs whose values look like commands instead of measurements.
+    Yield for each of these signals its index in `places`, the signal without repeats, and their number. Other signals
+    are not yielded, nor inputs whose values look like commands instead of measurements. `table` has signals with the
+    same times.
     """
     t = table[0].t
     found = held_signals(t, {data.signal.name: data.values for data in table})
@@ -296,9 +302,11 @@ def _without_held(table: Sequence[SignalData], places: Sequence[int]) -> Iterato
 
 
 def _table_of_signal(tables: Sequence[Table], signal: Signal) -> Table:
-    """Return the table of a signal: the table of its topic, or, for a signal without a topic, the only table.
+    """Return the table that has the columns of a signal: the table of its topic, or, without a topic, the only table.
 
-    If several tables have the topic, the table with the columns of the signal is returned.
+    If several tables have the topic, the table with the columns of the signal is returned. If none has them, it is the
+    first table of the topic. Raise SeatrialError if no table has the topic, or if the signal has no topic and there are
+    several tables.
     """
     if len(tables) == 1 and not signal.topic:
         return tables[0]
@@ -318,15 +326,15 @@ def _table_of_signal(tables: Sequence[Table], signal: Signal) -> Table:
 
 
 def _path_text(tables: Sequence[Table]) -> str:
-    """Return the path of the source file, for messages; "the source" without a table."""
+    """Return the path of the source file of tables, for messages; "the source" without a table."""
     return str(tables[0].path) if tables else "the source"
 
 
 def _raw_values(table: Table, signal: Signal) -> Column:
-    """Return the values of a signal before scale and sign, (n,), in `signal.unit`.
+    """Return the values of a signal (n,) before scale and sign, in the unit of its column.
 
-    A signal with `make` is computed from its columns. A position is in metres from the first fix; a fix at 0, 0 is NaN.
-    The angles of a quaternion of zeros are NaN.
+    A signal with `make` is computed from its columns, in SI units. A position is in metres from the first fix; a fix at
+    0, 0 is NaN. The angles of a quaternion of zeros are NaN.
     """
     if not signal.make:
         return table.numbers(signal.columns[0])
@@ -348,7 +356,10 @@ def _raw_values(table: Table, signal: Signal) -> Column:
 
 
 def _in_ned(signal: Signal, values: Column) -> tuple[Signal, Column]:
-    """Return a signal and its values (n,) converted to NED axes. A signal of frame "NED" is unchanged."""
+    """Convert a signal and its values (n,) from ENU (east, north, up; forward, left, up) to NED axes.
+
+    A signal of frame "NED" is unchanged. x and y are exchanged, and the sign of v, r and other components changes.
+    """
     if signal.frame == "NED":
         return signal, values
     if signal.name == "psi":
@@ -358,9 +369,10 @@ def _in_ned(signal: Signal, values: Column) -> tuple[Signal, Column]:
 
 
 def _wrapped_or_unwrapped(values: Column, how: str) -> Column:
-    """Return angles (n,) [rad]: wrapped to -pi < angle <= pi for "wrap", continuous for "unwrap", else unchanged.
+    """Convert the angles (n,) [rad] of an imported signal as `how` says, the key `angle` of the import map.
 
-    NaN stays NaN; a continuous angle goes on after it.
+    "wrap" gives -pi < angle <= pi, "unwrap" a continuous angle, and "keep" no change. NaN stays NaN; a continuous angle
+    goes on after it.
     """
     if how == "wrap":
         return np.asarray(np.pi - np.mod(np.pi - values, 2.0 * np.pi))  # -pi < angle <= pi
@@ -373,7 +385,7 @@ def _wrapped_or_unwrapped(values: Column, how: str) -> Column:
 
 
 def _changed_rows(values: Sequence[Column]) -> NDArray[np.bool_]:
-    """Return the flags (n,) of rows in which any of the columns (n,) differs from the row before.
+    """Return the flags (n,) of rows of an imported table in which any of the columns (n,) differs from the row before.
 
     The first row counts as changed. NaN after NaN is no change.
     """
@@ -385,7 +397,7 @@ def _changed_rows(values: Sequence[Column]) -> NDArray[np.bool_]:
 
 
 def _with_timeouts(t: Column, values: Column, timeout: float) -> tuple[Column, Column]:
-    """Return times [s] and values with a zero inserted where the input times out.
+    """Insert a zero where an imported input times out, and return its times [s] and values (n,).
 
     This is `timeout` [s] after each sample that no other sample follows within this time, also after the last one. With
     a timeout of 0 nothing is inserted.
@@ -397,9 +409,10 @@ def _with_timeouts(t: Column, values: Column, timeout: float) -> tuple[Column, C
 
 
 def _rows_in_order(table: Table, t: Column, source: Source) -> NDArray[np.bool_]:
-    """Return the flags (n,) of the largest set of rows whose times rise. Rows without a time (NaN) are not in it.
+    """Return the flags (n,) of the largest set of rows of a table whose times `t` (n,) [s] rise strictly.
 
-    Raise SeatrialError if rows are out of order and the map does not drop them.
+    Rows without a time (NaN) are not in it. Raise SeatrialError if rows are out of order and the import map does not
+    drop them.
     """
     has_time = np.isfinite(t)
     behind = np.flatnonzero(np.diff(t[has_time]) <= 0.0)
@@ -419,7 +432,7 @@ def _rows_in_order(table: Table, t: Column, source: Source) -> NDArray[np.bool_]
 
 
 def coarse_advice(rate: float) -> str:
-    """Return the advice for stamps that are coarser than the rows.
+    """Return the advice for the user if several rows have the same time stamp, as whole seconds at 10 Hz.
 
     Parameters
     ----------
@@ -435,9 +448,10 @@ def coarse_advice(rate: float) -> str:
 
 
 def _longest_rising(t: Column) -> NDArray[np.bool_]:
-    """Return the flags (n,) of a longest rising subsequence of times (n,); of equal times, only the first.
+    """Select the most rows of an imported table whose times (n,) rise strictly, and return their flags (n,).
 
-    A single time that is too large then costs only its own row (Fredman, Discrete Mathematics 11, 1975).
+    A single time that is too large then costs only its own row (Fredman, Discrete Mathematics 11, 1975). Of equal
+    times, only the first is selected.
     """
     ends: list[float] = []  # lowest last time of a rising subsequence of 1, 2, ... rows
     rows: list[int] = []  # the row of this time

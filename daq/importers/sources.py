@@ -17,7 +17,7 @@ LABVIEW, FLYSIGHT = b"LabVIEW Measurement", b"$FLYS"
 
 
 class SourceKind(NamedTuple):
-    """Kind of source.
+    """Kind of source file, for example a ROS bag, with the function that reads it.
 
     Attributes
     ----------
@@ -97,19 +97,19 @@ def source_kind(path: Path) -> SourceKind:
 
 
 def _bag_kind() -> SourceKind:
-    """Return the kind of ROS bags."""
+    """Return the kind of source of a ROS bag, with its reader."""
     from seatrial.daq.importers.ros import read_bag
 
     return SourceKind("ros", read_bag)
 
 
 def _read_text_table(path: Path, options: SourceOptions) -> list[Table]:
-    """Return the only table of a text file, in the style of the map."""
+    """Read a text file as one table, in the text style (delimiter, decimal mark, ...) of the import map."""
     return [TextTable(path, options.style)]
 
 
 def _first_bytes(path: Path) -> bytes:
-    """Return the first 65536 bytes of a file. Raise SeatrialError if the file cannot be read."""
+    """Return the first 65536 bytes of a source file. Raise SeatrialError if the file cannot be read."""
     try:
         with path.open("rb") as file:
             return file.read(_HEAD_BYTES)
@@ -118,7 +118,9 @@ def _first_bytes(path: Path) -> bytes:
 
 
 def text_head(path: Path) -> bytes:
-    """Return the first bytes of a text file, without blocks that were never written, to recognise its style.
+    """Return the first 65536 bytes of a text file, without blocks of zeros, to recognise its style.
+
+    A power cut leaves such blocks on a memory card.
 
     Parameters
     ----------

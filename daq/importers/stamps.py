@@ -58,7 +58,7 @@ class MessageTimes(NamedTuple):
 
 
 class EstimatedTimes(NamedTuple):
-    """Estimated times of the messages of one topic.
+    """Estimated times of measurement of the messages of one topic.
 
     Attributes
     ----------
@@ -101,9 +101,9 @@ def message_times(topics: Mapping[str, MessageTimes]) -> dict[str, EstimatedTime
 
 
 def _without_zeros(times: MessageTimes) -> MessageTimes:
-    """Return the times with NaN for empty stamps and receipts.
+    """Return the receipts and stamps of a topic with NaN for empty (zero) ones.
 
-    All stamps become NaN if they are always empty or hardly ever change.
+    All stamps become NaN if they are always empty, or if fewer than 10 % of them differ.
     """
     # Messages of a simulation are empty until its first clock message.
     receipt, stamp = times.receipt.copy(), times.stamp.copy()
@@ -117,7 +117,7 @@ def _without_zeros(times: MessageTimes) -> MessageTimes:
 
 
 def _receipt_rate(times: MessageTimes) -> float:
-    """Return the rate of the receipts by the clock of the stamps [s/s].
+    """Return how fast the recorder's clock runs by the stamps of a topic: seconds of receipt per second of stamps.
 
     The rate is a median over pieces of a tenth of the recording. A step or wrong stamps do not affect the median. It is
     exactly 1 if the clocks drift by less than 0.2 s over the recording, or if the rate is not positive.
@@ -135,9 +135,10 @@ def _receipt_rate(times: MessageTimes) -> float:
 
 
 def _running_median(values: Column) -> Column:
-    """Return the running median over 51 values, (n,); over fewer if there are fewer values (the largest odd number).
+    """Return the running median over 51 values (n,) of the offset between message stamps and their receipts.
 
-    The first and the last value are repeated beyond the ends.
+    If there are fewer values, it is over the largest odd number of them. The first and the last value are repeated
+    beyond the ends.
     """
     window = min(SMOOTH, len(values) - 1 + len(values) % 2)
     if window < 3:
@@ -147,9 +148,9 @@ def _running_median(values: Column) -> Column:
 
 
 class _ReferenceClock:
-    """The clock that most stamps share, and its level against the clock of the recorder.
+    """The clock that most stamps of a recording share, and its offset from the clock of the recorder.
 
-    The level is the receipt minus `rate` times the stamp [s].
+    The offset, called the level, is the receipt minus `rate` times the stamp [s].
 
     Attributes
     ----------
@@ -165,7 +166,10 @@ class _ReferenceClock:
     """
 
     def __init__(self, stamped: Mapping[str, MessageTimes]) -> None:
-        """Choose the reference among the topics with stamps, and measure its level without wrong stamps."""
+        """Choose the clock that most stamps share, and measure its offset from the recorder without wrong stamps.
+
+        `stamped` has receipts and stamps of each topic with stamps.
+        """
         rates = {name: _receipt_rate(times) for name, times in stamped.items()}
         sharing = [n for n, times in stamped.items() if rates[n] == 1.0 and self._agrees_with_recorder(times)]
         self.is_recorder = bool(sharing)
@@ -198,10 +202,11 @@ class _ReferenceClock:
             self.shift = float(delay[~wrong].min()) if self.rate == 1.0 else float(delay[~wrong][0])
 
     def _store_branches(self, receipt: Column, level: Column) -> None:
-        """Split the receipts and their levels where the recorder's clock was set back, for `level`, and set `shift`.
+        """Store the level for each interval between two steps back of the recorder's clock (a branch), and set `shift`.
 
         The level is the receipt minus `rate` times the stamp [s]. After a step back the same receipt may occur again
-        with another level, so each part between two steps back (a branch) is stored and interpolated on its own.
+        with another level, so each branch is interpolated on its own. `receipt` and `level` (n,) are in the order of
+        the stamps. `shift` is that of the first branch near the recorder's clock.
         """
         steps = np.flatnonzero(np.diff(level) < -STEP_S) + 1
         edges = [0, *steps.tolist(), len(level)]
@@ -212,26 +217,27 @@ class _ReferenceClock:
 
     @staticmethod
     def _agrees_with_recorder(times: MessageTimes) -> bool:
-        """Return whether at least 20 % of the stamps are within 1 s of their receipt by the recorder."""
+        """Return whether at least 20 % of the stamps of a topic are within 1 s of their receipt by the recorder."""
         delay = times.receipt - times.stamp
         delay = delay[np.isfinite(delay)]
         return bool(np.mean(np.abs(delay) < OTHER_CLOCK) >= SHARE)
 
     @staticmethod
     def _shares_clock(first: MessageTimes, second: MessageTimes, rate: float) -> bool:
-        """Return whether two topics have about the same median level, so that their stamps share a clock.
+        """Return whether the stamps of two topics share a clock: their medians of receipt minus stamp are about equal.
 
-        The level is the receipt minus `rate` times the stamp. It may differ by 1 s, or by `rate` seconds if `rate` is
-        above 1.
+        The stamp is multiplied by `rate`, the rate of the receipts [s/s]. The medians may differ by 1 s, or by `rate`
+        seconds if `rate` is above 1.
         """
         levels = [np.nanmedian(times.receipt - rate * times.stamp) for times in (first, second)]
         return bool(abs(levels[0] - levels[1]) < OTHER_CLOCK * max(rate, 1.0))
 
     def _stamp_steps(self, receipt: Column, stamp: Column, topic: Column, level: Column) -> Mask:
-        """Return the flags (n,) of messages with wrong stamps, by the plateaus of the level between its steps.
+        """Return the flags (n,) of messages with wrong stamps, found by the steps of the level (receipt minus stamp).
 
-        Steps of the stamps change the offset of their clock. The offset with the most messages is right, and messages
-        with another offset are wrong. Plateaus near the recorder's clock count three times.
+        Between two steps the level is about constant, a plateau. Steps of the stamps change the offset of their clock.
+        The offset with the most messages is right, and messages with another offset are wrong. Plateaus near the
+        recorder's clock count three times.
         """
         allowed = STEP_S + STEP_RATE * np.diff(receipt)
         steps = np.flatnonzero(np.abs(np.diff(level)) > allowed) + 1
@@ -255,10 +261,10 @@ class _ReferenceClock:
         return wrong
 
     def level(self, receipt: Column) -> Column:
-        """Return the level at given receipts (n,): receipt minus `rate` times the stamp, of messages received then.
+        """Return receipt minus `rate` times stamp [s] (n,), as it was for messages received at the given times (n,).
 
-        It is interpolated, but not over a step. If the recorder's clock was set back, it is NaN for receipts at which
-        the level is not unique.
+        It is interpolated, but not over a step. If the recorder's clock was set back, it is NaN for receipts that
+        occurred twice, with different levels.
         """
         if self.set_back:
             pause = [1.5 * float(np.quantile(np.abs(np.diff(own)), 0.99)) for own, _ in self._branches if len(own) > 1]
@@ -280,7 +286,7 @@ class _ReferenceClock:
         return np.where(steps & np.isfinite(receipt), self._level[nearest], found)
 
     def times(self, topic_times: MessageTimes, is_stamped: bool) -> EstimatedTimes:
-        """Return the times of a topic on the reference.
+        """Return the times of measurement of the messages of a topic, on the reference clock of the recording.
 
         Parameters
         ----------
@@ -313,14 +319,14 @@ class _ReferenceClock:
         return EstimatedTimes(t, "; ".join([*remarks, *_wrong_remarks(topic_times, wrong, misfit - usual)]))
 
     def _shift_remark(self) -> str:
-        """Return the remark about a reference that is not the recorder's clock."""
+        """Return the remark that the stamps come from another clock than the recorder's, with offset and rate."""
         rate = "" if self.rate == 1.0 else f", at {1.0 / self.rate:.3g} times the rate of the recording"
         return f"its stamps are of another clock: moved by {self.shift:+.3f} s{rate}"
 
     def _times_of_receipts(self, topic_times: MessageTimes) -> EstimatedTimes:
-        """Return the times of a topic without stamps: its receipts, converted to the reference by the level.
+        """Return the times of a topic without stamps: its receipts, corrected by the stamps of the other topics.
 
-        A message whose level is unknown has NaN, and the remark counts these messages.
+        A message for which the correction is unknown has NaN, and the remark counts these messages.
         """
         level = self.level(topic_times.receipt)
         offset = -self.shift if self.is_recorder else 0.0
@@ -333,7 +339,7 @@ class _ReferenceClock:
         return EstimatedTimes(t, remark)
 
     def _times_of_another_clock(self, topic_times: MessageTimes, rate: float) -> EstimatedTimes:
-        """Return the times of a topic whose stamps are of another clock, moved onto the reference.
+        """Return the times of a topic whose stamps are of a clock of their own, converted to the reference clock.
 
         The shortest delay of the receipts gives the offset. `rate` is the rate of the receipts by the stamps [s/s]; a
         drift below 0.2 s is neglected. Wrong stamps become NaN, and the remark counts them.
@@ -355,7 +361,7 @@ class _ReferenceClock:
 
 
 def _is_set_back(times: MessageTimes) -> bool:
-    """Return whether the stamps of a topic are out of order by receipt, but regular when sorted.
+    """Return whether the recorder's clock was set back: stamps are out of order by receipt, but regular when sorted.
 
     This needs at least 3 steps back by more than 0.25 s, and more than 95 % usual intervals of the sorted stamps.
     """
@@ -369,9 +375,10 @@ def _is_set_back(times: MessageTimes) -> bool:
 
 
 def _stamps_jump(receipt: Column, stamp: Column, topic: Column, k: int, jump: float, rate: float) -> bool:
-    """Return whether the stamps, not the receipts, step at message k, where the level jumps.
+    """Return whether the stamps stepped, not the receipts, at message k, where receipt minus stamp jumps by `jump` [s].
 
-    Each topic near message k votes for the clock whose interval at the step is more unusual.
+    Each topic near message k votes for the clock whose interval at the step is more unusual. `topic` has the number of
+    the topic of each message, and `rate` is the rate of the receipts by the stamps [s/s].
     """
     votes = 0.0
     for index in np.unique(topic[max(k - SMOOTH, 0) : k + SMOOTH]):
@@ -391,7 +398,8 @@ def _stamps_jump(receipt: Column, stamp: Column, topic: Column, k: int, jump: fl
 def _wrong_stamps(times: MessageTimes, misfit: Column, rate: float) -> Mask:
     """Return the flags (n,) of wrong stamps of a topic; a stamp of a message that is only late is not wrong.
 
-    `misfit` (n,) is the delay of the receipts beyond the usual delay [s].
+    `misfit` (n,) is the delay of the receipts beyond the usual delay [s], and `rate` the rate of the receipts by the
+    stamps [s/s].
     """
     known = np.isfinite(misfit)
     receipt, stamp, late = times.receipt[known], rate * times.stamp[known], misfit[known]
@@ -421,7 +429,10 @@ def _wrong_stamps(times: MessageTimes, misfit: Column, rate: float) -> Mask:
 
 
 def _wrong_remarks(times: MessageTimes, wrong: Mask, misfit: Column) -> list[str]:
-    """Return a list with the remark about wrong stamps of a topic; empty without wrong stamps."""
+    """Return a list with the remark about wrong stamps of a topic: number, error and first occurrence.
+
+    The list is empty without wrong stamps. `misfit` (n,) is the delay of the receipts beyond the usual delay [s].
+    """
     if not np.any(wrong):
         return []
     start = float(np.nanmin(times.receipt)) if np.isfinite(times.receipt).any() else 0.0

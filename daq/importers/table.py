@@ -18,7 +18,7 @@ Column = NDArray[np.float64]
 
 @dataclass
 class Table:
-    """Rows of one topic.
+    """Rows of one topic of a source file, or of the whole file, as columns of numbers and texts.
 
     Attributes
     ----------
@@ -75,20 +75,21 @@ class Table:
 
     @property
     def names(self) -> Sequence[str]:
-        """Names of the columns."""
+        """Names of the columns of the table: columns of numbers, then columns of text."""
         return [*self.columns, *self.texts]
 
     @property
     def full_remark(self) -> str:
-        """Topic and remarks in one line, for the user; "" without remarks."""
+        """What is unusual about the table and its times, in one line with the topic in front; "" if nothing is."""
         remarks = "; ".join(part for part in (self.remark, self.clock) if part)
         return f"{self.topic}: {remarks}" if self.topic and remarks else remarks
 
     def __len__(self) -> int:
+        """Return the number of rows of the table, n."""
         return len(next(iter((*self.columns.values(), *self.texts.values())), ()))
 
     def numbers(self, column: str) -> Column:
-        """Return a column of numbers.
+        """Return the values of a column of numbers of the table.
 
         Parameters
         ----------
@@ -113,7 +114,7 @@ class Table:
         return self.columns[column]
 
     def text(self, column: str) -> list[str]:
-        """Return a column as text, for times that are not numbers.
+        """Return the cells of a column of the table as text, for times that are not numbers.
 
         A column of numbers gives the shortest texts with the same values. Raise SeatrialError if the table lacks the
         column.
@@ -121,7 +122,10 @@ class Table:
         return list(self.texts.get(column, ())) or [repr(value) for value in self.numbers(column).tolist()]
 
     def error(self, row: int, column: str, problem: str) -> SeatrialError:
-        """Return an error that names the file, topic, column and row of a cell. The caller raises the error."""
+        """Return an error that names the file, topic, column and row of a cell. The caller raises the error.
+
+        `row` is counted from 0, and `problem` is the text of the error.
+        """
         place = f"{self.topic}, '{column}'" if self.topic else f"'{column}'"
         return SeatrialError(f"{self.path}: {place}, row {row + 1}: {problem}")
 
@@ -137,7 +141,8 @@ def clock_remark(t: Column) -> str:
     Returns
     -------
     str
-        The remark; "" if no time runs back by more than `CLOCK_STEP_S`.
+        The remark, with the number of steps back and the largest one; "" if no time runs back by more than
+        `CLOCK_STEP_S`.
     """
     back = -np.diff(t)
     far = back > CLOCK_STEP_S
@@ -180,7 +185,7 @@ class TextStyle:
 
 @dataclass(frozen=True)
 class SourceOptions:
-    """Options of a map for reading a source.
+    """Options of an import map for reading a source file.
 
     Attributes
     ----------

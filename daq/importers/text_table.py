@@ -61,7 +61,10 @@ class TextTable(Table):
     strict = True
 
     def __init__(self, path: Path, style: TextStyle) -> None:
-        """Read the cells of a file. Raise SeatrialError if the file cannot be read as a table of this style."""
+        """Read the header and the cells of a text file.
+
+        Raise SeatrialError if it cannot be read as a table of this style.
+        """
         super().__init__(path, "", {})
         self._style = style
         self.lines: list[int] = []  # number of the line of each row
@@ -72,7 +75,7 @@ class TextTable(Table):
         self._read_cells()
 
     def _read_numbers(self) -> bool:
-        """Read the table by numpy, and return whether this was possible.
+        """Read the text file by numpy, which is fast, and return whether this was possible.
 
         It is possible only if the file contains one header with unique names, and rows of plain finite numbers without
         blank lines. Otherwise nothing is stored.
@@ -111,7 +114,7 @@ class TextTable(Table):
         return True
 
     def _read_cells(self) -> None:
-        """Read header and cells. Raise SeatrialError if the file cannot be read as a table of this style."""
+        """Read header and cells of the text file one by one. Raise SeatrialError if it is no table of this style."""
         path, style = self.path, self._style
         self.lines, self._rows = [], []
         try:
@@ -132,7 +135,7 @@ class TextTable(Table):
             raise SeatrialError(f"{path}: cannot be read: {error.strerror}") from error
 
     def _read(self, file: Iterable[str]) -> None:
-        """Read header and rows from the lines of a file.
+        """Read header and rows of the text table from the lines of its file.
 
         Comments, repeated headers, units and subheadings are skipped. The units are stored. Lines with a wrong number
         of cells are noted in the remark or raise SeatrialError (`_note_ragged_lines`).
@@ -175,15 +178,15 @@ class TextTable(Table):
         if ragged:
             self._note_ragged_lines(ragged, watched.is_cut)
         if not self.lines:
-            raise SeatrialError(f"{self.path}: no rows below the header")
+            raise SeatrialError(f"{self.path}: no rows below the header, so there are no data")
         for name in {name for name in self._header if name and self._header.count(name) > 1}:
             self._add_remark(f"column '{name}' is {counted(self._header.count(name), 'time')} in the header: {_RENAME}")
 
     def _note_ragged_lines(self, ragged: Sequence[tuple[int, int]], is_cut: bool) -> None:
-        """Note the lines whose number of cells differs from the header in the remark.
+        """Add a remark about the lines of the text table whose number of cells differs from the header.
 
-        `ragged` has line and number of cells of each. Raise SeatrialError if the map does not drop cells without a
-        number, or if these are more than 20 % of the lines. `is_cut`: the file has no line end at its end.
+        `ragged` has line and number of cells of each. Raise SeatrialError if the import map does not drop cells without
+        a number, or if these are more than 20 % of the lines. `is_cut`: the file has no line end at its end.
         """
         line, n_cells = ragged[0]
         width, n = len(self._header), len(ragged)
@@ -199,20 +202,21 @@ class TextTable(Table):
             self._add_remark(f"{counted(n, 'line')} left out; the first, line {line}, has {fault}")
 
     def _add_remark(self, text: str) -> None:
-        """Add a remark, once."""
+        """Add a text to the remark of the table, unless the remark contains it already."""
         if text not in self.remark:
             self.remark = "; ".join(part for part in (self.remark, text) if part)
 
     @property
     def names(self) -> list[str]:
-        """Names of the columns, in the order of the header. They may repeat or be empty."""
+        """Names of the columns of the text table, in the order of the header. They may repeat or be empty."""
         return self._header
 
     def __len__(self) -> int:
+        """Return the number of rows of the text table, n, without header, comments and lines left out."""
         return len(self.lines)
 
     def text(self, column: str) -> list[str]:
-        """Return the cells of a column as text. The file is read again if only its numbers were kept.
+        """Return the cells of a column of the text table. The file is read again if only its numbers were kept.
 
         Raise SeatrialError if the header lacks the column or has it twice.
         """
@@ -227,11 +231,14 @@ class TextTable(Table):
         return [cells[place] for cells in self._rows]
 
     def error(self, row: int, column: str, problem: str) -> SeatrialError:
-        """Return an error that names the file, line and column of a cell. The caller raises the error."""
+        """Return an error that names the file, line and column of a cell. The caller raises the error.
+
+        `row` is counted from 0 and is converted to the line, and `problem` is the text of the error.
+        """
         return SeatrialError(f"{self.path}: line {self.lines[row]}, column '{column}': {problem}")
 
     def numbers(self, column: str) -> Column:
-        """Return a column as numbers.
+        """Return a column of the text table as numbers.
 
         Parameters
         ----------
@@ -253,7 +260,11 @@ class TextTable(Table):
         return self._numbers[column]
 
     def _as_numbers(self, column: str) -> Column:
-        """Convert a column to numbers, as `numbers` describes."""
+        """Convert the cells of a column to numbers (n,). An empty cell becomes NaN.
+
+        A cell of text becomes NaN if the import map drops or keeps such cells (`nan`). Raise SeatrialError otherwise,
+        or if the column has more text than numbers.
+        """
         cells = self._without_units(column, [cell.strip() for cell in self.text(column)])
         decimal = self._style.decimal
         # A comma in quotes, or in a table with decimal points, separates thousands.
@@ -283,11 +294,14 @@ class TextTable(Table):
         return found
 
     def _has_points(self) -> bool:
-        """Return whether the first 100 rows contain a number with a decimal point."""
+        """Return whether the first 100 rows of the text table contain a number with a decimal point."""
         return any(_POINT.fullmatch(cell.strip()) for cells in self._rows[:LOOKED_AT] for cell in cells)
 
     def _without_units(self, column: str, cells: list[str]) -> list[str]:
-        """Return the cells without their unit if all have the same unit (1.25 m). Store it as the column's unit."""
+        """Return the cells of a column without their unit if all have the same unit (1.25 m), and store the unit.
+
+        Otherwise the cells are returned unchanged.
+        """
         first = _WITH_UNIT.fullmatch(next((text for text in cells if text), ""))
         if first is None or not unit_of(first[2]):
             return cells
@@ -302,7 +316,7 @@ _RENAME = 'name the columns in the map: csv.columns = ["...", ...], and csv.skip
 
 
 class _WatchedLines:
-    """Iterator over the lines of a file. `is_cut` is True if the last line has no line end.
+    """Iterator over the lines of a file that notes whether the last line was cut off. Zero bytes are removed.
 
     Attributes
     ----------
@@ -311,17 +325,19 @@ class _WatchedLines:
     """
 
     def __init__(self, lines: Iterable[str]) -> None:
+        """Prepare the iteration over the lines of a text file."""
         self._lines = lines
         self.is_cut = False
 
     def __iter__(self) -> Iterator[str]:
+        """Yield each line of the file without zero bytes, and note whether it has a line end."""
         for line in self._lines:
             self.is_cut = not line.endswith(("\n", "\r"))
             yield line.replace("\0", "")  # zero bytes come from blocks of a card that were never written
 
 
 def _numbers_of_plain_cells(cells: Sequence[str], decimal: str) -> list[float]:
-    """Return the numbers of a column (n,). `decimal` is the decimal mark.
+    """Convert the cells of a column of a text table to numbers (n,). `decimal` is the decimal mark.
 
     Raise ValueError if a cell is not a plain number, also if it is empty.
     """
@@ -331,7 +347,7 @@ def _numbers_of_plain_cells(cells: Sequence[str], decimal: str) -> list[float]:
 
 
 def to_number(text: str, decimal: str, has_thousands: bool = False) -> float:
-    """Return the number of a cell.
+    """Convert the text of a cell of a text table to a number.
 
     Parameters
     ----------
@@ -368,7 +384,10 @@ def to_number(text: str, decimal: str, has_thousands: bool = False) -> float:
 
 
 def _cells_of_lines(file: Iterable[str], style: TextStyle) -> Iterator[tuple[int, list[str]]]:
-    """Yield the number, counted from 1, and the cells of each line that is not blank."""
+    """Split the lines of a text table into cells. Yield the number, counted from 1, and the cells of each line.
+
+    Blank lines are skipped. The delimiter is that of `style`.
+    """
     if style.delimiter == BLANK:
         for number, line in enumerate(file, start=1):
             if cells := line.split():
@@ -381,7 +400,7 @@ def _cells_of_lines(file: Iterable[str], style: TextStyle) -> Iterator[tuple[int
 
 
 def is_comment(cells: Sequence[str], width: int) -> bool:
-    """Return whether a line is a comment.
+    """Return whether a line of a text table is a comment.
 
     Parameters
     ----------
@@ -400,18 +419,21 @@ def is_comment(cells: Sequence[str], width: int) -> bool:
 
 
 def is_subheading(cells: Sequence[str]) -> bool:
-    """Return whether a row below the header has words and no digits, as Smp and Avg in files of Campbell loggers."""
+    """Return whether a row below the header of a text table has words and no digits.
+
+    Campbell loggers write such rows (Smp, Avg).
+    """
     texts = [text for cell in cells if (text := cell.strip())]
     return not any(c.isdigit() for text in texts for c in text) and any(text.lower() not in _EMPTY for text in texts)
 
 
 def without_brackets(cell: str) -> str:
-    """Return the text of a cell without blanks and brackets around it: "[m/s]" becomes "m/s"."""
+    """Return a cell of a text table without blanks and brackets around it: "[m/s]" becomes "m/s"."""
     return cell.strip().strip("()[]{}<>").strip()
 
 
 def is_units_row(cells: list[str]) -> bool:
-    """Return whether a row contains the units of the columns.
+    """Return whether a row of a text table contains the units of the columns.
 
     At least half of the filled cells are known units, not only "1" and "-". No other cell contains a digit.
     """
@@ -422,7 +444,7 @@ def is_units_row(cells: list[str]) -> bool:
 
 
 def has_decimal_commas(head: bytes) -> bool:
-    """Return whether a text has the comma as delimiter and as decimal mark: rows have more cells than the header.
+    """Return whether a text table has the comma as delimiter and as decimal mark: its rows are longer than its header.
 
     Parameters
     ----------
@@ -444,7 +466,7 @@ def has_decimal_commas(head: bytes) -> bool:
 
 
 def wide_encoding(head: bytes) -> str:
-    """Return the encoding of a text with two bytes per character (Excel's "Unicode text").
+    """Return the encoding of a text table with two bytes per character (Excel's "Unicode text").
 
     Parameters
     ----------
@@ -466,7 +488,7 @@ def wide_encoding(head: bytes) -> str:
 
 
 def sniff_style(path: Path, head: bytes) -> TextStyle | None:
-    """Recognise the style of a text table.
+    """Recognise delimiter, decimal mark, encoding and header of a text table.
 
     Parameters
     ----------
@@ -497,7 +519,7 @@ def sniff_style(path: Path, head: bytes) -> TextStyle | None:
 
 
 def _joined_quoted_lines(lines: Sequence[str]) -> tuple[list[str], list[int]]:
-    """Return the rows of a text, and the index of the line at which each begins.
+    """Join the lines of a text to rows of a table. Return the rows, and the index of the line at which each begins.
 
     A row is a line, or up to 4 lines if a cell in quotes contains line ends.
     """
@@ -513,9 +535,10 @@ def _joined_quoted_lines(lines: Sequence[str]) -> tuple[list[str], list[int]]:
 
 
 def _score_of_style(lines: list[str], style: TextStyle) -> tuple[float, TextStyle] | None:
-    """Return a score and the style with the place of the header; None if the lines are not a table in this style.
+    """Return a score of how well a text is a table in this style, and the style with the place of the header.
 
-    The score is the sum over the rows of the squared share of numbers times the number of cells.
+    None means that the lines are not a table in this style. The score is the sum over the rows of the squared share of
+    numbers times the number of cells.
     """
     rows = [next((cells for _, cells in _cells_of_lines(line.splitlines(keepends=True), style)), []) for line in lines]
     widths = Counter(len(cells) for cells in rows if cells).most_common(1)
@@ -573,14 +596,14 @@ def _header_above(rows: Sequence[list[str]], first: int, width: int, open_rows: 
 
 
 def _n_filled(cells: Sequence[str]) -> int:
-    """Return the number of cells that are not blank."""
+    """Return the number of cells in a row of a text table that are not blank."""
     return sum(bool(cell.strip()) for cell in cells)
 
 
 def _share_of_numbers(cells: Sequence[str], style: TextStyle, with_times: bool = True) -> float:
-    """Return the share of cells that are numbers, empty, or (`with_times`) times; 0 if no cell is a number or a time.
+    """Return the share (0 to 1) of the cells of a row that are numbers, empty, or (`with_times`) times.
 
-    A number may have a known unit behind it.
+    The share is 0 if no cell is a number or a time. A number may have a known unit behind it.
     """
     n, empty = 0, 0
     for cell in cells:

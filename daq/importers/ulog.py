@@ -26,7 +26,7 @@ FIX_2D = 2  # sensor_gps.fix_type
 
 
 def read_ulog(path: Path, options: SourceOptions) -> list[Table]:
-    """Read the topics of a PX4 log.
+    """Read the topics of a PX4 log (.ulg) as tables.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def read_ulog(path: Path, options: SourceOptions) -> list[Table]:
 
 
 def _require_few_columns(raw: bytes) -> None:
-    """Raise SeatrialError if the formats of a log make more than `MOST_COLUMNS` columns.
+    """Raise SeatrialError if the message formats of a PX4 log make more than `MOST_COLUMNS` (200,000) columns.
 
     A format may contain other formats, and a subscription makes columns of all nested fields. A damaged or malicious
     log of some kilobytes could make columns that take gigabytes and hours.
@@ -98,7 +98,10 @@ def _require_few_columns(raw: bytes) -> None:
     total, place = 0.0, HEADER
 
     def columns_of(name: str, depth: int = 0) -> float:
-        """Return the number of columns of a format; infinite if the format contains itself."""
+        """Return the number of columns of a message format in the PX4 log; infinite if the format contains itself.
+
+        A name without a format is a single number. `depth` is the number of formats around it.
+        """
         if name not in formats:
             return 1.0  # a number
         if depth > DEEPEST_FORMAT:
@@ -123,7 +126,7 @@ def _require_few_columns(raw: bytes) -> None:
 
 
 def whole_records(raw: bytes) -> tuple[bytes | None, int]:
-    """Remove torn records from a log.
+    """Remove torn records from the bytes of a PX4 log (.ulg).
 
     A record is complete if another record or the end of the file follows it. A torn record has the right size, but a
     part of its data belongs to a later place, so that no header follows it.
@@ -141,7 +144,7 @@ def whole_records(raw: bytes) -> tuple[bytes | None, int]:
     sizes: dict[int, int] = {}  # bytes of the data of each subscription, by its number
 
     def end_of(place: int) -> int:
-        """Return the end of a record; -1 if no record can begin here."""
+        """Return the end [bytes] of the PX4 log record at the offset `place`; -1 if no record can begin there."""
         if place + RECORD.size > len(raw):
             return -1
         size, kind = RECORD.unpack_from(raw, place)
@@ -175,7 +178,7 @@ def whole_records(raw: bytes) -> tuple[bytes | None, int]:
 
 
 def _continues_beyond_end(raw: bytes, place: int) -> bool:
-    """Return whether the record at a place continues beyond the end of the file."""
+    """Return whether the PX4 log record at the offset `place` [bytes] continues beyond the end of the file."""
     if place + RECORD.size > len(raw):
         return True
     size, kind = RECORD.unpack_from(raw, place)
@@ -183,17 +186,18 @@ def _continues_beyond_end(raw: bytes, place: int) -> bool:
 
 
 class _LimitedFile(io.BufferedReader):
-    """File with a limit on the bytes read: 100 times its size and 16 MiB.
-
-    In a damaged file, pyulog may step back by a message again and again.
-    """
+    """File that raises SeatrialError if more than 100 times its size and 16 MiB are read."""
 
     def __init__(self, path: Path) -> None:
+        """Open the file and compute how many bytes may be read from it."""
         super().__init__(io.FileIO(path))
         self._bytes_left = 100 * path.stat().st_size + (16 << 20)
 
     def read(self, size: int | None = -1, /) -> bytes:
-        """Read as from any file. Raise SeatrialError beyond the limit."""
+        """Read up to `size` bytes of the file; all for -1 or None.
+
+        Raise SeatrialError if all reads together exceed 100 times the size of the file and 16 MiB.
+        """
         data = super().read(size)
         self._bytes_left -= len(data) + 16
         if self._bytes_left < 0:
@@ -202,7 +206,7 @@ class _LimitedFile(io.BufferedReader):
 
 
 def _utc_offset(tables: list[Table]) -> float:
-    """Return UTC less the time of the autopilot [s], by the first fix with a UTC.
+    """Return UTC minus the time of the autopilot [s], by the first fix with a UTC in the topics of a PX4 log.
 
     The result is 0 if no topic with gps in its name has a UTC.
     """

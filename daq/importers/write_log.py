@@ -27,7 +27,7 @@ WRITTEN_S = 30 * 86_400.0  # s; longest time from the end of a recording to the 
 
 
 class SignalRow(NamedTuple):
-    """Sample of a log to be written.
+    """Sample that an importer writes to a log, with its time and the name of its device or signal.
 
     Attributes
     ----------
@@ -45,7 +45,7 @@ class SignalRow(NamedTuple):
 
 
 class Timed(NamedTuple):
-    """Sample with its estimated time.
+    """Sample of an autopilot with its estimated time of measurement.
 
     Attributes
     ----------
@@ -70,7 +70,7 @@ def write_signals(
     force: bool = False,
     reads: Sequence[Path] = (),
 ) -> None:
-    """Write one log of signals and events in the order of time.
+    """Write imported signals and events as one MCAP log, in the order of time.
 
     Parameters
     ----------
@@ -120,7 +120,11 @@ def _write_in_order(
     first: int,
     events: Sequence[tuple[float, Event]],
 ) -> None:
-    """Write signals and events in the order of time; `t_ns` are the times of the signals [ns], `first` the earliest."""
+    """Write signals and events to an MCAP log in the order of time.
+
+    `t_ns` are the times of the signals [ns since 1970], and `first` is the earliest of them. Events before it get this
+    time. The first event is the import, with the text `note`.
+    """
     event, about = writer.channel("/event", schema.EVENT), cdr_layout(schema.EVENT, b"")
     writer.add(event, first, first, 0, about.pack(first, tail=(b"import", note.encode())))
     channels, layouts = [], []
@@ -155,14 +159,14 @@ def write_frames(
     force: bool = False,
     reads: Sequence[Path] = (),
 ) -> None:
-    """Write one log of samples in the order of time.
+    """Write decoded samples as one MCAP log, in the order of time.
 
     Parameters
     ----------
     out
         The log.
     rows
-        The samples.
+        The samples, in the order of the source file.
     metadata
         Metadata of the log, by name.
     note
@@ -202,7 +206,7 @@ def write_frames(
 
 
 def early_dates(first: float, last: float, written: Sequence[float]) -> str:
-    """Return a line about dates that are probably 1024 weeks too early; empty if the dates are plausible.
+    """Return a line about dates that are probably 1024 GPS weeks too early; "" if the dates are plausible.
 
     Parameters
     ----------
@@ -232,7 +236,7 @@ def early_dates(first: float, last: float, written: Sequence[float]) -> str:
 
 
 def warn_of_early_dates(out: Path, first: float, last: float, reads: Sequence[Path]) -> str:
-    """Warn of dates that are probably 1024 weeks too early (`early_dates`), and return the line; empty without one.
+    """Warn of dates that are probably 1024 GPS weeks too early, and return the warning; "" for plausible dates.
 
     Parameters
     ----------
@@ -252,7 +256,7 @@ def warn_of_early_dates(out: Path, first: float, last: float, reads: Sequence[Pa
 
 
 def clock_steps(samples: Iterable[tuple[str, Frame, float]]) -> list[str]:
-    """Warn about each device whose times run back in the order of the file, and return the warnings.
+    """Warn about each device whose times run back in the order of its file, and return the warnings.
 
     Parameters
     ----------
@@ -262,7 +266,7 @@ def clock_steps(samples: Iterable[tuple[str, Frame, float]]) -> list[str]:
     Returns
     -------
     list of str
-        One line for each such device.
+        One line for each such device, with the number of steps back and the largest one [s].
 
     Notes
     -----
@@ -286,7 +290,7 @@ def clock_steps(samples: Iterable[tuple[str, Frame, float]]) -> list[str]:
 
 
 def _write_frames(writer: LogWriter, rows: Sequence[SignalRow], units: Mapping[str, str]) -> None:
-    """Write samples in the given order, each to the topics of its kind.
+    """Write decoded samples to an MCAP log in the given order, each to the topics of its kind.
 
     `units` has the unit of each signal; a signal that it lacks gets the unit "".
     """
@@ -305,7 +309,7 @@ def _write_frames(writer: LogWriter, rows: Sequence[SignalRow], units: Mapping[s
 
 @contextlib.contextmanager
 def replacing(out: Path, force: bool, reads: Sequence[Path]) -> Iterator[Path]:
-    """Yield a temporary path to write to. The file becomes `out` if the block succeeds, and is removed if not.
+    """Yield a temporary path to write to. The file becomes `out` if the `with` block succeeds, and is removed if not.
 
     Parameters
     ----------
@@ -336,7 +340,7 @@ def replacing(out: Path, force: bool, reads: Sequence[Path]) -> Iterator[Path]:
 
 
 def sha256_of(path: Path) -> str:
-    """Return the SHA-256 of a file, or of the files of a folder in the order of their names.
+    """Return the SHA-256 of a source file of an import, or of the files of a folder in the order of their names.
 
     Parameters
     ----------

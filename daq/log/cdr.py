@@ -34,7 +34,7 @@ HEAD = np.dtype(
 
 
 class Field(NamedTuple):
-    """Field of a message type after nested types have been expanded.
+    """Field of a message type, after nested types have been replaced by their fields.
 
     Attributes
     ----------
@@ -52,19 +52,19 @@ class Field(NamedTuple):
 
     @property
     def variable(self) -> bool:
-        """Whether the size of the field differs from message to message."""
+        """Whether the encoded size of the field differs from message to message, as that of a string."""
         return self.primitive == "string" or self.length == 0
 
 
 @cache
 def definition(type_name: str) -> str:
-    """Return the text of the definition of a message type `package/msg/Name`, read from the files in daq/msg."""
+    """Return the text that defines a message type `package/msg/Name`, from the files in daq/msg."""
     package, _, name = type_name.split("/")
     return resources.files("seatrial.daq").joinpath("msg", package, f"{name}.msg").read_text(encoding="utf-8")
 
 
 def _parse_fields(type_name: str) -> list[tuple[str, str]]:
-    """Return type and name of each field in the definition of a message type. Constants are left out."""
+    """Return (type, name) of each field in the definition of a message type `package/msg/Name`, without constants."""
     lines = (line.partition("#")[0] for line in definition(type_name).splitlines())
     pairs = [line.split(maxsplit=1) for line in lines if line.strip() and "=" not in line]
     return [(kind, name.strip()) for kind, name in pairs]
@@ -77,7 +77,7 @@ def _full_type_name(kind: str) -> str | None:
 
 @cache
 def full_definition(type_name: str) -> str:
-    """Return the definition of a type and of all types that it uses, in the `ros2msg` schema encoding of MCAP.
+    """Return the definition of a message type and of all types that it uses, as MCAP's `ros2msg` encoding needs it.
 
     Parameters
     ----------
@@ -101,7 +101,10 @@ def full_definition(type_name: str) -> str:
 
 
 def flatten(type_name: str, prefix: str = "") -> list[Field]:
-    """Return all fields of a type in the order of the encoding; fields of nested types have dotted names."""
+    """Return all fields of a message type in the order of the encoding; fields of nested types have dotted names.
+
+    `prefix` stands in front of each name.
+    """
     found: list[Field] = []
     for kind, name in _parse_fields(type_name):
         nested = _full_type_name(kind)
@@ -114,7 +117,9 @@ def flatten(type_name: str, prefix: str = "") -> list[Field]:
 
 
 class CdrLayout:
-    """Byte layout of one message type for one `frame_id`.
+    """Byte layout of one message type in CDR, for one `frame_id`: it packs and unpacks messages.
+
+    A message consists of a part of fixed size, with the header and its `frame_id`, and of strings or bytes after it.
 
     Parameters
     ----------
@@ -141,6 +146,7 @@ class CdrLayout:
     """
 
     def __init__(self, type_name: str, frame_id: bytes, lacking: tuple[str, ...] = ()) -> None:
+        """Compute the byte layout of a message type whose header has this `frame_id`, without the `lacking` fields."""
         fields = [field for field in flatten(type_name) if field.name not in lacking]
         if [field.name for field in fields[:3]] != [
             "header.stamp.sec",
@@ -169,7 +175,7 @@ class CdrLayout:
         self.dtype = np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": end})
 
     def pack(self, stamp_ns: int, *values: float | bytes, tail: tuple[bytes, ...] = ()) -> bytes:
-        """Encode one message.
+        """Encode one message of this layout as bytes.
 
         Parameters
         ----------
@@ -190,7 +196,7 @@ class CdrLayout:
         return message
 
     def unpack_tail(self, message: bytes | memoryview) -> tuple[bytes, ...]:
-        """Return the bytes of each field of variable size of one message.
+        """Return the bytes of each string or sequence of variable size at the end of a message.
 
         Raises
         ------
@@ -219,7 +225,7 @@ def doubles(*values: float) -> bytes:
 
 @cache
 def cdr_layout(type_name: str, frame_id: bytes, lacking: tuple[str, ...] = ()) -> CdrLayout:
-    """Return the layout of a message type for a `frame_id`. Each layout is computed once.
+    """Return the byte layout of a message type in CDR for a `frame_id`. Each layout is computed once.
 
     Parameters
     ----------
@@ -234,5 +240,5 @@ def cdr_layout(type_name: str, frame_id: bytes, lacking: tuple[str, ...] = ()) -
 
 
 def stamps(rows: NDArray[np.void]) -> NDArray[np.float64]:
-    """Return the time stamps of the headers of decoded rows, shape (n,) [s since 1970]."""
+    """Return the time stamps in the headers of decoded messages, shape (n,) [s since 1970]."""
     return np.asarray(rows["sec"] + rows["nanosec"] / NANO, dtype=np.float64)

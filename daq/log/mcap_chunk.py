@@ -54,7 +54,7 @@ Offsets = NDArray[np.int64]
 
 
 class ChunkAt(NamedTuple):
-    """Position of the data of a chunk in the file, and their compression.
+    """Position of the data of an MCAP chunk in the file, and their compression.
 
     Attributes
     ----------
@@ -78,7 +78,7 @@ class ChunkAt(NamedTuple):
 
 
 def chunk_at(head: bytes, start: int, stop: int, cut: bool = False) -> ChunkAt:
-    """Decode the header of a chunk record.
+    """Decode the header of an MCAP chunk record.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def chunk_at(head: bytes, start: int, stop: int, cut: bool = False) -> ChunkAt:
 
     Raises
     ------
-    One of DAMAGE
+    ValueError, or another error in DAMAGE
         If the header is invalid, or if the chunk is larger than `MAX_CHUNK_BYTES`.
     """
     _, _, size, checksum, n_name = _CHUNK.unpack_from(head)
@@ -107,11 +107,11 @@ def chunk_at(head: bytes, start: int, stop: int, cut: bool = False) -> ChunkAt:
 
 
 def unpack_chunk(packed: bytes | memoryview, chunk: ChunkAt) -> Buffer:
-    """Decompress a chunk and return its bytes, shape (size,).
+    """Decompress the data of an MCAP chunk and return its bytes, shape (size,).
 
     Raises
     ------
-    One of DAMAGE
+    ValueError, or another error in DAMAGE
         If size or checksum is wrong, or if the data cannot be decompressed.
     """
     data: bytes | memoryview = packed
@@ -131,14 +131,14 @@ def unpack_chunk(packed: bytes | memoryview, chunk: ChunkAt) -> Buffer:
 
 
 def unpack_cut(packed: bytes, chunk: ChunkAt) -> Buffer:
-    """Decompress what precedes the cut of a chunk whose end is missing. The result may be empty.
+    """Decompress the existing data of an MCAP chunk whose end is missing. The result may be empty.
 
     zstd blocks have at most 128 KiB each; a compressed block that is cut gives nothing. A chunk without compression is
     returned as it is.
 
     Raises
     ------
-    One of DAMAGE
+    ValueError, or another error in DAMAGE
         If the compression is lz4, or if the zstd data before the cut are damaged.
     """
     if chunk.compression == "lz4":
@@ -151,7 +151,7 @@ def unpack_cut(packed: bytes, chunk: ChunkAt) -> Buffer:
 
 
 class Messages(NamedTuple):
-    """Messages of some chunks.
+    """Messages of some MCAP chunks, not yet decoded.
 
     Attributes
     ----------
@@ -160,7 +160,7 @@ class Messages(NamedTuple):
     offsets
         Offset of each message record in the buffer, shape (n,).
     heads
-        Head of each message record, dtype MESSAGE_HEAD, shape (n,).
+        Head of each message record (channel, times, sequence number), dtype MESSAGE_HEAD, shape (n,).
     """
 
     buffer: Buffer
@@ -169,29 +169,29 @@ class Messages(NamedTuple):
 
     @property
     def lengths(self) -> NDArray[np.int64]:
-        """Number of bytes of the data of each message, shape (n,)."""
+        """Number of bytes of the data of each message, without its head, shape (n,)."""
         return self.heads["length"].astype(np.int64) - HEAD_BYTES
 
     def where(self, mask: NDArray[np.bool_]) -> Messages:
-        """Return the messages that a mask of shape (n,) selects."""
+        """Return the messages for which a mask (n,) is true; the same object if it is true for all."""
         return self if mask.all() else Messages(self.buffer, self.offsets[mask], self.heads[mask])
 
     def rows(self, dtype: np.dtype[np.void]) -> NDArray[np.void]:
-        """Return the beginning of the data of each message as an array of `dtype`, shape (n,).
+        """Return the first bytes of the data of each message as an array of the numpy type `dtype`, shape (n,).
 
         The caller checks first that no message is shorter than `dtype`.
         """
         return rows_at(self.buffer, self.offsets + MESSAGE_HEAD.itemsize, dtype)
 
     def payloads(self) -> Iterator[memoryview]:
-        """Yield the data of each message, without its head, in order."""
+        """Yield the data of each message (without channel, times and sequence number), in order."""
         view, starts = memoryview(self.buffer.data), self.offsets + MESSAGE_HEAD.itemsize
         for start, length in zip(starts.tolist(), self.lengths.tolist(), strict=True):
             yield view[start : start + length]
 
 
 def scan(chunks: list[tuple[Buffer, bytes]], register: Callable[[int, bytes], None]) -> Messages:
-    """Find the messages of uncompressed chunks.
+    """Find the messages in the bytes of uncompressed MCAP chunks.
 
     Parameters
     ----------
@@ -237,7 +237,7 @@ def scan(chunks: list[tuple[Buffer, bytes]], register: Callable[[int, bytes], No
 
 
 def index_entries(data: bytes, at: int) -> bytes:
-    """Return the entries (time, offset) of the message index records in `data` from byte `at` on.
+    """Return the entries (time, offset) of the MCAP message index records in `data` from byte `at` on.
 
     The entries are returned as bytes, 16 for each. The search ends at the first record that is no valid index.
     """
@@ -253,9 +253,10 @@ def index_entries(data: bytes, at: int) -> bytes:
 
 
 def _read_gap(view: memoryview, at: int, stop: int, register: Callable[[int, bytes], None]) -> list[int]:
-    """Scan the records between two offsets. Return the offsets of messages; pass schemas and channels to `register`.
+    """Scan the MCAP records between two offsets that no message index covers. Return the offsets of messages.
 
-    The scan ends at the first invalid record, and after too many records that are no messages.
+    Opcode and content of schemas and channels are passed to `register`. The scan ends at the first invalid record, and
+    after too many records that are no messages.
     """
     found: list[int] = []
     n_kinds = n_private = 0
@@ -278,11 +279,17 @@ def _read_gap(view: memoryview, at: int, stop: int, register: Callable[[int, byt
 
 
 def rows_at(buffer: Buffer, offsets: Offsets, dtype: np.dtype[Any]) -> NDArray[Any]:
-    """Return items of `dtype` at offsets of a buffer, shape (n,). All items must lie within the buffer."""
+    """Return the items of type `dtype` that begin at the offsets of a byte buffer, shape (n,).
+
+    All items must lie within the buffer.
+    """
     return _records_at(buffer, offsets, dtype.itemsize).view(dtype) if len(offsets) else np.zeros(0, dtype)
 
 
 def _records_at(buffer: Buffer, offsets: Offsets, size: int) -> NDArray[np.void]:
-    """Return the items as `rows_at` does, but without named fields, with which numpy is slow."""
+    """Return the items of `size` bytes at the offsets of a byte buffer, shape (n,), without named fields.
+
+    With named fields numpy would be slow here.
+    """
     starts: NDArray[np.void] = np.ndarray((len(buffer) - size + 1,), f"V{size}", buffer.data, strides=(1,))
     return starts[offsets]

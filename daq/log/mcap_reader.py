@@ -99,7 +99,7 @@ class RawLog:
     channels, schemas
         Channel and schema records by number.
     metadata, attachments
-        All metadata and attachment records.
+        All metadata and attachment records of the file.
     counts
         Number of messages of each channel, by number of the channel.
     span_ns
@@ -112,6 +112,7 @@ class RawLog:
     """
 
     def __init__(self, path: Path) -> None:
+        """Open an MCAP file and read its index, from its summary or from all its records."""
         self.path = path
         self.warnings: list[str] = []
         self.complete = False  # whether the file has its footer
@@ -141,7 +142,7 @@ class RawLog:
             self._seen[n:] = -1
 
     def _open(self) -> tuple[int, int, tuple[int, int]]:
-        """Open the file and check that it is a regular file and an MCAP file. Otherwise SeatrialError is raised.
+        """Open the MCAP file. Raise SeatrialError if it is not a regular file, is empty or is no MCAP file.
 
         Returns
         -------
@@ -166,7 +167,7 @@ class RawLog:
         return fd, size, (about.st_dev, about.st_ino)
 
     def _read(self, start: int, stop: int) -> bytes:
-        """Return bytes of the file; fewer bytes if the file is shorter now.
+        """Return the bytes `start` to `stop` of the MCAP file; fewer bytes if the file is shorter now.
 
         Raises
         ------
@@ -176,7 +177,7 @@ class RawLog:
         if self._fd < 0:
             self._fd, _, same = self._open()
             if same != self._same:
-                raise SeatrialError(f"{self.path}: the file was replaced while it was read")
+                raise SeatrialError(f"{self.path}: the file was replaced while it was read; run the command again")
         try:
             return os.pread(self._fd, max(stop - start, 0), start)
         except OSError as error:
@@ -184,11 +185,11 @@ class RawLog:
 
     @property
     def files(self) -> list[RawLog]:
-        """List of this file alone; a log of several segments has more files."""
+        """List of this MCAP file alone; a log of several segments has more files."""
         return [self]
 
     def close(self) -> None:
-        """Close the file and free the uncompressed chunks. A later read opens the file again."""
+        """Close the MCAP file and free the uncompressed chunks. A later read opens the file again."""
         self._cache.clear()
         self._cached = 0
         if self._fd >= 0:
@@ -196,14 +197,16 @@ class RawLog:
             self._fd = -1
 
     def __del__(self) -> None:
-        """Close the file if it is still open."""
+        """Close the MCAP file if it is still open."""
         if getattr(self, "_fd", -1) >= 0:
             self.close()
 
     def read(
         self, channels: Collection[int] | None = None, begin_ns: int = 0, end_ns: int = LAST_NS
     ) -> Iterator[Messages]:
-        """Yield messages in file order, a few chunks at a time. Chunks without such messages are not read.
+        """Yield the messages of the MCAP file in file order, a few chunks at a time.
+
+        Chunks without messages of these channels and times are not read.
 
         Parameters
         ----------
@@ -224,10 +227,10 @@ class RawLog:
                 return
 
     def _bound_chunks(self) -> int:
-        """Return the number of chunks, from the first on, that may be decompressed. Warn if other chunks are left out.
+        """Return how many chunks of the MCAP file, from the first on, may be decompressed. Warn if it is not all.
 
-        Compression reduces the data of instruments by a factor of some tens at most. A file with a much larger factor
-        would only cost time.
+        Compression reduces the data of instruments by a factor of some tens at most. Chunks beyond 256 MiB and beyond
+        256 times the size of the file are left out, because such a file would only cost time.
         """
         total = np.cumsum(np.minimum(self._chunks["size"], MAX_CHUNK_BYTES))
         n = int(np.searchsorted(total, max(MAX_UNPACKED_BYTES, MAX_RATIO * self._size), side="right"))
@@ -237,7 +240,7 @@ class RawLog:
         return n
 
     def _has_too_many_messages(self, n_messages: int) -> bool:
-        """Return whether a file of this size has too many messages: more than FEW_MESSAGES and than it has bytes.
+        """Return whether a file of this size has too many messages: more than 2 million and more than it has bytes.
 
         Warn if so.
         """
@@ -247,14 +250,17 @@ class RawLog:
         return True
 
     def verify(self, begin_ns: int = 0, end_ns: int = LAST_NS) -> None:
-        """Read the unread chunks in an interval of log times [ns since 1970], to complete `warnings`."""
+        """Read the unread chunks of the file in an interval of log times [ns since 1970], to complete `warnings`."""
         inside = (self._chunks["end_ns"] >= begin_ns) & (self._chunks["begin_ns"] <= end_ns)
         for number in np.flatnonzero(inside & (self._seen == 0)).tolist():
             with contextlib.suppress(*DAMAGE):
                 self._read_chunk(number)
 
     def _chunks_to_read(self, ids: NDArray[np.uint16], begin_ns: int, end_ns: int) -> Offsets:
-        """Return the numbers of the undamaged chunks that may have messages of these channels and log times."""
+        """Return the numbers of the undamaged chunks that may have messages of the channels `ids` and log times.
+
+        The interval of log times is in ns since 1970.
+        """
         chunk, channel = self._chunk_channels
         wanted = self._unindexed.copy()
         wanted[chunk[np.isin(channel, ids)]] = True
@@ -262,14 +268,17 @@ class RawLog:
         return np.flatnonzero(wanted)
 
     def _batches(self, numbers: Offsets) -> Iterator[list[int]]:
-        """Split the numbers of chunks into lists of about `BATCH_BYTES` uncompressed bytes."""
+        """Split the numbers of chunks into lists of about 4 MiB of uncompressed data each, to be read together."""
         group = np.cumsum(self._chunks["size"][numbers]) // BATCH_BYTES
         for part in np.split(numbers, np.flatnonzero(np.diff(group)) + 1):
             if len(part):
                 yield part.tolist()
 
     def _read_messages(self, numbers: list[int], register: Callable[[int, bytes], None]) -> Messages:
-        """Return all messages of these chunks. Damaged chunks are left out."""
+        """Return all messages of the chunks with these numbers. Damaged chunks are left out.
+
+        Opcode and content of schemas and channels in the chunks are passed to `register`.
+        """
         chunks = []
         for number in numbers:
             with contextlib.suppress(*DAMAGE):
@@ -277,11 +286,11 @@ class RawLog:
         return scan(chunks or [(np.zeros(0, np.uint8), b"")], register)
 
     def _read_chunk(self, number: int) -> tuple[Buffer, bytes]:
-        """Return the uncompressed bytes of a chunk and the entries of its message indexes.
+        """Return the uncompressed bytes of the chunk with this number, and the entries of its message indexes.
 
         Raises
         ------
-        One of DAMAGE
+        ValueError, or another error in DAMAGE
             If the chunk is damaged or was left out. The first time a warning is added.
         """
         if number in self._cache:
@@ -317,7 +326,7 @@ class RawLog:
         return found
 
     def _read_summary(self) -> bool:
-        """Read the index of the file from its summary. Return False if the file has no valid summary."""
+        """Read the index of the MCAP file from the summary at its end. Return False if it has no valid summary."""
         size = self._size
         try:
             opcode, length, start, _, checksum, magic = _END.unpack(self._read(max(0, size - _END.size), size))
@@ -331,14 +340,14 @@ class RawLog:
             return False
 
     def _checksum(self, start: int, stop: int) -> int:
-        """Return the CRC-32 of the bytes `start` to `stop` of the file."""
+        """Return the CRC-32 of the bytes `start` to `stop` of the MCAP file."""
         checksum = 0
         for at in range(start, stop, _BLOCK):
             checksum = zlib.crc32(self._read(at, min(at + _BLOCK, stop)), checksum)
         return checksum
 
     def _use_summary(self, summary: _Summary) -> bool:
-        """Use a summary as the index of the file. Return False if the summary does not cover the whole file."""
+        """Use a decoded summary as the index of the MCAP file. Return False if it does not cover the whole file."""
         chunks, statistics = summary.chunks, summary.statistics
         if statistics is None or (statistics.chunk_count, statistics.channel_count) != (
             len(chunks),
@@ -371,7 +380,7 @@ class RawLog:
         return True
 
     def _read_records(self) -> None:
-        """Build the index without a summary: read all records of the file in order, and then the chunks.
+        """Build the index of an MCAP file without a summary: read all its records in order, and then the chunks.
 
         After a damaged record the search continues at the next whole chunk.
         """
@@ -412,10 +421,10 @@ class RawLog:
         self.counts = Counter({channel: n for channel, n in self.counts.items() if channel in self.channels})
 
     def _count_messages(self, found: _FoundChunks, only_new: bool) -> None:
-        """Read the chunks to count their messages and to find the channels.
+        """Read the chunks of the MCAP file to count the messages of each channel and to find the channels.
 
-        With `only_new`, a chunk is not read if its message indexes contain known channels only. The last chunk is
-        always read, because it may be cut.
+        `found` has the chunks with their message indexes. With `only_new`, a chunk is not read if its message indexes
+        contain known channels only. The last chunk is always read, because it may be cut.
         """
         self._unindexed = np.ones(len(self._chunks), bool)
         pairs: tuple[list[int], list[int]] = ([], [])
@@ -446,12 +455,12 @@ class RawLog:
         self._chunk_channels = (np.asarray(pairs[0], np.int32), np.asarray(pairs[1], np.uint16))
 
     def _extend_span(self, begin_ns: int, end_ns: int) -> None:
-        """Extend `span_ns`, the span of the file, so that it includes an interval of log times [ns since 1970]."""
+        """Extend the span of log times of the file (`span_ns`) so that it includes an interval [ns since 1970]."""
         before = self.span_ns or (begin_ns, end_ns)
         self.span_ns = min(before[0], begin_ns), max(before[1], end_ns)
 
     def _next_chunk(self, at: int) -> int | None:
-        """Return the position of the next complete zstd chunk at or after a byte, or None if no chunk follows.
+        """Return the position [bytes] of the next complete zstd chunk at or after a byte of the file; None without one.
 
         The reader calls it after a damaged place, so that the chunks behind the damage are still read.
         """
@@ -470,7 +479,7 @@ class RawLog:
         return None
 
     def _read_cut_end(self, opcode: int, at: int, unknown: bool, found: _FoundChunks) -> bool:
-        """Read what can be read of a record after which no whole record follows, and warn.
+        """Read what can be read of a record of the MCAP file after which no whole record follows, and warn.
 
         The existing zstd blocks of a cut chunk are decompressed and added to `found`, because they may contain
         messages.
@@ -504,13 +513,13 @@ class RawLog:
         return True
 
     def _keep_record(self, opcode: int, at: int, stop: int) -> None:
-        """Decode and keep the record at the bytes `at` to `stop` if it belongs to the kinds in `_KEPT`.
+        """Decode and keep the record at the bytes `at` to `stop` if it describes the file (channel, metadata, ...).
 
-        If the kept records together would be larger than MAX_HELD_BYTES, the record is left out with a warning.
+        If the kept records together would be larger than 64 MiB, the record is left out with a warning.
 
         Raises
         ------
-        One of DAMAGE
+        ValueError, or another error in DAMAGE
             If the record is damaged.
         """
         if opcode not in _KEPT:
@@ -539,9 +548,9 @@ class RawLog:
             self.profile = _parse(Header.read, data).profile
 
     def _keep_definition(self, opcode: int, data: bytes) -> None:
-        """Decode and keep a schema or channel record by its opcode and content, and warn if it is damaged.
+        """Decode and keep a schema or channel record of the file by its opcode and content. Warn if it is damaged.
 
-        A record is left out without a warning if the kept records would be larger than MAX_HELD_BYTES.
+        A record is left out without a warning if the kept records would be larger than 64 MiB.
         """
         try:
             if opcode == Opcode.SCHEMA:
@@ -563,7 +572,7 @@ class RawLog:
             self._warn(f"a schema or channel is damaged and left out ({_error_line(error)})")
 
     def _warn(self, text: str) -> None:
-        """Add a warning. After `MAX_WARNINGS` one line reports that there are more, and further ones are left out."""
+        """Add a warning about the file. After 20 warnings one line reports that there are more."""
         if len(self.warnings) < MAX_WARNINGS:
             self.warnings.append(text)
         elif len(self.warnings) == MAX_WARNINGS:
@@ -571,23 +580,27 @@ class RawLog:
 
 
 class _FoundChunks:
-    """List of the chunks that are found when a file is read from beginning to end."""
+    """List of the chunks that are found when an MCAP file is read from beginning to end."""
 
     def __init__(self) -> None:
+        """Begin with an empty list of chunks."""
         self.at, self._stop, self._index_bytes, self._size = (array("q") for _ in range(4))
         self._begin_ns, self._end_ns = array("Q"), array("Q")
         self.counts: list[dict[int, int]] = []  # for each chunk: messages by channel, from its message indexes
         self._plain = False  # whether the last item is a row of messages outside any chunk
 
     def append(self, at: int, stop: int, size: int, begin_ns: int, end_ns: int) -> None:
-        """Append a chunk: bytes of its record in the file, its uncompressed size, and its log times [ns since 1970]."""
+        """Append a chunk to the list: the bytes `at` to `stop` of its record in the file, its size, and its log times.
+
+        The size is that of the uncompressed data [bytes]. The log times are in ns since 1970.
+        """
         columns = (self.at, self._stop, self._index_bytes, self._size, self._begin_ns, self._end_ns)
         for column, value in zip(columns, (at, stop, 0, size, begin_ns, end_ns), strict=True):
             column.append(value)
         self.counts.append({})
 
     def add(self, opcode: int, at: int, stop: int, head: bytes) -> bool:
-        """Add a record that lies at bytes `at` .. `stop` and begins with `head`.
+        """Add a record to the list of chunks. It lies at bytes `at` to `stop` of the file and begins with `head`.
 
         Messages outside any chunk that follow each other become one item.
 
@@ -598,7 +611,7 @@ class _FoundChunks:
 
         Raises
         ------
-        One of DAMAGE
+        ValueError, or another error in DAMAGE
             If the header of a chunk is invalid.
         """
         if opcode == Opcode.CHUNK:
@@ -619,7 +632,7 @@ class _FoundChunks:
         return True
 
     def chunks(self) -> Chunks:
-        """Return all chunks, dtype _CHUNK, shape (n,)."""
+        """Return all chunks of the list as an array of dtype _CHUNK, shape (n,)."""
         table = np.zeros(len(self.at), _CHUNK)
         table["at"], table["stop"], table["index_bytes"] = self.at, self._stop, self._index_bytes
         table["size"], table["begin_ns"], table["end_ns"] = self._size, self._begin_ns, self._end_ns
@@ -627,7 +640,7 @@ class _FoundChunks:
 
 
 class _Summary:
-    """Decoded summary of a file, which lies at bytes `start` .. `stop`.
+    """Decoded summary of an MCAP file: the positions of its chunks, attachments and metadata, and its channels.
 
     Parameters
     ----------
@@ -653,11 +666,12 @@ class _Summary:
 
     Raises
     ------
-    One of DAMAGE
+    ValueError, or another error in DAMAGE
         If a record of the summary is invalid.
     """
 
     def __init__(self, read: Callable[[int, int], bytes], start: int, stop: int) -> None:
+        """Decode the summary of an MCAP file, at the bytes `start` to `stop` that `read` returns."""
         self.start = start
         self.schemas: list[tuple[int, bytes]] = []
         self.channels: list[tuple[int, bytes]] = []
@@ -694,7 +708,10 @@ class _Summary:
         self.unindexed[self.chunk_channels[0]] = False
 
     def _add_record(self, opcode: int, data: bytes) -> None:
-        """Add a record of the summary by its opcode and content. Records of other kinds are ignored."""
+        """Decode a record of the summary by its opcode and content, and store it. Records of other kinds are ignored.
+
+        Stored are schemas, channels, statistics, and the positions of attachments and metadata.
+        """
         if opcode == Opcode.SCHEMA:
             self.schemas.append((opcode, data))
         elif opcode == Opcode.CHANNEL:
@@ -712,7 +729,7 @@ class _Summary:
 def _chunk_indexes(
     block: Buffer, begins: Offsets, ends: Offsets
 ) -> tuple[Chunks, NDArray[np.int32], NDArray[np.uint16]]:
-    """Decode chunk index records.
+    """Decode the chunk index records of an MCAP summary: position and times of each chunk, and its channels.
 
     Parameters
     ----------
@@ -754,20 +771,20 @@ def _chunk_indexes(
 
 
 def _check_name(name: str) -> None:
-    """Raise ValueError if a text has more than MAX_NAME_CHARACTERS characters."""
+    """Raise ValueError if the name of a topic, type or attachment has more than 65,536 characters."""
     if len(name) > MAX_NAME_CHARACTERS:
         raise ValueError(f"a name of {len(name)} characters is too long")
 
 
 def _ignore(opcode: int, data: bytes) -> None:
-    """Ignore a schema or channel record, because all of them are known already."""
+    """Ignore a schema or channel record in a chunk, because all of them are known already."""
 
 
 def _parse(read: Callable[[ReadDataStream], Record], data: bytes) -> Record:
-    """Decode the content of a record by a function of the mcap package."""
+    """Decode the content of an MCAP record (`data`) by a function of the mcap package."""
     return read(ReadDataStream(BytesIO(data)))
 
 
 def _error_line(error: BaseException) -> str:
-    """Return the text of an error as one line; the name of its class if it has no text."""
+    """Return the text of an error about a damaged log as one line; the name of its class if it has no text."""
     return " ".join(str(error).split()) or type(error).__name__

@@ -68,7 +68,7 @@ QOS = (  # QoS profile as rosbag2 stores it: keep the last 10 messages, reliable
 
 
 class DiskFull(SeatrialError):
-    """Error of a full disk.
+    """Error that a log could not be written because the disk is full.
 
     Attributes
     ----------
@@ -77,6 +77,7 @@ class DiskFull(SeatrialError):
     """
 
     def __init__(self, text: str, complete: bool) -> None:
+        """Store the message for the user, and whether the file of the log is complete."""
         super().__init__(text)
         self.complete = complete
 
@@ -100,8 +101,8 @@ class LogWriter:
     Raises
     ------
     SeatrialError
-        If the file cannot be created. After a failed write every method raises this error; the file is then closed,
-        and has a footer if the ballast had room for it.
+        If the file cannot be created. After a failed write every method raises this error; the file is then closed, and
+        has a footer if the reserved disk space (ballast) had room for it.
     """
 
     def __init__(
@@ -112,6 +113,7 @@ class LogWriter:
         attachments: Mapping[str, bytes],
         time_ns: int,
     ) -> None:
+        """Create the file of a log and write its header, metadata and attachments."""
         self.path = path
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -136,7 +138,10 @@ class LogWriter:
             self._write_head(metadata, attachments, time_ns)
 
     def _write_head(self, metadata: Mapping[str, str], attachments: Mapping[str, bytes], time_ns: int) -> None:
-        """Write the header, the metadata record and the attachments. The parameters are those of the class."""
+        """Write the first records of the log file: the header, the metadata and the attachments.
+
+        The attachments, by name, get the time `time_ns` [ns since 1970].
+        """
         self._writer = RecordWriter(self._stream, chunk_bytes=CHUNK_BYTES, profile="ros2", library="seatrial")
         self._writer.add_metadata("seatrial", metadata)
         for name, data in attachments.items():
@@ -145,16 +150,16 @@ class LogWriter:
 
     @property
     def size(self) -> int:
-        """Number of bytes in the file."""
+        """Number of bytes of the log file so far."""
         return self._stream.tell()
 
     @property
     def is_deleted(self) -> bool:
-        """Whether the file has been deleted while it is open; False after `close`."""
+        """Whether the log file has been deleted while it is open; False after `close`."""
         return not self._closed and self._stream.is_deleted
 
     def channel(self, topic: str, type_name: str, metadata: Mapping[str, str] | None = None) -> int:
-        """Register a topic and return the number of its channel.
+        """Register a topic of the log and return the number of its channel, which `add` needs.
 
         Parameters
         ----------
@@ -173,7 +178,7 @@ class LogWriter:
         return self._writer.register_channel(topic, "cdr", self._schemas[type_name], extra)
 
     def add(self, channel: int, log_ns: int, stamp_ns: int, sequence: int, data: bytes) -> None:
-        """Append one message. The operating system receives it at the next flush.
+        """Append one message to the log. The operating system receives it at the next flush.
 
         Parameters
         ----------
@@ -198,10 +203,10 @@ class LogWriter:
             self._finish_with_ballast()
 
     def tick(self) -> None:
-        """Flush waiting messages and sync the file when it is time. The caller calls this often.
+        """Flush waiting messages of the log and sync its file when it is time. The caller calls this often.
 
-        Messages are flushed after 0.25 s. At most 16 waiting messages are flushed after 0.1 s. The file is synced
-        every second of wall time.
+        Messages are flushed after 0.25 s. At most 16 waiting messages are flushed after 0.1 s. The file is synced every
+        second of wall time.
         """
         self._require_open()
         now = time.monotonic()
@@ -218,7 +223,7 @@ class LogWriter:
             self._close_and_raise(self._syncer.error, complete=False)
 
     def flush(self) -> None:
-        """End the chunk and pass it to the operating system."""
+        """End the current chunk of the log and pass it to the operating system."""
         self._require_open()
         with self._close_on_error():
             self._writer.flush()
@@ -229,7 +234,7 @@ class LogWriter:
             self._stream.ballast.grow((1 + steps) * BALLAST_BYTES)
 
     def close(self) -> None:
-        """Write the end of the file, sync and close it. A second call has no effect.
+        """Write the end of the log file, sync and close it. A second call has no effect.
 
         Raises
         ------
@@ -249,7 +254,7 @@ class LogWriter:
 
     @contextlib.contextmanager
     def _close_on_error(self) -> Iterator[None]:
-        """Close the file and raise SeatrialError if a write within the block fails."""
+        """Close the log file and raise SeatrialError if a write within the `with` block fails."""
         try:
             yield
         except OSError as error:  # records are lost: the indexes of the writer no longer agree with the file
@@ -258,7 +263,10 @@ class LogWriter:
             self._finish_with_ballast()
 
     def _finish_with_ballast(self) -> NoReturn:
-        """End the file after the ballast has made room for the records of a failed write. No record is lost."""
+        """End the log file after the disk was full, and raise DiskFull. No record is lost if its end could be written.
+
+        The disk space that was reserved for the last records (the ballast) has made room for them.
+        """
         assert self._stream.failure is not None
         complete = True
         try:
@@ -268,26 +276,29 @@ class LogWriter:
         self._close_and_raise(self._stream.failure, complete)
 
     def _close_and_raise(self, error: OSError, complete: bool) -> NoReturn:
-        """Close the file and raise the error. `complete`: whether the footer is written."""
+        """Close the log file and raise the error of a failed write.
+
+        `complete`: whether the file contains every message and its footer.
+        """
         self._close_file()
         self._failed = self._write_error(error, complete)
         raise self._failed from error
 
     def _close_file(self) -> None:
-        """Stop the sync thread and close the file. No record is written."""
+        """Stop the sync thread of the log and close its file. No record is written."""
         self._closed = True
         self._syncer.end()
         self._stream.close()
 
     def _require_open(self) -> None:
-        """Raise the error of an earlier failed write, or SeatrialError if the log is closed."""
+        """Raise the error of an earlier failed write to the log, or SeatrialError if the log is closed."""
         if self._failed is not None:
             raise self._failed
         if self._closed:
             raise SeatrialError(f"{self.path}: the log is closed already")
 
     def _write_error(self, error: OSError, complete: bool) -> SeatrialError:
-        """Return the error for the user about a failed write; `DiskFull` if the disk is full.
+        """Return the error for the user that a write to the log failed; `DiskFull` if the disk is full.
 
         `complete`: whether the file contains every message and its footer.
         """
@@ -300,13 +311,13 @@ class LogWriter:
 
 
 class Output(Protocol):
-    """Destination of a `RecordWriter`, which passes whole records only."""
+    """Interface of the file to which a `RecordWriter` writes whole records."""
 
     def write(self, data: bytes, /) -> object:
-        """Write all bytes, or raise OSError."""
+        """Write all bytes to the file, or raise OSError."""
 
     def tell(self) -> int:
-        """Return the number of bytes written so far."""
+        """Return the number of bytes written to the file so far."""
 
 
 class RecordWriter:
@@ -326,6 +337,7 @@ class RecordWriter:
     """
 
     def __init__(self, stream: Output, *, chunk_bytes: int, profile: str, library: str) -> None:
+        """Begin an MCAP file: write its magic bytes and its header record to `stream`."""
         self._stream, self._chunk_bytes = stream, chunk_bytes
         self._compressor = zstandard.ZstdCompressor()
         # Records that the summary repeats at the end, as bytes: objects for a day of chunks would take gigabytes.
@@ -341,24 +353,24 @@ class RecordWriter:
 
     @property
     def n_waiting(self) -> int:
-        """Number of messages in the current chunk, which is not written yet."""
+        """Number of messages in the current MCAP chunk, which is not written yet."""
         return len(self._offsets)
 
     @property
     def summary_bytes(self) -> int:
-        """Upper bound of the size [bytes] of summary and footer, if the file ended now."""
+        """Upper bound of the size [bytes] of summary and footer of the MCAP file, if it ended now."""
         kept = (self._schemas, self._channels, self._chunk_index, self._attachment_index, self._metadata_index)
         return sum(map(len, kept)) + 10 * self._n_channels + _SUMMARY_REST
 
     def add_metadata(self, name: str, data: Mapping[str, str]) -> None:
-        """Write a metadata record immediately."""
+        """Write a metadata record, which contains texts by name, to the MCAP file immediately."""
         at, record = self._stream.tell(), _encode_record(Metadata(name=name, metadata=dict(data)))
         self._stream.write(record)
         self._n_metadata += 1
         self._metadata_index += _encode_record(MetadataIndex(offset=at, length=len(record), name=name))
 
     def add_attachment(self, create_ns: int, log_ns: int, name: str, media_type: str, data: bytes) -> None:
-        """Write an attachment immediately."""
+        """Write an attached file to the MCAP file immediately. Its times are in ns since 1970."""
         at = self._stream.tell()
         record = _encode_record(Attachment(create_ns, log_ns, name, media_type, data))
         self._stream.write(record)
@@ -367,7 +379,10 @@ class RecordWriter:
         self._attachment_index += _encode_record(index)
 
     def register_schema(self, name: str, encoding: str, data: bytes) -> int:
-        """Register a schema and return its number."""
+        """Add the definition of a message type to the MCAP file, and return the number of its schema.
+
+        `encoding` is the language of the definition, for example "ros2msg".
+        """
         self._n_schemas += 1
         record = _encode_record(Schema(id=self._n_schemas, name=name, encoding=encoding, data=data))
         self._schemas += record
@@ -375,12 +390,10 @@ class RecordWriter:
         return self._n_schemas
 
     def register_channel(self, topic: str, encoding: str, schema: int, metadata: Mapping[str, str]) -> int:
-        """Register a topic and return the number of its channel. `schema` is 0 for a channel without a schema.
+        """Add a topic to the MCAP file and return the number of its channel.
 
-        Raises
-        ------
-        SeatrialError
-            If the file has the largest possible number of channels already.
+        `schema` is the number of the schema of its messages, 0 for none. `encoding` is that of the messages, for
+        example "cdr". Raise SeatrialError if the file has 65,535 channels already.
         """
         if self._n_channels == MAX_CHANNELS:
             raise SeatrialError(f"a log holds at most {MAX_CHANNELS} topics; leave some of them out")
@@ -391,7 +404,10 @@ class RecordWriter:
         return self._n_channels
 
     def add_message(self, channel: int, log_ns: int, data: bytes, stamp_ns: int, sequence: int) -> None:
-        """Append a message to the current chunk. Times in ns since 1970."""
+        """Append a message to the current chunk of the MCAP file; a full chunk is written.
+
+        `log_ns` and `stamp_ns` are its times of receipt and of measurement [ns since 1970].
+        """
         head = _MESSAGE.pack(_MESSAGE_CODE, HEAD_BYTES + len(data), channel, sequence, log_ns, stamp_ns)
         record = head + data
         self._parts.append(record)
@@ -401,12 +417,15 @@ class RecordWriter:
             self.flush()
 
     def _append_record(self, record: bytes) -> None:
-        """Append a schema or channel record to the current chunk."""
+        """Append an encoded schema or channel record to the current chunk of the MCAP file."""
         self._parts.append(record)
         self._held += len(record)
 
     def flush(self) -> None:
-        """End the current chunk and write it with its message indexes. A chunk without messages stays open."""
+        """End the current chunk and write it to the MCAP file with its message indexes.
+
+        A chunk without messages stays open.
+        """
         if not self._offsets:
             return
         data, offsets = b"".join(self._parts), np.asarray(self._offsets, np.int64)
@@ -443,7 +462,7 @@ class RecordWriter:
         self._parts, self._offsets, self._held = [], [], 0
 
     def finish(self) -> None:
-        """Write the last chunk and the end of the file, which consists of summary and footer."""
+        """Write the last chunk and the end of the MCAP file, which consists of summary and footer."""
         self.flush()
         end = _encode_record(DataEnd(0))
         start = self._stream.tell() + len(end)
@@ -466,7 +485,7 @@ class RecordWriter:
         self._stream.write(end + summary + offsets + _encode_record(footer) + MCAP0_MAGIC)
 
     def _statistics(self) -> Statistics:
-        """Return the statistics record of the file."""
+        """Return the MCAP statistics record: the numbers of records of each kind, and the first and last log time."""
         return Statistics(
             attachment_count=self._n_attachments,
             channel_count=self._n_channels,
@@ -483,9 +502,10 @@ class RecordWriter:
 def _message_indexes(
     channels: NDArray[np.uint16], times: NDArray[np.uint64], offsets: NDArray[np.int64], at: int
 ) -> tuple[bytes, dict[int, int]]:
-    """Return the message index records of a chunk, one per channel, and the offset of each in the file by channel.
+    """Encode the message indexes of an MCAP chunk, one record per channel. Return them, and their offsets in the file.
 
-    `at` is the offset of the first record in the file.
+    The offsets are by channel, and `at` is that of the first record. `channels`, `times` [ns since 1970] and `offsets`
+    in the chunk are those of its messages, shape (n,).
     """
     order = np.argsort(channels, kind="stable")
     entries = np.stack((times[order], offsets[order].astype(np.uint64)), axis=1).astype("<u8")
@@ -499,7 +519,7 @@ def _message_indexes(
 
 
 def _encode_record(record: McapRecord) -> bytes:
-    """Encode a record by the mcap package."""
+    """Encode an MCAP record to bytes by the mcap package."""
     builder = RecordBuilder()
     record.write(builder)
     written: bytes = builder.end()  # type: ignore[no-untyped-call]

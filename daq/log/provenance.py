@@ -19,9 +19,9 @@ _PACKAGES = ("seatrial", "mcap", "numpy", "pyserial", "python-can", "zstandard")
 
 @cache
 def git_hash() -> str:
-    """Return the commit of the running source tree.
+    """Return the git commit of the running source code, for the metadata of a log.
 
-    The suffix `-dirty` marks a tree with uncommitted changes. The result is `none` outside a git repository.
+    The suffix `-dirty` marks a tree with uncommitted changes. The result is "none" outside a git repository.
     """
     folder = Path(__file__).resolve().parents[1]
     if not (folder.parent / ".git").exists():
@@ -35,7 +35,7 @@ def git_hash() -> str:
 
 
 def _version(package: str) -> str:
-    """Return the version of an installed package; "none" if it is not installed."""
+    """Return the version of an installed package, for the metadata of a log; "none" if it is not installed."""
     try:
         return version(package)
     except PackageNotFoundError:
@@ -43,7 +43,7 @@ def _version(package: str) -> str:
 
 
 def _operator() -> str:
-    """Return the name of the user who runs this program; "unknown" if the system has none."""
+    """Return the name of the user who records a log; "unknown" if the system has none."""
     try:
         return getpass.getuser()
     except (OSError, KeyError):
@@ -51,7 +51,10 @@ def _operator() -> str:
 
 
 def collect_provenance() -> dict[str, str]:
-    """Return software versions, git hash, host, operator, time (UTC) and command line of this process, by name."""
+    """Return the origin of a log for its metadata, as texts by name.
+
+    It consists of software versions, git hash, host, operator, time (UTC) and command line of this process.
+    """
     return {
         "git": git_hash(),
         "host": platform.node(),

@@ -49,12 +49,17 @@ _WHOLE = (0, LAST_NS)
 
 
 def open_log(path: Path | str) -> Log:
-    """Open a log with all its segments. The log may be whole, killed or damaged.
+    """Open a log, which may be whole, killed or damaged, with all its segments, to read its samples.
 
     Parameters
     ----------
     path
-        First segment of the log.
+        First segment of the log, an MCAP file.
+
+    Returns
+    -------
+    Log
+        The open log. It is a context manager that closes the files.
 
     Raises
     ------
@@ -65,9 +70,9 @@ def open_log(path: Path | str) -> Log:
 
 
 def _import_library(name: str) -> Any:
-    """Import an optional library and return its module.
+    """Import an optional library, for example "pandas", and return its module.
 
-    If the library is missing, SeatrialError is raised; its message contains the command that installs it.
+    Raise SeatrialError if the library is missing. The message contains the command that installs it.
     """
     try:
         return importlib.import_module(name)
@@ -76,7 +81,7 @@ def _import_library(name: str) -> Any:
 
 
 class Log:
-    """One log, with all its segments. Times are times of the run clock [s since 1970].
+    """One recorded log (MCAP), with all its segments. Times are times of the run clock [s since 1970].
 
     Attributes
     ----------
@@ -95,6 +100,7 @@ class Log:
     """
 
     def __init__(self, path: Path) -> None:
+        """Open the log that begins with the MCAP file `path`, and read its index and metadata."""
         self.path = path
         self._file = open_raw(path)
         self.paths = [raw.path for raw in self._file.files]
@@ -112,9 +118,9 @@ class Log:
 
     @contextlib.contextmanager
     def keeping_tables(self) -> Iterator[None]:
-        """Keep all tables in memory within the block. The tables are read-only.
+        """Keep all tables of the log in memory within a `with` block. The tables are read-only.
 
-        The first call of `table` reads all tables at once. This is faster if a caller uses many tables, or uses a
+        The first call of `table` then reads all tables at once. This is faster if a caller uses many tables, or uses a
         table more than once.
         """
         self._tables, self._read_spans = {}, set()
@@ -141,31 +147,34 @@ class Log:
         return view
 
     def __enter__(self) -> Log:
-        """Return the log itself."""
+        """Return the log itself, for a `with` block."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Close the file."""
+        """Close the files of the log."""
         self.close()
 
     def close(self) -> None:
-        """Close the file. Tables that were read before stay valid."""
+        """Close the files of the log. Tables that were read before stay valid."""
         self._file.close()
 
     @property
     def warnings(self) -> list[str]:
-        """Faults of the log, and the note of a watchdog. The unread parts of the file are read first."""
+        """Faults of the log, one line each, and the note of a watchdog that stopped the run.
+
+        The unread parts of the files are read first, to find all faults.
+        """
         self._file.verify(*self._span_ns)
         return [*self._file.warnings, *([self._note] if self._note else [])]
 
     @property
     def duration(self) -> float:
-        """Time from the first message to the last [s]."""
+        """Time from the first message of the log to the last [s]."""
         return self.end - self.start
 
     @cached_property
     def sha256(self) -> str:
-        """SHA-256 of the file in hexadecimal. For a log of several segments the bytes of all, in order, are hashed."""
+        """SHA-256 of the log in hexadecimal digits. For several segments the bytes of all, in order, are hashed."""
         digest = hashlib.sha256()
         for path in self.paths:
             with path.open("rb") as file:
@@ -212,25 +221,28 @@ class Log:
 
     @cached_property
     def counts(self) -> dict[str, int]:
-        """Number of messages of each topic, sorted by topic."""
+        """Number of messages of each topic of the log, sorted by topic."""
         found: Counter[str] = Counter()
         for number, n in self._file.counts.items():
             found[self._file.channels[number].topic] += n
         return dict(sorted(found.items()))
 
     def types(self) -> dict[str, str]:
-        """Return the message type of each topic that has messages; "?" if the type is unknown."""
+        """Return the message type of each topic of the log that has messages; "?" if the type is unknown."""
         schemas = self._file.schemas
         names = {c.topic: schemas[c.schema_id].name for c in self._file.channels.values() if c.schema_id in schemas}
         return {name: names.get(name, "?") for name in self.counts}
 
     def rate_and_gap(self, topic: str) -> tuple[float, float]:
-        """Return mean rate [Hz] and longest gap [s] of the time stamps of a topic. Both are NaN for a single time."""
+        """Return mean rate [Hz] and longest gap [s] of the time stamps of a topic. Both are NaN for a single time.
+
+        Raise KeyError if the log has no messages of the topic.
+        """
         return self._spacing[topic].rate_and_gap()
 
     @property
     def clock_steps(self) -> dict[str, tuple[int, float]]:
-        """Number of backward steps of the time stamps and the longest of them [s], by topic.
+        """Number and length of the steps back of the time stamps, by topic: (number of steps, longest step [s]).
 
         Only steps of more than 0.5 s from one message to the next count. They show that a clock was set, or that the
         stamps are from two clocks. Topics without such steps are left out, and so are events.
@@ -241,7 +253,7 @@ class Log:
 
     @cached_property
     def _spacing(self) -> dict[str, _StampStatistics]:
-        """Rate, gaps and backward steps of the time stamps, by topic, from one pass through the file."""
+        """Rate, gaps and backward steps of the time stamps of each topic, from one pass through the log."""
         found = {topic: _StampStatistics() for topic in self.counts}
         topics = {number: channel.topic for number, channel in self._file.channels.items()}
         for messages in self._file.read(None, *self._span_ns):
@@ -251,7 +263,9 @@ class Log:
         return found
 
     def to_pandas(self, rate: float = 10.0) -> Any:
-        """Return the whole log on one time grid as a pandas.DataFrame. `seatrial.daq.log.resample` has the rules.
+        """Resample all numbers of the log to one time grid, and return them as a pandas.DataFrame.
+
+        `seatrial.daq.log.resample` has the rules.
 
         Parameters
         ----------
@@ -276,7 +290,9 @@ class Log:
         return frame
 
     def to_xarray(self, rate: float = 10.0) -> Any:
-        """Return the whole log on one time grid as an xarray.Dataset. `seatrial.daq.log.resample` has the rules.
+        """Resample all numbers of the log to one time grid, and return them as an xarray.Dataset.
+
+        `seatrial.daq.log.resample` has the rules.
 
         Parameters
         ----------
@@ -300,7 +316,11 @@ class Log:
         return xarray.Dataset(variables, coords={"time": time})
 
     def sources(self, kind: type[Measured] | type[PortHealth]) -> list[str]:
-        """Return the names of the devices (for `Scalar`: of the signals) that have samples of a kind."""
+        """Return the names of the devices in the log that have samples of a kind, for example `Gnss`.
+
+        For `Scalar` they are the names of the signals. For `PortHealth` they are the devices with counters of their
+        port.
+        """
         if kind is PortHealth:
             return [name.split("/")[2] for name in self.counts if name.startswith("/health/")]
         if kind is Scalar:
@@ -312,11 +332,14 @@ class Log:
         return [pair[0] for pair in pairs if len(pair) == 2 and pair[1] == last and pair[0] not in ("raw", "health")]
 
     def nodes(self, kind: type[Esc] | type[Command] | type[Servo], source: str) -> list[int]:
-        """Return the sorted controller ids on the bus of a device that have samples of a kind."""
+        """Return the sorted ids of the motor controllers on the bus of a device that have samples of a kind."""
         return sorted(node for name, node in self._devices_and_nodes(kind) if name == source)
 
     def _devices_and_nodes(self, kind: type[Measured] | type[PortHealth]) -> list[tuple[str, int]]:
-        """Return pairs of device and controller id that have samples of a kind, from the names of the topics."""
+        """Return (device, id of the motor controller) for each controller that has samples of a kind.
+
+        The pairs are read from the names of the topics.
+        """
         last = schema.NODE_TOPICS[kind]
         parts = [name.split("/")[1:] for name in self.counts]
         pairs = [(p[0], p[1]) for p in parts if len(p) == 3 and p[2] == last]
@@ -325,7 +348,7 @@ class Log:
     def table(
         self, kind: type[Measured], source: str, node: int | None = None, begin: float = 0.0, end: float = np.inf
     ) -> NDArray[np.void]:
-        """Return the samples of one device or signal.
+        """Return the samples of one device or signal of the log as a structured array.
 
         Parameters
         ----------
@@ -384,8 +407,8 @@ class Log:
         span
             Interval of log times [ns since 1970].
         join
-            Whether to add the columns of the companion topics of an AHRS. If the messages have no ascending sequence
-            numbers, the columns are not added and stay NaN.
+            Whether to add the columns of the companion topics of an AHRS: device times and magnetic field. If the
+            messages have no ascending sequence numbers, the columns are not added and stay NaN.
         """
         rows = self._new_table(kind, topic, source, join)
         try:
@@ -396,7 +419,9 @@ class Log:
         return self._with_ascending_times(rows.done(), topic, span)
 
     def _new_table(self, kind: type[Measured], topic: str, source: str, join: bool = True) -> _TopicTable:
-        """Return an empty table that collects the messages of a topic, and of the companion topics of an AHRS.
+        """Return an empty table for the messages of a topic; for an AHRS also for its device times and magnetic field.
+
+        `kind` is the class of the samples, and `source` the name of the device.
 
         Raises
         ------
@@ -406,9 +431,10 @@ class Log:
         return _AhrsTable(self, topic, source, join) if kind is Ahrs else _SampleTable(self, kind, topic)
 
     def _read_tables(self, span: tuple[int, int]) -> dict[tuple[str, tuple[int, int]], NDArray[np.void]]:
-        """Read every table of the log in one pass through the file, because each chunk contains all topics.
+        """Read the tables of all topics of the log in one pass, because each chunk of the file contains all topics.
 
-        Tables with errors are left out. `table` then reads the topic alone and raises the error.
+        `span` is the interval of log times [ns since 1970]. The result is by topic and interval. Tables with errors are
+        left out. `table` then reads the topic alone and raises the error.
         """
         rows: dict[str, _TopicTable] = {}
         for kind in (*MEASURED, Command):
@@ -435,7 +461,7 @@ class Log:
         return tables
 
     def _only_node(self, kind: type[Esc] | type[Command] | type[Servo], source: str, node: int | None) -> int:
-        """Return `node`, or the id of the only controller of a device if `node` is None.
+        """Return `node`, or the id of the only motor controller of a device if `node` is None.
 
         The result is 0 if the device has no controller. SeatrialError is raised if it has several.
         """
@@ -447,9 +473,10 @@ class Log:
         return 0 if node is None else node
 
     def _with_ascending_times(self, table: NDArray[np.void], topic: str, span: tuple[int, int]) -> NDArray[np.void]:
-        """Change the column `t` of a table so that it never decreases, and return the table.
+        """Correct times in the column `t` of a table so that they never decrease, and return the table.
 
-        If the table of the whole log is empty, SeatrialError is raised, because no message of the topic is readable.
+        A time that is less than the time before gets that time. Raise SeatrialError if the table is empty although it
+        covers the whole log (`span`): no message of the topic is readable.
         """
         if not len(table) and span == _WHOLE:
             raise self._error(f"no message on {topic} is readable")
@@ -458,7 +485,10 @@ class Log:
         return table
 
     def events(self) -> list[tuple[float, str, str]]:
-        """Return all events as (time [s since 1970], kind, text), in the order of the file."""
+        """Return all events of the log as (time [s since 1970], kind, text), in the order of the file.
+
+        The list is empty if the log has no events.
+        """
         if "/event" not in self.counts:
             return []
         found = []
@@ -468,7 +498,10 @@ class Log:
         return found
 
     def health(self, device: str) -> list[tuple[float, PortHealth]]:
-        """Return the counters of the port of a device over time, as (time [s since 1970], counters)."""
+        """Return the counters of the port of a device over time, as (time [s since 1970], counters).
+
+        Raise SeatrialError if the log has no counters of the device.
+        """
         found = []
         for t, row, (port,) in self._decoded_messages(f"/health/{device}", schema.HEALTH):
             n_in, n_frames, n_bad, n_unparsed, n_dropped, n_again = (int(row[name]) for name in _COUNTERS)
@@ -478,12 +511,15 @@ class Log:
         return found
 
     def raw(self, device: str) -> Iterator[tuple[float, str, bytes]]:
-        """Yield the bytes of the port of a device as (time [s since 1970], "rx" or "tx", data), in file order."""
+        """Yield the bytes of the port of a device as (time [s since 1970], "rx" or "tx", data), in file order.
+
+        Raise SeatrialError if the log has no bytes of the device.
+        """
         for t, row, (data,) in self._decoded_messages(f"/raw/{device}", schema.RAW):
             yield t, _DIRECTIONS[min(int(row["direction"]), 1)], data
 
     def messages(self) -> Iterator[tuple[int, str, bytes]]:
-        """Yield every message without decoding: log time [ns since 1970], topic and data, in file order."""
+        """Yield every message of the log without decoding: log time [ns since 1970], topic and data, in file order."""
         topics = {number: channel.topic for number, channel in self._file.channels.items()}
         for messages in self._file.read(None, *self._span_ns):
             heads = (messages.heads[name].tolist() for name in ("log_ns", "channel"))
@@ -491,34 +527,44 @@ class Log:
                 yield log_ns, topics[channel], bytes(data)
 
     def unit(self, signal: str) -> str:
-        """Return the unit of an imported signal; empty if it is unknown."""
+        """Return the unit of an imported signal; "" if it is unknown.
+
+        Raise SeatrialError if the log lacks the signal.
+        """
         return self._channel_metadata(signal).get("unit", "")
 
     def hold(self, signal: str) -> str:
-        """Return the hold of an imported signal, which describes the values between two samples.
+        """Return the hold of an imported signal, which describes the values between two samples; "linear" if unknown.
 
         "zero": the last value stays constant. "linear": values are interpolated. "sampled": a held output that is
-        sampled at a rate; its value changed at an unknown time since the sample before.
+        sampled at a rate; its value changed at an unknown time since the sample before. Raise SeatrialError if the log
+        lacks the signal.
         """
         return self._channel_metadata(signal).get("hold", "linear")
 
     def role(self, signal: str) -> str:
-        """Return whether an imported signal is an "input" or an "output" of the system."""
+        """Return whether an imported signal is an "input" or an "output" of the system; "output" if unknown.
+
+        Raise SeatrialError if the log lacks the signal.
+        """
         return self._channel_metadata(signal).get("role", "output")
 
     def _channel_metadata(self, signal: str) -> dict[str, str]:
-        """Return the metadata of the channel of an imported signal, by name.
+        """Return the texts that the log has about an imported signal, by name: "unit", "hold" and "role".
 
         Raise SeatrialError if the log lacks the signal.
         """
         return self._file.channels[self._channel_numbers(schema.topic(Scalar, signal))[0]].metadata
 
     def _error(self, text: str) -> SeatrialError:
-        """Return an error about this log as one line; names in a damaged file may contain line ends."""
+        """Return an error whose message is the path of the log and `text`, as one line. The caller raises it.
+
+        Line ends in the text are replaced: names in a damaged file may contain them.
+        """
         return SeatrialError(f"{self.path}: {' '.join(text.split())}")
 
     def _channel_numbers(self, topic: str, type_name: str = "") -> list[int]:
-        """Return the numbers of the channels of a topic.
+        """Return the numbers of the MCAP channels that contain the messages of a topic.
 
         Raises
         ------
@@ -538,14 +584,19 @@ class Log:
         return found
 
     def _missing_fields(self, topic: str, type_name: str) -> tuple[str, ...]:
-        """Return the fields that the messages of a topic lack, because an older version wrote the log."""
+        """Return the fields that the messages of a topic lack, because an older version of seatrial wrote the log.
+
+        `type_name` is the message type, for example "seatrial_msgs/msg/Gnss".
+        """
         channels = [self._file.channels[number] for number in self._channel_numbers(topic)]
         written = [self._file.schemas[c.schema_id].data for c in channels if c.schema_id in self._file.schemas]
         added = schema.ADDED.get(type_name, ())
         return tuple(name for name in added if not all(f" {name} ".encode() in data for data in written))
 
     def _decode_rows(self, messages: Messages, topic: str, type_name: str) -> NDArray[np.void]:
-        """Decode the fixed parts of messages, shape (n,).
+        """Decode the fields of fixed size of messages of a topic to a structured array, shape (n,).
+
+        These are all fields before the first string or sequence.
 
         Raises
         ------
@@ -578,7 +629,10 @@ class Log:
         return rows
 
     def _decoded_messages(self, topic: str, type_name: str) -> Iterator[tuple[float, np.void, tuple[bytes, ...]]]:
-        """Yield time stamp [s since 1970], fixed part and variable fields of each message of a topic, in file order."""
+        """Yield (time stamp [s since 1970], fields of fixed size, strings and bytes) of each message of a topic.
+
+        The order is that of the file. Raise SeatrialError if the topic has no messages of the type `type_name`.
+        """
         for messages in self._file.read(self._channel_numbers(topic, type_name), *self._span_ns):
             rows = self._decode_rows(messages, topic, type_name)
             for t, row, data in zip(stamps(rows), rows, messages.payloads(), strict=True):
@@ -591,13 +645,19 @@ class Log:
 
 
 def _span_ns(begin: float, end: float, within: tuple[int, int]) -> tuple[int, int]:
-    """Convert an interval from s to ns since 1970, and cut it to the interval `within` [ns]."""
+    """Convert an interval from s to ns since 1970, and cut it to the interval `within` [ns].
+
+    A negative limit becomes 0, and one beyond 64 bits becomes the largest time.
+    """
     first, last = (LAST_NS if t >= LAST_NS / NANO else max(0, round(t * NANO)) for t in (begin, end))
     return max(first, within[0]), min(last, within[1])
 
 
 def _layout_for_length(type_name: str, n_frame: int, lacking: tuple[str, ...]) -> CdrLayout | None:
-    """Return the layout for a `frame_id` of `n_frame` bytes with its final NUL; None if this length is invalid."""
+    """Return the byte layout of a message type whose `frame_id` has `n_frame` bytes; None if this length is invalid.
+
+    The length includes the final NUL and is 1 to 256. `lacking` are fields that an older version did not write.
+    """
     return cdr_layout(type_name, b"\0" * (int(n_frame) - 1), lacking) if 1 <= n_frame <= MAX_FRAME_ID else None
 
 
@@ -611,7 +671,7 @@ def _table_type(kind: type[Measured], integers: Collection[str] = ()) -> np.dtyp
 
 
 class _GrowingArray:
-    """Array to which rows are added. It has at most an eighth more memory than its rows need.
+    """Array to which rows are appended. It has at most an eighth more memory than its rows need.
 
     Parameters
     ----------
@@ -620,61 +680,71 @@ class _GrowingArray:
     """
 
     def __init__(self, dtype: np.dtype[Any]) -> None:
+        """Begin with an array without rows; `dtype` is the type of a row."""
         self._all, self._n = np.zeros(0, dtype), 0
 
     @property
     def rows(self) -> NDArray[Any]:
-        """Rows so far. This array is invalid after the next call of `append_rows`."""
+        """Rows appended so far. This array is invalid after the next call of `append_rows`."""
         return self._all[: self._n]
 
     def append_rows(self, n: int) -> NDArray[Any]:
-        """Append `n` rows and return them, for the caller to fill. Raise MemoryError if the memory is too small."""
+        """Append `n` rows to the array and return them, for the caller to fill.
+
+        Raise MemoryError if the memory is too small.
+        """
         self._n += n
         if self._n > len(self._all):
             self._all.resize(self._n + self._n // 8, refcheck=False)
         return self._all[self._n - n : self._n]
 
     def done(self) -> NDArray[Any]:
-        """Free the unused memory and return all rows."""
+        """Free the unused memory of the array and return all rows."""
         self._all.resize(self._n, refcheck=False)
         return self._all
 
 
 class _TopicTable:
-    """Table of a topic that grows with the messages of its ``channels``.
+    """Table of the samples of a topic that grows while the messages of its `channels` are read.
 
     Attributes
     ----------
     topic
         Name of the topic.
     channels
-        Numbers of the channels whose messages belong to the table, those of companion topics included.
+        Numbers of the channels whose messages belong to the table, those with the device times and the magnetic field
+        of an AHRS included.
     """
 
     def __init__(self, log: Log, topic: str, channels: list[int], dtype: np.dtype[np.void]) -> None:
+        """Begin a table without rows for the messages of these channels of a log; `dtype` is the type of a row."""
         self.topic, self.channels = topic, channels
         self._log, self._table = log, _GrowingArray(dtype)
 
     def take(self, messages: Messages) -> None:
-        """Add the next messages of these channels. Raises SeatrialError if they cannot be decoded."""
+        """Add the next messages of the topic to the table. Raise SeatrialError if they cannot be decoded."""
         raise NotImplementedError
 
     def done(self) -> NDArray[np.void]:
-        """Return the whole table, shape (n,), and free its unused memory. No further messages may be added."""
+        """Return the whole table of the topic, shape (n,), and free its unused memory.
+
+        No further messages may be added.
+        """
         return self._table.done()
 
 
 class _SampleTable(_TopicTable):
-    """Table of a topic in which each message is a sample."""
+    """Table of the samples of a topic in which each message is one sample."""
 
     def __init__(self, log: Log, kind: type[Measured], topic: str) -> None:
+        """Begin a table without rows for the samples of a kind on a topic. Raise SeatrialError for another type."""
         self._kind, self._type_name = kind, schema.TYPES[kind]
         fixed = cdr_layout(self._type_name, b"").dtype
         whole = [name for name in schema.field_names(kind) if fixed[name].kind in "iu"]
         super().__init__(log, topic, log._channel_numbers(topic, self._type_name), _table_type(kind, whole))
 
     def take(self, messages: Messages) -> None:
-        """Add the next messages, each of which is a sample."""
+        """Add the next messages of the topic to the table, each of which is one sample."""
         rows = self._log._decode_rows(messages, self.topic, self._type_name)
         part = self._table.append_rows(len(rows))
         part["t"] = stamps(rows)
@@ -691,7 +761,7 @@ class _NotNumberedError(SeatrialError):
 
 
 class _AhrsTable(_TopicTable):
-    """Table of an AHRS, from its Imu messages and the companion topics that have the other columns.
+    """Table of the samples of an AHRS, joined from its Imu messages, its device times and its magnetic field.
 
     Parameters
     ----------
@@ -704,6 +774,7 @@ class _AhrsTable(_TopicTable):
     """
 
     def __init__(self, log: Log, topic: str, source: str, join: bool) -> None:
+        """Begin a table without rows, and find the channels of Imu, device times and magnetic field in the log."""
         self._source, self._numbers = source, {"imu": log._channel_numbers(topic, schema.IMU)}
         for name, (type_name, _) in _COMPANIONS.items() if join else ():
             with contextlib.suppress(SeatrialError):
@@ -715,10 +786,10 @@ class _AhrsTable(_TopicTable):
         self._last = -1
 
     def take(self, messages: Messages) -> None:
-        """Add the next Imu messages, and join the companion messages to them by their sequence numbers.
+        """Add the next Imu messages of the AHRS, with the device time and magnetic field of the same sequence number.
 
-        Companions that arrive before their Imu message wait for the next call. `_NotNumberedError` is raised if the
-        sequence numbers do not ascend.
+        Messages of these companion topics that arrive before their Imu message wait for the next call.
+        `_NotNumberedError` is raised if the sequence numbers do not ascend.
         """
         parts = {n: messages.where(np.isin(messages.heads["channel"], g)) for n, g in self._numbers.items()}
         imu = parts.pop("imu")
@@ -743,7 +814,7 @@ class _AhrsTable(_TopicTable):
 
 
 class _UnmatchedCompanions(NamedTuple):
-    """Companion messages of an AHRS whose Imu message may be in the next chunks.
+    """Device times or magnetic fields of an AHRS whose Imu message may be in the next chunks of the file.
 
     Attributes
     ----------
@@ -763,12 +834,12 @@ class _UnmatchedCompanions(NamedTuple):
         table: NDArray[np.void],
         order: NDArray[np.uint32],
     ) -> _UnmatchedCompanions:
-        """Write the waiting and the new companions into the rows with the same sequence number.
+        """Write the waiting and the new messages into the rows of the AHRS table with the same sequence number.
 
         Parameters
         ----------
         sequence, columns
-            Sequence numbers and columns of the new companions, shape (n,).
+            Sequence numbers and columns of the new device times or magnetic fields, shape (n,).
         table
             Table of the AHRS, shape (m,). Its rows are changed.
         order
@@ -777,7 +848,7 @@ class _UnmatchedCompanions(NamedTuple):
         Returns
         -------
         _UnmatchedCompanions
-            New companions with numbers after the last row of the table.
+            New messages with numbers after the last row of the table.
         """
         sequence = np.append(self.sequence, sequence)
         columns = {name: np.append(self.columns.get(name, ()), column) for name, column in columns.items()}
@@ -795,11 +866,15 @@ class _StampStatistics:
     """Rate, longest gap and backward steps of the time stamps of a topic, computed from batches of stamps."""
 
     def __init__(self) -> None:
+        """Begin the statistics of a topic without any time stamp."""
         self._n, self._first, self._last, self._gap, self._newest = 0, np.inf, -np.inf, 0.0, -np.inf
         self.n_back, self.longest_back = 0, 0.0  # steps back in the order of the file
 
     def add(self, t: NDArray[np.float64]) -> None:
-        """Add time stamps [s], shape (n,). They must follow the stamps before, except for jitter."""
+        """Add the next time stamps of the topic [s], shape (n,).
+
+        They must follow the stamps before, except for jitter.
+        """
         steps = -np.diff(np.append(self._newest, t))
         self.n_back += int(np.sum(steps > CLOCK_STEP_S))
         self.longest_back, self._newest = max(self.longest_back, float(steps.max())), t[-1]
@@ -810,7 +885,7 @@ class _StampStatistics:
         self._first, self._last = min(self._first, t[0]), max(self._last, t[-1])
 
     def rate_and_gap(self) -> tuple[float, float]:
-        """Return mean rate [Hz] and longest gap [s]; both are NaN for a single time."""
+        """Return mean rate [Hz] and longest gap [s] of all time stamps added; both are NaN for a single time."""
         if self._n < 2 or self._first == self._last:
             return float("nan"), float("nan")
         return float((self._n - 1) / (self._last - self._first)), float(self._gap)

@@ -15,7 +15,7 @@ BALLAST_BYTES = 512 * 1024
 
 
 class ReservedSpace:
-    """Disk space that a file without a name occupies.
+    """Disk space that is reserved (the ballast), so that the end of a log fits on a full disk.
 
     Parameters
     ----------
@@ -29,17 +29,20 @@ class ReservedSpace:
 
     Notes
     -----
-    The space is free again after `release`, or when the process ends for any reason.
+    A file without a name occupies the space. It is free again after `release`, or when the process ends for any reason.
     """
 
     def __init__(self, folder: Path) -> None:
+        """Create a file without a name in `folder`, which has 0 bytes at first."""
         name = folder / f".seatrial-ballast-{os.getpid()}-{id(self):x}"
         self._fd = os.open(name, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
         name.unlink()
         self.size = 0
 
     def grow(self, size: int) -> None:
-        """Reserve at least `size` bytes in all.
+        """Increase the reserved disk space to at least `size` bytes in all. It never becomes smaller.
+
+        Nothing happens after `release`.
 
         Raises
         ------
@@ -55,14 +58,16 @@ class ReservedSpace:
         self.size = size
 
     def release(self) -> None:
-        """Free the space, so that other files can use it. A second call has no effect."""
+        """Free the reserved disk space, so that other files can use it. A second call has no effect."""
         if self._fd >= 0:
             os.close(self._fd)
             self._fd = -1
 
 
 class WholeRecordStream:
-    """Output file of a `RecordWriter`. The writer passes whole records only, so the file always ends with one.
+    """Output file of a log that always ends with a whole record, also after a full disk.
+
+    The caller, a `RecordWriter`, passes whole records only.
 
     Parameters
     ----------
@@ -83,6 +88,7 @@ class WholeRecordStream:
     """
 
     def __init__(self, path: Path) -> None:
+        """Create the output file and reserve disk space for its last records."""
         self._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
         # Without this a loss of power may remove the name of the file, and with the name the whole file.
         for folder in (path.parent, path.absolute().parent.parent):
@@ -98,11 +104,11 @@ class WholeRecordStream:
             raise
 
     def tell(self) -> int:
-        """Return the number of bytes in the file."""
+        """Return the number of bytes written to the file so far."""
         return self._size
 
     def write(self, data: bytes) -> int:
-        """Write whole records and return their number of bytes. If the disk is full, use the space of the ballast.
+        """Write whole records to the file and return their number of bytes. On a full disk, use the reserved space.
 
         Raises
         ------
@@ -129,7 +135,7 @@ class WholeRecordStream:
         return len(data)
 
     def _write_all(self, data: bytes) -> None:
-        """Write all bytes at the end of the file. Raises OSError, also after a part of the bytes is written."""
+        """Write all bytes at the end of the file. Raise OSError, also after a part of the bytes is written."""
         view = memoryview(data)
         at = self._size
         while view:
@@ -143,20 +149,20 @@ class WholeRecordStream:
         return os.fstat(self._fd).st_nlink == 0
 
     def flush(self) -> None:
-        """Do nothing: this class has no buffer."""
+        """Do nothing, because this output file has no buffer."""
 
     def sync(self) -> None:
-        """Wait until the written data are on the disk. Raises OSError if the disk reports an error."""
+        """Wait until the written data of the file are on the disk. Raise OSError if the disk reports an error."""
         os.fsync(self._fd)
 
     def close(self) -> None:
-        """Close the file and free the reserved space."""
+        """Close the output file and free the reserved disk space."""
         self.ballast.release()
         os.close(self._fd)
 
 
 def sync_folder(folder: Path) -> None:
-    """Wait until the names of the files in a folder are on the disk, if the operating system supports this."""
+    """Wait until the names of the log files in a folder are on the disk, if the operating system supports this."""
     with contextlib.suppress(OSError):
         fd = os.open(folder, os.O_RDONLY)
         try:
@@ -166,21 +172,22 @@ def sync_folder(folder: Path) -> None:
 
 
 class FileSyncer(threading.Thread):
-    """Thread that calls `sync` of a stream on request. On a memory card one call can take a second.
+    """Thread that syncs an output file to the disk on request. On a memory card one sync can take a second.
 
     Attributes
     ----------
     error
-        Error of the call that failed; the thread has ended then. None before.
+        Error of the sync that failed; the thread has ended then. None before.
     """
 
     def __init__(self, stream: WholeRecordStream) -> None:
+        """Prepare the thread that syncs the output file `stream` to the disk; `start` begins it."""
         super().__init__(name="log-sync", daemon=True)
         self.error: OSError | None = None
         self._stream, self._wanted, self._ending = stream, threading.Event(), False
 
     def run(self) -> None:
-        """Call `sync` after every request, until `end` is called or a call fails."""
+        """Wait for requests and sync the file after each, until `end` is called or a sync fails (`error`)."""
         while True:
             self._wanted.wait()
             self._wanted.clear()
@@ -193,11 +200,11 @@ class FileSyncer(threading.Thread):
                 return
 
     def request(self) -> None:
-        """Request one call of `sync`."""
+        """Request one sync of the file; the call returns at once."""
         self._wanted.set()
 
     def end(self) -> None:
-        """Stop the thread and wait until it has ended."""
+        """Stop the sync thread and wait until it has ended."""
         self._ending = True
         self._wanted.set()
         self.join()

@@ -31,7 +31,7 @@ _DIRECTIONS = {"rx": 0, "tx": 1}
 
 
 class Clock(Protocol):
-    """Interface to `seatrial.daq.clock.RunClock` with the parts that the recorder uses."""
+    """Interface to the run clock, `seatrial.daq.clock.RunClock`, with the parts that the recorder uses."""
 
     @property
     def speed(self) -> float:
@@ -39,14 +39,14 @@ class Clock(Protocol):
 
     @property
     def origin(self) -> object:
-        """Plain numbers from which another process can rebuild the clock."""
+        """Numbers [s] from which another process can rebuild the run clock; the recorder stores them in the log."""
 
     def now(self) -> float:
         """Return the time of the run clock [s since 1970]."""
 
 
 class Recorder:
-    """Recorder of one log, in as many segments as the [log] table of the rig requires.
+    """Recorder of one MCAP log, in as many segments (files) as the [log] table of the rig requires.
 
     Parameters
     ----------
@@ -87,6 +87,7 @@ class Recorder:
         metadata: Mapping[str, str] | None = None,
         patient: bool = False,
     ) -> None:
+        """Create the first file of the log at `path`. A `patient` recorder goes on when a full disk has room again."""
         origin = json.dumps(clock.origin)
         about = {"format": LOG_FORMAT, "rig": rig.name, "speed": repr(clock.speed), "origin": origin}
         self._metadata = {**collect_provenance(), **about, **(metadata or {})}
@@ -107,7 +108,10 @@ class Recorder:
         discard_note(self.first_path)
 
     def _begin_segment(self, path: Path, number: int) -> None:
-        """Create the segment `path` with all metadata and attachments. `number` is 0 for the first segment."""
+        """Create a file of the log, the segment `path`, with all metadata and attachments.
+
+        `number` is 0 for the first segment.
+        """
         about = {**self._metadata, "segment": str(number)}
         self._writer = LogWriter(path, metadata=about, attachments=self._attachments, time_ns=self._log_ns)
         self._number, self._started_ns = number, self._log_ns
@@ -115,21 +119,21 @@ class Recorder:
 
     @property
     def path(self) -> Path:
-        """Segment that is being written."""
+        """Path of the file of the log (segment) that is being written."""
         return self._writer.path
 
     @property
     def is_deleted(self) -> bool:
-        """Whether the segment that is being written has been deleted."""
+        """Whether the file of the log (segment) that is being written has been deleted."""
         return self._writer.is_deleted
 
     @property
     def size(self) -> int:
-        """Number of bytes on the disk, in all segments that have not been deleted."""
+        """Number of bytes of the log on the disk, in all segments that have not been deleted."""
         return self._size_before + self._writer.size
 
     def write(self, device: str, frame: Frame, t: float) -> None:
-        """Write one sample, event or set of port counters.
+        """Write one sample, event or set of port counters of a device to the log.
 
         Parameters
         ----------
@@ -161,19 +165,22 @@ class Recorder:
             self._add_message(topic, type_name, log_ns, stamp_ns, sequence, pack(stamp_ns, *values))
 
     def write_raw(self, device: str, direction: str, data: bytes, t: float) -> None:
-        """Write bytes that were read from ("rx") or written to ("tx") the port of a device at time t [s since 1970]."""
+        """Write bytes of a device's port to the log, with the time t [s since 1970].
+
+        The direction is "rx" for bytes read from the port, and "tx" for bytes written to it.
+        """
         log_ns, stamp_ns = self._log_and_stamp_ns(t, t)
         message = cdr_layout(schema.RAW, device.encode()).pack(stamp_ns, _DIRECTIONS[direction], tail=(data,))
         self._add_message(f"/raw/{device}", schema.RAW, log_ns, stamp_ns, 0, message)
 
     def event(self, t: float, kind: str, text: str) -> None:
-        """Write an event at time t [s since 1970]: its kind, such as "warning", and its description."""
+        """Write an event to the log at time t [s since 1970]: its kind, such as "warning", and its description."""
         log_ns, stamp_ns = self._log_and_stamp_ns(t, t)
         message = cdr_layout(schema.EVENT, b"").pack(stamp_ns, tail=(_encode_text(kind), _encode_text(text)))
         self._add_message("/event", schema.EVENT, log_ns, stamp_ns, 0, message)
 
     def health(self, device: str, health: PortHealth, t: float) -> None:
-        """Write the counters of the port of a device to the log at time t [s since 1970]."""
+        """Write the counters of a device's port (bytes, frames, errors, ...) to the log at time t [s since 1970]."""
         log_ns, stamp_ns = self._log_and_stamp_ns(t, t)
         message = cdr_layout(schema.HEALTH, device.encode()).pack(
             stamp_ns,
@@ -190,7 +197,7 @@ class Recorder:
         self._add_message(f"/health/{device}", schema.HEALTH, log_ns, stamp_ns, 0, message)
 
     def tick(self) -> None:
-        """Do the periodic work when it is due. The caller calls this at least every 50 ms.
+        """Do the periodic work of the recorder when it is due. The caller calls this at least every 50 ms.
 
         The work: flush and sync the segment, begin the next segment, delete the oldest segments, and check whether a
         full disk has room again.
@@ -212,10 +219,10 @@ class Recorder:
             self._delete_segment(self._past.popleft(), keep)
 
     def _delete_segment(self, segment: _FinishedSegment, keep: float) -> None:
-        """Delete a finished segment and record the deletion, or its failure, as an event.
+        """Delete a finished file of the log, and record the deletion, or its failure, as an event.
 
-        `keep` is the limit of the log [GB], for the text of the event. A file that has replaced the segment in the
-        meantime is not deleted.
+        `keep` is the limit of the log's size [GB], for the text of the event. A file that has replaced the segment in
+        the meantime is not deleted.
         """
         self._size_before -= segment.size
         try:
@@ -228,7 +235,7 @@ class Recorder:
         self.event(self._log_ns / NANO, "disk", text)
 
     def close(self) -> None:
-        """End the log.
+        """End the log and close its file.
 
         Raises
         ------
@@ -244,7 +251,10 @@ class Recorder:
 
     @contextlib.contextmanager
     def _pause_if_full(self) -> Iterator[None]:
-        """Pause a patient recorder if the disk is full within the block. Otherwise the error is passed on."""
+        """Pause the recorder if the disk is full within the `with` block and the recorder is patient.
+
+        A recorder that is not patient raises the error.
+        """
         try:
             yield
         except DiskFull as error:
@@ -253,16 +263,16 @@ class Recorder:
             self._pause(error)
 
     def _pause(self, error: DiskFull) -> None:
-        """Pause because of a full disk: set `paused`, and the time of the first check whether the disk has room."""
+        """Pause the recorder because of a full disk: store the reason in `paused`, and the time of the first retry."""
         self.paused = self.paused or f"{self._writer.path.parent}: the disk is full, nothing is written now"
         self._lost_some = not error.complete
         self._paused_at = time.monotonic()
         self._retry_at = self._paused_at + RETRY_S
 
     def _resume(self) -> None:
-        """Continue in a new segment, and write the kept messages to it, if the disk has room; else stay paused.
+        """End the pause of the recorder if the disk has room: write the kept messages to a new segment.
 
-        The duration of the pause is recorded as an event.
+        Otherwise the recorder stays paused. The duration of the pause is recorded as an event.
         """
         self._retry_at = time.monotonic() + RETRY_S
         if free_bytes(self.first_path) < ROOM_BYTES:
@@ -279,7 +289,7 @@ class Recorder:
         self.event(self._log_ns / NANO, "disk", f"full for {seconds:.1f} s; kept {counted(len(kept), 'message')}{loss}")
 
     def _begin_next_segment(self) -> None:
-        """Begin the next segment, and note the finished one for a later deletion.
+        """Begin the next file (segment) of the log, and note the finished one for a later deletion.
 
         Numbers whose file exists are skipped.
         """
@@ -294,7 +304,10 @@ class Recorder:
                 self._past.append(_FinishedSegment(past, past.stat().st_size, _file_identity(past)))
 
     def _log_and_stamp_ns(self, t_log: float, t_stamp: float) -> tuple[int, int]:
-        """Return log time, which never decreases, and time stamp [ns since 1970] from times [s since 1970]."""
+        """Convert log time and time stamp from s to ns since 1970. The log time never decreases from call to call.
+
+        A time stamp that is NaN or outside 1970 to 2038 becomes the log time.
+        """
         self._log_ns = max(self._log_ns, self._to_ns(t_log, self._log_ns))
         return self._log_ns, self._to_ns(t_stamp, self._log_ns)
 
@@ -305,7 +318,10 @@ class Recorder:
         return round(t * NANO) if 0.0 <= t < 2**31 else otherwise
 
     def _add_message(self, topic: str, type_name: str, log_ns: int, stamp_ns: int, sequence: int, data: bytes) -> None:
-        """Write a message to the current segment, or keep it in memory during a pause."""
+        """Write a message in CDR to the current file of the log, or keep it in memory during a pause.
+
+        `log_ns` and `stamp_ns` are its times of receipt and of measurement [ns since 1970].
+        """
         if self.paused:
             self._kept.append(_KeptMessage(topic, type_name, log_ns, stamp_ns, sequence, data))
             return
@@ -326,7 +342,7 @@ class Recorder:
 
 
 class _FinishedSegment(NamedTuple):
-    """Segment of the log that is complete and may be deleted.
+    """File (segment) of the log that is complete and may be deleted to limit the size of the log.
 
     Attributes
     ----------
@@ -351,7 +367,7 @@ def _file_identity(path: Path) -> tuple[int, ...]:
 
 
 class _KeptMessage(NamedTuple):
-    """Arguments of `Recorder._add_message` for one message.
+    """Message that waits in memory while the disk is full: the arguments of `Recorder._add_message`.
 
     Attributes
     ----------
@@ -378,7 +394,7 @@ class _KeptMessage(NamedTuple):
 
 
 def free_bytes(path: Path) -> int:
-    """Return the free space [bytes] of the disk of a path, by the nearest parent folder that exists."""
+    """Return the free space [bytes] of the disk to which a log is written, by its nearest parent folder that exists."""
     folder = next((parent for parent in path.absolute().parents if parent.is_dir()), Path("/"))
     return shutil.disk_usage(folder).free
 
@@ -407,6 +423,6 @@ def check_room(path: Path, megabytes: float) -> None:
 
 
 def _encode_text(text: str) -> bytes:
-    """Encode a text for CDR, as UTF-8 without NUL characters."""
+    """Encode a text for a CDR message, as UTF-8 without NUL characters, which would end the text."""
     # A NUL would end the string; a lone surrogate cannot be encoded in UTF-8.
     return text.replace("\0", "").encode("utf-8", errors="replace")

@@ -17,7 +17,7 @@ CHUNK_BYTES = 1024 * 1024
 
 
 class RecoveredLog(NamedTuple):
-    """Result of a recovery.
+    """Result of the recovery of a damaged log.
 
     Attributes
     ----------
@@ -35,7 +35,7 @@ class RecoveredLog(NamedTuple):
 
 
 def recover_log(path: Path, out: Path, force: bool = False) -> RecoveredLog:
-    """Copy all readable records of a log, with all its segments, to one new log.
+    """Recover a killed or damaged log: copy all readable records of all its segments to one new log.
 
     Parameters
     ----------
@@ -73,7 +73,10 @@ def recover_log(path: Path, out: Path, force: bool = False) -> RecoveredLog:
 
 
 def _copy_records(log: RawLog | SegmentedLog, part: Path) -> int:
-    """Copy metadata, attachments, schemas, channels and messages to a new file. Return the number of messages."""
+    """Copy metadata, attachments, schemas, channels and messages of a log to the new MCAP file `part`.
+
+    Return the number of messages.
+    """
     n_messages = 0
     with part.open("xb") as file:
         writer = RecordWriter(file, chunk_bytes=CHUNK_BYTES, profile=log.profile, library="seatrial")

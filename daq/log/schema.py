@@ -72,7 +72,7 @@ _YAW9 = doubles(_UNKNOWN_VARIANCE, 0.0, 0.0, 0.0, _UNKNOWN_VARIANCE, 0.0, 0.0, 0
 
 
 class Message(NamedTuple):
-    """One message to write.
+    """One message to write to a log: its topic, type, frame and values.
 
     Attributes
     ----------
@@ -92,12 +92,12 @@ class Message(NamedTuple):
     values: tuple[float | bytes, ...]
 
     def pack(self, stamp_ns: int) -> bytes:
-        """Return the message in CDR with a time stamp [ns since 1970]."""
+        """Return the message as bytes in CDR with a time stamp [ns since 1970]."""
         return cdr_layout(self.type_name, self.frame_id.encode()).pack(stamp_ns, *self.values)
 
 
 def field_names(kind: type[Measured]) -> list[str]:
-    """Return the names of the fields of the class of a sample, in order."""
+    """Return the names of the fields of a class of samples, in order, for example "node", "rpm", ... for `Esc`."""
     return [field.name for field in fields(kind)]
 
 
@@ -108,7 +108,7 @@ _GETTERS[Scalar] = lambda sample: (sample.value,)  # type: ignore[attr-defined]
 
 
 def topic(kind: type[Measured], source: str, node: int | None = None) -> str:
-    """Return the topic whose messages contain the samples of a kind.
+    """Return the topic of a log whose messages contain the samples of a kind, for example "/gps/gnss" for `Gnss`.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ def topic(kind: type[Measured], source: str, node: int | None = None) -> str:
 
 
 def messages(device: str, frame: Frame) -> list[Message]:
-    """Return the messages of one sample. The first of them contains t_rx and t_device.
+    """Convert one sample of a device to its messages. The first of them contains t_rx and t_device.
 
     A `Transducer` becomes the message of a `Scalar` with the name of the transducer instead of the device.
 
@@ -156,7 +156,7 @@ def messages(device: str, frame: Frame) -> list[Message]:
 
 @cache
 def _ahrs_topics(device: str) -> tuple[str, str, str, str]:
-    """Return the frame_id and the topics of an AHRS: device times, Imu and magnetic field."""
+    """Return the frame_id of an AHRS, and its topics: device times, Imu and magnetic field."""
     return f"{device}_frd_ned", f"/{device}/device_time", f"/{device}/imu", f"/{device}/mag"
 
 
@@ -200,9 +200,9 @@ def _gnss_messages(device: str, s: Gnss) -> list[Message]:
 
 
 def imu_columns(rows: NDArray[np.void]) -> Columns:
-    """Return the columns of `Ahrs`, except the magnetic field, from decoded Imu messages.
+    """Convert decoded ROS Imu messages, shape (n,), to the columns of an `Ahrs` table, except the magnetic field.
 
-    Unknown angles are NaN. Angular rates and accelerations are copied without change.
+    Unknown angles are NaN. Angular rates [rad/s] and accelerations [m/s2] are copied without change.
     """
     yaw, pitch, roll = euler_angles(*(rows[f"orientation.{axis}"] for axis in "xyzw"))
     unknown = rows["orientation_covariance"][:, 0] == -1.0
@@ -219,7 +219,10 @@ def imu_columns(rows: NDArray[np.void]) -> Columns:
 
 
 def own_columns(kind: type[Measured], rows: NDArray[np.void]) -> Columns:
-    """Return the columns of a kind other than `Ahrs`, t_rx and t_device included, from decoded messages of its type."""
+    """Convert decoded messages of a kind of samples, shape (n,), to the columns of its table, with t_rx and t_device.
+
+    The kind is any but `Ahrs`. Speed and kind of fix (2D, 3D) that an older log lacks are computed.
+    """
     columns: Columns = {name: rows[name] for name in rows.dtype.names or ()}
     if kind is Gnss and "speed" not in columns:  # a log of an older version: same rule as the defaults of `Gnss`
         fix = columns["fix"]

@@ -23,7 +23,7 @@ SHARED_METADATA = ("origin", "rig", "host")  # metadata that are equal in all se
 
 
 def open_raw(path: Path) -> RawLog | SegmentedLog:
-    """Open the log that begins at `path`, with all its segments.
+    """Open the MCAP log that begins at `path`, with all its segments, without decoding its messages.
 
     Later segments that cannot be read or that belong to another run are left out, with a warning.
 
@@ -65,12 +65,15 @@ def open_raw(path: Path) -> RawLog | SegmentedLog:
 
 
 def _recorder_metadata(raw: RawLog) -> dict[str, str]:
-    """Return the metadata record "seatrial" of a file, which the recorder wrote; empty if the file has none."""
+    """Return the texts that the recorder wrote into a file of a log: run clock, rig, host, ...
+
+    The result is empty if the file has none.
+    """
     return next((dict(record.metadata) for record in raw.metadata if record.name == "seatrial"), {})
 
 
 class SegmentedLog:
-    """Log of several segments, with the interface of `RawLog`.
+    """Log of several segments (MCAP files) that are read as one, with the interface of `RawLog`.
 
     Equal channels of different files become one channel. Only one file is open at a time.
 
@@ -83,6 +86,7 @@ class SegmentedLog:
     """
 
     def __init__(self, files: list[RawLog], warnings: list[str]) -> None:
+        """Join the channels, message counts and times of the segments of a log."""
         self.files = files
         self.path = files[0].path
         self._warnings = warnings
@@ -108,11 +112,11 @@ class SegmentedLog:
 
     @property
     def warnings(self) -> list[str]:
-        """Warnings about all files, for the parts that have been read so far."""
+        """Warnings about all files of the log, for the parts that have been read so far, and about missing segments."""
         return [f"{raw.path.name}: {text}" for raw in self.files for text in raw.warnings] + self._warnings
 
     def verify(self, begin_ns: int = 0, end_ns: int = LAST_NS) -> None:
-        """Read the unread chunks of all files, as `RawLog.verify` does."""
+        """Read the unread chunks of all files in an interval of log times [ns since 1970], to complete `warnings`."""
         for raw in self.files:
             raw.verify(begin_ns, end_ns)
             raw.close()
@@ -120,7 +124,11 @@ class SegmentedLog:
     def read(
         self, channels: Collection[int] | None = None, begin_ns: int = 0, end_ns: int = LAST_NS
     ) -> Iterator[Messages]:
-        """Yield the messages of all files, one file after the other, as `RawLog.read` does."""
+        """Yield the messages of all files of the log, one file after the other.
+
+        `channels` are the numbers of the channels, None for all. The interval of log times [ns since 1970] does not
+        contain `end_ns` itself.
+        """
         for raw, numbers in zip(self.files, self._numbers, strict=True):
             renumbered = np.zeros(1 << 16, np.uint16)
             renumbered[list(numbers)] = list(numbers.values())
@@ -133,7 +141,10 @@ class SegmentedLog:
             raw.close()
 
     def _log_channel_number(self, channel: Channel, schema: Schema | None) -> int:
-        """Return the number of a channel in the whole log. A channel that is new gets the next number."""
+        """Return the number that a channel of one file has in the whole log. A new channel gets the next number.
+
+        Channels with equal topic, encoding, metadata and schema are the same.
+        """
         content = ("", b"") if schema is None else (schema.name, schema.data)
         key = (channel.topic, channel.message_encoding, tuple(sorted(channel.metadata.items())), content)
         if key not in self._number_by_content:
@@ -150,7 +161,7 @@ class SegmentedLog:
         return self._number_by_content[key]
 
     def close(self) -> None:
-        """Close all files."""
+        """Close all files of the log."""
         for raw in self.files:
             raw.close()
 
@@ -161,7 +172,10 @@ def segment_path(first: Path, number: int) -> Path:
 
 
 def segments(path: Path) -> dict[int, Path]:
-    """Return the files in the folder of `path` that have names of its later segments, by number, ascending."""
+    """Return the files whose names make them later segments of the log `path`: NAME.1.mcap, NAME.2.mcap, ...
+
+    They are sorted by number. The result is empty if there are none or the folder cannot be read.
+    """
     name = re.compile(re.escape(path.stem) + r"\.(\d{1,6})" + re.escape(path.suffix))
     try:
         found = [(int(match[1]), file) for file in path.parent.iterdir() if (match := name.fullmatch(file.name))]

@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 
 
 class Log(Protocol):
-    """Interface to `seatrial.daq.log.Log` with the parts that this module uses."""
+    """Interface to `seatrial.daq.log.Log` with the parts that resampling needs."""
 
     path: Path
 
@@ -38,20 +38,20 @@ class Log(Protocol):
         """Return the names of the devices or signals that have samples of a kind."""
 
     def nodes(self, kind: type[Any], source: str) -> list[int]:
-        """Return the controller ids of a device."""
+        """Return the ids of the motor controllers of a device that have samples of a kind."""
 
     def table(self, kind: type[Any], source: str, node: int | None = None) -> NDArray[np.void]:
-        """Return the samples of a device or signal, shape (n,)."""
+        """Return the samples of a device or signal of the log as a structured array, shape (n,)."""
 
     def unit(self, signal: str) -> str:
-        """Return the unit of an imported signal."""
+        """Return the unit of an imported signal of the log, for example "m/s"."""
 
     def hold(self, signal: str) -> str:
         """Return the hold of an imported signal: "zero", "linear" or "sampled"."""
 
 
 class LogTable(NamedTuple):
-    """One table of samples of a log.
+    """Table of the samples of one device or signal of a log, with the units of its columns.
 
     Attributes
     ----------
@@ -75,7 +75,7 @@ class LogTable(NamedTuple):
 
 
 class Resampled(NamedTuple):
-    """A log on one time grid.
+    """All numbers of a log on one time grid.
 
     Attributes
     ----------
@@ -93,7 +93,7 @@ class Resampled(NamedTuple):
 
 
 def log_tables(log: Log) -> Iterator[LogTable]:
-    """Yield every table of samples of a log, in the order of `KINDS`."""
+    """Yield the table of samples of each device, controller and signal of a log, in the order of `KINDS`."""
     for kind in KINDS:
         for source in log.sources(kind):
             for node in log.nodes(kind, source) if kind in NODE_TOPICS else [None]:
@@ -108,7 +108,7 @@ def log_tables(log: Log) -> Iterator[LogTable]:
 
 
 def resample(log: Log, rate: float) -> Resampled:
-    """Return all numbers of a log on one time grid, from the first sample to the last.
+    """Resample all numbers of a log to one time grid, from the first sample to the last.
 
     Parameters
     ----------
@@ -164,7 +164,7 @@ def resample(log: Log, rate: float) -> Resampled:
 
 
 def _hold_last_value(grid: Array, t: Array, values: Array) -> Array:
-    """Return the value of the last sample at each time of the grid (n,) [s], NaN before the first sample.
+    """Return the value of the last sample at each time of a grid (n,) [s], NaN before the first sample.
 
     `t` and `values` are the times [s] and values (m,) of the samples.
     """

@@ -17,14 +17,15 @@ NOTE_BEGINNING = re.compile(r"\d{4}-\d\d-\d\dT\S+ watchdog: ")  # the beginning 
 
 
 def note_path(log: Path) -> Path:
-    """Return the path of the note of a log; the note lies beside the log."""
+    """Return the path of the file LOG.stop beside a log, in which a watchdog notes that it stopped the run."""
     return log.with_name(f"{log.name}.stop")
 
 
 def write_note(log: Path, text: str) -> None:
-    """Write the note of a log. An earlier note is replaced.
+    """Write a watchdog's note beside a log: what it did after the logging process stopped.
 
-    No note is written, and no error is raised, if the disk is full or if the path is not a regular file.
+    An earlier note is replaced. No note is written, and no error is raised, if the disk is full or if the path is not a
+    regular file.
     """
     # A watchdog must never wait or fail here: a pipe without a reader would block, and a symbolic link may lead to a
     # file of another user.
@@ -34,7 +35,7 @@ def write_note(log: Path, text: str) -> None:
 
 
 def read_note(log: Path) -> str:
-    """Return the note that a watchdog wrote beside a log, as one line. The text is empty if there is no note."""
+    """Return a watchdog's note beside a log, as one line of at most 500 characters; "" if there is none."""
     path = note_path(log)
     try:
         text = path.read_bytes()[: 4 * MAX_CHARACTERS].decode("utf-8", errors="replace") if path.is_file() else ""
@@ -44,7 +45,7 @@ def read_note(log: Path) -> str:
 
 
 def discard_note(log: Path) -> None:
-    """Delete the note of an earlier log of the same name, so that the new log does not show this note.
+    """Delete the watchdog's note beside an earlier log of the same name, so that the new log does not show it.
 
     A file of the same name that is not the note of a watchdog stays.
     """

@@ -46,6 +46,7 @@ class FrameDecoder(ABC):
     """
 
     def __init__(self) -> None:
+        """Set all counters to 0, without received bytes."""
         self.frames = 0
         # CAN controllers check each frame in hardware; only messages of several frames have a checksum of their own.
         self.checksum_errors = 0
@@ -54,7 +55,10 @@ class FrameDecoder(ABC):
         self._buffer = bytearray()
 
     def feed(self, data: bytes, t_rx: float) -> list[Frame]:
-        """Decode a sequence of 16-byte `struct can_frame`, split at any byte. Return the samples that they complete."""
+        """Decode bytes of a CAN bus: a sequence of 16-byte `struct can_frame`, which may be split at any byte.
+
+        Return the samples that these bytes complete. `t_rx` is the run time [s] of receipt.
+        """
         self._buffer += data
         whole = len(self._buffer) - len(self._buffer) % FRAME_BYTES
         out: list[Frame] = []
@@ -67,15 +71,30 @@ class FrameDecoder(ABC):
         return out
 
     def reset(self) -> None:
-        """Discard an incomplete frame and all received state, because the port was reopened. The counters are kept."""
+        """Discard an incomplete CAN frame and all received values, because the port was reopened.
+
+        The counters are kept.
+        """
         self.unparsed_bytes += len(self._buffer)
         self._buffer.clear()
         self._forget_state()
 
     @abstractmethod
     def _decode_can_frame(self, identifier: int, extended: bool, data: bytes, t_rx: float) -> list[Frame]:
-        """Decode one data frame. Return the samples that it completes."""
+        """Decode one CAN data frame by the protocol of the subclass, and return the samples that it completes.
+
+        Parameters
+        ----------
+        identifier
+            CAN identifier.
+        extended
+            Whether the identifier has 29 bits instead of 11.
+        data
+            At most 8 bytes.
+        t_rx
+            Run time [s] of receipt.
+        """
 
     @abstractmethod
     def _forget_state(self) -> None:
-        """Discard all received state of the protocol, because the port was reopened."""
+        """Discard all values that the subclass has received, because the port was reopened."""

@@ -59,35 +59,35 @@ class DeviceType(NamedTuple):
 
 
 def _make_vectornav(device: Device, rig: Rig) -> Decoder:
-    """Return a new decoder of a VectorNav AHRS."""
+    """Return a new decoder of a VectorNav AHRS. The device and the rig are not used."""
     from seatrial.daq.protocol import vectornav
 
     return vectornav.Decoder()
 
 
 def _make_mip(device: Device, rig: Rig) -> Decoder:
-    """Return a new decoder of a MicroStrain inertial sensor."""
+    """Return a new decoder of a MicroStrain inertial sensor. The device and the rig are not used."""
     from seatrial.daq.protocol import mip
 
     return mip.Decoder()
 
 
 def _make_nmea(device: Device, rig: Rig) -> Decoder:
-    """Return a new decoder of NMEA 0183, with the declination of the device."""
+    """Return a new decoder of NMEA 0183, with the magnetic declination of the device in the rig."""
     from seatrial.daq.protocol import nmea
 
     return nmea.Decoder(device.declination, _signal_ending(device, rig))
 
 
 def _make_ubx(device: Device, rig: Rig) -> Decoder:
-    """Return a new decoder of a u-blox receiver, with the declination of the device."""
+    """Return a new decoder of a u-blox receiver, with the magnetic declination of the device in the rig."""
     from seatrial.daq.protocol import ubx
 
     return ubx.Decoder(device.declination, _signal_ending(device, rig))
 
 
 def _signal_ending(device: Device, rig: Rig) -> str:
-    """Return the ending of the names of a device's transducers in the log.
+    """Return the ending of the names under which the log stores the transducers (XDR) of a device.
 
     It is `_DEVICE` if several devices of the rig send NMEA, since their transducers may have equal names; else empty.
     """
@@ -154,7 +154,7 @@ def _make_dronecan(device: Device, rig: Rig) -> Decoder:
 
 
 def _make_nmea2000(device: Device, rig: Rig) -> Decoder:
-    """Return a new decoder of an NMEA 2000 bus, with the declination of the device."""
+    """Return a new decoder of an NMEA 2000 bus, with the magnetic declination of the device in the rig."""
     from seatrial.daq.protocol import nmea2000
 
     return nmea2000.Decoder(device.declination)
@@ -192,19 +192,22 @@ BUILT_IN: dict[str, DeviceType] = {
 
 
 class DeviceTypes(Mapping[str, DeviceType]):
-    """Mapping from protocol names to rows: the built-in protocols, then those of other packages.
+    """Mapping from the names of protocols to their descriptions: the built-in protocols, then those of other packages.
 
-    The package of a protocol is imported when its row is read. `SeatrialError` is raised if the import fails.
+    The package of a protocol is imported when its description is read. `SeatrialError` is raised if the import fails.
     """
 
     def __getitem__(self, name: str) -> DeviceType:
-        """Return the row of a protocol. Raise KeyError if no package has the protocol."""
+        """Return the description of the protocol `name`. Raise KeyError if no package has the protocol."""
         if name in BUILT_IN:
             return BUILT_IN[name]
         return load_plugin(plugins(GROUP)[name], DeviceType)
 
     def __iter__(self) -> Iterator[str]:
-        """Yield the names of all protocols. Warn of an added protocol whose name is built in, and leave it out."""
+        """Yield the names of all protocols, the built-in ones first.
+
+        A protocol of another package with the name of a built-in one is left out, with a warning.
+        """
         yield from BUILT_IN
         for name in plugins(GROUP):
             if name in BUILT_IN:
@@ -218,11 +221,11 @@ class DeviceTypes(Mapping[str, DeviceType]):
                 yield name
 
     def __len__(self) -> int:
-        """Return the number of protocols."""
+        """Return the number of protocols, built-in and added ones."""
         return len(set(BUILT_IN) | set(plugins(GROUP)))
 
     def usable(self) -> dict[str, DeviceType]:
-        """Return the rows of protocols whose libraries are installed.
+        """Return the descriptions of the protocols whose libraries are installed, by name.
 
         A package that cannot be imported is left out with a warning.
         """

@@ -71,12 +71,18 @@ def load_dbc(path: str) -> Any:
 
 
 def is_j1939(message: Any) -> bool:
-    """Return whether a message of cantools is identified by its PGN alone (J1939, NMEA 2000)."""
+    """Return whether a message of a DBC file belongs to J1939 or NMEA 2000.
+
+    Such a message is identified by its PGN alone, not by the whole CAN identifier.
+    """
     return bool(message.protocol == "j1939")
 
 
 def pgn_bits(identifier: int) -> int:
-    """Return the bits of a 29-bit identifier that contain the PGN, without priority, sender and destination."""
+    """Return the bits of a 29-bit CAN identifier that contain the message number of J1939 (PGN), at their places.
+
+    The bits of priority, sender and destination are zero in the result.
+    """
     return identifier & (_PDU_1 if identifier >> 16 & 0xFF < 0xF0 else _PDU_2)
 
 
@@ -127,9 +133,9 @@ def _first_code(message: Any, signal: Any, is_speed: bool) -> int:
 class Decoder(FrameDecoder):
     """Decoder of CAN frames to `Esc` samples, by a DBC database and the signals to read from it.
 
-    Each message that contains an rpm gives one sample. If no signal is mapped to rpm, each configured message gives
-    one sample. Current, voltage, temperature and duty from other messages of the same node are the newest received
-    values, or NaN if they are older than `STALE`.
+    Each message that contains an rpm gives one sample. If no signal is mapped to rpm, each configured message gives one
+    sample. Current, voltage, temperature and duty from other messages of the same node are the newest received values,
+    or NaN if they are older than 2 s (`STALE`).
 
     Parameters
     ----------
@@ -145,6 +151,7 @@ class Decoder(FrameDecoder):
     """
 
     def __init__(self, database: Any, signals: Sequence[DbcSignal]) -> None:
+        """Find the messages of the signals in the database. Raise SeatrialError if one is missing."""
         super().__init__()
         self._exact: dict[tuple[int, bool], _MessageSignals] = {}
         self._by_pgn: dict[int, _MessageSignals] = {}
@@ -163,7 +170,10 @@ class Decoder(FrameDecoder):
                 self._exact[message.frame_id, message.is_extended_frame] = _MessageSignals(message, selected)
 
     def _decode_can_frame(self, identifier: int, extended: bool, data: bytes, t_rx: float) -> list[Frame]:
-        """Decode one frame if its message is configured. Return one sample for each node that it completes."""
+        """Decode one CAN frame if the rig reads signals from its message, else return no sample.
+
+        Return one sample for each node (speed controller) whose values it completes.
+        """
         configured = self._exact.get((identifier, extended))
         if configured is None and extended:
             configured = self._by_pgn.get(pgn_bits(identifier))
@@ -186,19 +196,25 @@ class Decoder(FrameDecoder):
         return [Frame(self._newest_sample(node, t_rx), t_rx, NAN) for node in nodes]
 
     def _scaled_value(self, message: Any, signal: DbcSignal, raw: dict[str, Any]) -> float | None:
-        """Return the value of a signal with the scale and offset of the rig, or None if the frame lacks it."""
+        """Return the value of a signal, times its scale and plus its offset in the rig, or None if the frame lacks it.
+
+        `raw` are the raw numbers of the frame's signals by name.
+        """
         if signal.signal not in raw:  # the signal belongs to another multiplexer value
             return None
         value = number(message, signal.signal, raw[signal.signal], signal.field)
         return signal.scale * value + signal.offset
 
     def _newest_sample(self, node: int, t_rx: float) -> Esc:
-        """Return a sample of the newest values of a node at time `t_rx` [s]. Values older than STALE are NaN."""
+        """Return a sample of the newest values of a speed controller. Values older than 2 s (STALE) are NaN.
+
+        `t_rx` is the present run time [s].
+        """
         newest = self._newest[node].items()
         return Esc(node, **{name: value for name, (value, t) in newest if t_rx - t <= STALE})
 
     def _forget_state(self) -> None:
-        """Discard the newest values of all nodes."""
+        """Discard the newest values of all speed controllers, because the port was reopened."""
         self._newest.clear()
 
 

@@ -50,7 +50,7 @@ class Decoder(Protocol):
         ...
 
     def reset(self) -> None:
-        """Discard an incomplete frame, because the port was reopened. The counters stay."""
+        """Discard an incomplete frame, because the port was reopened. The counters of the stream stay."""
         ...
 
 
@@ -67,5 +67,5 @@ class DatagramDecoder(Decoder, Protocol):
     accepted: int  # frames of the device itself; if a key is given, only frames with a correct signature
 
     def begin_datagram(self) -> None:
-        """Discard an incomplete frame, because the next bytes may come from another sender."""
+        """Discard an incomplete frame, because the next datagram may come from another sender."""
         ...

@@ -75,6 +75,7 @@ class Decoder(FrameDecoder):
     """
 
     def __init__(self, reversed_nodes: frozenset[int] = frozenset(), index_offset: int = 0) -> None:
+        """Store the reversed nodes and the index offset. No frame is received yet."""
         super().__init__()
         self._reversed, self._offset = reversed_nodes, index_offset
         self._assembler = Assembler(STATUS)
@@ -94,13 +95,13 @@ class Decoder(FrameDecoder):
         return out
 
     def _take_counts(self) -> None:
-        """Move the counts of the assembler to the counters of the decoder."""
+        """Add the numbers of errors and unparsed bytes of the assembler to those of the decoder, and reset them."""
         self.unparsed_bytes += self._assembler.unparsed_bytes
         self.checksum_errors += self._assembler.checksum_errors
         self._assembler.unparsed_bytes = self._assembler.checksum_errors = 0
 
     def _forget_state(self) -> None:
-        """Discard all incomplete transfers. Their frames count as unparsed."""
+        """Discard all incomplete DroneCAN transfers, because the port was reopened. Their frames count as unparsed."""
         self._assembler.forget()
         self._take_counts()
 
@@ -164,7 +165,7 @@ def _command_bits(value: int) -> str:
 
 
 def decode_command(payload: bytes) -> list[float]:
-    """Return the commands, -1..1, of an esc.RawCommand in the order of the controllers' indices."""
+    """Return the commands, -1..1, that an esc.RawCommand contains, in the order of the controllers' indices from 0."""
     bits = "".join(f"{byte:08b}" for byte in payload)
     words = [bits[at : at + _BITS] for at in range(0, len(bits) - _BITS + 1, _BITS)]
     values = [int(word[8:] + word[:8], 2) for word in words]
@@ -172,7 +173,10 @@ def decode_command(payload: bytes) -> list[float]:
 
 
 def encode_node_status(uptime_s: float, source: int, number: int) -> list[tuple[int, bytes]]:
-    """Encode a NodeStatus that reports an operational node. A node has to send it at least once a second."""
+    """Encode a NodeStatus, by which a node reports each second that it works, as frames (identifier, data).
+
+    `uptime_s` is the time since the start [s], `source` our node, 1..127, and `number` the number of the transfer.
+    """
     payload = struct.pack("<IBH", int(uptime_s) & 0xFFFFFFFF, 0, 0)
     return frames_of(NODE_STATUS, payload, source, number)
 
@@ -239,13 +243,14 @@ class Assembler:
     """
 
     def __init__(self, kind: MessageType) -> None:
+        """Start without received frames. `kind` is the type of the messages to assemble."""
         self.checksum_errors = 0
         self.unparsed_bytes = 0  # of frames whose transfer was not completed
         self._kind = kind
         self._transfers: dict[int, _Transfer] = {}  # by sending node
 
     def take(self, identifier: int, data: bytes, t_rx: float) -> Iterator[tuple[bytes, float]]:
-        """Add a frame with a 29-bit identifier.
+        """Add a CAN frame with a 29-bit identifier to the transfer of its sender.
 
         Yields
         ------
@@ -290,6 +295,6 @@ class Assembler:
             self.unparsed_bytes += FRAME_BYTES * transfer.frames
 
     def forget(self) -> None:
-        """Discard all incomplete transfers. Their frames count as unparsed."""
+        """Discard all incomplete DroneCAN transfers. Their frames count as unparsed."""
         for source in list(self._transfers):
             self._drop_transfer(source)

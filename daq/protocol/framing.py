@@ -38,6 +38,7 @@ class StreamDecoder(ABC, Generic[T]):
     between: bytes = b"\r\n"  # bytes that are allowed between frames and do not count as unparsed
 
     def __init__(self) -> None:
+        """Set all counters to 0, without received bytes."""
         self.frames = 0
         self.checksum_errors = 0
         self.unparsed_bytes = 0
@@ -47,7 +48,10 @@ class StreamDecoder(ABC, Generic[T]):
         self._out: list[T] = []
 
     def feed(self, data: bytes, t_rx: float) -> list[T]:
-        """Decode the bytes of one read that returned at run time `t_rx` [s]. Return the items that they complete."""
+        """Decode the bytes of one read that returned at run time `t_rx` [s].
+
+        Return the items that they complete, which are samples or CAN frames.
+        """
         buffer = self._buffer
         buffer += data
         position = 0
@@ -71,13 +75,16 @@ class StreamDecoder(ABC, Generic[T]):
         return out
 
     def reset(self) -> None:
-        """Discard an incomplete frame, because the port was reopened. The counters are kept."""
+        """Discard an incomplete frame of the stream, because the port was reopened. The counters are kept."""
         self._count_skipped(self._buffer, 0, len(self._buffer))
         self._before += len(self._buffer)
         self._buffer.clear()
 
     def _count_skipped(self, buffer: bytearray, start: int, end: int) -> None:
-        """Count the bytes from `start` to `end` as unparsed, except those that are allowed between frames."""
+        """Count the bytes of the buffer from `start` to `end` as unparsed, because no frame contains them.
+
+        Bytes that are allowed between frames (`between`, such as line ends) do not count.
+        """
         if end > start:
             self.unparsed_bytes += len(buffer[start:end].translate(None, self.between))
 

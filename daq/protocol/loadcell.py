@@ -41,7 +41,9 @@ def compile_pattern(pattern: str) -> Any:
 
 
 class Decoder(LineDecoder):
-    """Decoder of the lines to `LoadCell` samples. Readings with a flag are kept; the user of the log may exclude them.
+    """Decoder of the text lines of a load cell to `LoadCell` samples.
+
+    A reading that is saturated or a spike gets a flag and is kept; the user of the log may exclude it.
 
     Parameters
     ----------
@@ -52,7 +54,7 @@ class Decoder(LineDecoder):
     force
         Calibration from counts to N; None if there is none, and the force is NaN.
     skip_first
-        Whether to discard the first line after `reset` (`LineDecoder`).
+        Whether to discard the first line after `reset`, which may be incomplete.
     """
 
     def __init__(
@@ -62,13 +64,14 @@ class Decoder(LineDecoder):
         force: Callable[[float], float] | None = None,
         skip_first: bool = False,
     ) -> None:
+        """Compile the pattern of the lines and store the calibration. Raise ValueError for an invalid pattern."""
         super().__init__(skip_first)
         self._pattern = compile_pattern(pattern)
         self._flags = FlagDetector(saturation)
         self._force = force
 
     def _decode_line(self, line: bytes, t_rx: float) -> Frame | None:
-        """Convert one line to a sample. Return None if it does not match the pattern."""
+        """Convert one line of a load cell to a sample. Return None if the line does not match the pattern."""
         match = self._pattern.search(line.rstrip(b"\r").decode("latin-1"))
         if match is None:
             return None

@@ -40,13 +40,14 @@ class Decoder(LineDecoder):
         force: Callable[[float], float] | None = None,
         query: str = DEFAULT_QUERY,
     ) -> None:
+        """Store the request of the driver, the saturation and the calibration."""
         super().__init__()
         self.request = query.encode("ascii") + b"\r"
         self._flags = FlagDetector(saturation)
         self._force = force
 
     def _decode_line(self, line: bytes, t_rx: float) -> Frame | None:
-        """Convert one answer to a sample. Return None if it is not a number, for example a refusal or an echo."""
+        """Convert one answer of the converter to a sample. Return None if it is not a number: a refusal or an echo."""
         line = line.lstrip(b"\n")
         if line == b"?":
             self.remark = f"the converter refuses {self.request[:-1].decode('ascii')}: check `query` in the rig"

@@ -101,6 +101,7 @@ class MavlinkDecoder(StreamDecoder[Frame]):
     def __init__(
         self, samples: SampleConverter, system: int = 1, component: int = 1, codec: Codec | None = None
     ) -> None:
+        """Set all counters to 0. The parameters are those of the class."""
         super().__init__()
         mode_name(0)  # imports modules for half a second; done here, because a later import would delay commands
         self.foreign: dict[int, int] = {}  # number of frames by id of another system
@@ -115,15 +116,18 @@ class MavlinkDecoder(StreamDecoder[Frame]):
         self._ids: dict[int, bool] = {}  # message id -> whether the message is used
 
     def secure(self, codec: Codec) -> None:
-        """Use this codec for decoding and for checking signatures from now on."""
+        """Decode frames and check their signatures with `codec`, which contains the signing key, from now on."""
         self._codec = codec
 
     def begin_datagram(self) -> None:
-        """Discard an incomplete frame, because the next bytes may come from another sender."""
+        """Discard an incomplete MAVLink frame, because the next datagram may come from another sender."""
         super().reset()
 
     def reset(self) -> None:
-        """Discard an incomplete frame and all received state, because the port was reopened. The counters are kept."""
+        """Discard an incomplete MAVLink frame and all received values, because the port was reopened.
+
+        The counters are kept.
+        """
         super().reset()
         self._samples.forget()
         self._sequence = -1
@@ -154,13 +158,13 @@ class MavlinkDecoder(StreamDecoder[Frame]):
         return header.total
 
     def _count_lost(self, sequence: int) -> None:
-        """Add the number of frames that are missing between the last frame and the one with this number to `lost`."""
+        """Update `lost`, the number of lost frames of the autopilot, from the sequence number of a new frame."""
         gap = (sequence - self._sequence - 1) % 256 if self._sequence >= 0 else 0
         self.lost += gap if gap < 128 else 0  # a larger gap means an older frame or a restart
         self._sequence = sequence
 
     def _is_used(self, message_id: int) -> bool:
-        """Return whether a message becomes a sample or is needed by the driver of the link."""
+        """Return whether the message with this id is decoded: it gives samples, or the driver of the link needs it."""
         used = self._ids.get(message_id)
         if used is None:
             used = self._ids[message_id] = message_name(message_id) in {*self._samples.wanted, *SERVICE}
@@ -182,7 +186,7 @@ class MavlinkDecoder(StreamDecoder[Frame]):
 
 
 def message_name(message_id: int) -> str:
-    """Return the name of a message, empty if the dialect lacks it."""
+    """Return the name of the MAVLink message with an id, such as "ATTITUDE"; empty if the dialect lacks it."""
     if message_id == ESC_STATUS:
         return "ESC_STATUS"
     kind = dialect().mavlink_map.get(message_id)
@@ -190,9 +194,10 @@ def message_name(message_id: int) -> str:
 
 
 def mode_name(mode: int, vehicle: int = BOAT, autopilot: int = ARDUPILOT) -> str:
-    """Return the name of a mode (HEARTBEAT.custom_mode) for a vehicle (MAV_TYPE) and an autopilot (MAV_AUTOPILOT).
+    """Return the name of an autopilot's mode, such as "MANUAL", from its number (HEARTBEAT.custom_mode).
 
-    An unknown mode has the name "mode 7", with its number.
+    The name depends on the vehicle (MAV_TYPE) and the autopilot (MAV_AUTOPILOT). An unknown mode has the name "mode 7",
+    with its number.
     """
     from pymavlink import mavutil
 
@@ -202,9 +207,10 @@ def mode_name(mode: int, vehicle: int = BOAT, autopilot: int = ARDUPILOT) -> str
 
 
 def vehicle_name(autopilot: int, vehicle: int) -> str:
-    """Return the name of the software for MAV_AUTOPILOT and MAV_TYPE of a heartbeat: "ArduPilot Rover", "PX4".
+    """Return the name of an autopilot's software from its heartbeat: "ArduPilot Rover", "PX4", ...
 
-    The name is empty for an unknown vehicle of ArduPilot.
+    The parameters are the numbers MAV_AUTOPILOT and MAV_TYPE. The name is empty for an unknown vehicle of ArduPilot. It
+    contains the number of any other autopilot.
     """
     if autopilot == PX4:
         return "PX4"
@@ -251,7 +257,7 @@ class SampleConverter:
         self.forget()
 
     def forget(self) -> None:
-        """Discard all received state, because the autopilot may have restarted before the link was reopened."""
+        """Discard all values from earlier messages, because the autopilot may have restarted."""
         self._boot = math.nan  # s since boot, of the newest attitude
         self._utc_of_boot = math.nan  # s since 1970
         # An attitude that waits for its IMU message, and its time [s since boot].
@@ -269,17 +275,19 @@ class SampleConverter:
         self._chunks: tuple[int, str] = (0, "")  # id and received part of a long text
 
     def take(self, message: Any) -> TimedSamples:
-        """Return the samples that a message completes, each with its time [s since boot] or NaN.
+        """Return the samples that a message of the autopilot completes, each with its time [s since boot] or NaN.
 
-        Unused messages give none.
+        A message that gives no sample returns an empty list.
         """
         handler = self.wanted.get(message.get_type())
         return [] if handler is None else handler(message)
 
     def _to_boot_time(self, usec: int, wraps: bool = False) -> float:
-        """Convert a time [us since boot or since 1970] to s since boot; NaN if it is UTC and the offset is unknown.
+        """Convert a time of a message [us] to s since the start of the autopilot (boot).
 
-        If `wraps` is true, the time since boot has 32 bits. The result is then nearest to the newest attitude.
+        The time counts from boot or, if it is large, from 1970 (UTC). The result is NaN if it is UTC and the UTC of the
+        boot is unknown. If `wraps` is true, the time since boot has 32 bits; the result is then nearest to the newest
+        attitude.
         """
         if usec >= UNIX_US:
             return usec * 1e-6 - self._utc_of_boot
@@ -289,7 +297,10 @@ class SampleConverter:
         return t
 
     def _check_restart(self, t: float) -> float:
-        """Return a time since boot [s] unchanged. If it has decreased, discard the state from before the restart."""
+        """Return a time since boot [s] unchanged. If it is clearly earlier than before, the autopilot has restarted.
+
+        All values from before the restart are then discarded.
+        """
         if self._boot - t > RESTART_S:
             ardupilot = self._ardupilot
             self.forget()
@@ -297,7 +308,7 @@ class SampleConverter:
         return t
 
     def _heartbeat(self, m: Any) -> TimedSamples:
-        """Return the state of the autopilot, and an event if its mode or arming has changed."""
+        """Return the state of the autopilot from a HEARTBEAT, and an event if its mode or arming has changed."""
         if m.autopilot == INVALID:
             return []
         self._ardupilot = m.autopilot == ARDUPILOT
@@ -319,14 +330,21 @@ class SampleConverter:
         return [(self._pilot, NAN)]
 
     def _system_time(self, m: Any) -> TimedSamples:
-        """Store the UTC of the autopilot's start from SYSTEM_TIME, if it knows the time. Return no sample."""
+        """Store the UTC at which the autopilot was started, from SYSTEM_TIME. Return no sample.
+
+        Nothing is stored if the autopilot does not have the UTC yet.
+        """
         t = self._check_restart(_since_boot(m.time_boot_ms))
         if m.time_unix_usec >= UNIX_US:
             self._utc_of_boot = m.time_unix_usec * 1e-6 - t
         return []
 
     def _attitude(self, m: Any) -> TimedSamples:
-        """Return the attitude with its IMU message, or let it wait for the IMU message of the same moment."""
+        """Return the samples that an ATTITUDE message completes; each is an `Ahrs`.
+
+        The attitude is joined with the IMU message of the same moment. It waits for this message if IMU messages arrive
+        at present; the list may therefore be empty.
+        """
         self._boot = t = self._check_restart(_since_boot(m.time_boot_ms))
         samples: TimedSamples = [self._attitude_waits] if self._attitude_waits is not None else []
         self._attitude_waits = None
@@ -345,14 +363,14 @@ class SampleConverter:
         return samples
 
     def _raw_imu(self, m: Any) -> TimedSamples:
-        """Return the samples that a RAW_IMU message completes; none unless the autopilot is ArduPilot.
+        """Return the samples that a RAW_IMU message (specific force and magnetic field) completes.
 
-        The units of other autopilots are not defined.
+        There are none unless the autopilot is ArduPilot, because the units of other autopilots are not defined.
         """
         return self._take_milli_imu(m, self._to_boot_time(m.time_usec)) if self._ardupilot else []
 
     def _scaled_imu(self, m: Any) -> TimedSamples:
-        """Return the samples that a SCALED_IMU message completes."""
+        """Return the samples that a SCALED_IMU message (specific force and magnetic field) completes."""
         return self._take_milli_imu(m, _since_boot(m.time_boot_ms))
 
     def _take_milli_imu(self, m: Any, t: float) -> TimedSamples:
@@ -369,10 +387,10 @@ class SampleConverter:
         return self._take_imu(self._to_boot_time(m.time_usec), (m.xacc, m.yacc, m.zacc), field)
 
     def _take_imu(self, t: float, accel: tuple[float, ...], field: tuple[float, ...]) -> TimedSamples:
-        """Return the IMU message with its attitude as one sample, or let it wait for the attitude of the same moment.
+        """Return the samples that specific force and magnetic field of an IMU message complete; each is an `Ahrs`.
 
-        `t` is the time [s since boot], `accel` the specific force [m/s2], and `field` the magnetic field [T]. A field
-        of zero means that it is unknown.
+        They are joined with the attitude of the same moment, or wait for it. `t` is the time [s since boot], `accel`
+        the specific force [m/s2], and `field` the magnetic field [T]. A field of zero means that it is unknown.
         """
         self._imu_at = self._check_restart(t)
         imu = (t, accel, field if any(field) else (NAN, NAN, NAN))
@@ -387,7 +405,7 @@ class SampleConverter:
         return samples if waiting is None else [*samples, waiting]
 
     def _gps_raw_int(self, m: Any) -> TimedSamples:
-        """Return the fix of the receiver (GPS_RAW_INT), or nothing if it is a repetition."""
+        """Return the fix of the autopilot's receiver (GPS_RAW_INT) as a `Gnss` sample; none for a repetition."""
         if (m.time_usec, m.fix_type) == self._fix:
             return []
         self._fix = m.time_usec, m.fix_type
@@ -420,7 +438,7 @@ class SampleConverter:
         ]
 
     def _global_position(self, m: Any) -> TimedSamples:
-        """Return the position estimate of the autopilot (GLOBAL_POSITION_INT), or nothing if it is a repetition."""
+        """Return the autopilot's position estimate (GLOBAL_POSITION_INT) as a `Gnss` sample; none for a repetition."""
         t = self._check_restart(_since_boot(m.time_boot_ms))
         if m.time_boot_ms == self._fix[0]:
             return []
@@ -435,7 +453,10 @@ class SampleConverter:
         return [(fix, t)]
 
     def _servo_outputs(self, m: Any) -> TimedSamples:
-        """Return the servo outputs of the rig's thrusters, or without a rig all outputs that had a pulse."""
+        """Return a `Servo` sample (pulse width and command) for each servo output that drives a thruster of the rig.
+
+        Without a rig, all outputs that had a pulse are returned.
+        """
         t = self._to_boot_time(m.time_usec, wraps=True)
         samples: TimedSamples = []
         for k in range(1, 17):
@@ -451,7 +472,10 @@ class SampleConverter:
         return samples
 
     def _esc_telemetry(self, m: Any) -> TimedSamples:
-        """Return the speed controllers of ESC_TELEMETRY that have new values."""
+        """Return an `Esc` sample for each speed controller that has new values in an ESC_TELEMETRY message.
+
+        The rpm in the message has no sign; it gets the sign of the output's command.
+        """
         first = int(m.get_type().split("_")[2])
         samples: TimedSamples = []
         for k in range(4):
@@ -466,7 +490,7 @@ class SampleConverter:
         return samples
 
     def _esc_status(self, m: Any) -> TimedSamples:
-        """Return the speed controllers of ESC_STATUS that exist: those with a voltage or in the rig."""
+        """Return an `Esc` sample for each speed controller in ESC_STATUS that exists: with a voltage, or in the rig."""
         samples: TimedSamples = []
         for k in range(4):
             node = m.first + k + 1
@@ -478,7 +502,7 @@ class SampleConverter:
         return samples
 
     def _battery(self, m: Any) -> TimedSamples:
-        """Return the state of the first battery from BATTERY_STATUS; nothing if it reports no cell voltage."""
+        """Return a `Battery` sample of the first battery from BATTERY_STATUS; none if it reports no cell voltage."""
         cells = [v for v in (*m.voltages, *m.voltages_ext) if v not in (0, 0xFFFF)]
         if m.id != 0 or not cells:
             return []
@@ -486,13 +510,13 @@ class SampleConverter:
         return [(_battery(sum(cells) * 1e-3, m.current_battery, m.battery_remaining), NAN)]
 
     def _sys_status(self, m: Any) -> TimedSamples:
-        """Return the state of the battery from SYS_STATUS, unless BATTERY_STATUS has been received."""
+        """Return a `Battery` sample from SYS_STATUS; none once BATTERY_STATUS has been received, which is better."""
         if self._has_battery or m.voltage_battery in (0, 0xFFFF):
             return []
         return [(_battery(m.voltage_battery * 1e-3, m.current_battery, m.battery_remaining), NAN)]
 
     def _status_text(self, m: Any) -> TimedSamples:
-        """Return a status text as an event when its last chunk has been received."""
+        """Return a text message of the autopilot as an event, when the last part of the text has been received."""
         number, received = self._chunks
         chunk = printable(m.text)
         text = received + chunk if m.id and m.id == number and m.chunk_seq else chunk
@@ -505,12 +529,18 @@ class SampleConverter:
 
 
 def _since_boot(ms: int) -> float:
-    """Convert a time truncated to whole milliseconds to seconds, without bias."""
+    """Convert a time since boot in whole milliseconds to seconds.
+
+    Half a millisecond is added, because the autopilot truncates the time.
+    """
     return ms * 1e-3 + HALF_MS
 
 
 def _untruncate_velocity(velocity: int) -> float:
-    """Convert a velocity [cm/s] to m/s without bias. ArduPilot and PX4 truncate it towards zero to whole cm/s."""
+    """Convert a velocity [cm/s] of a message to m/s, without the bias of truncation.
+
+    ArduPilot and PX4 truncate it towards zero to whole cm/s. Half a cm/s is therefore added to its magnitude.
+    """
     return (velocity + math.copysign(0.5, velocity)) * 0.01 if velocity else 0.0
 
 

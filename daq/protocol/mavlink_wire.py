@@ -32,7 +32,10 @@ def crc16(data: bytes, crc: int = 0xFFFF) -> int:
 
 @functools.cache
 def dialect() -> Any:
-    """Return pymavlink's module of the messages (dialect ardupilotmega). It is imported at the first call."""
+    """Return the Python module of pymavlink that defines the MAVLink messages (dialect ardupilotmega).
+
+    It is imported at the first call.
+    """
     from pymavlink.dialects.v20 import ardupilotmega  # imported here: it takes 0.25 s, and only MAVLink needs it
 
     return ardupilotmega
@@ -77,7 +80,7 @@ def _unpack_esc_status(payload: bytes) -> EscStatus:
 
 
 class FrameHeader(NamedTuple):
-    """Header of a frame.
+    """Header of a MAVLink frame.
 
     Attributes
     ----------
@@ -107,7 +110,10 @@ class FrameHeader(NamedTuple):
 
 
 def parse_header(buffer: bytes | bytearray, start: int) -> FrameHeader | int:
-    """Return the header that begins at `start`. Return 0 if more bytes are needed, -1 if no frame can begin there."""
+    """Return the header of the MAVLink frame that begins at index `start` of the buffer.
+
+    Return 0 if more bytes are needed, and -1 if no frame can begin there.
+    """
     is_version_2 = buffer[start] == MARKER_2
     size = HEADER_2 if is_version_2 else HEADER_1
     if is_version_2 and len(buffer) > start + 2 and buffer[start + 2] & ~SIGNED:
@@ -137,7 +143,7 @@ def _seed_and_length(message_id: int) -> tuple[int, int] | None:
 
 
 def is_known(message_id: int) -> bool:
-    """Return whether the dialect contains a message, so that its checksum can be verified."""
+    """Return whether the dialect defines the MAVLink message with an id, so that its checksum can be verified."""
     return _seed_and_length(message_id) is not None
 
 
@@ -159,7 +165,7 @@ def has_correct_checksum(frame: bytes, header: FrameHeader) -> bool:
 
 
 class Codec:
-    """Converter between frames and messages at our end of a link. Frames are signed if a key is given."""
+    """Converter between frames and messages at our end of a MAVLink link. Frames are signed if there is a key."""
 
     def __init__(
         self, system: int, component: int, key: bytes | None = None, now_unix: float = EPOCH_2015, link: int = 0
@@ -188,11 +194,11 @@ class Codec:
 
     @property
     def signs(self) -> bool:
-        """Whether frames are signed, and received frames need a correct signature."""
+        """Whether the link has a signing key: sent frames are signed, and received frames need a correct signature."""
         return self._key is not None
 
     def decode(self, frame: bytes) -> Any | None:
-        """Return the message of a complete frame, or None if a required signature is missing or wrong."""
+        """Return the message of a complete MAVLink frame, or None if a required signature is missing or wrong."""
         if frame[0] == MARKER_2 and frame[7:10] == b"\x23\x01\x00":
             # pymavlink lacks ESC_STATUS and cannot check its signature. It is rejected if a signature is required.
             return None if self._key is not None else _unpack_esc_status(frame[HEADER_2 : HEADER_2 + frame[1]])

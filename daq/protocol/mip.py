@@ -31,12 +31,15 @@ Fields = dict[int, bytes]
 
 
 def checksum(packet: bytes) -> bytes:
-    """Return the two bytes of Fletcher's checksum of a packet without checksum."""
+    """Return the two bytes of Fletcher's checksum of a MIP packet, which is given without its checksum."""
     return bytes((sum(packet) & 0xFF, sum(itertools.accumulate(packet)) & 0xFF))
 
 
 def packet(data_set: int, fields: Fields) -> bytes:
-    """Encode a packet of a data set with sync bytes and checksum. `fields` are the data of each field by descriptor."""
+    """Encode a MIP packet of a data set with sync bytes and checksum.
+
+    `fields` are the bytes of each field by descriptor.
+    """
     payload = b"".join(bytes((len(data) + 2, kind)) + data for kind, data in fields.items())
     body = SYNC + bytes((data_set, len(payload))) + payload
     return body + checksum(body)
@@ -53,12 +56,16 @@ class Decoder(StreamDecoder[Frame]):
     sync = re.compile(rb"\x75")
 
     def __init__(self) -> None:
+        """Start without received packets."""
         super().__init__()
         self._filtered = -math.inf  # s, t_rx of the last attitude of the filter
         self._vectors: dict[str, tuple[tuple[float, ...], float]] = {}  # name -> newest values, t_rx [s]
 
     def reset(self) -> None:
-        """Discard an incomplete packet and all received state, because the port was reopened. The counters are kept."""
+        """Discard an incomplete MIP packet and all received values, because the port was reopened.
+
+        The counters are kept.
+        """
         super().reset()
         self._filtered = -math.inf
         self._vectors.clear()
@@ -93,7 +100,11 @@ class Decoder(StreamDecoder[Frame]):
         return length
 
     def _take_sensor_packet(self, fields: Fields, t_rx: float) -> None:
-        """Store the vectors of a sensor packet. Append a sample if the filter has sent no attitude for FILTER_S."""
+        """Store rates, accelerations and magnetic field of a sensor packet, received at run time `t_rx` [s].
+
+        If the filter has sent no attitude for 1 s (FILTER_S), a sample is appended, with the attitude of this packet if
+        it has one.
+        """
         for name, kind in (("accel", 0x04), ("rate", 0x05), ("mag", 0x06)):
             if kind in fields:  # the vectors may arrive in separate packets with different rates
                 self._vectors[name] = _unpack_valid(_V3, fields[kind]) or _NAN3, t_rx
@@ -121,13 +132,19 @@ class Decoder(StreamDecoder[Frame]):
         self._out.append(Frame(Ahrs(yaw, pitch, roll, p, q, r, ax, ay, az, mx, my, mz), t_rx, NAN))
 
     def _newest_vector(self, name: str, t_rx: float) -> tuple[float, ...]:
-        """Return the newest "accel", "rate" or "mag" (3,); NaN if it is older than STALE_S at time `t_rx` [s]."""
+        """Return the newest vector (3,) "accel" [g], "rate" [rad/s] or "mag" [gauss] of the sensor packets.
+
+        It is NaN if it is older than 1.5 s (STALE_S) at run time `t_rx` [s].
+        """
         values, when = self._vectors.get(name, (_NAN3, -math.inf))
         return values if t_rx - when <= STALE_S else _NAN3
 
 
 def _split_fields(payload: bytes) -> Fields | None:
-    """Return the data of the fields of a payload by descriptor. Return None if a length is invalid."""
+    """Split the payload of a MIP packet into its fields: the bytes of each field by descriptor.
+
+    Return None if the length of a field is invalid.
+    """
     fields: Fields = {}
     at = 0
     while at < len(payload):
@@ -140,7 +157,10 @@ def _split_fields(payload: bytes) -> Fields | None:
 
 
 def _unpack_valid(form: struct.Struct, data: bytes | None) -> tuple[float, ...] | None:
-    """Return the numbers at the beginning of a field, or None if it is missing, too short or flagged as invalid."""
+    """Return the numbers at the beginning of a field of a MIP packet.
+
+    Return None if the field is missing, too short or flagged as invalid.
+    """
     if data is None or len(data) < form.size:
         return None
     if len(data) == form.size + 2 and not data[-1] & 1:
@@ -149,7 +169,10 @@ def _unpack_valid(form: struct.Struct, data: bytes | None) -> tuple[float, ...] 
 
 
 def _attitude_angles(fields: Fields, quaternion: int, euler: int) -> tuple[float, ...]:
-    """Return roll, pitch and yaw [rad] from the fields with these descriptors, NaN if the packet lacks both fields."""
+    """Return roll, pitch and yaw [rad] from a packet's fields, by Euler angles or else by the quaternion.
+
+    `quaternion` and `euler` are the descriptors of these fields. The angles are NaN if the packet lacks both fields.
+    """
     if (angles := _unpack_valid(_V3, fields.get(euler))) is not None:
         return _NAN3 if math.isnan(sum(angles)) else angles  # a filter without a heading flags NaN as valid
     if (turn := _unpack_valid(_Q4, fields.get(quaternion))) is None:

@@ -74,25 +74,35 @@ class Decoder(StreamDecoder[Frame]):
     sync = re.compile(rb"\$")
 
     def __init__(self, declination: float | None = None, signal_ending: str | None = None) -> None:
+        """Start without received sentences. The parameters are those of the class."""
         super().__init__()
         self._sentences = Sentences(declination, signal_ending)
 
     @property
     def two_receivers(self) -> str:
-        """Note that two receivers send in the stream, in one line; empty if there is one."""
+        """Note for the user that two receivers send in the same stream, in one line; empty if there is only one."""
         return self._sentences.epochs.remark
 
     def flush(self) -> list[Frame]:
-        """Return the sample of the last epoch at the end of the stream, if it has not been emitted."""
+        """Return the GNSS sample of the last epoch at the end of the stream.
+
+        The list is empty if it was returned before.
+        """
         return self._sentences.epochs.flush()
 
     def reset(self) -> None:
-        """Discard an incomplete sentence and epoch, because the port was reopened. The counters are kept."""
+        """Discard an incomplete sentence and the incomplete epoch, because the port was reopened.
+
+        The counters are kept.
+        """
         super().reset()
         self._sentences.forget()
 
     def _decode_frame(self, buffer: bytearray, start: int, t_rx: float) -> int:
-        """Decode the sentence at `start`. Return its length, 0 if more bytes are needed, -1 if it is invalid."""
+        """Decode the NMEA sentence that begins at index `start` of the buffer, and append its samples.
+
+        Return its length in bytes, 0 if more bytes are needed, or -1 if no valid sentence begins there.
+        """
         length, body, bad = take_sentence(buffer, start)
         self.checksum_errors += bad
         if body is None:
@@ -127,6 +137,10 @@ class Sentences:
     """
 
     def __init__(self, declination: float | None = None, signal_ending: str | None = None) -> None:
+        """Start without received sentences.
+
+        `signal_ending` is the ending of the names of transducers, None for none.
+        """
         self.epochs = Epochs()
         self.headings = Headings(declination, signal_ending)
 
@@ -151,7 +165,7 @@ class Sentences:
         return frames
 
     def forget(self) -> None:
-        """Discard all received state, because the port was reopened."""
+        """Discard all values from earlier NMEA sentences, because the port was reopened."""
         self.epochs.forget()
         self.headings.forget()
 
@@ -198,7 +212,7 @@ def _format_degrees(angle: float, digits: int, signs: str) -> str:
 
 
 def _to_text(value: float, digits: int) -> str:
-    """Format a number with `digits` decimals; an empty text for NaN."""
+    """Format a number for an NMEA sentence with `digits` decimals; an empty text for NaN."""
     return "" if math.isnan(value) else f"{value:.{digits}f}"
 
 
@@ -251,6 +265,7 @@ class Epochs:
     """
 
     def __init__(self) -> None:
+        """Start without received sentences."""
         self._out: list[Frame] = []
         self._epoch: _Epoch | None = None
         self._emitted = False  # whether the sample of the present epoch has been returned
@@ -275,7 +290,19 @@ class Epochs:
         return f"two receivers send in one stream: {self.n_conflicts} positions have the time of another position"
 
     def take(self, kind: str, body: bytes, t_rx: float) -> list[Frame] | None:
-        """Decode one sentence whose kind is in KINDS. Return the samples that it completes, None if it is invalid."""
+        """Decode one NMEA sentence and add it to its epoch. Return the samples that it completes.
+
+        Return None if the sentence is invalid.
+
+        Parameters
+        ----------
+        kind
+            Kind of the sentence, one of KINDS: GGA, GNS, RMC, GLL, GST, ZDA, VTG, GSA.
+        body
+            Text between `$` and `*`.
+        t_rx
+            Run time of receipt [s].
+        """
         message = _parse_sentence(body)
         if message is None:
             return None
@@ -283,12 +310,15 @@ class Epochs:
         return self._pop_completed()
 
     def flush(self) -> list[Frame]:
-        """Return the sample of the last epoch at the end of the stream, if it has not been emitted."""
+        """Return the GNSS sample of the last epoch at the end of the stream.
+
+        The list is empty if it was returned before.
+        """
         self._emit_epoch()
         return self._pop_completed()
 
     def forget(self) -> None:
-        """Discard the incomplete epoch and the order of the sentences, because the port was reopened.
+        """Discard the incomplete epoch and the learned order of the NMEA sentences, because the port was reopened.
 
         The date is kept.
         """
@@ -297,11 +327,14 @@ class Epochs:
 
     @property
     def has_time(self) -> bool:
-        """Whether the receiver's time is from a fix. True if no position has been received yet."""
+        """Whether the receiver's UTC is from a fix, and not from its own clock.
+
+        True if no position was received yet.
+        """
         return self._timed is not False
 
     def _pop_completed(self) -> list[Frame]:
-        """Return the completed samples and remove them from the list."""
+        """Return the GNSS samples that are complete, and remove them from the list of this collector."""
         out, self._out = self._out, []
         return out
 
@@ -374,7 +407,10 @@ class Epochs:
             self._vtg_leads, self._epochs_against_order = leads, 0
 
     def _begin_epoch(self, seconds: float, t_rx: float) -> None:
-        """Emit the present epoch and begin the epoch with this time of the day [s], received at run time `t_rx` [s]."""
+        """Complete the present epoch, and begin the epoch with this time of the day [s].
+
+        `t_rx` is the run time of receipt [s] of its first sentence.
+        """
         if self._epoch is not None:
             self._emit_epoch()
             self._kinds.append(self._epoch.kinds)
@@ -399,7 +435,10 @@ class Epochs:
             self._emit_epoch()
 
     def _emit_epoch(self) -> None:
-        """Append the sample of the present epoch, unless this has been done or the epoch has no position sentence."""
+        """Append the GNSS sample of the present epoch to the completed ones.
+
+        Nothing happens if this has been done, or if the epoch has no position sentence.
+        """
         epoch = self._epoch
         if epoch is None or self._emitted:
             return
@@ -435,14 +474,18 @@ class Epochs:
 
 
 def nearest_day(t: float, near: float) -> float:
-    """Return the time `t` [s] shifted by whole days so that it is nearest to `near` [s], NaN without one of both."""
+    """Return the time `t` [s] shifted by whole days so that it is nearest to `near` [s]; NaN if one of both is NaN."""
     if not math.isfinite(t + near):
         return NAN
     return t + round((near - t) / DAY) * DAY
 
 
 def _gnss_sample(epoch: _Epoch, utc: float, mode_gsa: int) -> Gnss:
-    """Return the sample of an epoch. `mode_gsa` is the dimension of the fix by GSA, 0 without GSA."""
+    """Return the `Gnss` sample of an epoch of NMEA sentences.
+
+    `utc` is its UTC [s since 1970], and `mode_gsa` the dimension of the fix by GSA: 2 or 3, 1 without a fix, 0 without
+    GSA.
+    """
     value = epoch.values
     fix = int(value.get("quality", value.get("mode", 0)))
     # GSA contains the dimension. Without GSA a position with a height has three dimensions, as in gpsd.
@@ -470,7 +513,10 @@ def _gnss_sample(epoch: _Epoch, utc: float, mode_gsa: int) -> Gnss:
 
 
 def _parse_sentence(body: bytes) -> Message | None:
-    """Return the fields of a sentence by pynmeagps, or None if it fails. A short sentence lacks the last fields."""
+    """Return the fields of an NMEA sentence by name, as pynmeagps splits them; None if it cannot split them.
+
+    A sentence that is shorter than the standard lacks the last fields.
+    """
     try:
         return dict(vars(NMEAReader.parse(b"$%b*00\r\n" % body, validate=0)))
     except Exception:
@@ -480,7 +526,7 @@ def _parse_sentence(body: bytes) -> Message | None:
 
 
 def _time_of_day(words: list[bytes], index: int) -> float:
-    """Return the time of the day [s] in the word with this index, NaN if it is empty or invalid.
+    """Return the time of the day [s] in the word of an NMEA sentence with this index; NaN if it is empty or invalid.
 
     A leap second (:60) is valid. pynmeagps rejects it, so its time is not used.
     """
@@ -563,7 +609,7 @@ def _store_position(epoch: _Epoch, kind: str, message: Message) -> None:
 
 
 def _store_finite(epoch: _Epoch, name: str, value: float) -> None:
-    """Store a value in the epoch by its name, if it is finite."""
+    """Store a value of an NMEA sentence in the epoch by its name, if it is a finite number."""
     if math.isfinite(value):
         epoch.values[name] = value
 
@@ -576,12 +622,12 @@ def _store_motion(epoch: _Epoch, speed: float, course_deg: float) -> None:
 
 
 def _to_number(word: Any) -> float:
-    """Return a field of pynmeagps as a number; NaN if it is empty, that is a text."""
+    """Return a field of an NMEA sentence, as pynmeagps gives it, as a number; NaN if it is empty, that is a text."""
     return float(word) if isinstance(word, (int, float)) else NAN
 
 
 def _to_integer(word: Any, default: int) -> int:
-    """Return a field of pynmeagps as a whole number; `default` if it is empty or not a number."""
+    """Return a field of an NMEA sentence as a whole number; `default` if it is empty or not a number."""
     try:
         return int(word)
     except (TypeError, ValueError):
@@ -607,6 +653,7 @@ class Headings:
     """
 
     def __init__(self, declination: float | None = None, signal_ending: str | None = None) -> None:
+        """Start without received sentences. The parameters are described in the docstring of the class."""
         self.remark = ""
         self._signal_ending = signal_ending
         self._declination = declination
@@ -615,13 +662,22 @@ class Headings:
         self._level = [NAN, NAN]  # rad, pitch and roll
 
     def forget(self) -> None:
-        """Discard all received state, because a reopened port may have another device."""
+        """Discard all values from earlier heading sentences, because a reopened port may have another device."""
         self._best, self._rate, self._level = 0, NAN, [NAN, NAN]
 
     def take(self, kind: str, body: bytes, t_rx: float) -> list[Frame] | None:
-        """Decode one sentence. Return its samples, or None if its fields are invalid.
+        """Decode one NMEA sentence with heading, rate of turn or transducers. Return its samples.
 
-        Sentences of other kinds give an empty list.
+        Return None if its fields are invalid, and an empty list for other kinds of sentences.
+
+        Parameters
+        ----------
+        kind
+            Kind of the sentence, such as "HDT".
+        body
+            Text between `$` and `*`.
+        t_rx
+            Run time of receipt [s].
         """
         words = body.split(b",")
         if words[0] == b"PASHR" and len(words) > 5 and words[3] == b"T":
@@ -653,7 +709,10 @@ class Headings:
         return [Frame(Ahrs(wrap_angle(yaw), pitch, roll, r=rate), t_rx, NAN)]
 
     def _store_rate_of_turn(self, words: list[bytes]) -> list[Frame] | None:
-        """Store the rate of turn of ROT for the next heading. Return no sample; None if it is not a number."""
+        """Store the rate of turn of an NMEA sentence ROT for the next heading sample.
+
+        Return an empty list, or None if the rate is not a number.
+        """
         if len(words) < 3 or words[2] != b"A" or not words[1]:
             return []
         numbers = _parse_numbers(words, (1,))
@@ -698,7 +757,10 @@ class Headings:
 
 
 def _is_void(kind: str, words: list[bytes]) -> bool:
-    """Return whether a heading sentence marks itself as invalid."""
+    """Return whether a heading sentence of this kind reports by its flags that its heading is invalid.
+
+    `words` are the fields of the sentence as text.
+    """
     if kind == "THS":
         return words[-1] not in _THS_VALID
     if kind == "PSTI":  # the mode letters are those of RMC; N is invalid
@@ -708,14 +770,17 @@ def _is_void(kind: str, words: list[bytes]) -> bool:
 
 
 def _signed_angle(words: list[bytes], index: int) -> float:
-    """Return the angle [rad] in the word with this index, before the word E or W. NaN if it is empty or invalid."""
+    """Return an angle [rad] of an NMEA sentence: the word with this index, with the sign of the next word, E or W.
+
+    The result is NaN if the word is empty or invalid.
+    """
     if len(words) < index + 2 or words[index + 1] not in (b"E", b"W") or not _NUMBER.match(words[index]):
         return NAN
     return float(words[index]) * _DEG * (1.0 if words[index + 1] == b"E" else -1.0)
 
 
 def _parse_numbers(words: list[bytes], places: tuple[int, ...]) -> list[float] | None:
-    """Return the numbers in the words with these indices, or None if one of them is not a number."""
+    """Return the numbers in the words of an NMEA sentence with these indices; None if one is not a number."""
     numbers = []
     for place in places:
         if place >= len(words) or not _NUMBER.match(words[place]) or len(words[place]) > 20:

@@ -38,12 +38,12 @@ _PRIORITY = {HEADING: 2, TURN: 2, ATTITUDE: 3, VARIATION: 7, COURSE: 2, FIX: 3}
 
 
 def identifier(pgn: int, source: int) -> int:
-    """Return the CAN identifier of a message from address `source` to all addresses."""
+    """Return the 29-bit CAN identifier of a message of NMEA 2000 (PGN) from address `source` to all addresses."""
     return _PRIORITY.get(pgn, 6) << 26 | pgn << 8 | source
 
 
 def split_identifier(word: int) -> tuple[int, int]:
-    """Return PGN and source address of a CAN identifier."""
+    """Return the message number (PGN) and the source address in a 29-bit CAN identifier of NMEA 2000."""
     pgn = word >> 8 & 0x3FFFF
     return (pgn if pgn >> 8 & 0xFF >= 0xF0 else pgn & ~0xFF), word & 0xFF
 
@@ -121,7 +121,10 @@ class Decoder(FrameDecoder):
         self._timed: set[int] = set()  # sources that had a fix; before a fix their time is from their own clock
 
     def _decode_can_frame(self, identifier: int, extended: bool, data: bytes, t_rx: float) -> list[Frame]:
-        """Decode one frame of a known message. Return the samples that it completes."""
+        """Decode one CAN frame of an NMEA 2000 message that this decoder reads.
+
+        Return the samples that it completes.
+        """
         pgn, source = split_identifier(identifier)
         if not extended or pgn not in self._take_message:
             return []
@@ -139,9 +142,10 @@ class Decoder(FrameDecoder):
         return take(source, content, t_rx)
 
     def _complete_packet(self, source: int, data: bytes) -> bytes | None:
-        """Return the message that this frame of a fast packet completes, or None.
+        """Return the message that this CAN frame of a fast packet completes, or None.
 
-        The frames of an incomplete packet are counted as unparsed when another packet begins.
+        `source` is the sender's address. The frames of an incomplete packet count as unparsed when another packet
+        begins.
         """
         if len(data) < 2:
             self._drop_packet(source, 1)
@@ -166,21 +170,38 @@ class Decoder(FrameDecoder):
         return bytes(packet.data[: packet.length])
 
     def _drop_packet(self, source: int, frames: int = 0) -> None:
-        """Discard the incomplete packet of a source, if there is one.
+        """Discard the incomplete fast packet of a source address, if there is one.
 
-        Count its frames, and `frames` more, as unparsed.
+        Its frames, and `frames` more, count as unparsed.
         """
         packet = self._packets.pop(source, None)
         self.unparsed_bytes += FRAME_BYTES * (frames + (packet.frames if packet is not None else 0))
 
     def _has_settled(self, pgn: int, t_rx: float) -> bool:
-        """Return whether the time for finding all senders of a message has passed. The first call starts this time."""
+        """Return whether enough time has passed to have found all senders of a message, so that the best one is known.
+
+        `pgn` is the number of the message and `t_rx` the run time of receipt [s]. The first call for a message starts
+        the time.
+        """
         return t_rx - self._since.setdefault(pgn, t_rx) >= self._settle
 
     def _is_best_sender(self, pgn: int, rank: int, source: int, t_rx: float) -> bool:
-        """Return whether a message is from the sender with the best rank (lowest number).
+        """Return whether this message is from the sender that is used, which has the best rank (lowest number).
 
-        Each rank of the last STALE_S counts, so that a sender keeps its best rank when it sends a worse one for a
+        Parameters
+        ----------
+        pgn
+            Number of the message.
+        rank
+            Rank of the message, such as 0 for a true and 1 for a magnetic heading.
+        source
+            Address of the sender.
+        t_rx
+            Run time of receipt [s].
+
+        Notes
+        -----
+        Each rank of the last 2 s (STALE_S) counts, so that a sender keeps its best rank when it sends a worse one for a
         moment.
         """
         senders = self._senders.setdefault(pgn, {})
@@ -304,12 +325,12 @@ class Decoder(FrameDecoder):
 
 
 def _unsigned16(raw: int, scale: float) -> float:
-    """Return an unsigned 16-bit field times its resolution; NaN if it is not available."""
+    """Return an unsigned 16-bit field of NMEA 2000 times its resolution `scale`; NaN if it is marked as unavailable."""
     return raw * scale if raw < 0xFFFD else NAN  # the last three values mean "not available"
 
 
 def _signed16(raw: int, scale: float) -> float:
-    """Return a signed 16-bit field times its resolution; NaN if it is not available."""
+    """Return a signed 16-bit field of NMEA 2000 times its resolution `scale`; NaN if it is marked as unavailable."""
     return raw * scale if raw < 0x7FFD else NAN
 
 

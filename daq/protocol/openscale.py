@@ -38,6 +38,7 @@ class Decoder(LineDecoder):
     def __init__(
         self, saturation: float | None = None, force: Callable[[float], float] | None = None, skip_first: bool = False
     ) -> None:
+        """Start without received lines. The parameters are those of the class."""
         super().__init__(skip_first)
         self._flags = FlagDetector(saturation)
         self._force = force
@@ -45,7 +46,10 @@ class Decoder(LineDecoder):
         self._turns = 0
 
     def _decode_line(self, line: bytes, t_rx: float) -> Frame | None:
-        """Convert one line to a sample. Return None without a unit or if another word is not a number."""
+        """Convert one line of the OpenScale board to a sample.
+
+        Return None if it has no unit or a word is not a number.
+        """
         words = line.rstrip(b"\r").rstrip(b",").split(b",")
         unit = next((k for k, word in enumerate(words) if word in NEWTON), 0)
         if unit == 0 or len(words) > 6 or not all(_NUMBER.match(w) for k, w in enumerate(words) if k != unit):
@@ -74,7 +78,19 @@ class Decoder(LineDecoder):
 
 
 def encode(reading: float, unit: str = "kg", milliseconds: int | None = None, raw: int | None = None) -> bytes:
-    """Encode one reading as a line. Fields that are None are left out, as if they were switched off."""
+    """Encode one reading of a load cell as a line of the OpenScale board.
+
+    Parameters
+    ----------
+    reading
+        Scaled reading, in `unit`.
+    unit
+        "kg" or "lbs".
+    milliseconds
+        Time since the start of the board [ms]; None to leave it out.
+    raw
+        Raw reading of the converter [counts]; None to leave it out.
+    """
     words = [f"{reading:.4f}", unit]
     if milliseconds is not None:
         words.insert(0, f"{milliseconds % MILLIS}")

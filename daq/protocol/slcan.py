@@ -31,7 +31,10 @@ class Decoder(StreamDecoder[bytes]):
     between = b"\r\n\azZ"  # line ends, and the acknowledgements of the adapter
 
     def _decode_frame(self, buffer: bytearray, start: int, t_rx: float) -> int:
-        """Decode the line at `start`. Return its length, 0 if more bytes are needed, -1 if it is not a valid frame."""
+        """Decode the slcan line that begins at index `start` of the buffer, and append its CAN frame.
+
+        Return its length in bytes, 0 if more bytes are needed, or -1 if no valid frame begins there.
+        """
         digits = 8 if buffer[start] == ord("T") else 3
         stop = _NOT_HEX.search(buffer, start + 1, start + _LINE_MAX + 1)
         if stop is None:
@@ -53,12 +56,12 @@ class Decoder(StreamDecoder[bytes]):
 
 
 def encode(arbitration_id: int, data: bytes) -> bytes:
-    """Encode a data frame with a 29-bit identifier as a line of slcan."""
+    """Encode a CAN data frame with a 29-bit identifier as a line of slcan text."""
     return b"T%08X%d%b\r" % (arbitration_id, len(data), data.hex().upper().encode("ascii"))
 
 
 def open_channel(bitrate: int) -> bytes:
-    """Return the commands that close the channel and open it at `bitrate` [bit/s].
+    """Return the slcan commands that close the channel of a CAN adapter and open it at `bitrate` [bit/s].
 
     Raises
     ------

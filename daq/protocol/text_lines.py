@@ -37,6 +37,7 @@ class LineDecoder(ABC):
     end = b"\n"
 
     def __init__(self, skip_first: bool = False) -> None:
+        """Set all counters to 0. `skip_first` is whether to discard the first line after `reset`."""
         self.frames = 0
         self.checksum_errors = 0
         self.unparsed_bytes = 0
@@ -65,13 +66,13 @@ class LineDecoder(ABC):
         return out
 
     def reset(self) -> None:
-        """Discard an incomplete line, because the port was reopened. The counters are kept."""
+        """Discard an incomplete line of text, because the port was reopened. The counters are kept."""
         self._count_unparsed(self._buffer)
         self._buffer.clear()
         self._skipping = self._skip_first
 
     def _count_unparsed(self, data: bytes | bytearray) -> None:
-        """Count bytes as unparsed, without line ends."""
+        """Count the bytes of a line that is no reading as unparsed, without its line end."""
         self.unparsed_bytes += len(data.translate(None, b"\r\n"))
 
     @abstractmethod
@@ -89,6 +90,7 @@ class FlagDetector:
     """
 
     def __init__(self, saturation: float | None) -> None:
+        """Start without a reading. `saturation` is the largest reading [counts]; None if it is unknown."""
         self._saturation = saturation
         self._last = NAN  # last reading [counts] without a flag
 

@@ -79,6 +79,7 @@ class Decoder(nmea.Decoder):
     sync = re.compile(rb"[$\xb5]")
 
     def __init__(self, declination: float | None = None, signal_ending: str | None = None) -> None:
+        """Start without received messages. `declination` and `signal_ending` are for NMEA sentences in the stream."""
         super().__init__(declination, signal_ending)
         self._epochs = Epochs()
         # Start and end, in the stream, of valid messages found after a doubtful header, and the end of the searched
@@ -87,11 +88,17 @@ class Decoder(nmea.Decoder):
         self._looked = 0
 
     def flush(self) -> list[Frame]:
-        """Return the sample of the last epoch at the end of the stream, if it has not been emitted."""
+        """Return the GNSS sample of the last epoch at the end of the stream.
+
+        The list is empty if it was returned before.
+        """
         return self._epochs.flush() or self._filter_frames(super().flush())
 
     def reset(self) -> None:
-        """Discard an incomplete message and epoch, because the port was reopened. The counters are kept."""
+        """Discard an incomplete message and the incomplete epoch, because the port was reopened.
+
+        The counters are kept.
+        """
         super().reset()
         self._epochs.forget()
 
@@ -133,9 +140,9 @@ class Decoder(nmea.Decoder):
         return length
 
     def _holds_message(self, buffer: bytearray, start: int, end: int) -> bool:
-        """Return whether a complete decodable message lies between two indices of the buffer.
+        """Return whether the buffer contains a complete UBX message that can be decoded between two indices.
 
-        A payload of a receiver never contains such a message, so the enclosing header is wrong.
+        A payload never contains such a message, so a header that encloses it is wrong.
         """
         offset = self._before
         while self._ahead and self._ahead[0][0] < offset + start:
@@ -155,7 +162,10 @@ class Decoder(nmea.Decoder):
 
 
 def _find_messages(buffer: bytearray, start: int, end: int) -> Iterator[tuple[int, int]]:
-    """Yield start and end of each complete decodable message that begins between two indices of the buffer."""
+    """Yield start and end of each complete UBX message that this module decodes, in a part of the buffer.
+
+    `start` and `end` are the indices between which the messages begin.
+    """
     while (start := buffer.find(SYNC, start, end + 1)) >= 0:
         n_payload = int.from_bytes(buffer[start + 4 : start + HEAD], "little")
         tail = start + HEAD + n_payload
@@ -166,7 +176,7 @@ def _find_messages(buffer: bytearray, start: int, end: int) -> Iterator[tuple[in
 
 
 def checksum(body: bytes) -> bytes:
-    """Return the two bytes of Fletcher's checksum (RFC 1145) of class, id, length and payload."""
+    """Return the two bytes of Fletcher's checksum (RFC 1145) of a UBX message: class, id, length and payload."""
     values = np.frombuffer(body, np.uint8).astype(float)  # the sums are whole numbers below 2^53, so they are exact
     return bytes((int(values.sum()) & 0xFF, int(values @ np.arange(len(body), 0.0, -1.0)) & 0xFF))
 
@@ -239,6 +249,7 @@ class Epochs:
     """
 
     def __init__(self) -> None:
+        """Start without received messages."""
         self.has_position = False  # whether a message with a position has been received
         self._epoch: _Epoch | None = None
         self._emitted = False  # whether the sample of the present epoch has been returned
@@ -301,7 +312,7 @@ class Epochs:
         return self._utc + math.remainder(1e-3 * (i_tow - self._utc_tow), WEEK)
 
     def forget(self) -> None:
-        """Discard all received state, because a reopened port may have another receiver or configuration."""
+        """Discard all values from earlier UBX messages: a reopened port may have another receiver or configuration."""
         self._epoch, self._emitted, self.has_position = None, False, False
         self._kinds.clear()
         self._expected = set()
@@ -368,13 +379,13 @@ def _read_pvt(v: dict[str, float], payload: bytes) -> None:
 
 
 def _read_posllh(v: dict[str, float], payload: bytes) -> None:
-    """Store the values of NAV-POSLLH, the position without a report of the fix."""
+    """Store the position of NAV-POSLLH, a message that does not report the kind of fix."""
     _, lon, lat, _, h_msl, h_acc, _ = _POSLLH.unpack(payload)
     v["lat"], v["lon"], v["alt"], v["sigma"] = 1e-7 * lat, 1e-7 * lon, 1e-3 * h_msl, 1e-3 * h_acc / math.sqrt(2.0)
 
 
 def _read_hpposllh(v: dict[str, float], payload: bytes) -> None:
-    """Store the values of NAV-HPPOSLLH, the position with high precision."""
+    """Store the position of NAV-HPPOSLLH, which has a resolution of 0.1 mm, by name in `v`."""
     _, invalid, _, lon, lat, _, h_msl, lon_hp, lat_hp, _, h_msl_hp, h_acc, _ = _HPPOSLLH.unpack(payload)
     if not invalid & 1:
         v["hp_lat"], v["hp_lon"] = 1e-7 * lat + 1e-9 * lat_hp, 1e-7 * lon + 1e-9 * lon_hp
@@ -397,7 +408,7 @@ def _read_sol(v: dict[str, float], payload: bytes) -> None:
 
 
 def _read_status(v: dict[str, float], payload: bytes) -> None:
-    """Store the kind of fix of NAV-STATUS."""
+    """Store the kind of fix of the UBX message NAV-STATUS in `v`."""
     _, fix, flags, *_ = _STATUS.unpack(payload)
     v["status_fix"] = 0
     if fix in _DIMENSIONS:
@@ -428,13 +439,13 @@ def _hnr_pvt_sample(payload: bytes) -> Gnss:
 
 
 def _read_velned(v: dict[str, float], payload: bytes) -> None:
-    """Store the velocity of NAV-VELNED [m/s]."""
+    """Store the velocity north, east and down [m/s] of the UBX message NAV-VELNED in `v`."""
     _, north, east, down, *_ = _VELNED.unpack(payload)
     v["vel_n"], v["vel_e"], v["vel_d"] = 1e-2 * north, 1e-2 * east, 1e-2 * down
 
 
 def _read_timeutc(v: dict[str, float], payload: bytes) -> None:
-    """Store the UTC of NAV-TIMEUTC if the receiver has resolved it."""
+    """Store the UTC of the UBX message NAV-TIMEUTC in `v`, if the receiver has resolved it."""
     _, _, nano, year, month, day, hour, minute, second, valid = _TIMEUTC.unpack(payload)
     if valid & 4:  # UTC is valid, leap seconds included
         v["utc"] = _utc(year, month, day, hour, minute, second, nano)
@@ -448,12 +459,15 @@ def _read_timegps(v: dict[str, float], payload: bytes) -> None:
 
 
 def _read_dop(v: dict[str, float], payload: bytes) -> None:
-    """Store the HDOP of NAV-DOP."""
+    """Store the horizontal dilution of precision of the UBX message NAV-DOP in `v`."""
     v["hdop"] = _DOP.unpack(payload)[5] / 100.0
 
 
 def _utc(year: int, month: int, day: int, hour: int, minute: int, second: int, nano: int) -> float:
-    """Return s since 1970 of a date and time, NaN if the date is invalid."""
+    """Return the UTC in s since 1970 of a date and time of day; NaN if the date is invalid.
+
+    `nano` is the fraction of the second [ns], which may be negative.
+    """
     if not (1980 <= year < 2106 and 1 <= month <= 12 and 1 <= day <= 31):
         return NAN
     return calendar.timegm((year, month, day, hour, minute, second)) + 1e-9 * nano

@@ -197,7 +197,10 @@ _NAN3 = (NAN, NAN, NAN)
 
 
 def _ahrs_sample(values: Values) -> Ahrs:
-    """Return the sample of the quantities of one message in SI units, NaN for missing quantities."""
+    """Return the `Ahrs` sample of one message in SI units.
+
+    `values` are the numbers by quantity; missing ones are NaN.
+    """
     if "ypr" in values:
         yaw, pitch, roll = (angle * DEG for angle in values["ypr"])
     elif "quaternion" in values:

@@ -22,7 +22,7 @@ STALE = 2.0  # s; temperature and voltage arrive in separate frames; older value
 
 @functools.cache
 def _dbc_messages() -> dict[int, Any]:
-    """Return the messages of vesc.dbc by packet number."""
+    """Return the definitions of the messages of VESC controllers (file vesc.dbc) by packet number."""
     import cantools  # imported here because the import is slow and only CAN needs it
 
     database = cantools.database.load_file(Path(__file__).with_name("vesc.dbc"))
@@ -30,10 +30,10 @@ def _dbc_messages() -> dict[int, Any]:
 
 
 class Decoder(FrameDecoder):
-    """Decoder of VESC status frames to `Esc` samples.
+    """Decoder of the status frames of VESC speed controllers to `Esc` samples.
 
     Each STATUS 1 frame gives one sample with its current, duty and rpm. Temperature (STATUS 4) and voltage (STATUS 5)
-    are the newest received values, or NaN if they are older than `STALE`.
+    are the newest received values, or NaN if they are older than 2 s (`STALE`).
 
     Parameters
     ----------
@@ -44,6 +44,7 @@ class Decoder(FrameDecoder):
     """
 
     def __init__(self, pole_pairs: dict[int, int], reversed_nodes: frozenset[int] = frozenset()) -> None:
+        """Store the pole pairs and the reversed controllers. No frame is received yet."""
         super().__init__()
         _dbc_messages()  # loads the DBC file now, because loading it at the first frame would delay the port's thread
         self.other_nodes: dict[int, int] = {}
@@ -53,7 +54,7 @@ class Decoder(FrameDecoder):
         self._voltage: dict[int, tuple[float, float]] = {}
 
     def _decode_can_frame(self, identifier: int, extended: bool, data: bytes, t_rx: float) -> list[Frame]:
-        """Decode one frame. Frames with an 11-bit identifier give no sample."""
+        """Decode one CAN frame, and return its sample, if any. A frame with an 11-bit identifier gives no sample."""
         return self.feed_frame(identifier, data, t_rx) if extended else []
 
     def feed_frame(self, arbitration_id: int, data: bytes, t_rx: float) -> list[Frame]:
@@ -85,7 +86,7 @@ class Decoder(FrameDecoder):
         return []
 
     def _forget_state(self) -> None:
-        """Discard the newest temperatures and voltages."""
+        """Discard the newest temperatures and voltages of all controllers, because the port was reopened."""
         self._temperature.clear()
         self._voltage.clear()
 
@@ -103,12 +104,15 @@ class Decoder(FrameDecoder):
 
 
 def _value_if_fresh(latest: tuple[float, float] | None, t_rx: float) -> float:
-    """Return the value of a pair (value, time [s]); NaN for None and for values older than STALE at time `t_rx` [s]."""
+    """Return the value of a pair (value, run time [s]), unless it is older than 2 s (STALE) at run time `t_rx` [s].
+
+    NaN is returned for an older value and for None.
+    """
     return latest[0] if latest is not None and t_rx - latest[1] <= STALE else NAN
 
 
 def encode_status(esc: Esc, pole_pairs: int) -> list[tuple[int, bytes]]:
-    """Encode the state of a controller as frames (identifier, data).
+    """Encode the state of a VESC controller as CAN frames (identifier, data).
 
     STATUS 1 is always included. STATUS 4 and STATUS 5 are included if temperature and voltage are not NaN.
     """
@@ -145,14 +149,17 @@ def encode_duty(node: int, n: float) -> tuple[int, bytes]:
 
 
 def decode_command(arbitration_id: int, data: bytes) -> tuple[int, float] | None:
-    """Return controller id and duty, -1..1, of a command frame. Return None for other frames."""
+    """Return controller id and duty, -1..1, of a CAN frame that commands a VESC controller; None for other frames."""
     if arbitration_id >> 8 != SET_DUTY or len(data) < 4:
         return None
     return arbitration_id & 0xFF, float(_dbc_messages()[SET_DUTY].decode(data[:4])["duty"])
 
 
 def _encode_packet(packet: int, node: int, **values: float) -> tuple[int, bytes]:
-    """Encode the values of one packet as a frame. Values are clipped to the range of their signals; NaN becomes 0."""
+    """Encode the values of one packet of a VESC controller as a CAN frame (identifier, data).
+
+    Values, by name of the signal, are clipped to the range of their signals; NaN becomes 0.
+    """
     message = _dbc_messages()[packet]
     clipped = {}
     for signal in message.signals:

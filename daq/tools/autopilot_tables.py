@@ -34,7 +34,7 @@ PULSE_SUFFIXES = ("MIN", "TRIM", "MAX")
 
 @dataclass(frozen=True)
 class DiscoveredAutopilot(DiscoveredDevice):
-    """Autopilot at a port, with the parameters that it reported.
+    """Autopilot that was found at a port, with the parameters that it reported.
 
     Attributes
     ----------
@@ -43,7 +43,7 @@ class DiscoveredAutopilot(DiscoveredDevice):
     system_id : int
         MAVLink system number.
     signed : bool
-        Whether it signs its frames.
+        Whether it signs its MAVLink frames.
     parameters : dict
         Parameters that it reported, by name; empty if none were read.
     """
@@ -54,7 +54,9 @@ class DiscoveredAutopilot(DiscoveredDevice):
     parameters: Mapping[str, float] = field(default_factory=dict)
 
     def toml(self, name: str, alone: bool = True) -> str:
-        """Return tables for a rig file: a [[device]], and a [[thruster]] for each side. Caveats become comments.
+        """Return the autopilot's tables for a rig file: a [[device]], and a [[thruster]] for each side.
+
+        Caveats, for example of outputs that cannot be driven, become comments.
 
         Parameters
         ----------
@@ -94,9 +96,10 @@ class DiscoveredAutopilot(DiscoveredDevice):
         return "\n".join([*lines, ""])
 
     def thrusters(self, device: str, prefix: str = "") -> list[Thruster]:
-        """Return a thruster for each RC channel that drives a side (left or right throttle), named by the side.
+        """Return a thruster of the rig for each RC channel with which the autopilot drives one side of the boat.
 
-        The node of a thruster is the first output that the channel drives.
+        Such a channel is a left or right throttle. The thruster is named by the side. Its node is the first output that
+        the channel drives.
 
         Parameters
         ----------
@@ -129,10 +132,10 @@ class DiscoveredAutopilot(DiscoveredDevice):
         return list(found.values())
 
     def _undriven_output_lines(self, thrusters: Sequence[Thruster]) -> list[str]:
-        """Return a comment for each output that cannot be driven or that no thruster monitors.
+        """Return a comment for the rig file for each output of the autopilot that cannot be driven or is not monitored.
 
-        Such outputs are rudders, throttles of both sides, motors of omni frames, and further outputs of a driven
-        channel. There is one comment if there are no thrusters at all.
+        Such outputs are rudders, throttles of both sides, motors of omni frames, and further outputs of a channel in
+        `thrusters`. There is one comment if there are no thrusters at all.
         """
         p = self.parameters
         functions = {node: p.get(f"SERVO{node}_FUNCTION", 0.0) for node in range(1, 17)}
@@ -146,19 +149,20 @@ class DiscoveredAutopilot(DiscoveredDevice):
                 lines.append(f"# caveat: output {node} steers (SERVO{node}_FUNCTION 26): rudders cannot be driven")
             elif function == THROTTLE:
                 lines.append(
-                    f"# caveat: output {node} is the throttle of both sides (70): only 73 and 74 can be driven"
+                    f"# caveat: output {node} is the throttle of both sides (SERVO{node}_FUNCTION 70): only 73 (left) "
+                    "and 74 (right) can be driven"
                 )
             elif int(function) in MOTORS:
                 lines.append(f"# caveat: output {node} is motor {int(function) - 32}: omni frames cannot be driven")
         if not thrusters:
-            lines.append("# caveat: no output is a left (73) or right (74) throttle: no [[thruster]]")
+            lines.append("# caveat: no SERVOn_FUNCTION is 73 (left throttle) or 74 (right throttle): no [[thruster]]")
         return lines
 
 
 def _pulse_range(p: Mapping[str, float], prefix: str) -> tuple[float, float, float]:
-    """Return the lowest, neutral and highest pulse [us] of a channel or output.
+    """Return the lowest, neutral and highest pulse [us] of an RC channel or output of an autopilot.
 
-    `prefix` is the begin of the names of its parameters in `p`, for example "SERVO1". The pulses are 1000, 1500 and
+    `prefix` is the beginning of the names of its parameters in `p`, for example "SERVO1". The pulses are 1000, 1500 and
     2000 us if the parameters are missing.
     """
     low, neutral, high = (
@@ -168,7 +172,7 @@ def _pulse_range(p: Mapping[str, float], prefix: str) -> tuple[float, float, flo
 
 
 def _thruster_lines(thruster: Thruster) -> list[str]:
-    """Return the lines of the [[thruster]] table of a thruster behind an autopilot, after an empty line."""
+    """Return the lines of a rig file's [[thruster]] table for a thruster behind an autopilot, after an empty line."""
     assert thruster.output is not None
     out = thruster.output
     return [
@@ -180,7 +184,7 @@ def _thruster_lines(thruster: Thruster) -> list[str]:
 
 
 class _AutopilotListener:
-    """Receiver of the messages of an autopilot at one open port.
+    """Receiver that stores heartbeat, parameters and attitude times of the autopilot at one open port.
 
     Attributes
     ----------
@@ -195,6 +199,7 @@ class _AutopilotListener:
     """
 
     def __init__(self, port: Port) -> None:
+        """Prepare the decoder of MAVLink messages at an open port. Nothing is received yet."""
         self._port = port
         self.decoder = MavlinkDecoder(SampleConverter({}), 0, 1)
         self.decoder.listener = self._store_message
@@ -203,7 +208,10 @@ class _AutopilotListener:
         self.attitudes: list[float] = []  # times of the attitudes, s since the start of the autopilot
 
     def _store_message(self, m: Any) -> None:
-        """Store a decoded message: the newest heartbeat, a parameter, or the time of an attitude. Ignore others."""
+        """Store a decoded MAVLink message: the newest heartbeat, a parameter, or the time of an attitude.
+
+        Ignore other messages.
+        """
         if m.get_type() == "HEARTBEAT" and m.autopilot != INVALID:
             self.heartbeat = m
         elif m.get_type() == "PARAM_VALUE":
@@ -212,7 +220,10 @@ class _AutopilotListener:
             self.attitudes.append(m.time_boot_ms * 1e-3)
 
     def until(self, condition: Callable[[], bool], seconds: float) -> None:
-        """Receive and store messages until a condition is true, at most for `seconds` [s of wall time]."""
+        """Receive and store messages of the autopilot until `condition` returns true.
+
+        Stop after `seconds` of wall time at the latest.
+        """
         deadline = time.monotonic() + seconds
         while not condition() and (left := deadline - time.monotonic()) > 0.0:
             if select.select([self._port.fileno()], [], [], min(left, 0.1))[0]:
@@ -222,7 +233,7 @@ class _AutopilotListener:
                     self._port.confirm()
 
     def ask(self, codec: Codec, system: int, names: Sequence[str]) -> None:
-        """Request parameters until all have arrived, or until a round of requests brings no answer.
+        """Request parameters of the autopilot until all have arrived, or until a round of requests brings no answer.
 
         Autopilots do not answer requests for parameters that they do not have. The answers are stored in `parameters`;
         missing ones are not an error. The requests end after `ANSWERS_S` (6 s) in any case.
@@ -279,7 +290,9 @@ def identify_autopilot(port: str, baud: int, ask: bool) -> DiscoveredDevice:
         if listener.heartbeat is None:
             frames = listener.decoder.frames
             says = (
-                f"{frames} MAVLink frames, but no heartbeat of an autopilot" if frames else "silent: no MAVLink frames"
+                f"{frames} MAVLink frames, but no heartbeat of an autopilot"
+                if frames
+                else "silent: no MAVLink frames; check address, baud rate, power and cable"
             )
             return DiscoveredDevice(port, "", says=says)
         listener.until(lambda: len(listener.attitudes) > 1, 1.0)

@@ -29,7 +29,7 @@ SLCAN_BAUDS = (115200, 1_000_000)
 
 @dataclass(frozen=True)
 class DiscoveredDevice:
-    """Port with the device that was identified at it.
+    """Serial port or CAN bus of this computer, with the device that was identified at it.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class DiscoveredDevice:
     hint: str = ""  # advice on how to improve the settings of the port
 
     def toml(self, name: str, alone: bool = True) -> str:
-        """Return the [[device]] table of the device for a rig file.
+        """Return the [[device]] table of this device for a rig file, as text.
 
         Parameters
         ----------
@@ -75,7 +75,7 @@ class DiscoveredDevice:
 
 
 class _ProtocolCandidate:
-    """Candidate protocol at one port, with its decoder and the counts of the samples so far.
+    """Protocol that the device at a port may speak, with its decoder and the counts of the samples so far.
 
     Attributes
     ----------
@@ -92,6 +92,7 @@ class _ProtocolCandidate:
     """
 
     def __init__(self, protocol: str) -> None:
+        """Prepare the decoder of a protocol, such as "nmea", with all counts at zero."""
         self.protocol = protocol
         self.decoder: Decoder | slcan.Decoder = slcan.Decoder() if protocol == SLCAN else default_decoder(protocol)
         self.decoder.reset()
@@ -101,7 +102,10 @@ class _ProtocolCandidate:
         self.times: list[float] = []  # time of arrival of each sample [s]
 
     def feed(self, data: bytes, t: float) -> None:
-        """Decode bytes that were read at time t [s of a monotonic clock], and count bytes, samples and fixes."""
+        """Decode bytes of the port by this protocol, and count bytes, samples and GNSS fixes.
+
+        The bytes were read at time t [s of a monotonic clock].
+        """
         frames = self.decoder.feed(data, t)
         # A transducer beside a receiver does not change the rate of the receiver.
         found = [frame for frame in frames if not (isinstance(frame, Frame) and isinstance(frame.sample, Transducer))]
@@ -113,32 +117,32 @@ class _ProtocolCandidate:
             self._joined = (self.n_bytes, self.decoder.unparsed_bytes)
 
     def close(self) -> None:
-        """Count the last samples, which the decoders of GNSS receivers keep until their epoch is complete."""
+        """Count the last samples of the port, which a decoder of a GNSS receiver keeps until an epoch is complete."""
         if isinstance(self.decoder, (nmea.Decoder, ubx.Decoder)):
             found = self.decoder.flush()
             self.samples += len(found)
             self._count_fixes(found)
 
     def _count_fixes(self, found: Sequence[object]) -> None:
-        """Count GNSS samples, and GNSS samples with a fix."""
+        """Count the GNSS samples, and those with a fix, among the decoded samples `found`."""
         samples = [frame.sample for frame in found if isinstance(frame, Frame) and isinstance(frame.sample, Gnss)]
         self.gnss += len(samples)
         self.fixes += sum(sample.fix > 0 for sample in samples)
 
     @property
     def checked(self) -> bool:
-        """Return whether the protocol has checksums, so that a few samples are sufficient to recognise it.
+        """Whether the protocol has checksums, so that a few samples are sufficient to recognise it.
 
         Protocols of load cells in text lines and slcan have none.
         """
         return self.protocol not in ("loadcell", "openscale", SLCAN)
 
     def score(self) -> tuple[float, int]:
-        """Return the confidence in this protocol as (share of the bytes in frames, number of frames). Larger is better.
+        """Return how well the bytes of a port fit this protocol: (share of the bytes in frames, number of frames).
 
-        The result is (0, 0), which excludes the protocol, without samples, with fewer than 5 samples without checksums,
-        or if the share is below 0.2 (0.8 without checksums). Bytes before the first sample do not count if 20 bytes
-        follow it.
+        A larger result is better. It is (0, 0), which excludes the protocol, without samples, with fewer than 5 samples
+        without checksums, or if the share is below 0.2 (0.8 without checksums). Bytes before the first sample do not
+        count if 20 bytes follow it.
         """
         if self.samples == 0 or (not self.checked and self.samples < MIN_LINES):
             return 0.0, 0
@@ -153,7 +157,7 @@ class _ProtocolCandidate:
 
     @property
     def condition(self) -> str:
-        """Text for the user about a GNSS receiver whose samples all lack a fix; empty otherwise."""
+        """Advice for the user if the device is a GNSS receiver and all its samples lack a fix; "" otherwise."""
         return (
             "; it sends data, but has no fix: check view of the sky, antenna and cable"
             if self.gnss and not self.fixes
@@ -161,7 +165,7 @@ class _ProtocolCandidate:
         )
 
     def rate(self) -> float:
-        """Return the rate of the samples [Hz] from their times of arrival; NaN if there are fewer than two times.
+        """Return the rate of the device's samples [Hz] by their times of arrival; NaN for fewer than two times.
 
         The samples of the first read are not counted.
         """
@@ -197,13 +201,13 @@ def discover_devices(
     for folder in sorted(Path("/sys/class/net").glob("*")) if Path("/sys/class/net").is_dir() else []:
         kind = folder / "type"
         if kind.is_file() and kind.read_text().strip() == str(CAN_TYPE):
-            says = "CAN bus: vesc, dronecan, nmea2000 or dbc"
+            says = "CAN bus of unknown protocol: name it in the rig (vesc, dronecan, nmea2000 or dbc)"
             found.append(DiscoveredDevice(f"socketcan:{folder.name}", "CAN interface", says=says))
     return found
 
 
 def baud_rates(wanted: Sequence[int] = ()) -> list[int]:
-    """Return the baud rates to try.
+    """Return the baud rates at which `seatrial devices` listens, in this order.
 
     They are the `wanted` ones, or else those of all installed protocols, with the commonest ones first.
     """
@@ -273,14 +277,15 @@ def identify_protocol(
         says = f"frames of {' or '.join(framed)}, but without measurements: check which outputs are switched on"
         return DiscoveredDevice(path, description, says=says, hint=hint)
     tried = ", ".join(map(str, answered_at))
-    return DiscoveredDevice(path, description, says=f"bytes of no known protocol at {tried} baud", hint=hint)
+    says = f"bytes of no known protocol at {tried} baud: check the output settings of the device"
+    return DiscoveredDevice(path, description, says=says, hint=hint)
 
 
 def _feed_candidates(port: SerialPort, candidates: Sequence[_ProtocolCandidate], seconds: float, silent: float) -> int:
-    """Feed the candidates with the bytes of a port, and return the number of bytes.
+    """Listen at a serial port and pass its bytes to each candidate protocol. Return the number of bytes.
 
     Listening ends `seconds` after the first byte, after `silent` seconds without a byte, or earlier if a protocol with
-    checksums has enough samples.
+    checksums has enough samples. Raise PortError if the port cannot be opened or read.
     """
     n_bytes, start = 0, time.monotonic()
     end = start + silent

@@ -19,7 +19,7 @@ DEFAULT_RATE_HZ = 10.0  # Hz, default for file formats with one table only
 
 
 def export_log(log: Log, form: str, folder: Path, force: bool = False) -> list[Path]:
-    """Write every table of a log to a file, and the events to events.csv.
+    """Write every table of a log to a file of its own, and the events to events.csv.
 
     Numbers are written with all their digits. Unknown values are empty cells in CSV and NaN in Parquet. Times are
     seconds since 1970.
@@ -110,7 +110,10 @@ def export_resampled(log: Log, form: str, folder: Path, rate: float, force: bool
 
 
 def _as_log_table(table: Resampled, name: str) -> LogTable:
-    """Return the resampled table with its times as the column ``t``. A signal with the name t becomes ``t_``."""
+    """Convert a resampled log to one table with its times as the column ``t`` [s since 1970].
+
+    A signal with the name t becomes ``t_``.
+    """
     names = {name: "t_" if name == "t" else name for name in table.columns}
     columns = {"t": table.t, **{names[name]: values for name, values in table.columns.items()}}
     rows = np.empty(len(table.t), [(name, np.float64) for name in columns])
@@ -121,10 +124,9 @@ def _as_log_table(table: Resampled, name: str) -> LogTable:
 
 
 def _write_mat(path: Path, table: Resampled) -> None:
-    """Write a resampled table as a MATLAB file.
+    """Write a resampled log as a MATLAB file: time t [s since 1970], a vector for each column, and the struct units.
 
-    It has the vector t [s since 1970], a vector for each column, and the struct units. Raise SeatrialError if scipy is
-    not installed.
+    Raise SeatrialError if scipy is not installed.
     """
     try:
         from scipy.io import savemat
@@ -138,7 +140,7 @@ def _write_mat(path: Path, table: Resampled) -> None:
 
 
 def _write_netcdf(path: Path, table: Resampled, metadata: Mapping[str, str]) -> None:
-    """Write a resampled table as a NetCDF file with the dimension time [s since 1970] and a variable for each column.
+    """Write a resampled log as a NetCDF file with the dimension time [s since 1970] and a variable for each column.
 
     Raise SeatrialError if scipy is not installed.
     """
@@ -159,10 +161,11 @@ def _write_netcdf(path: Path, table: Resampled, metadata: Mapping[str, str]) -> 
 
 
 def _variable_names(names: Iterable[str], longest: int) -> dict[str, str]:
-    """Return valid and unique names of variables by name of the column, at most `longest` characters long.
+    """Return valid and unique names of MATLAB or NetCDF variables, by name of the column.
 
-    Characters other than letters, digits and underscores become underscores. A name that begins with another character
-    than a letter gets s_ in front. A name that repeats, or is t, time or units, gets a number at its end.
+    A name has at most `longest` characters. Characters other than letters, digits and underscores become underscores. A
+    name that begins with another character than a letter gets s_ in front. A name that repeats, or is t, time or units,
+    gets a number at its end.
     """
     found: dict[str, str] = {}
     for name in names:
@@ -177,7 +180,7 @@ def _variable_names(names: Iterable[str], longest: int) -> dict[str, str]:
 
 
 def _new_path(folder: Path, name: str, ending: str, written: list[Path], force: bool) -> Path:
-    """Return the path of a new file in the folder: NAME.ENDING, or NAME-2.ENDING if `written` contains this path.
+    """Return the path of a new file of an export: NAME.ENDING, or NAME-2.ENDING if `written` contains this path.
 
     Characters that are not safe in a file name are replaced: names in a log from a stranger may contain separators.
     Raise SeatrialError if the file exists already and `force` is false.
@@ -193,7 +196,7 @@ def _new_path(folder: Path, name: str, ending: str, written: list[Path], force: 
 
 
 def _write_csv_table(path: Path, part: LogTable) -> None:
-    """Write a table as CSV, with units in the heads and empty cells for NaN."""
+    """Write a table of a log as CSV, with units in the heads of the columns and empty cells for NaN."""
     names = list(part.rows.dtype.names or ())
     heads = [f"{name} [{part.units[name]}]" if part.units.get(name) else name for name in names]
     rows = (
@@ -203,7 +206,7 @@ def _write_csv_table(path: Path, part: LogTable) -> None:
 
 
 def _write_csv_rows(path: Path, heads: list[str], rows: Iterator[list[str]]) -> None:
-    """Write a line of column heads and the rows as a CSV file in UTF-8."""
+    """Write a CSV file in UTF-8: a line with the heads of the columns, then the rows."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(heads)
@@ -211,7 +214,10 @@ def _write_csv_rows(path: Path, heads: list[str], rows: Iterator[list[str]]) -> 
 
 
 def _parquet_writer() -> Callable[[Path, LogTable], None]:
-    """Return a function that writes a table as a Parquet file. Raise SeatrialError if pyarrow is not installed."""
+    """Return a function that writes a table of a log as a Parquet file.
+
+    Raise SeatrialError if pyarrow is not installed.
+    """
     try:
         import pyarrow
         import pyarrow.parquet
@@ -219,7 +225,7 @@ def _parquet_writer() -> Callable[[Path, LogTable], None]:
         raise SeatrialError("Parquet needs the package pyarrow: pip install 'seatrial[parquet]'") from error
 
     def write(path: Path, part: LogTable) -> None:
-        """Write a table as a Parquet file, with the unit of each column in its metadata."""
+        """Write a table of a log as a Parquet file, with the unit of each column in its metadata."""
         fields = [
             pyarrow.field(
                 name,

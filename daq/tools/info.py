@@ -29,7 +29,7 @@ FOLDED = ("skipped", "parameter")  # kinds of events that often repeat; repetiti
 
 
 def escape(text: str) -> str:
-    """Escape the markup in a text of a log, so that the console prints it unchanged.
+    """Escape the markup of the console in a text of a log, so that [bold], for example, is printed unchanged.
 
     A text of more than 2000 characters is cut off, and the number of its characters is added.
     """
@@ -74,7 +74,10 @@ def show_log(log: Log, console: Console) -> None:
 
 
 def _topic_table(log: Log) -> Table:
-    """Return the table of topics: types, numbers of messages, rates and gaps."""
+    """Return a table of the topics of a log: types, numbers of messages, mean rates [Hz] and longest gaps [s].
+
+    With imported signals it also has their role, unit and hold.
+    """
     signals = {f"/signal/{name}": name for name in log.sources(Scalar)}
     notes = [""] if signals else []
     heads = ("topic", "type", "messages", "rate [Hz]", "longest gap [s]", *notes)
@@ -95,7 +98,10 @@ def _topic_table(log: Log) -> Table:
 
 
 def _port_table(log: Log) -> Table:
-    """Return the table of the last port counters of each device. The delay is "-" for a device without a clock."""
+    """Return a table of the last counters of each device's port in a log: bytes, frames, errors and delay [ms].
+
+    The delay is "-" for a device without a clock.
+    """
     heads = ("port", "bytes in", "frames", "checksum errors", "unparsed bytes", "dropped", "reconnects", "delay [ms]")
     table = Table("device", *(escape(head) for head in heads))
     for column in table.columns[2:]:
@@ -137,12 +143,17 @@ def _print_events(log: Log, console: Console) -> None:
 
 
 def _with_repeats_joined(events: list[tuple[float, str, str]]) -> list[tuple[float, str, str]]:
-    """Return the events, with consecutive events of the kinds in `FOLDED` joined to one that states their number.
+    """Join consecutive events of kinds that often repeat ("skipped", "parameter") to one that states their number.
 
     Parameters
     ----------
     events
-        Time [s since 1970], kind and text of each event.
+        Time [s since 1970], kind and text of each event of a log.
+
+    Returns
+    -------
+    list of tuple
+        The events; those of other kinds are unchanged.
     """
     lines: list[tuple[float, str, str]] = []
     for kind, group in groupby(events, key=lambda event: event[1]):
@@ -156,10 +167,10 @@ def _with_repeats_joined(events: list[tuple[float, str, str]]) -> list[tuple[flo
 
 
 def _size_text(n_bytes: int) -> str:
-    """Return a number of bytes as a text in MB, or in kB below one million."""
+    """Return the size of a log [bytes] as a text in MB, or in kB below one million."""
     return f"{n_bytes / 1e6:.2f} MB" if n_bytes >= 1e6 else f"{n_bytes / 1e3:.1f} kB"
 
 
 def _number_text(value: float, digits: int) -> str:
-    """Return a number with `digits` digits behind the point as a text; "-" for NaN."""
+    """Return a rate, gap or delay of a log as a text with `digits` digits behind the point; "-" for NaN."""
     return "-" if math.isnan(value) else f"{value:.{digits}f}"

@@ -32,7 +32,7 @@ _FOXGLOVE = "the live view needs the package foxglove-sdk: pip install 'seatrial
 
 
 class LiveServer:
-    """Server of the newest samples within a `with` block, at the address in `rig.live`.
+    """WebSocket server of the newest samples for Foxglove, within a `with` block, at the address in `rig.live`.
 
     The server sends the newest sample of each source twenty times a second. Only the log has all samples.
 
@@ -50,6 +50,7 @@ class LiveServer:
     """
 
     def __init__(self, rig: Rig, status: Callable[[], Status]) -> None:
+        """Store rig and status. The server starts at the beginning of the `with` block."""
         self._rig, self._status = rig, status
         self._ending = threading.Event()
         self._channels: dict[str, Any] = {}
@@ -58,10 +59,11 @@ class LiveServer:
 
     @property
     def address(self) -> str:
-        """Address to open in Foxglove."""
+        """Address (ws://HOST:PORT) of the live view, to be opened in Foxglove."""
         return f"ws://{self._rig.live.host}:{self._gate.port}"
 
     def __enter__(self) -> LiveServer:
+        """Start the server of the live view, its gate, and the thread that sends the samples."""
         try:
             import foxglove
         except ModuleNotFoundError as error:
@@ -81,7 +83,10 @@ class LiveServer:
                 self._gate = OriginGate(live.host, live.port, (behind, self._server.port), live.origins)
             except Exception as error:  # the library raises errors of other classes, too
                 reason = " ".join(str(error).split())
-                raise SeatrialError(f"{live.host}:{live.port}: the live view cannot listen there: {reason}") from error
+                raise SeatrialError(
+                    f"{live.host}:{live.port}: the live view cannot listen there: {reason}; give another port in "
+                    "[live] of the rig"
+                ) from error
             stack.pop_all()
         self._thread.start()
         return self
@@ -89,6 +94,7 @@ class LiveServer:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        """Stop the thread that sends the samples, the server and the gate."""
         self._ending.set()
         self._thread.join()
         # Stop the server before the gate, which forwards its close messages. Otherwise the library prints errors.
@@ -96,7 +102,7 @@ class LiveServer:
         self._gate.close()
 
     def _publish_until_end(self) -> None:
-        """Publish the status every 0.05 s until the end of the block or of the acquisition."""
+        """Send the newest samples of the acquisition every 0.05 s until the `with` block or the acquisition ends."""
         while not self._ending.wait(PERIOD_S):
             try:
                 self.publish(self._status())
@@ -104,7 +110,10 @@ class LiveServer:
                 return
 
     def publish(self, status: Status) -> None:
-        """Send each sample of a status that is newer than the last sent sample of its source."""
+        """Send to the clients each sample of a status that is newer than the last sent sample of its source.
+
+        A status has the newest sample of each source, which is a device or a speed controller.
+        """
         for source, latest in status.latest.items():
             if latest.t <= self._sent.get(source, -math.inf):
                 continue
@@ -115,7 +124,10 @@ class LiveServer:
                 self._channel_of_topic(message.topic, message.type_name).log(message.pack(t_ns), log_time=t_ns)
 
     def _channel_of_topic(self, topic: str, type_name: str) -> Any:
-        """Return the channel of a topic; create it if it does not exist."""
+        """Return the Foxglove channel of a topic; create it if it does not exist.
+
+        `type_name` is the type of its messages, for example "sensor_msgs/msg/Imu".
+        """
         if topic not in self._channels:
             definition = full_definition(type_name).encode()
             self._channels[topic] = self._foxglove.Channel(
@@ -128,9 +140,10 @@ class LiveServer:
 
 
 class OriginGate:
-    """Gate in front of a server, which rejects connections from web pages of foreign sites (RFC 6454, section 7).
+    """Gate in front of the live view's server that rejects connections from web pages of foreign sites.
 
-    Accepted are programs, which send no origin, pages of this computer, and pages of the sites in `origins`.
+    Accepted are programs, which send no origin, pages of this computer, and pages of the sites in `origins` (RFC 6454,
+    section 7).
 
     Parameters
     ----------
@@ -153,6 +166,7 @@ class OriginGate:
     """
 
     def __init__(self, host: str, port: int, behind: tuple[str, int], origins: Sequence[str]) -> None:
+        """Listen at `host` and `port`, and forward accepted connections to the server `behind` the gate."""
         self._behind, self._origins = behind, origins
         self._loop = asyncio.new_event_loop()
         self._tasks: dict[asyncio.Task[None], asyncio.StreamWriter] = {}  # task of each connection, and its client
@@ -167,14 +181,14 @@ class OriginGate:
         self._thread.start()
 
     def close(self) -> None:
-        """Close the gate and all its connections."""
+        """Close the gate of the live view and all its connections."""
         asyncio.run_coroutine_threadsafe(self._end(), self._loop).result()
         self._loop.call_soon_threadsafe(self._loop.stop)
         self._thread.join()
         self._loop.close()
 
     async def _end(self) -> None:
-        """Close the listening socket and all connections, and wait for their tasks."""
+        """Close the listening socket of the gate and all its connections, and wait for their tasks."""
         self._server.close()
         for task, client in list(self._tasks.items()):
             client.close()  # a task that has not started yet would not close its client
@@ -183,15 +197,15 @@ class OriginGate:
         await asyncio.sleep(0)  # asyncio frees closed connections in the next cycle of its loop
 
     def _is_allowed(self, head: bytes) -> bool:
-        """Return whether the head of a request has no origin, or accepted origins only.
+        """Return whether the gate accepts a connection by the head of its HTTP request.
 
-        Accepted are pages of this computer, and the origins given to the gate.
+        Accepted are requests without an origin, from pages of this computer, and from the origins given to the gate.
         """
         origins = [origin.decode("latin-1") for origin in _ORIGIN.findall(head)]
         return all(origin in self._origins or _OURS.fullmatch(origin) for origin in origins)
 
     def _start_connection(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Start a task that serves a connection.
+        """Start a task that serves a new connection to the gate.
 
         The task belongs to this class, because asyncio prints a traceback when it cancels tasks of its own.
         """
@@ -200,7 +214,7 @@ class OriginGate:
         task.add_done_callback(self._tasks.pop)
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Check the origin of a client; forward all bytes between client and server, or answer 403.
+        """Check the origin of a client of the gate; forward all bytes between client and server, or answer 403.
 
         The connection is closed without an answer if the head of the request is larger than 16 kB or takes longer than
         5 s.
@@ -210,7 +224,7 @@ class OriginGate:
             if self._is_allowed(head):
                 server_reader, server_writer = await asyncio.open_connection(*self._behind)
                 server_writer.write(head)
-                await asyncio.gather(_pump(reader, server_writer), _pump(server_reader, writer))
+                await asyncio.gather(_forward_bytes(reader, server_writer), _forward_bytes(server_reader, writer))
             else:
                 writer.write(b"HTTP/1.1 403 Forbidden\r\nContent-Length: 0\r\nConnection: close\r\n\r\n")
                 await writer.drain()
@@ -220,13 +234,13 @@ class OriginGate:
             writer.close()
 
 
-async def _pump(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-    """Forward bytes from a reader to a writer until the end, and close the writer."""
+async def _forward_bytes(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    """Forward the bytes of a connection from a reader to a writer until the end, and close the writer."""
     try:
         while data := await reader.read(65_536):
             writer.write(data)
             await writer.drain()
-    except OSError:  # one side has closed the connection: the other side is closed, which ends its `_pump`
+    except OSError:  # one side has closed the connection: the other side is closed, which ends its `_forward_bytes`
         pass
     finally:
         writer.close()

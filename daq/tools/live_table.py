@@ -41,7 +41,10 @@ ALARM = "bold white on red"
 
 
 def default_log_path(rig: Rig) -> Path:
-    """Return the path `DIRECTORY/RIG-DATE-TIME.mcap` in local time. A number is added if the file exists."""
+    """Return the path of a new log, DIRECTORY/RIG-DATE-TIME.mcap, in local time and the folder that the rig names.
+
+    A number is added if the file exists.
+    """
     stem = f"{'-'.join(rig.name.split())}-{time.strftime('%Y%m%d-%H%M%S')}"
     path = rig.log_directory / f"{stem}.mcap"
     number = 1
@@ -59,7 +62,7 @@ def watch(
     Parameters
     ----------
     acquisition
-        The acquisition.
+        The running acquisition, which records the devices of a rig.
     rig
         Its rig.
     clock
@@ -88,18 +91,18 @@ def watch(
 
 
 def _wait_seconds(clock: RunClock, deadline: float, until_wall: float) -> float:
-    """Return the wall time [s] until the deadline of the run clock or until a wall time, whichever is earlier.
+    """Return the wall time [s] until the deadline of the run clock or the next output, whichever is earlier.
 
-    `until_wall` is a time of the monotonic clock [s]. The result is at least 1 ms.
+    `until_wall` is the time of the next output by the monotonic clock [s]. The result is at least 1 ms.
     """
     return max(min(clock.wall(deadline - clock.now()), until_wall - time.monotonic()), 0.001)
 
 
 def _update_ages(status: Status, rig: Rig, now: float) -> tuple[Status, bool]:
-    """Return a status with the ages and rates at run time `now` [s], and whether the acquisition still answers.
+    """Bring the ages and rates in a status of the acquisition to the run time `now` [s since 1970].
 
-    Without this update a hanging acquisition would seem to work, because it computes the ages in its status itself. The
-    rates are NaN if it does not answer.
+    Return the new status, and whether the acquisition still answers; if not, the rates are NaN. Without this update a
+    hanging acquisition would seem to work, because it computes the ages in its status itself.
     """
     late = max(now - status.t, 0.0)
     answers = late <= NO_STATUS_S * rig.speed
@@ -111,7 +114,7 @@ def _update_ages(status: Status, rig: Rig, now: float) -> tuple[Status, bool]:
 
 
 def table(status: Status, rig: Rig, width: int, now: float) -> Group:
-    """Return the live table: a header line, the rows of the devices, warnings and hints.
+    """Return the live table of an acquisition: a header line, the rows of the devices, warnings and hints.
 
     A device has further rows for further speed controllers and kinds of samples.
 
@@ -170,7 +173,10 @@ def table(status: Status, rig: Rig, width: int, now: float) -> Group:
 
 
 def _newest_text(source: Source, port: PortStatus, status: Status, rig: Rig) -> Text:
-    """Return the text of the newest sample of a source. For an old sample the text begins with its age."""
+    """Return the newest sample of a device or speed controller (`source`) as text for the live table.
+
+    For an old sample the text begins with STALE and its age [s], in the colour of a fault.
+    """
     latest = status.latest[source]
     text, age = describe(latest.sample, rig, port.name), status.t - latest.t
     kinds, nodes = count_senders(status, port.name)
@@ -183,7 +189,7 @@ def _newest_text(source: Source, port: PortStatus, status: Status, rig: Rig) -> 
 
 
 def _is_silent(port: PortStatus, speed: float) -> bool:
-    """Return whether a port has sent no sample for too long by its expected rate (`_stale_after`).
+    """Return whether a device has sent no sample for too long: 5 expected periods, 1 s and 0.25 s of wall time.
 
     `speed` is the number of run seconds per wall second.
     """
@@ -191,7 +197,7 @@ def _is_silent(port: PortStatus, speed: float) -> bool:
 
 
 def _stale_after(rate: float, speed: float) -> float:
-    """Return the time [s of the run clock] after which a source with this rate [Hz] is stale.
+    """Return the time [s of the run clock] without a sample after which a source with this rate [Hz] is stale.
 
     It is the longest of 5 periods, 1 s, and 0.25 s of wall time (`speed`: run seconds per wall second).
     """
@@ -199,7 +205,7 @@ def _stale_after(rate: float, speed: float) -> float:
 
 
 def _header_line(status: Status, rig: Rig, answers: bool) -> Text:
-    """Return the header line: state of the recording, duration, speed, size and name of the log.
+    """Return the header line of the live table: state of the recording, duration, speed, size and name of the log.
 
     The state is REC, NOT RECORDING with the reason, or that the acquisition does not answer (`answers` false).
     """
@@ -218,10 +224,10 @@ def _header_line(status: Status, rig: Rig, answers: bool) -> Text:
 
 
 def _device_cells(port: PortStatus, speed: float, wide: bool) -> list[Text]:
-    """Return the cells of the row of a device, except its newest sample.
+    """Return the cells of a device's row in the live table, except its newest sample.
 
-    A `wide` table has a column for each error counter, a narrow one has a single column for all that are not zero.
-    Faults have a word or mark beside their colour.
+    `speed` is the number of run seconds per wall second. A `wide` table has a column for each error counter, a narrow
+    one has a single column for all that are not zero. Faults have a word or mark beside their colour.
     """
     stale = _is_silent(port, speed)
     off = not abs(port.rate - port.expected) <= RATE_TOLERANCE * port.expected
@@ -243,7 +249,9 @@ def _device_cells(port: PortStatus, speed: float, wide: bool) -> list[Text]:
 
 
 def describe(sample: Sample, rig: Rig, device: str) -> str:
-    """Return a short text about a sample for the user. Angles are in degrees; unknown values (NaN) are left out.
+    """Return the values of a sample as a short text for the user.
+
+    Angles are in degrees; unknown values (NaN) are left out.
 
     Parameters
     ----------
@@ -288,7 +296,7 @@ def describe(sample: Sample, rig: Rig, device: str) -> str:
 
 
 def _joined_values(*parts: tuple[str, float, str, str]) -> str:
-    """Return values as one text, from (name, value, format, unit): "yaw 12.3° r 0.5°/s".
+    """Join values to one text, from (name, value, format, unit) of each: "yaw 12.3° r 0.5°/s".
 
     NaN is left out; the text is empty if all values are NaN.
     """
@@ -301,7 +309,10 @@ def _joined_values(*parts: tuple[str, float, str, str]) -> str:
 
 
 def line(status: Status, rig: Rig, now: float) -> str:
-    """Return the status as one line, for a file or a pipe. `now`: time of the run clock [s since 1970]."""
+    """Return the status of an acquisition as one line, for a file or a pipe: rates and errors of the devices, warnings.
+
+    `now` is the time of the run clock [s since 1970].
+    """
     status, answers = _update_ages(status, rig, now)
     ports = []
     for port in status.ports.values():
@@ -318,10 +329,9 @@ def line(status: Status, rig: Rig, now: float) -> str:
 
 
 def log_summary(status: Status, path: Path) -> str:
-    """Return the last line of a recording for the user.
+    """Return the last line of a recording for the user: file, duration, number of samples and size.
 
-    It has file, duration, number of samples and size, and if there are any, the lost samples and the devices without a
-    sample.
+    If there are any, it also has the number of lost samples and the devices without a sample.
     """
     lost = sum(port.dropped for port in status.ports.values())
     silent = [port.name for port in status.ports.values() if port.samples == 0]
@@ -331,7 +341,7 @@ def log_summary(status: Status, path: Path) -> str:
 
 
 def duration_text(seconds: float) -> str:
-    """Return a duration [s] as a text: `1:02:03`, or `2:03.4` for less than an hour."""
+    """Return the duration of a recording [s] as a text: `1:02:03`, or `2:03.4` for less than an hour."""
     minutes, rest = divmod(max(seconds, 0.0), 60.0)
     if minutes < 60.0:
         return f"{int(minutes)}:{math.floor(rest * 10.0) / 10.0:04.1f}"
@@ -339,7 +349,7 @@ def duration_text(seconds: float) -> str:
 
 
 def size_text(n_bytes: int) -> str:
-    """Return a number of bytes as a text such as `1.2 MB`, with decimal units."""
+    """Return the size of a log [bytes] as a text such as `1.2 MB`, with decimal units."""
     size = float(n_bytes)
     for unit in ("B", "kB", "MB"):
         if size < 1000.0:

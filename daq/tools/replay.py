@@ -96,7 +96,7 @@ def replay_log(
 
 
 class ReplayFolder:
-    """Folder of the ports of a replay. No existing file is replaced, and only own files are deleted.
+    """Folder of the links and the rig file of a replay. No existing file is replaced, and only own files are deleted.
 
     Raises
     ------
@@ -110,6 +110,7 @@ class ReplayFolder:
     """
 
     def __init__(self, folder: Path) -> None:
+        """Create the folder of a replay if it does not exist, and open it."""
         self.path = folder
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -119,17 +120,20 @@ class ReplayFolder:
         self._made: dict[str, tuple[int, int, int]] = {}  # identity of each own file, by name
 
     def link(self, name: str, target: str) -> Path:
-        """Create a symbolic link `name` to `target` and return its path.
+        """Create a symbolic link `name` to `target` in the folder of the replay, and return its path.
 
         Raise SeatrialError if a file or folder has this name already.
         """
         return self._create_own_file(name, lambda: os.symlink(target, name, dir_fd=self._fd))
 
     def write(self, name: str, text: str) -> Path:
-        """Write a new file and return its path. Raise SeatrialError if a file or folder has this name already."""
+        """Write a new text file in the folder of the replay, and return its path.
+
+        Raise SeatrialError if a file or folder has this name already.
+        """
 
         def write() -> None:
-            """Create the file, unless a file or link of this name exists, and write the text."""
+            """Create the file of the replay, unless a file or link of this name exists, and write the text."""
             fd = os.open(name, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o644, dir_fd=self._fd)
             with os.fdopen(fd, "w", encoding="utf-8") as file:
                 file.write(text)
@@ -137,7 +141,7 @@ class ReplayFolder:
         return self._create_own_file(name, write)
 
     def _create_own_file(self, name: str, make: Callable[[], None]) -> Path:
-        """Create a file by calling `make`, store its identity, and return its path.
+        """Create a file in the folder of the replay by calling `make`, store its identity, and return its path.
 
         Raise SeatrialError if a file of this name exists or cannot be created.
         """
@@ -154,13 +158,16 @@ class ReplayFolder:
         return self.path / name
 
     def _file_identity(self, name: str) -> tuple[int, int, int]:
-        """Return numbers that distinguish a file from later files of the same name: device, inode, time [ns]."""
+        """Return numbers that distinguish a file of the replay from later files of the same name.
+
+        They are device, inode and time of change [ns].
+        """
         # The inode alone is not sufficient: the file system reuses the inode of a deleted file.
         status = os.stat(name, dir_fd=self._fd, follow_symlinks=False)
         return status.st_dev, status.st_ino, status.st_ctime_ns
 
     def close(self) -> None:
-        """Delete the own files that another program has not replaced."""
+        """Delete the files that the replay created in its folder, unless another program has replaced them."""
         for name, identity in self._made.items():
             with contextlib.suppress(OSError):
                 if self._file_identity(name) == identity:
@@ -169,7 +176,7 @@ class ReplayFolder:
 
 
 def recorded(log: Log, devices: Sequence[str] = ()) -> list[str]:
-    """Return the devices of a log whose raw bytes can be replayed.
+    """Return the names of the devices of a log whose raw bytes can be replayed.
 
     Parameters
     ----------
@@ -201,7 +208,7 @@ def recorded(log: Log, devices: Sequence[str] = ()) -> list[str]:
 
 
 def chunks(log: Log, devices: Sequence[str]) -> Iterator[Chunk]:
-    """Yield all reads of the devices as (time [s since 1970], device, bytes on the wire), in the order of time.
+    """Yield the bytes that the devices of a log sent, as (time [s since 1970], device, bytes), in the order of time.
 
     CAN frames become lines of an slcan adapter.
     """
@@ -209,7 +216,7 @@ def chunks(log: Log, devices: Sequence[str]) -> Iterator[Chunk]:
     can = {device.name for device in rig.devices if device.port.startswith(("slcan:", "socketcan:"))} if rig else set()
 
     def reads_of(name: str) -> Iterator[Chunk]:
-        """Yield the reads of one device that contain bytes; sent bytes are skipped."""
+        """Yield the bytes that one device sent, with their times. Bytes sent to the device are skipped."""
         for t, direction, data in log.raw(name):
             if direction == "rx" and data:
                 yield t, name, as_slcan(data) if name in can else data
@@ -218,7 +225,7 @@ def chunks(log: Log, devices: Sequence[str]) -> Iterator[Chunk]:
 
 
 def as_slcan(data: bytes) -> bytes:
-    """Convert CAN frames (16 bytes each, the format of the log) to lines of an slcan adapter.
+    """Convert CAN frames (16 bytes each, the format of the log) to the text lines of an slcan adapter.
 
     An incomplete frame at the end is left out.
     """
@@ -232,7 +239,7 @@ def as_slcan(data: bytes) -> bytes:
 def _send_in_time(
     pieces: Iterator[Chunk], ports: dict[str, ReplayPort], speed: float, stopped: Callable[[], bool]
 ) -> int:
-    """Send the bytes at their times, and return the number of bytes that were passed to the ports.
+    """Send recorded bytes on the ports of a replay at their times, and return the number of bytes sent.
 
     The first piece is sent at once, and later ones by their time after it, divided by `speed`. Return early when
     `stopped` returns true. At the end wait until the ports have accepted all bytes.
@@ -262,17 +269,20 @@ def _send_in_time(
 
 
 class ReplayPort:
-    """Device end of a pty, with a link to its host end in the folder. Bytes from the host are discarded.
+    """Serial port (pty) on which a replay sends the bytes of one device. Bytes from the other end are discarded.
+
+    The folder of the replay has a link to the end that a program, the host, opens.
 
     Attributes
     ----------
     backlog : bytearray
         Bytes that wait to be sent by `pump`.
     path : Path
-        The link.
+        The link to the host's end.
     """
 
     def __init__(self, folder: ReplayFolder, name: str) -> None:
+        """Open a pty for the device `name`, and create the link to its host's end in the folder."""
         self.backlog = bytearray()
         self._slave = -1
         self._master, slave = os.openpty()
@@ -286,9 +296,9 @@ class ReplayPort:
             raise
 
     def has_host(self) -> bool:
-        """Return whether a host has opened the port.
+        """Return whether a program, the host, has opened the port of the replay.
 
-        After the first time this process keeps the host end open, too, so the result stays true.
+        After the first time this process keeps the host's end open, too, so the result stays true.
         """
         if self._slave >= 0:
             return True
@@ -302,7 +312,7 @@ class ReplayPort:
         return True
 
     def pump(self) -> None:
-        """Send waiting bytes, as many as the buffer of the pty accepts, and discard bytes from the host.
+        """Send waiting bytes, as many as the buffer of the port accepts, and discard bytes from the host.
 
         It never waits, and errors of the pty are ignored.
         """
@@ -314,7 +324,7 @@ class ReplayPort:
             return  # the buffer is full, there are no bytes to read, or the host has closed the port
 
     def close(self) -> None:
-        """Close both ends of the pty."""
+        """Close both ends of the replay's port. A second call has no effect."""
         for fd in (self._slave, self._master):
             if fd >= 0:
                 os.close(fd)
@@ -322,9 +332,9 @@ class ReplayPort:
 
 
 def write_replay_rig(log: Log, devices: Sequence[str], folder: ReplayFolder, speed: float) -> Path | None:
-    """Write the rig file FOLDER/replay.toml for devices with the ports FOLDER/DEVICE, and return its path.
+    """Write the rig file of a replay, FOLDER/replay.toml, with the ports FOLDER/DEVICE, and return its path.
 
-    The rig file records new logs in the folder of `log`.
+    With this rig file new logs are recorded in the folder of `log`.
 
     Returns
     -------

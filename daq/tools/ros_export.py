@@ -45,7 +45,7 @@ Array = NDArray[np.float64]
 
 
 class RosMessage(NamedTuple):
-    """One message to write.
+    """One ROS message to write to a bag, with its time and topic.
 
     Attributes
     ----------
@@ -63,7 +63,7 @@ class RosMessage(NamedTuple):
 
 
 def export_ros(log: Log, folder: Path, force: bool = False) -> list[Path]:
-    """Write the bag, the message package and the layouts of a log.
+    """Export a log for ROS 2: a bag, a package with the message definitions, and layouts of viewers.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ def export_ros(log: Log, folder: Path, force: bool = False) -> list[Path]:
 
 
 def ros_topic(topic: str) -> str:
-    """Return the ROS 2 name of a topic of the log.
+    """Return the valid ROS 2 name of a topic of the log: /can0/1/state becomes /can0/node_1/state.
 
     In ROS 2 no part of a name may begin with a digit; `ros2 bag play` leaves such topics out.
     """
@@ -162,7 +162,7 @@ def rep_103_imu(device: str, sample: Ahrs) -> schema.Message:
 
 
 def _imu_messages(source: str, rows: NDArray[np.void]) -> Iterator[RosMessage]:
-    """Yield the Imu messages of a table of an AHRS."""
+    """Yield a ROS Imu message in the axes of REP-103 for each sample in the table `rows` of an AHRS."""
     names = [field.name for field in fields(Ahrs)]
     for row in rows:
         message = rep_103_imu(source, Ahrs(*(float(row[name]) for name in names)))
@@ -170,10 +170,10 @@ def _imu_messages(source: str, rows: NDArray[np.void]) -> Iterator[RosMessage]:
 
 
 def _odometry_messages(log: Log, ahrs_of: Mapping[str, NDArray[np.void]], types: Any) -> Iterator[RosMessage]:
-    """Yield odometry and transform of the reference point of the rig at the times of the AHRS.
+    """Yield ROS odometry and transforms of the boat's reference point at the times of the first AHRS with a heading.
 
-    Position and velocity are interpolated linearly between the fixes before and after each time. The log gives no
-    messages without a heading or without two fixes of one receiver.
+    Position and velocity are interpolated linearly between the fixes before and after each time. Nothing is yielded
+    without a heading or without two fixes of one receiver. `types` are the message classes of rosbags by name.
     """
     headed = [rows for rows in ahrs_of.values() if np.isfinite(rows["yaw"]).any()]
     fixed = [(name, rows[_has_position(rows)]) for name in log.sources(Gnss) for rows in [log.table(Gnss, name)]]
@@ -209,7 +209,7 @@ def _odometry_messages(log: Log, ahrs_of: Mapping[str, NDArray[np.void]], types:
 def _pose_messages(
     t: float, position: Array, angles: Sequence[float], twist: Array, known: Sequence[bool], types: Any
 ) -> Iterator[RosMessage]:
-    """Yield an odometry message and a transform.
+    """Yield the ROS odometry message and the transform for one pose of the boat, converted to the axes of REP-103.
 
     Parameters
     ----------
@@ -254,28 +254,34 @@ def _has_position(rows: NDArray[np.void]) -> NDArray[np.bool_]:
 
 
 def _nanoseconds(t: float) -> int:
-    """Return a time [s] as whole nanoseconds."""
+    """Convert the time of a message from s to whole nanoseconds."""
     return round(float(t) * NANO)
 
 
 def _ros_header(t: float, frame: str, types: Any) -> Any:
-    """Return a ROS header with a time [s since 1970] and a frame, as an object of rosbags."""
+    """Return a ROS message header with a time [s since 1970] and the name of a frame.
+
+    `types` are the message classes of rosbags by name.
+    """
     sec, nanosec = divmod(_nanoseconds(t), NANO)
     stamp = types["builtin_interfaces/msg/Time"](sec=sec, nanosec=nanosec)
     return types["std_msgs/msg/Header"](stamp=stamp, frame_id=frame)
 
 
 def _ros_vector(frd: Sequence[float] | Array, types: Any) -> Any:
-    """Return a vector of rosbags in the axes forward, left, up from forward, starboard, down."""
+    """Convert a vector from forward, starboard, down to a ROS vector in the axes forward, left, up.
+
+    `types` are the message classes of rosbags by name.
+    """
     x, y, z = map(float, frd)
     return types["geometry_msgs/msg/Vector3"](x=x, y=-y, z=-z)
 
 
 def _ros_quaternion(angles: Sequence[float], types: Any) -> Any:
-    """Return the quaternion of the body (forward, left, up) in ENU, as an object of rosbags.
+    """Convert yaw, pitch and roll [rad] in NED to the ROS quaternion of the body (forward, left, up) in ENU.
 
-    `angles` are yaw, pitch and roll [rad] of the body (FRD) in NED. Yaw then counts from east instead of north. Yaw and
-    pitch change their signs with the axes z and y.
+    Yaw then counts from east instead of north. Yaw and pitch change their signs with the axes z and y. `types` are the
+    message classes of rosbags by name.
     """
     yaw, pitch, roll = angles
     x, y, z, w = quaternion(np.pi / 2 - yaw, -pitch, roll)
@@ -299,7 +305,7 @@ def _rotation_matrix(yaw: float, pitch: float, roll: float) -> Array:
 
 
 def ros_types() -> Any:
-    """Return the type store of rosbags with the types of ROS 2 and of seatrial.
+    """Return the type store of rosbags with the message types of ROS 2 (Humble) and of seatrial.
 
     Raises
     ------
@@ -315,13 +321,13 @@ def ros_types() -> Any:
 
 
 def _message_definitions() -> list[Path]:
-    """Return the files with the definitions of the messages of seatrial."""
+    """Return the paths of the files (.msg) that define the messages of seatrial, sorted by name."""
     with resources.as_file(resources.files("seatrial.daq").joinpath("msg", PACKAGE)) as folder:
         return sorted(folder.glob("*.msg"))
 
 
 def _write_package(folder: Path) -> None:
-    """Write a ROS package for colcon with the message definitions of seatrial.
+    """Write a ROS package with the message definitions of seatrial to a new folder, to be built by colcon.
 
     `ros2 topic echo` and readers of bags need this package to decode the messages.
     """
@@ -373,7 +379,7 @@ PACKAGE_XML = """<?xml version="1.0"?>
 
 
 class Plot(NamedTuple):
-    """Plot of a layout.
+    """Plot in a layout of Foxglove or PlotJuggler.
 
     Attributes
     ----------
@@ -388,7 +394,7 @@ class Plot(NamedTuple):
 
 
 def _plots_of_log(log: Log) -> list[Plot]:
-    """Return the plots of a layout: the most important signals of each device of the log."""
+    """Return the plots for the layouts of an exported log: the most important signals of each of its devices."""
     found = []
     for source in log.sources(Ahrs):
         imu = f"/{source}/imu"
@@ -442,7 +448,7 @@ def _foxglove_layout(log: Log, plots: Sequence[Plot], has_frames: bool) -> dict[
 
 
 def _stacked_panels(names: Sequence[str]) -> Any:
-    """Return panels of equal height below each other, as a binary tree, which is the format of a layout.
+    """Return panels of a Foxglove layout in equal height below each other, as a binary tree of their names.
 
     One panel is its name; no panel is None.
     """
@@ -454,7 +460,7 @@ def _stacked_panels(names: Sequence[str]) -> Any:
 
 
 def _plotjuggler_layout(plots: Sequence[Plot]) -> str:
-    """Return a layout of PlotJuggler as XML. It opens the bag beside it and has one tab with the plots."""
+    """Return a layout of PlotJuggler as XML text. It opens the exported bag beside it and plots all `plots`."""
     root = ElementTree.Element("root")
     window = ElementTree.SubElement(root, "tabbed_widget", {"parent": "main_window", "name": "Main Window"})
     tab = ElementTree.SubElement(window, "Tab", tab_name="log", containers="1")

@@ -43,7 +43,7 @@ _ROS2 = "live ROS 2 needs the packages eclipse-zenoh and rosbags: pip install 's
 
 
 class ReceivedCommand(NamedTuple):
-    """Received command of a thruster.
+    """Command of a thruster that was received by ROS 2, with the attachment that rmw_zenoh adds to a message.
 
     Attributes
     ----------
@@ -64,10 +64,10 @@ class ReceivedCommand(NamedTuple):
 
 
 class LateCommands:
-    """Detector of commands that arrive too late. A congested link delivers all commands, but seconds late.
+    """Detector of ROS 2 commands that arrive too late. A congested link delivers all commands, but seconds late.
 
-    The clocks of two computers may differ by any value. Therefore each command is compared with the fastest command
-    of the same sender.
+    The clocks of two computers may differ by any value. Therefore each command is compared with the fastest command of
+    the same sender.
 
     Parameters
     ----------
@@ -81,6 +81,7 @@ class LateCommands:
     """
 
     def __init__(self, allowed_s: float) -> None:
+        """Begin without any command; `allowed_s` is the largest allowed delay after the fastest command [s]."""
         self._allowed = allowed_s
         # By sender: smallest difference of time of receipt and time of sending, which contains the difference of the
         # clocks; and the time of the last update [s].
@@ -88,9 +89,9 @@ class LateCommands:
         self.number = 0  # of late commands
 
     def is_late(self, command: ReceivedCommand, now: float) -> bool:
-        """Return whether a command arrived too late, and count late commands in `number`.
+        """Return whether a command of a thruster arrived too late, and count late commands in `number`.
 
-        A command without a time of sending is never late. The clocks may drift by 0.05 %.
+        A command without a time of sending is never late. The clocks of sender and receiver may drift by 0.05 %.
 
         Parameters
         ----------
@@ -111,10 +112,10 @@ class LateCommands:
 
 
 class Ros2Node:
-    """Node that publishes the samples from `put` and receives commands of thrusters, within a `with` block.
+    """ROS 2 node that publishes live samples and receives commands of thrusters, within a `with` block.
 
-    Without a router the node tries to connect every second. Callers never wait for the router. Samples that cannot be
-    published are counted.
+    `put` adds samples and `take` returns commands. Without a router the node tries to connect every second. Callers
+    never wait for the router. Samples that cannot be published are counted.
 
     Parameters
     ----------
@@ -132,6 +133,7 @@ class Ros2Node:
     """
 
     def __init__(self, rig: Rig, thrusters: Sequence[str] = ()) -> None:
+        """Prepare the ROS 2 node. It connects to the router at the beginning of the `with` block."""
         self._ros2, self._thrusters = rig.ros2, thrusters
         self._queue: deque[StreamedSample] = deque()
         self._filled, self._ending = threading.Event(), threading.Event()
@@ -147,7 +149,10 @@ class Ros2Node:
         self.connected = False
 
     def __enter__(self) -> Ros2Node:
-        """Start the thread that connects to the router. Raises SeatrialError if a package is not installed."""
+        """Start the thread of the node that connects to the router.
+
+        Raise SeatrialError if a package is not installed.
+        """
         try:
             import zenoh
 
@@ -160,13 +165,14 @@ class Ros2Node:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        """End the thread of the ROS 2 node. Wait for it 1 s at most, because the router may hang."""
         self._ending.set()
         self._filled.set()
         # If the router hangs or the network is cut, Zenoh waits for half a minute. The program must not wait for it.
         self._thread.join(END_S)
 
     def put(self, samples: Sequence[StreamedSample], dropped: int) -> None:
-        """Queue samples for publication. This never waits.
+        """Queue samples for publication by ROS 2. This never waits.
 
         Parameters
         ----------
@@ -182,11 +188,11 @@ class Ros2Node:
         self._filled.set()
 
     def take(self) -> Mapping[str, Sequence[ReceivedCommand]]:
-        """Return the commands since the last call by thruster, in the order of receipt. This never waits.
+        """Return the thruster commands received by ROS 2 since the last call, by thruster, in the order of receipt.
 
-        At most the newest `FLOOD` commands of a thruster are returned. Late commands are left out: a link that
-        delivers only late commands then counts as silent. With `FLOOD` commands, however, late commands are included,
-        so that the caller can detect the flood.
+        This never waits. At most the newest `FLOOD` (512) commands of a thruster are returned. Late commands are left
+        out: a link that delivers only late commands then counts as silent. With `FLOOD` commands, however, late
+        commands are included, so that the caller can detect the flood.
         """
         found: dict[str, list[ReceivedCommand]] = {name: [] for name in self._thrusters}
         for name, subscriber in list(self._subscribers.items()):
@@ -202,7 +208,7 @@ class Ros2Node:
         return found
 
     def summary(self) -> str:
-        """Return one line with the address and the numbers of published messages, lost samples and late commands."""
+        """Return one line about the ROS 2 node: its address, published messages, lost samples and late commands."""
         dropped = self._lost + self._dropped_before + len(self._queue)
         lost = f"; {counted(dropped, 'sample')} could not be published" if dropped else ""
         late = f"; {counted(self._late.number, 'command')} ignored because of late arrival" if self._late.number else ""
@@ -210,7 +216,10 @@ class Ros2Node:
         return f"{where}: {counted(self.published, 'message')}{lost}{late}"
 
     def await_router(self, seconds: float) -> str:
-        """Wait for the connection to the router, at most for a time [s]. Return the result as one line."""
+        """Wait for the connection of the ROS 2 node to its router, at most for a time [s].
+
+        Return one line for the user: whether the router is connected.
+        """
         deadline = time.monotonic() + seconds
         while not self.connected and time.monotonic() < deadline:
             time.sleep(WAIT_S)
@@ -220,7 +229,10 @@ class Ros2Node:
     # Methods of the thread -------------------------------------------------------------------------------------
 
     def _connect_and_publish(self) -> None:
-        """Connect, declare the node and publish samples until the end. Connect again after an error."""
+        """Connect to the router, declare the ROS 2 node and publish samples until the end.
+
+        After an error connect again, one second later.
+        """
         while not self._ending.is_set():
             try:
                 with contextlib.closing(
@@ -235,7 +247,7 @@ class Ros2Node:
                 self._ending.wait(RETRY_S)
 
     def _zenoh_config(self) -> str:
-        """Return the configuration of Zenoh: a client of one router that does not listen and does not search."""
+        """Return the configuration of Zenoh as JSON: a client of one router that opens no port and searches nothing."""
         return json.dumps({
             "mode": "client",
             "connect": {"endpoints": [self._ros2.router], "timeout_ms": 0},
@@ -245,7 +257,7 @@ class Ros2Node:
         })  # fmt: skip
 
     def _declare_node(self) -> None:
-        """Declare the node and subscribe to the commands of the thrusters."""
+        """Declare the node to ROS 2 and subscribe to the commands of the thrusters."""
         self._tokens, self._publishers = [], {}
         self._declare_token("NN", 0)
         for name in self._thrusters:
@@ -256,7 +268,7 @@ class Ros2Node:
             self._declare_token("MS", next(self._entities), topic, COMMAND_TYPE)
 
     def _declare_token(self, kind: str, entity: int, topic: str = "", type_name: str = "") -> str:
-        """Declare a node or an endpoint in the ROS 2 graph, and return its key expression.
+        """Announce the node or an endpoint to the other ROS 2 nodes, and return its key expression of Zenoh.
 
         Parameters
         ----------
@@ -277,11 +289,11 @@ class Ros2Node:
         return key
 
     def _namespaced_topic(self, topic: str) -> str:
-        """Return a topic of the log with the namespace of the rig in front, if the rig has one."""
+        """Return the ROS 2 name of a topic: the namespace of the rig, if it has one, and the topic of the log."""
         return f"/{self._ros2.namespace}{topic}" if self._ros2.namespace else topic
 
     def _publish_all(self) -> None:
-        """Publish queued samples until the end. Every 0.5 s check whether there is a router.
+        """Publish queued samples to ROS 2 until the end. Every 0.5 s check whether there is a router.
 
         While there is no router, queued samples are discarded and counted as lost.
         """
@@ -297,14 +309,14 @@ class Ros2Node:
             self._filled.clear()
 
     def _discard_queue(self) -> None:
-        """Discard the queued samples and count them as lost, because they would be old when a router is connected."""
+        """Discard the samples that wait for ROS 2, and count them as lost: they are old when a router is connected."""
         with contextlib.suppress(IndexError):
             while True:
                 self._queue.popleft()
                 self._lost += 1
 
     def _publish_sample(self, streamed: StreamedSample) -> None:
-        """Publish the messages of a sample; for an AHRS also the Imu message in the axes of REP-103."""
+        """Publish the messages of a sample to ROS 2; for an AHRS also the Imu message in the axes of REP-103."""
         messages = schema.messages(streamed.device, Frame(streamed.sample, streamed.t, NAN))
         if isinstance(streamed.sample, Ahrs):
             messages.append(rep_103_imu(streamed.device, streamed.sample))
@@ -315,7 +327,7 @@ class Ros2Node:
             self.published += 1
 
     def _publisher_of_topic(self, topic: str, type_name: str) -> _Publisher:
-        """Declare a publisher for a topic of the log, and return it."""
+        """Declare a ROS 2 publisher for a topic of the log and messages of a type, and return it."""
         name = self._namespaced_topic(ros_topic(topic))
         token = self._declare_token("MP", next(self._entities), name, type_name)
         key = f"{self._ros2.domain}{name}/{_dds_type_name(type_name)}/{self._types.hash_rihs01(type_name)}"
@@ -325,20 +337,24 @@ class Ros2Node:
 
 
 class _Publisher:
-    """Publisher that adds the attachment of rmw_zenoh: sequence number, time of sending [ns], unique id of 16 bytes."""
+    """Publisher of one ROS 2 topic over Zenoh.
+
+    It adds the attachment of rmw_zenoh to each message: sequence number, time of sending [ns], unique id of 16 bytes.
+    """
 
     def __init__(self, publisher: Any, token: str) -> None:
+        """Store the Zenoh publisher, and derive its unique id from its key expression `token`."""
         self._publisher, self._numbers = publisher, itertools.count(1)
         self._gid = hashlib.blake2b(token.encode(), digest_size=16).digest()
 
     def send(self, data: bytes) -> None:
-        """Publish a message in CDR."""
+        """Publish a message, encoded in CDR, on the topic."""
         attachment = ATTACHMENT.pack(next(self._numbers), time.time_ns(), len(self._gid), self._gid)
         self._publisher.put(data, attachment=attachment)
 
 
 def _dds_type_name(type_name: str) -> str:
-    """Return the DDS name of a message type, by the rule of rosidl.
+    """Return the DDS name of a ROS 2 message type, by the rule of rosidl.
 
     The name of "std_msgs/msg/Float64" is "std_msgs::msg::dds_::Float64_".
     """
@@ -347,7 +363,7 @@ def _dds_type_name(type_name: str) -> str:
 
 
 def _decoded_command(sample: Any) -> ReceivedCommand:
-    """Decode a received command: a Float64 in CDR, with the attachment of rmw_zenoh.
+    """Decode a thruster command received by ROS 2: a Float64 in CDR, with the attachment of rmw_zenoh.
 
     A message of another form gives the value NaN. Without a whole attachment the sender is empty, the time of sending
     NaN and the number 0.

@@ -36,17 +36,24 @@ class Port(ABC):
     """
 
     def __init__(self) -> None:
+        """Set the counters to 0 and the hint to an empty text. The port is not opened."""
         self.bytes_in = 0
         self.unparsed_bytes = 0
         self.hint = ""  # a possible improvement of the port, in one line; set when the port is opened
 
     @property
     def is_confirmed(self) -> bool:
-        """Whether the sender of the last read is known to be the device. `confirm` makes a new sender known."""
+        """Whether the bytes of the last read are from a sender that is known to be the device.
+
+        Always True except on UDP.
+        """
         return True
 
     def confirm(self) -> None:
-        """Accept the sender of the last read, because a frame of the device was found in it."""
+        """Accept the sender of the last read as the device, because a frame of the device was found in it.
+
+        Only a UDP port has several senders; the default does nothing.
+        """
         return
 
     @abstractmethod
@@ -60,7 +67,7 @@ class Port(ABC):
         """
 
     def take_over(self) -> None:
-        """Open the port in place of a process that hangs or dies.
+        """Open the port in place of another process that hangs or dies, so that zero thrust can be commanded.
 
         If the kind of port allows it, the port is opened before the other process has closed it.
 
@@ -73,7 +80,7 @@ class Port(ABC):
 
     @abstractmethod
     def fileno(self) -> int:
-        """Return the file descriptor to wait on."""
+        """Return the file descriptor of the port, for `select`."""
 
     @abstractmethod
     def read(self) -> bytes:
@@ -119,7 +126,7 @@ _REASONS = {
 
 
 def os_error_text(error: BaseException) -> str:
-    """Return the message, in one line, of an error of the operating system or of a library."""
+    """Return the message of an error of the operating system or of a library, as one line."""
     number = getattr(error, "errno", None) or getattr(error, "error_code", None)
     if number is None and (inner := re.search(r"\((\d+), '", str(error))):  # pyserial quotes the original error
         number = int(inner[1])
@@ -133,7 +140,10 @@ def _takes_datagrams(decoder: Decoder) -> TypeGuard[DatagramDecoder]:
 
 
 def decode_read(port: Port, decoder: Decoder, data: bytes, t_rx: float) -> list[Frame]:
-    """Decode the bytes of one read. On a network, answer from now on the sender of a frame of the device.
+    """Decode the bytes of one read from a port, and return the samples that they complete.
+
+    Datagrams of an unknown sender are decoded apart from others. If they contain a frame of the device, the port
+    accepts their sender as the device (`Port.confirm`).
 
     Parameters
     ----------

@@ -23,13 +23,15 @@ class _OpeningAnswers:
     """
 
     def __init__(self) -> None:
+        """Start without an answer of the adapter."""
         self._answers: list[bool] = []  # whether each answer was a refusal
         self._in_line = False  # whether the present line is a frame or an answer to a frame
 
     def feed(self, data: bytes) -> bool | None:
-        """Process received bytes.
+        """Process bytes that the adapter has sent after the commands that open its channel.
 
-        Return whether the bit rate or the opening was refused, or None as long as this is not certain.
+        Return True if it refused the bit rate or the opening, False if it accepted both, and None as long as this is
+        unknown.
         """
         for byte in data:
             if byte not in (CR, BELL):
@@ -61,11 +63,12 @@ class _FrameAnswers:
     """
 
     def __init__(self) -> None:
+        """Start with no refused frame."""
         self.refused = 0  # consecutive refused frames
         self._in_line = True  # whether the present line is a received frame; at first this is unknown
 
     def feed(self, data: bytes) -> None:
-        """Process received bytes, and update `refused`."""
+        """Update `refused`, the number of refused frames in a row, from bytes that the adapter has sent."""
         if not self.refused and BELL not in data:
             self._in_line = data[-1:] not in (b"\r", b"\a") if data else self._in_line
             return
@@ -94,6 +97,7 @@ class SlcanPort(Port):
     """
 
     def __init__(self, path: str, baud: int, bitrate: int) -> None:
+        """Store the settings of the serial port and the bit rate of the bus [bit/s]. The port is not opened."""
         super().__init__()
         self._serial = SerialPort(path, baud)
         self._bitrate = bitrate
@@ -102,7 +106,10 @@ class SlcanPort(Port):
         self._answers: _FrameAnswers | None = None  # None before the first frame is sent
 
     def open(self) -> None:
-        """Open the serial port, then the channel of the adapter. Raise PortError if slcan lacks the bit rate."""
+        """Open the serial port of the CAN adapter, then its channel.
+
+        PortError is raised if the serial port cannot be opened, or if slcan adapters do not have the bit rate.
+        """
         try:
             commands = slcan.open_channel(self._bitrate)
         except ValueError as error:
@@ -114,14 +121,14 @@ class SlcanPort(Port):
         self._serial.write(commands)
 
     def fileno(self) -> int:
-        """Return the file descriptor to wait on."""
+        """Return the file descriptor of the serial port, for `select`."""
         return self._serial.fileno()
 
     def read(self) -> bytes:
-        """Return the complete frames that have arrived, 16 bytes each.
+        """Return the complete CAN frames that have arrived, 16 bytes each (`struct can_frame`).
 
-        If the adapter has refused the bit rate or the opening of its channel, `hint` is set. PortError is raised if it
-        refuses REFUSED frames in a row.
+        If the adapter has refused the bit rate or the opening of its channel, `hint` is set. PortError is raised if the
+        adapter refuses 10 sent frames in a row (REFUSED), or if it was unplugged.
         """
         data = self._serial.read()
         if self._opening is not None and (refused := self._opening.feed(data)) is not None:
@@ -140,7 +147,7 @@ class SlcanPort(Port):
         return b"".join(frames)
 
     def write(self, data: bytes) -> None:
-        """Send frames, 16 bytes each, with 29-bit identifiers."""
+        """Send CAN frames, 16 bytes each (`struct can_frame`), with 29-bit identifiers."""
         self._answers = self._answers or _FrameAnswers()
         lines = (slcan.encode(word & ~EXTENDED, body[:length]) for word, length, body in CAN_FRAME.iter_unpack(data))
         self._serial.write(b"".join(lines))
@@ -163,6 +170,7 @@ class SocketCanPort(Port):
     """
 
     def __init__(self, channel: str) -> None:
+        """Store the name of the CAN interface, such as "can0". The port is not opened."""
         super().__init__()
         import can  # imported here because the import is slow and only this port needs it
 
@@ -171,7 +179,7 @@ class SocketCanPort(Port):
         self._bus: Any = None
 
     def open(self) -> None:
-        """Open a raw socket on the interface. Raise PortError if this fails."""
+        """Open a raw socket on the CAN interface of the kernel. Raise PortError if this fails."""
         self.close()
         try:
             self._bus = self._can.Bus(interface="socketcan", channel=self._channel)
@@ -179,13 +187,13 @@ class SocketCanPort(Port):
             raise PortError(os_error_text(error)) from error
 
     def fileno(self) -> int:
-        """Return the file descriptor to wait on, -1 if the port is closed."""
+        """Return the file descriptor of the CAN socket, for `select`; -1 if the port is closed."""
         return -1 if self._bus is None else int(self._bus.fileno())
 
     def read(self) -> bytes:
-        """Return the data frames that have arrived, 16 bytes each, at most MOST.
+        """Return the CAN data frames that have arrived, 16 bytes each (`struct can_frame`), at most 256 of them (MOST).
 
-        Error frames, remote frames and frames of CAN FD are left out.
+        Error frames, remote frames and frames of CAN FD are left out. PortError is raised if the interface fails.
         """
         frames = []
         try:
@@ -201,7 +209,10 @@ class SocketCanPort(Port):
         return b"".join(frames)
 
     def write(self, data: bytes) -> None:
-        """Send frames, 16 bytes each, with 29-bit identifiers."""
+        """Send CAN frames, 16 bytes each (`struct can_frame`), with 29-bit identifiers.
+
+        Raise PortError if this fails.
+        """
         try:
             for word, length, body in CAN_FRAME.iter_unpack(data):
                 message = self._can.Message(arbitration_id=word & ~EXTENDED, is_extended_id=True, data=body[:length])
@@ -210,7 +221,7 @@ class SocketCanPort(Port):
             raise PortError(os_error_text(error)) from error
 
     def close(self) -> None:
-        """Close the socket."""
+        """Close the CAN socket, if it is open."""
         if self._bus is not None:
             with contextlib.suppress(Exception):  # the interface of the socket may not exist any more
                 self._bus.shutdown()

@@ -10,7 +10,7 @@ from seatrial.daq.transport.serial_port import SerialPort
 
 
 def make_port(device: Device) -> Port:
-    """Return the port of a device of the rig. It is not open yet."""
+    """Return the port to which a device of the rig is connected: serial, CAN, UDP or TCP. It is not opened."""
     if device.port.startswith("slcan:"):
         return SlcanPort(device.port.removeprefix("slcan:"), device.baud, device.bitrate)
     if device.port.startswith("socketcan:"):

@@ -26,9 +26,10 @@ BUFFER_BYTES = 1 << 20  # for datagrams that arrive while this process is not ru
 def _resolve_address(
     host: str, number: int, kind: socket.SocketKind, passive: bool
 ) -> tuple[socket.AddressFamily, Any]:
-    """Return family and address of a host and port number. Raise PortError if there is none.
+    """Return the address family and the socket address of a host name and port number.
 
-    `passive` is true for a local address to listen at.
+    `kind` is that of the socket (UDP or TCP). `passive` is true for a local address to listen at. PortError is raised
+    if there is no such address.
     """
     flags = socket.AI_PASSIVE if passive else 0
     try:
@@ -50,6 +51,7 @@ class UdpPort(Port):
     """
 
     def __init__(self, host: str, number: int, listen: bool) -> None:
+        """Store the address, and whether to listen at it or to send to it. The port is not opened."""
         super().__init__()
         self._host, self._number, self._listen = host, number, listen
         self._socket: socket.socket | None = None
@@ -90,11 +92,13 @@ class UdpPort(Port):
         self._socket, self._peer = sock, None if self._listen else address
 
     def fileno(self) -> int:
-        """Return the file descriptor to wait on, -1 if the port is closed."""
+        """Return the file descriptor of the UDP socket, for `select`; -1 if the port is closed."""
         return -1 if self._socket is None else self._socket.fileno()
 
     def read(self) -> bytes:
-        """Return the bytes from the confirmed sender. Without a confirmed sender, return one datagram of any sender.
+        """Return the bytes that have arrived from the confirmed sender, which is the one in which a frame was found.
+
+        As long as no sender is confirmed, return one datagram of any sender.
 
         Raises
         ------
@@ -129,13 +133,20 @@ class UdpPort(Port):
         return self._candidate is None or self._candidate == self._peer
 
     def confirm(self) -> None:
-        """Accept the sender of the last read, which is answered from now on. Its time of silence starts anew."""
+        """Accept the sender of the last read as the device. `write` sends to this sender from now on.
+
+        Another sender can take its place only after a time without a frame of this one, which starts anew with each
+        call.
+        """
         if self._candidate is not None:
             self._peer = self._candidate
         self._heard_at = time.monotonic()
 
     def write(self, data: bytes) -> None:
-        """Send to the other end. Before the first frame of the device, its address is unknown and nothing is sent."""
+        """Send bytes to the device as one datagram.
+
+        A port that listens does not know the address of the device before its first frame; until then nothing is sent.
+        """
         if self._socket is None or self._peer is None:
             return
         try:
@@ -149,7 +160,7 @@ class UdpPort(Port):
             raise PortError(os_error_text(error)) from error
 
     def close(self) -> None:
-        """Close the socket."""
+        """Close the UDP socket, if it is open."""
         if self._socket is not None:
             self._socket.close()
         self._socket = None
@@ -165,12 +176,13 @@ class TcpPort(Port):
     """
 
     def __init__(self, host: str, number: int) -> None:
+        """Store host and port number of the server. The port is not opened."""
         super().__init__()
         self._host, self._number = host, number
         self._socket: socket.socket | None = None
 
     def open(self) -> None:
-        """Connect to the server. Raise PortError if there is no connection within CONNECT_S."""
+        """Connect to the server. Raise PortError if there is no connection within 2 s (CONNECT_S)."""
         self.close()
         _resolve_address(self._host, self._number, socket.SOCK_STREAM, False)
         try:
@@ -181,7 +193,7 @@ class TcpPort(Port):
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
     def fileno(self) -> int:
-        """Return the file descriptor to wait on, -1 if the port is closed."""
+        """Return the file descriptor of the TCP socket, for `select`; -1 if the port is closed."""
         return -1 if self._socket is None else self._socket.fileno()
 
     def read(self) -> bytes:
@@ -209,7 +221,7 @@ class TcpPort(Port):
             raise PortError(os_error_text(error)) from error
 
     def close(self) -> None:
-        """Close the connection."""
+        """Close the TCP connection, if it is open."""
         if self._socket is not None:
             with contextlib.suppress(OSError):
                 self._socket.shutdown(socket.SHUT_RDWR)

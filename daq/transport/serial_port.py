@@ -28,13 +28,17 @@ class SerialPort(Port):
     """
 
     def __init__(self, path: str, baud: int) -> None:
+        """Store the path and the baud rate [bit/s]. The port is not opened."""
         super().__init__()
         self._path, self._baud = path, baud
         self._serial: Any = None
         self._fd = -1
 
     def open(self) -> None:
-        """Open the port with exclusive access, in raw mode with 8N1."""
+        """Open the serial port with exclusive access, for raw bytes with 8 data bits, no parity and 1 stop bit.
+
+        PortError is raised if the path is not a serial device or cannot be opened.
+        """
         self.close()
         try:
             if not stat.S_ISCHR(os.stat(self._path).st_mode):
@@ -46,11 +50,14 @@ class SerialPort(Port):
         self.hint = set_latency_timer(self._path)
 
     def fileno(self) -> int:
-        """Return the file descriptor to wait on, -1 if the port is closed."""
+        """Return the file descriptor of the serial port, for `select`; -1 if the port is closed."""
         return self._fd
 
     def read(self) -> bytes:
-        """Return the bytes that have arrived. An empty read after waiting means that the device was disconnected."""
+        """Return the bytes that have arrived at the serial port. It must be called after waiting for bytes.
+
+        PortError is raised if the device was disconnected, which an empty read after waiting shows.
+        """
         try:
             data = os.read(self._fd, READ_BYTES)
         except BlockingIOError:
@@ -63,7 +70,7 @@ class SerialPort(Port):
         return data
 
     def write(self, data: bytes) -> None:
-        """Write all bytes. Raise PortError if the port accepts no more bytes within `WRITE_S`."""
+        """Write all bytes to the serial port. Raise PortError if it accepts no more bytes within 50 ms (WRITE_S)."""
         deadline = time.monotonic() + WRITE_S
         left = memoryview(data)
         while left:
@@ -77,7 +84,7 @@ class SerialPort(Port):
                 raise PortError("disconnected") from error
 
     def close(self) -> None:
-        """Close the port."""
+        """Close the serial port, if it is open."""
         if self._serial is not None:
             # pyserial raises these errors if the device was removed. They do not matter for a port that is closed.
             with contextlib.suppress(OSError, termios.error):
@@ -86,7 +93,7 @@ class SerialPort(Port):
 
 
 def list_serial_ports() -> list[tuple[str, str]]:
-    """Return the serial ports of this machine, each as its path and the description by the system."""
+    """Return the serial ports of this machine: the path of each, and the description that the system gives."""
     from serial.tools import list_ports  # imported here because the import is slow and only a search needs it
 
     return sorted((port.device, port.description) for port in list_ports.comports())

@@ -1,4 +1,6 @@
-"""Characterisation of components: thrusters on the bench, static thrust curves, and sensor noise."""
+"""Numerical characterisation of components: thrusters on the bench, static thrust curves, load cells, sensor noise. The
+commands that use it, `ident thruster` and `ident noise`, are in workflows.
+"""
 
 import lazy_loader
 

@@ -1,1 +1,3 @@
-"""The commands of `seatrial ident` and `seatrial mission design`."""
+"""Command line of `seatrial ident` and `seatrial mission design`: arguments, options and progress display. The steps of
+each command are in workflows.
+"""

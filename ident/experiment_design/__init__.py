@@ -1,4 +1,6 @@
-"""Optimal experiment design: Fisher information, optimality criteria, input design, and model discrimination."""
+"""Optimal experiment design: Fisher information, optimality criteria, search of input signals, discrimination. The
+command `mission design` is in workflows.
+"""
 
 import lazy_loader
 

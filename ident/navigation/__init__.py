@@ -1,4 +1,4 @@
-"""Navigation with a fitted model: filtered and smoothed states, GNSS outages."""
+"""Navigation with a fitted model: filtered and smoothed states along a record, and position errors in GNSS outages."""
 
 import lazy_loader
 

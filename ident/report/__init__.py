@@ -1,4 +1,4 @@
-"""Reports: HTML pages and terminal tables of results. No other package draws figures."""
+"""Reports of results: HTML pages with figures, formatted numbers, and tables. Only this package draws figures."""
 
 import lazy_loader
 

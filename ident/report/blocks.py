@@ -15,7 +15,7 @@ from seatrial.ident.report.drawing import Budget, Figure
 
 @dataclass(frozen=True)
 class Prose:
-    """Paragraph of text.
+    """Paragraph of text in a report page.
 
     Attributes
     ----------
@@ -24,7 +24,7 @@ class Prose:
     style
         CSS class; empty for an ordinary paragraph.
     kind
-        Name of the block's type in the template.
+        Kind of this piece of the page, by which the template selects its HTML.
     """
 
     words: str
@@ -34,7 +34,7 @@ class Prose:
 
 @dataclass(frozen=True)
 class Heading:
-    """Small heading inside a section, with a note in smaller type.
+    """Small heading inside a section of a report page, with a note in smaller type.
 
     Attributes
     ----------
@@ -43,7 +43,7 @@ class Heading:
     note
         Text in smaller type after the heading; may be empty.
     kind
-        Name of the block's type in the template.
+        Kind of this piece of the page, by which the template selects its HTML.
     """
 
     words: str
@@ -53,7 +53,7 @@ class Heading:
 
 @dataclass(frozen=True)
 class Cell:
-    """Cell of a table.
+    """Cell of a table in a report page.
 
     Attributes
     ----------
@@ -72,7 +72,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class Table:
-    """Table with a header row.
+    """Table with a header row in a report page.
 
     Attributes
     ----------
@@ -83,7 +83,7 @@ class Table:
     caption
         Text below the table; may be empty.
     kind
-        Name of the block's type in the template.
+        Kind of this piece of the page, by which the template selects its HTML.
     """
 
     columns: Sequence[tuple[str, str]]
@@ -94,7 +94,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Plot:
-    """Place of a figure on the page.
+    """Place of a figure in a report page.
 
     Attributes
     ----------
@@ -107,7 +107,7 @@ class Plot:
     title
         Heading above the figure; may be empty.
     kind
-        Name of the block's type in the template.
+        Kind of this piece of the page, by which the template selects its HTML.
     """
 
     id: str
@@ -119,7 +119,7 @@ class Plot:
 
 @dataclass(frozen=True)
 class Grid:
-    """Plots side by side, as many in a row as fit the page.
+    """Plots side by side in a report page, as many in a row as fit its width.
 
     Attributes
     ----------
@@ -130,7 +130,7 @@ class Grid:
     style
         CSS class; empty for an ordinary grid.
     kind
-        Name of the block's type in the template.
+        Kind of this piece of the page, by which the template selects its HTML.
     """
 
     plots: Sequence[Plot]
@@ -141,14 +141,14 @@ class Grid:
 
 @dataclass(frozen=True)
 class Key:
-    """Legend of the lines and symbols in the figures below it.
+    """Legend of the lines and symbols in the figures below it in a report page.
 
     Attributes
     ----------
     items
         CSS class of each symbol, and its meaning.
     kind
-        Name of the block's type in the template.
+        Kind of this piece of the page, by which the template selects its HTML.
     """
 
     items: Sequence[tuple[str, str]]
@@ -157,14 +157,14 @@ class Key:
 
 @dataclass(frozen=True)
 class Tabs:
-    """Tabs, of which one is visible at a time; a printed page contains all.
+    """Tabs of a report page, of which one is visible at a time; a printed page contains all.
 
     Attributes
     ----------
     tabs
-        Title and blocks of each tab.
+        Title of each tab, and its contents: paragraphs, tables, plots.
     kind
-        Name of the block's type in the template.
+        Kind of this piece of the page, by which the template selects its HTML.
     """
 
     tabs: Sequence[tuple[str, Sequence[Any]]]
@@ -173,7 +173,7 @@ class Tabs:
 
 @dataclass(frozen=True)
 class Facts:
-    """List of labelled values.
+    """List of labelled values in a report page.
 
     Attributes
     ----------
@@ -182,7 +182,7 @@ class Facts:
     style
         CSS class; empty for an ordinary list.
     kind
-        Name of the block's type in the template.
+        Kind of this piece of the page, by which the template selects its HTML.
     """
 
     items: Sequence[tuple[str, str]]
@@ -192,7 +192,7 @@ class Facts:
 
 @dataclass(frozen=True)
 class Lines:
-    """List of sentences, one below the other.
+    """List of sentences in a report page, one below the other.
 
     Attributes
     ----------
@@ -201,7 +201,7 @@ class Lines:
     style
         CSS class; empty for an ordinary list.
     kind
-        Name of the block's type in the template.
+        Kind of this piece of the page, by which the template selects its HTML.
     """
 
     items: Sequence[str]
@@ -254,7 +254,7 @@ class Dumbbells:
     caption
         Text below the chart.
     kind
-        Name of the block's type in the template.
+        Kind of this piece of the page, by which the template selects its HTML.
     """
 
     items: Sequence[Dumbbell]
@@ -264,7 +264,7 @@ class Dumbbells:
 
 @dataclass(frozen=True)
 class EffectCard:
-    """Card of an effect that was added to the model. All fields are texts as shown.
+    """Card of a report page for an effect that was added to the model. All fields are texts as shown.
 
     Attributes
     ----------
@@ -281,7 +281,7 @@ class EffectCard:
     importance_words
         Text after ``importance``; empty if unknown.
     kind
-        Name of the block's type in the template.
+        Kind of this piece of the page, by which the template selects its HTML.
     """
 
     title: str
@@ -339,7 +339,7 @@ class Ranking:
     caption
         Text below the chart.
     kind
-        Name of the block's type in the template.
+        Kind of this piece of the page, by which the template selects its HTML.
     """
 
     bars: Sequence[Bar]
@@ -350,7 +350,7 @@ class Ranking:
 
 @dataclass(frozen=True)
 class Verdict:
-    """Finding of a data check.
+    """Finding of a check of a log or rig, as the report page shows it.
 
     Attributes
     ----------
@@ -375,14 +375,14 @@ class Verdict:
 
 @dataclass(frozen=True)
 class Verdicts:
-    """List of findings of data checks.
+    """List of findings of checks in a report page.
 
     Attributes
     ----------
     items
         The findings.
     kind
-        Name of the block's type in the template.
+        Kind of this piece of the page, by which the template selects its HTML.
     """
 
     items: Sequence[Verdict]
@@ -391,7 +391,7 @@ class Verdicts:
 
 @dataclass(frozen=True)
 class Section:
-    """Section of the page. Pages leave out a section without blocks.
+    """Section of a report page. An empty section, without contents, is left out of the page.
 
     Attributes
     ----------
@@ -446,14 +446,14 @@ class Canvas:
 
 
 def tabbed(tabs: Sequence[tuple[str, Sequence[Any]]]) -> list[Any]:
-    """Return a ``Tabs`` block of the tabs that have blocks; no block if no tab has any.
+    """Return the tabs of a report page without the empty ones; an empty list if all tabs are empty.
 
-    If only one tab has blocks, return its title as a heading followed by its blocks.
+    If only one tab has contents, return its title as a heading, followed by its contents.
 
     Parameters
     ----------
     tabs
-        Title and blocks of each tab.
+        Title of each tab, and its contents: paragraphs, tables, plots.
     """
     full = [(title, list(blocks)) for title, blocks in tabs if blocks]
     if len(full) == 1:

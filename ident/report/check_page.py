@@ -69,7 +69,7 @@ def write_check_page(report: CheckReport, logs: Sequence[CheckEvidence], command
 
 
 def check_answer(report: CheckReport) -> str:
-    """Return the answer of a check in one or two sentences: ready or not, and the first fault or the warnings.
+    """Return the headline of the page of `seatrial check`: ready or not, and the first fault or the warnings.
 
     A rig is called ready, a log in order. With faults, the first is given in full and the others by place and check.
     Without any finding the answer says that no check applies.
@@ -98,7 +98,7 @@ def _finding_phrase(finding: Finding) -> str:
 
 
 def _with_full_stop(phrase: str) -> str:
-    """Return a text with a full stop, or unchanged if it ends with a question mark."""
+    """Return a sentence of the check page with a full stop, or unchanged if it ends with a question mark."""
     return phrase if phrase.endswith("?") else f"{phrase}."
 
 
@@ -114,12 +114,12 @@ def _findings_in_words(found: Sequence[Finding]) -> str:
 
 
 def _findings_block(found: Sequence[Finding]) -> Verdicts:
-    """Return the block with the list of findings."""
+    """Return the list of findings of a check as a piece of its page."""
     return Verdicts([Verdict(f.level, f.where, f.check, f.text, f.advice) for f in found])
 
 
 def _labelled_facts(report: CheckReport, logs: Sequence[CheckEvidence]) -> list[tuple[str, str]]:
-    """Return the labelled facts of a check: rig, duration of each log, and number of findings of each level."""
+    """Return the labelled facts of the check page: rig, duration of each log, and number of findings of each level."""
     levels = [f.level for f in report.findings]
     facts = [] if report.rig is None else [("rig", report.rig)]
     for log in logs:
@@ -129,7 +129,10 @@ def _labelled_facts(report: CheckReport, logs: Sequence[CheckEvidence]) -> list[
 
 
 def _trace_count(log: CheckEvidence) -> int:
-    """Return the approximate number of traces that the curves of a log need, for the budget of points."""
+    """Return the approximate number of traces (lines) that the figures of one log need.
+
+    The number of points of each trace is chosen by it, so that the page does not become too large.
+    """
     return sum(len(rows) for rows in (log.intervals, log.shafts, log.thrust_response, log.sensors, log.signals)) + 2
 
 
@@ -200,7 +203,7 @@ def _curve_section(
     legend: Sequence[tuple[str, str]] = (),
     lead: str = "",
 ) -> Section:
-    """Return the section of one kind of curve; it has no blocks if no log has such a curve.
+    """Return the section of one kind of curve; it is empty if no log has such a curve.
 
     Parameters
     ----------
@@ -325,7 +328,7 @@ def _interval_panels(log: CheckEvidence, limit: int) -> list[Panel]:
 def _mission_section(canvas: Canvas, mission: DryRun | None) -> Section:
     """Return the section of the dry run: commands of the mission and predicted track of the boat.
 
-    Without a mission (None) the section has no blocks, and without a predicted track only the commands.
+    Without a mission (None) the section is empty, and without a predicted track only the commands.
     """
     if mission is None:
         return Section("mission", "", [])
@@ -376,5 +379,5 @@ def _track_traces(track: PredictedTrack, fence: float | None) -> list[drawing.Tr
 
 
 def _capitalised(words: str) -> str:
-    """Return a text with a capital first letter; an empty text stays empty."""
+    """Return a text of the check page with a capital first letter; an empty text stays empty."""
     return words[:1].upper() + words[1:]

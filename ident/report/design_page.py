@@ -58,7 +58,7 @@ def write_design_page(result: DesignResult, path: Path) -> None:
 
 
 def _introduction(result: DesignResult) -> str:
-    """Return the introductory paragraph of the page: the criterion, its parameters, and the kind of information."""
+    """Return the introduction of the page of a design: its criterion, its parameters, and the kind of information."""
     form = (
         "with process noise (prediction error)"
         if result.form == "prediction error"
@@ -127,7 +127,7 @@ def _errors_section(result: DesignResult) -> Section:
 
 
 def _commands_section(canvas: Canvas, result: DesignResult) -> Section:
-    """Return the section with the commands of each thruster over time; no blocks without inputs."""
+    """Return the section with the commands of each thruster over time; empty without inputs."""
     panels = [
         Panel(
             f"command {row.name}, -1..1",
@@ -143,7 +143,7 @@ def _commands_section(canvas: Canvas, result: DesignResult) -> Section:
 
 
 def _track_section(canvas: Canvas, track: DesignTrack | None) -> Section:
-    """Return the section with the predicted track, sampled boats and the area; no blocks without a track."""
+    """Return the section with the predicted track, sampled boats and the area; empty without a track."""
     if track is None:
         return Section("track", "", [])
     traces: list[Trace] = []
@@ -194,7 +194,7 @@ def _track_section(canvas: Canvas, track: DesignTrack | None) -> Section:
 
 
 def _start_marker(x: Array, y: Array) -> Trace:
-    """Return the trace of the square marker at the start, at x and y (1,) of the figure [m]."""
+    """Return the trace of the square marker at the start of the track, whose coordinates are x and y (1,) [m]."""
     return {
         "type": "scatter",
         "mode": "markers",
@@ -209,7 +209,7 @@ def _start_marker(x: Array, y: Array) -> Trace:
 def _baselines_section(canvas: Canvas, result: DesignResult) -> Section:
     """Return the section with histograms of the criterion over parameter samples.
 
-    There is one histogram for the design and one for each baseline signal. Without samples the section has no blocks.
+    There is one histogram for the design and one for each baseline signal. Without samples the section is empty.
     """
     samples = result.samples
     if not samples:
@@ -256,6 +256,6 @@ def _histogram(name: str, values: Array, edges: Array) -> Trace:
 
 
 def _provenance_section(result: DesignResult) -> Section:
-    """Return the section of provenance: command line and number of simulations."""
+    """Return the section of a design's page with its provenance: command line and number of simulations."""
     facts = [("command", result.command), ("simulations", str(result.evaluations))]
     return Section("made", "How it was made", [Facts(facts, "made")])

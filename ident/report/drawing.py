@@ -52,7 +52,7 @@ TEMPLATE: Figure = {
 
 @dataclass
 class Budget:
-    """Largest number of points of a trace, which keeps the file of a page with many traces small.
+    """Limit on the points of each trace (line of a figure), which keeps a page with many traces small.
 
     Attributes
     ----------
@@ -77,16 +77,15 @@ class Budget:
 
 
 def drawable(y: Array | None) -> Array | None:
-    """Return the array, or None if it has no finite value."""
+    """Return the curve y, or None if there is nothing to draw: y is None or has no finite value."""
     return y if y is not None and np.isfinite(y).any() else None
 
 
 def thinned(y: Array, limit: int) -> Index:
-    """Return indices of at most ``limit`` points of a line that include the minimum and maximum of each interval.
+    """Return the indices of at most ``limit`` points of the line y (n,) that suffice to draw it.
 
-    ``limit`` has to be four or more.
-
-    The first and the last point are included. All indices are returned if y (n,) has at most ``limit`` points. NaN is
+    They are the first and the last point, and the minimum and the maximum of each of about ``limit / 2`` intervals.
+    ``limit`` has to be four or more. All indices are returned if y (n,) has at most ``limit`` points. NaN is
     never a minimum or maximum.
     """
     n = y.size
@@ -103,7 +102,7 @@ def thinned(y: Array, limit: int) -> Index:
 
 
 def strided(n: int, limit: int) -> Index:
-    """Return indices of at most ``limit`` of n points at equal distances, with the first and the last point."""
+    """Return indices of at most ``limit`` of n points to draw, evenly spaced, with the first and the last point."""
     return np.arange(n) if n <= limit else np.unique(np.linspace(0, n - 1, limit).round().astype(int))
 
 
@@ -119,7 +118,7 @@ def sampled(y: Array, limit: int, n_extreme: int = 40) -> Index:
 
 
 def packed(values: Any) -> Any:
-    """Return an array in a form that Plotly reads.
+    """Return an array of numbers in a compact form that Plotly reads.
 
     Up to 64 numbers are a list, in which each has six significant digits. More are base64 of little-endian 32-bit
     floats. Values that are not finite or exceed the range of 32-bit floats (diverged models) become gaps: None in a
@@ -248,7 +247,7 @@ def band(
 def between(
     x: Array, low: Array, high: Array, *, color: str = MODEL, opacity: float = 0.18, ends: Index | None = None
 ) -> Trace:
-    """Return the filled area between the curves ``low`` and ``high`` (n,), without hover text.
+    """Return the filled area of a figure between the curves ``low`` and ``high`` (n,), without hover text.
 
     The area is split before the points with the indices ``ends``. ``color`` is a hexadecimal colour such as
     ``#0072B2``.

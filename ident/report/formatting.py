@@ -56,7 +56,7 @@ SYMBOLS = {"psi": "ψ", "phi": "φ", "theta": "θ"}
 
 
 def degrees_for(unit: str) -> tuple[float, str]:
-    """Return the factor from the unit of a result file to the shown unit, and the shown unit.
+    """Return the factor from the unit of a result file to the unit that a report shows, and the shown unit.
 
     Radians become degrees, also in compound units (rad/s, rad2/Hz). The factor of other units is 1, and they are only
     typeset.
@@ -81,7 +81,7 @@ def typeset_unit(unit: str) -> str:
 
 
 def bracket(unit: str) -> str:
-    """Return a unit in brackets with a leading space, `` [deg/s]``; empty without a unit."""
+    """Return a unit in square brackets with a leading space, `` [deg/s]``, for an axis title; empty without a unit."""
     return f" [{unit}]" if unit else ""
 
 
@@ -113,12 +113,15 @@ def moment(created: str) -> str:
 
 
 def tied(words: str) -> str:
-    """Return a text with no-break spaces between numbers and their units or percent signs."""
+    """Return a text with no-break spaces before units and percent signs.
+
+    A browser then does not break a line between a number and its unit.
+    """
     return re.sub(r"(?<=\d) (?=(%|ms?|s|N|kg|deg|Hz|V)\b|%)", "\u00a0", words)
 
 
 def count(value: float | None) -> str:
-    """Return a count as text; a dash for None."""
+    """Return a count as text for a report, such as ``12``; a dash for None."""
     return "–" if value is None else f"{value:g}"
 
 
@@ -247,5 +250,5 @@ def duration(seconds: float | None) -> str:
 
 
 def scaled(factor: float, *values: float | None) -> list[float | None]:
-    """Return the values times a factor; None stays None."""
+    """Return the values times a factor, for example to the unit that a report shows; None stays None."""
     return [None if value is None else factor * value for value in values]

@@ -131,13 +131,17 @@ def _environment() -> Environment:
 
 
 def _count_traces(result: Result) -> int:
-    """Return the approximate number of long traces of a page: table rows of each kind times the curves of a row."""
+    """Return the approximate number of traces (lines) in the figures of a result's page.
+
+    It is the number of table rows of each kind times the number of curves that a row needs. The number of points of
+    each trace is chosen by it.
+    """
     weights = {"traces": 8, "track": 3, "inputs": 1, "residuals": 2, "residual_forces": 4, "noise": 2, "navigation": 40}
     return sum(weight * len(getattr(result, key, ())) for key, weight in weights.items())
 
 
 def _script_safe_json(value: Any) -> str:
-    """Return a value as JSON whose characters cannot end the surrounding script element. NaN raises ValueError."""
+    """Return a value as JSON that may stand inside an HTML script element. NaN raises ValueError."""
     written = json.dumps(value, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
     for character in "<>&\u2028\u2029":
         written = written.replace(character, f"\\u{ord(character):04x}")
@@ -145,12 +149,16 @@ def _script_safe_json(value: Any) -> str:
 
 
 def _content_security_policy(scripts: list[str]) -> str:
-    """Return a content security policy: only these scripts run, and the page loads nothing from the network."""
+    """Return the content security policy of a report page, an HTML meta value that the browser enforces.
+
+    Only the given ``scripts`` (JavaScript texts) may run, identified by their SHA-256, and nothing is loaded from the
+    network.
+    """
     hashes = [base64.b64encode(hashlib.sha256(script.encode()).digest()).decode() for script in scripts]
     allowed = " ".join(f"'sha256-{digest}'" for digest in hashes)
     return f"default-src 'none'; style-src 'unsafe-inline'; img-src data: blob:; script-src {allowed}"
 
 
 def _template_file(name: str) -> str:
-    """Return the text of a file of the templates folder, without white space at its ends."""
+    """Return the text of the file ``name`` in the folder of page templates, without white space at its ends."""
     return (Path(__file__).parent / "templates" / name).read_text(encoding="utf-8").strip()

@@ -15,7 +15,8 @@ class OfRecord(Protocol):
     """Any table row of a result that belongs to one record."""
 
     @property
-    def record(self) -> str: ...
+    def record(self) -> str:
+        """Name of the record that the row belongs to."""
 
 
 R = TypeVar("R", bound=OfRecord)
@@ -23,7 +24,7 @@ R = TypeVar("R", bound=OfRecord)
 
 @dataclass(frozen=True)
 class RecordTab:
-    """Tab of one record.
+    """Tab of a report page for one record.
 
     Attributes
     ----------
@@ -38,7 +39,7 @@ class RecordTab:
 
     @property
     def title(self) -> str:
-        """Label of the tab: role and name, or ``record`` if both are empty."""
+        """Label of the tab: role and name of the record, or ``record`` if both are empty."""
         return " · ".join(dict.fromkeys(part for part in (self.role, self.name) if part)) or "record"
 
 
@@ -111,5 +112,5 @@ def record_tabs(rows: Iterable[OfRecord], roles: Mapping[str, str]) -> list[Reco
 
 
 def of_record(rows: Iterable[R], tab: RecordTab) -> list[R]:
-    """Return the rows that belong to the record of a tab."""
+    """Return those of the result's table ``rows`` that belong to the record of a tab."""
     return [row for row in rows if row.record == tab.name]

@@ -85,7 +85,7 @@ def write_study_page(result: StudyResult, aims: Aims, path: Path) -> None:
 
 
 def _introduction(aims: Aims) -> str:
-    """Return the introductory paragraph of the page: the aims in words."""
+    """Return the introduction of the page of a Monte Carlo study: the aims in words."""
     bias, (low, high), coverage = aims["bias"][1], aims["ratio"], aims["coverage"]
     return (
         f"Aims: a bias below {bias:g} standard deviations, a variance of {low:g} to {high:g} times the least possible "
@@ -341,7 +341,7 @@ def _svg_panel(
     room = 0.04 * (most - least)
 
     def x(value: float) -> str:
-        """Return the horizontal position [px] of a value."""
+        """Return the horizontal position [px] of a value of the statistic in the panel."""
         return f"{left + PANEL_PX * (value - least + room) / (most - least + 2 * room):.1f}"
 
     size = f'y="{TOP_PX}" height="{bottom - TOP_PX}"'
@@ -389,7 +389,7 @@ def by_chance(key: Number, n: int) -> tuple[float, float]:
 
 
 def _median_count(found: Sequence[ParameterStudy]) -> int:
-    """Return the median over the parameters of the number of their estimates."""
+    """Return the median over the parameters of the number of their estimates, for the limits of chance."""
     return int(np.median([row.n for row in found]))
 
 
@@ -451,7 +451,7 @@ def write_study_docs(result: StudyResult, path: Path) -> None:
 
 
 def _picture_path(study: ModelStudy) -> str:
-    """Return the path of the picture of a study, relative to the Markdown page."""
+    """Return the path of the SVG picture of a study, relative to its Markdown page."""
     return f"{PICTURES}/study-{study.model}.svg"
 
 
@@ -461,7 +461,7 @@ def table(study: ModelStudy) -> list[tuple[str, ...]]:
 
 
 def _text_cells(r: ParameterStudy) -> tuple[str, ...]:
-    """Return the cells of one parameter as texts.
+    """Return the cells of one parameter in the table of a study, as texts.
 
     They are name, number of estimates, number at a bound, bias, variance over reported variance, variance over bound,
     coverage, and missed aims.
@@ -542,5 +542,5 @@ def page(result: StudyResult) -> str:
 
 
 def _milliseconds(seconds: float | None) -> str:
-    """Return a time [s] in whole milliseconds, a dash for None."""
+    """Return a time [s] as text in whole milliseconds; a dash for None."""
     return "–" if seconds is None else f"{1e3 * seconds:.0f}"

@@ -39,13 +39,13 @@ MIN_GROWTH = 1.05  # a standard error that grows by a smaller factor does not de
 
 
 def titled_table(title: str) -> Table:
-    """Return an empty table with the common style of the terminal tables."""
+    """Return an empty terminal table with a title and the common style."""
     style = {"title_justify": "left", "title_style": "bold cyan", "header_style": "dim", "border_style": "dim"}
     return Table(title=Text(title), box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, **style)  # type: ignore[arg-type]
 
 
 def tables_of(result: Result) -> list[Table]:
-    """Return the tables shown below the answer, for results that are not fits; empty if such a result has none."""
+    """Return the terminal tables below the answer of a result that is not a fit; empty if it has none."""
     if isinstance(result, NoiseResult):
         return [noise_table(result)]
     if isinstance(result, NavigationResult):
@@ -207,7 +207,7 @@ def _parameters_table(fit: FitSummary, added: Sequence[EffectRow]) -> Table | No
 
 
 def error_title(scale: ForceScale) -> str:
-    """Return the title of the value column.
+    """Return the title of the column of values and standard errors in the terminal's table of parameters.
 
     The title says so if the standard errors exclude the uncertainty of the thrust.
     """
@@ -290,9 +290,10 @@ def _errors_table(errors: Errors, seconds: float) -> Table | None:
 
 
 def _error_text(row: ErrorComparison | None) -> Text:
-    """Return ``before → after`` of a channel in the shown unit, or one error if nothing was compared.
+    """Return the RMS prediction error of a channel as ``before → after`` in the shown unit, or one error.
 
-    The text is empty without a table row (None). A significant fall is green, and a significant rise is red.
+    One error is returned if no models were compared. The text is empty without a table row (None). A significant fall
+    is green, and a significant rise is red.
     """
     factor = 1.0 if row is None else formatting.degrees_for(row.unit)[0]
     before, after = (None, None) if row is None else formatting.scaled(factor, row.before, row.after)

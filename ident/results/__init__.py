@@ -1,4 +1,6 @@
-"""Results of the commands: their types, their sentences, and result.json."""
+"""Results of the commands as data: types and table rows of result.json, their writer, and the sentences about fits and
+diagnoses. Pages and terminal tables are in report.
+"""
 
 import lazy_loader
 

@@ -66,7 +66,7 @@ FEWEST_SAMPLES = 10  # equal samples from which a sensor is called stuck
 
 
 def change_sentence(change: PredictionChangeRow, horizon: float) -> str:
-    """Return the sentence on the change of the prediction errors of all channels over the horizon [s].
+    """Return the sentence of a result on how added effects changed the prediction errors over the horizon [s].
 
     The sentence claims a fall or a rise only if ``change.verdict`` does, and a rise by three times or more is a factor
     instead of per cent. Up to four better channels and all worse channels are named. Without an interval the sentence
@@ -102,9 +102,9 @@ def change_sentence(change: PredictionChangeRow, horizon: float) -> str:
 
 
 def _first_names(channels: Sequence[str], most: int = MOST_NAMES) -> str:
-    """Return the first ``most`` channel or log names, separated by commas, and the number of the others.
+    """Return the first ``most`` of some names for a sentence, separated by commas, and the number of the others.
 
-    Known channels are written out (``psi``: heading).
+    ``channels``: names of channels or logs. Known channels are written out: ``psi`` as heading.
     """
     names = [NAMES.get(name, name) for name in channels]
     more = len(names) - most
@@ -112,7 +112,7 @@ def _first_names(channels: Sequence[str], most: int = MOST_NAMES) -> str:
 
 
 def _percent(share: float) -> str:
-    """Return a share (1: all) in whole per cent: ``34 %``."""
+    """Return a share (1: all) in whole per cent for a sentence: 0.34 -> ``34 %``."""
     return f"{100 * share:.0f} %"
 
 
@@ -168,10 +168,10 @@ def _fit_sentence(prediction: PredictionFit, errors: Errors, horizon: float) -> 
 def _whiteness_sentence(
     errors: Errors, residuals: Sequence[ResidualTests], cross: Sequence[CrossCorrelationRow], searchable: bool
 ) -> str:
-    """Return the sentence on whiteness and on correlation with the inputs, each tested at 1 % over all channels.
+    """Return the sentence on the residuals: whether they are white and uncorrelated with the inputs.
 
-    The level is divided by the number of tests (Bonferroni). Without tests the sentence says that there are too few
-    samples. ``searchable`` adds the advice to run `seatrial ident diagnose`.
+    Each is tested at 1 % over all channels; the level is divided by the number of tests (Bonferroni). Without tests the
+    sentence says that there are too few samples. ``searchable`` adds the advice to run `seatrial ident diagnose`.
     """
     tests = [p for r in residuals for p in (r.ljung_box_p, r.periodogram_p)]
     pairs = [c for c in cross if c.p is not None]
@@ -200,16 +200,16 @@ def _whiteness_sentence(
 
 
 def _largest_correlation(significant: Sequence[CrossCorrelationRow]) -> str:
-    """Return the largest of the significant correlations and its channel in brackets; empty if there is none.
+    """Return the largest of the significant correlations of residuals with inputs, with its channel in brackets.
 
-    The size matters, because in a long record even negligible correlations are significant.
+    Empty if there is none. The size matters, because in a long record even negligible correlations are significant.
     """
     most = max((c for c in significant if c.largest is not None), key=lambda c: c.largest or 0.0, default=None)
     return "" if most is None else f" (correlation up to {most.largest:.2g}, {NAMES.get(most.channel, most.channel)})"
 
 
 def _untested_channels(errors: Errors, residuals: Sequence[ResidualTests]) -> str:
-    """Return the channels of the estimation data with too few samples for the tests, in brackets.
+    """Return, in brackets for a sentence, the channels of the estimation data with too few samples for residual tests.
 
     Empty if there are none.
     """
@@ -382,13 +382,16 @@ def outlier_lines(residuals: Sequence[ChannelResiduals], model: Model) -> list[s
 
 
 def faults_first(made: Provenance) -> str:
-    """Return the beginning of an answer from logs with faults (`--despite-faults`); empty if no log has faults."""
+    """Return the beginning of an answer that was fitted to logs with faults (`--despite-faults`).
+
+    Empty if no log has a fault that makes a fit meaningless.
+    """
     faults = [f"{log.path}: {f.where}: {f.text}" for log in made.logs for f in log.findings if f.spoils]
     return f"The logs have faults that can make this result meaningless ({'; '.join(faults)}). " * bool(faults)
 
 
 def check_warnings(made: Provenance) -> list[ResultWarning]:
-    """Return one warning for each different finding of `seatrial check`, with up to four of the logs that have it."""
+    """Return one warning for each finding of the checks before a fit, with up to four of the logs that have it."""
     logs: dict[str, list[str]] = {}
     for log in made.logs:
         for f in log.findings:
@@ -452,7 +455,7 @@ def frame_warnings(model: Model, unplaced: Sequence[str], *, saved_origin_unknow
 
 
 def frames_assumed(fitted: FittedModel) -> list[ResultWarning]:
-    """Return the frame warnings of a fit to several records; empty if there is only one record."""
+    """Return warnings that records of a fit may have different origins of x and y; none for a single record."""
     records = {
         r.name: r for r in (*fitted.records, *(v.record for v in fitted.validation if not fitted.cross_validated))
     }
@@ -477,7 +480,7 @@ def failed_run_warnings(failed: Sequence[FailedRun]) -> list[ResultWarning]:
 
 
 def cut_records(records: Sequence[Record]) -> list[ResultWarning]:
-    """Return one warning for each record that was cut because one of its signals ends early."""
+    """Return one warning for each record that was cut at its end because one of its signals ends early."""
     cuts = ((r, *r.meta["cut"]) for r in records if "cut" in r.meta)
     return [
         ResultWarning(
@@ -489,12 +492,12 @@ def cut_records(records: Sequence[Record]) -> list[ResultWarning]:
 
 
 def stuck_sensors(records: Sequence[Record]) -> list[ResultWarning]:
-    """Return one warning for each channel of a record whose samples are all equal, from ten samples on."""
+    """Return one warning for each channel of any record with at least ten samples that are all equal."""
     return [line for record in records for line in _stuck_channel_warnings(record)]
 
 
 def _stuck_channel_warnings(record: Record) -> list[ResultWarning]:
-    """Return one warning for each channel of one record whose finite samples are all equal, from ten samples on."""
+    """Return one warning for each channel of a record with at least ten samples that are all equal (stuck sensor)."""
     lines = []
     for j, name in enumerate(record.outputs):
         y = record.y[:, j]
@@ -519,7 +522,7 @@ def smallest_command(records: Sequence[Record]) -> float:
 
 
 def plus_minus(value: float, error: float) -> str:
-    """Format a value and its standard error, rounded to two digits of the error: ``40.783 ± 0.029``.
+    """Format a value and its standard error to two digits of the error, for a sentence: ``40.783 ± 0.029``.
 
     At most nine decimals are printed, and one decimal if the error is not positive.
     """
@@ -575,7 +578,10 @@ def thruster_answer(
 
 
 def thruster_warnings(directions: Sequence[float]) -> list[ResultWarning]:
-    """Return a warning if the shaft turned in one direction only (``directions``: 1 forward, -1 reverse)."""
+    """Return a warning if the shaft turned in one direction only on the bench.
+
+    ``directions``: 1 for forward, -1 for reverse; the thrust in the other direction is then unknown.
+    """
     if len(directions) != 1:
         return []
     measured, unmeasured = ("forward", "in reverse") if directions[0] > 0 else ("in reverse", "forward")

@@ -215,7 +215,7 @@ def thruster_result(
 
 
 def _notes(first: Sequence[str], evaluation: PredictionEvaluation, calibration: Calibrations) -> tuple[str, ...]:
-    """Return the notes of a fit.
+    """Return the notes of the result of a vehicle or thruster fit.
 
     The order is: ``first`` (notes from before the fit), channels with outliers, and prediction intervals that are too
     narrow or too wide.
@@ -499,7 +499,7 @@ class DesignResult(Result, frozen=True, kw_only=True, tag_field="kind", tag="des
 
     @property
     def margin(self) -> float:
-        """Criterion of the design less that of the best baseline signal; negative if the design is worse."""
+        """Criterion of the designed mission less that of the best baseline signal; negative if the design is worse."""
         return self.value - max(b.value for b in self.baselines)
 
 
@@ -551,13 +551,16 @@ class ModelStudy(Part, frozen=True, kw_only=True):
 
     @property
     def left_out(self) -> str:
-        """Number of replicates that the statistics leave out, with the reasons; an empty text if there are none."""
+        """Number and reason of the replicates that the statistics leave out: ``2 failed and 3 did not converge``.
+
+        An empty text if there are none.
+        """
         counts = ((self.failed, "failed"), (self.unconverged, "did not converge"))
         return " and ".join(f"{n} {reason}" for n, reason in counts if n)
 
     @property
     def too_many_left_out(self) -> bool:
-        """Return whether more than 5 % of the replicates are left out, so that the others are a biased sample."""
+        """Whether more than 5 % of the replicates failed or did not converge; the others are then a biased sample."""
         return self.failed + self.unconverged > MOST_LOST * self.replicates
 
 

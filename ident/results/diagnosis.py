@@ -230,9 +230,9 @@ def _missing_effects_sentence(diagnosis: Diagnosis, prediction: parts.Prediction
 
 
 def _short_data_sentence(diagnosis: Diagnosis) -> str:
-    """Return the sentence on estimation data that are too short to test some candidates, with the needed length.
+    """Return the sentence of a diagnosis on estimation data that are too short to test some candidates.
 
-    Empty if all candidates could be tested.
+    It gives the needed length. Empty if all candidates could be tested.
     """
     short = diagnosis.short_data
     return (
@@ -246,7 +246,10 @@ def _short_data_sentence(diagnosis: Diagnosis) -> str:
 
 
 def reported_mismatches(diagnosis: Diagnosis) -> list[ValidationMismatch]:
-    """Return the mismatches of validation runs in reported units: ratios to the thrust if its scale is unknown."""
+    """Return the validation runs that a diagnosed model does not fit, with parameters in reported units.
+
+    These are ratios to the thrust if its scale is unknown.
+    """
     return [
         m if m.shift is None else replace(m, shift=_reported_shift(m.shift, ReportedEstimates(diagnosis.after.fit)))
         for m in diagnosis.mismatches
@@ -302,7 +305,7 @@ def _mismatch_row(m: ValidationMismatch) -> parts.ValidationMismatchRow:
 
 
 def _passed_candidates(last: Round) -> str:
-    """Return the title of the candidate that passed the score test of a round, or the number of such candidates."""
+    """Return the title of the only candidate that passed the score test of a round, or the number of those."""
     titles = {r.effect.name: r.effect.title for r in last.refits}
     names = [titles.get(name, name) for name in last.passed]
     return names[0] if len(names) == 1 else f"{len(names)} candidates"
@@ -361,7 +364,7 @@ def diagnosis_caveat(diagnosis: Diagnosis) -> str | None:
 
 
 def _joined_titles(titles: Sequence[str]) -> str:
-    """Join one or more titles by commas and a final "and"."""
+    """Join the titles of one or more effects for a sentence, by commas and a final "and"."""
     return titles[0] if len(titles) == 1 else ", ".join(titles[:-1]) + " and " + titles[-1]
 
 
@@ -388,9 +391,10 @@ def _residual_force_rows(diagnosis: Diagnosis, evaluation: DiagnosisEvaluation) 
 
 
 def _quiet_round(diagnosis: Diagnosis) -> parts.RoundRow:
-    """Return the table of a round in which no candidate passed: its best 24 score tests, and the reason.
+    """Return the table row of a search round in which no candidate passed the score test.
 
-    The reason also says so if the data were too short to test some candidates.
+    It has the best 24 score tests and the reason why the search ended, which also says so if the data were too short to
+    test some candidates.
     """
     tested = _round_row(Round(diagnosis.scores, (), (), None))
     why = "no candidate passes the score tests"
@@ -435,7 +439,7 @@ def _round_row(search_round: Round) -> parts.RoundRow:
 
 
 def _refit_row(r: Refit) -> parts.RefitRow:
-    """Return the table row of one refit, with the parameters of its effect."""
+    """Return the result's table row of one refit of the search, with the estimates of the tested effect."""
     return parts.RefitRow(
         name=r.effect.name,
         title=r.effect.title,
@@ -530,9 +534,10 @@ def _untested_warnings(diagnosis: Diagnosis) -> list[parts.ResultWarning]:
 
 
 def _blocks_note(evaluation: DiagnosisEvaluation) -> list[str]:
-    """Return the note that validation runs are predicted in blocks of time, because effects have per-record parameters.
+    """Return the note on how validation runs are predicted if added effects have per-record parameters.
 
-    The list is empty if there are no such effects.
+    Each block of time of a run is predicted with the values that fit its other blocks. The list is empty without such
+    effects.
     """
     if not evaluation.in_blocks:
         return []
@@ -545,14 +550,17 @@ def _blocks_note(evaluation: DiagnosisEvaluation) -> list[str]:
 
 
 def _removal_reason(removed: RemovedEffect, policy: SearchPolicy) -> str:
-    """Return the clause why an effect was removed by backward elimination; ``policy`` has the thresholds."""
+    """Return the clause for a note why an effect was removed again by backward elimination.
+
+    ``policy`` has the thresholds of the search.
+    """
     if is_immaterial(removed, policy):
         return "the prediction is as good without it"
     return "with the other effects in the model, the validation data do not support it"
 
 
 def _remaining_names(diagnosis: Diagnosis) -> str:
-    """Return the names of the first four candidates that still pass the score test, separated by commas."""
+    """Return the names of the first four candidates that still pass the score test after the last effect."""
     return ", ".join(s.name for s in diagnosis.remaining[:4])
 
 

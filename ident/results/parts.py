@@ -35,7 +35,9 @@ class Part(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 
 def same_length(part: Part, *names: str) -> None:
-    """Compare the shapes of the named arrays of a table, which are plotted over each other; None is left out.
+    """Check that the named arrays of a result's table, which are plotted over each other, have one shape.
+
+    An array that is None is left out.
 
     Raises
     ------
@@ -228,7 +230,7 @@ class Correlation(Part, frozen=True, kw_only=True):
     matrix: Annotated[Array, Meta(description="(names, names)")]
 
     def __post_init__(self) -> None:
-        """Raise ValueError if the matrix has another size than the names."""
+        """Raise ValueError if the correlation matrix has another size than the parameter names."""
         if self.matrix.shape != (len(self.names), len(self.names)):
             raise ValueError(
                 f"the correlation matrix has the shape {self.matrix.shape}, but there are {len(self.names)} names"
@@ -284,7 +286,7 @@ class Trace(Part, frozen=True, kw_only=True):
     ] = None
 
     def __post_init__(self) -> None:
-        """Raise ValueError if arrays that are plotted over each other differ in length."""
+        """Raise ValueError if arrays of the channel that are plotted over each other differ in length."""
         same_length(self, "t", "measured", "model", "sd", "before")
         same_length(self, "t_horizon", "horizon", "sd_horizon", "horizon_before")
 
@@ -302,7 +304,7 @@ class Track(Part, frozen=True, kw_only=True):
     y_before: Annotated[Array | None, Meta(description="diagnosis: simulated without the effects, east [m]")] = None
 
     def __post_init__(self) -> None:
-        """Raise ValueError if the arrays differ in length."""
+        """Raise ValueError if the coordinates of the track differ in length."""
         same_length(self, "x_measured", "y_measured", "x_model", "y_model", "x_before", "y_before")
 
 
@@ -316,7 +318,7 @@ class InputTrace(Part, frozen=True, kw_only=True):
     value: Annotated[Array, Meta(description="values of the input at `t`")]
 
     def __post_init__(self) -> None:
-        """Raise ValueError if times and values differ in length."""
+        """Raise ValueError if times and values of the input differ in length."""
         same_length(self, "t", "value")
 
 
@@ -349,7 +351,7 @@ class ResidualTests(WhitenessTests, frozen=True, kw_only=True):
     after: Annotated[WhitenessTests | None, Meta(description="diagnosis: the same with the effects")] = None
 
     def __post_init__(self) -> None:
-        """Raise ValueError if arrays that are plotted over each other differ in length."""
+        """Raise ValueError if arrays of the residual tests that are plotted over each other differ in length."""
         same_length(self, "t", "e")
         same_length(self, "lags", "acf")
         same_length(self, "frequency", "cumulative")
@@ -460,7 +462,7 @@ class CalibrationRow(Part, frozen=True, kw_only=True):
     ]
 
     def __post_init__(self) -> None:
-        """Raise ValueError if there are not ten shares."""
+        """Raise ValueError if ``pit`` has not ten shares, one for each tenth of the predicted distribution."""
         if self.pit.shape != (10,):
             raise ValueError(f"pit must have ten shares, one for each tenth of the distribution, not {self.pit.shape}")
 
@@ -509,7 +511,7 @@ class ProfileCurve(Part, frozen=True, kw_only=True):
     ] = ()
 
     def __post_init__(self) -> None:
-        """Raise ValueError if grid and drop differ in length."""
+        """Raise ValueError if the grid of the parameter and the drop of the log-likelihood differ in length."""
         same_length(self, "grid", "drop")
 
 
@@ -543,7 +545,7 @@ class FitResult(Result, frozen=True, kw_only=True):
 
     @property
     def converged(self) -> bool:
-        """Return whether all fits that the answer depends on converged."""
+        """Whether all fits that the answer of the result depends on converged."""
         return self.fit.converged
 
     fit: Annotated[FitSummary, Meta(description="method, convergence and estimates")]
@@ -579,7 +581,7 @@ class StaticForce(Part, frozen=True, kw_only=True):
     abscissa: Annotated[str, Meta(description="quantity of `n`")] = "shaft speed n"
 
     def __post_init__(self) -> None:
-        """Raise ValueError if arrays of the points, or those of the curve, differ in length."""
+        """Raise ValueError if arrays of the measured points, or of the fitted curve, differ in length."""
         same_length(self, "n", "force", "sd")
         same_length(self, "n_model", "force_model", "force_sd", "force_quadratic")
 
@@ -791,7 +793,7 @@ class NonparametricCurve(Part, frozen=True, kw_only=True):
     ]
 
     def __post_init__(self) -> None:
-        """Raise ValueError if the arrays differ in length."""
+        """Raise ValueError if the arrays of the curve differ in length."""
         same_length(self, "grid", "value", "sd", "band")
 
 
@@ -808,7 +810,7 @@ class ResidualForce(Part, frozen=True, kw_only=True):
     after_sd: Annotated[Array | None, Meta(description="standard deviation of `after_mean`")] = None
 
     def __post_init__(self) -> None:
-        """Raise ValueError if the arrays differ in length."""
+        """Raise ValueError if the arrays of the force over time differ in length."""
         same_length(self, "t", "mean", "sd", "after_mean", "after_sd")
 
 
@@ -831,7 +833,7 @@ class DiagnosisResult(FitResult, frozen=True, kw_only=True, tag_field="kind", ta
 
     @property
     def converged(self) -> bool:
-        """Return whether the fits without and with the effects converged."""
+        """Whether the fits without and with the added effects both converged."""
         return self.fit.converged and self.converged_before
 
     caveat: Annotated[

@@ -100,10 +100,10 @@ def read_result(path: Path | str) -> AnyResult:
 
 
 def _decode_array(kind: Any, value: Any) -> Any:
-    """Return a list of numbers as a float64 array, in which null becomes NaN.
+    """Convert a list of numbers from result.json to a float64 array, in which null becomes NaN.
 
-    An array is the only type that msgspec does not decode itself. ``kind`` is that type and is not used. ValueError for
-    other JSON values.
+    msgspec calls it for arrays, the only type that it does not decode itself; ``kind`` is this type and is not used.
+    Raise ValueError for other JSON values.
     """
     if not isinstance(value, list):
         raise ValueError(f"expected a list of numbers, got {type(value).__name__}")
@@ -111,10 +111,11 @@ def _decode_array(kind: Any, value: Any) -> Any:
 
 
 def _as_json_types(value: Any) -> Any:
-    """Convert a value to JSON types.
+    """Convert a value of a result to the types of JSON.
 
-    Tables become objects, with their tag first, and arrays become lists. Numbers are rounded to ``DIGITS`` significant
-    digits, except in the types of ``EXACT``. NaN and infinity become None. Other values are returned unchanged.
+    Tables become objects, with their tag first, and arrays become lists. Numbers are rounded to seven significant
+    digits (``DIGITS``), except in the types of ``EXACT``. NaN and infinity become None. Other values are returned
+    unchanged.
     """
     if isinstance(value, EXACT):
         return msgspec.structs.asdict(value)
@@ -137,9 +138,10 @@ def _as_json_types(value: Any) -> Any:
 
 
 def _rounded(value: Array) -> Any:
-    """Round an array to ``DIGITS`` significant digits and convert it to lists; NaN and infinity become None.
+    """Round an array of a result to seven significant digits (``DIGITS``) and convert it to nested lists for JSON.
 
-    The rounding is vectorised, because the traces of a result may contain a million numbers.
+    NaN and infinity become None. The rounding is vectorised, because the traces of a result may contain a million
+    numbers.
     """
     finite = np.isfinite(value)
     exact = np.where(finite, value, 0.0).astype(np.float64)

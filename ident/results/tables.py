@@ -60,12 +60,12 @@ NO_PREDICTION = HorizonPrediction(*(np.zeros(0),) * 3)  # of a channel without a
 
 
 def finite(value: float | None) -> float | None:
-    """Return the value as a float, or None for None, NaN and infinity."""
+    """Return a number for a result as a float, or None (null in result.json) for None, NaN and infinity."""
     return None if value is None or not math.isfinite(value) else float(value)
 
 
 def format_number(value: float) -> str:
-    """Format a number with two significant digits, or as an integer from 100: 113, 8.4, 0.66."""
+    """Format a number for a sentence: two significant digits, or an integer from 100 on (113, 8.4, 0.66)."""
     # From 99.5: with two digits, 99.6 would be printed with an exponent.
     return f"{value:.0f}" if abs(value) >= 99.5 else f"{value:#.2g}".rstrip(".")
 
@@ -178,7 +178,10 @@ def error_tables(
         old: Mapping[str, PredictionErrors],
         change: validation.PredictionChange | None = None,
     ) -> dict[str, ErrorComparison]:
-        """Return the errors by channel of one kind of prediction; the interval only if ``change`` is given."""
+        """Return the table of RMS errors by channel for one kind of prediction, such as one step ahead.
+
+        ``new`` and ``old``: errors of the two models. ``change`` gives the interval of their ratio.
+        """
         spans = {} if change is None else change.channels
         return {
             name: ErrorComparison(
@@ -244,7 +247,7 @@ def calibration_tables(evaluation: PredictionEvaluation) -> Calibrations:
     """Return the calibration of the prediction intervals for each set of data, kind of prediction and channel."""
 
     def table(found: Mapping[str, Calibration]) -> dict[str, CalibrationRow]:
-        """Return the calibration by channel of one kind of prediction."""
+        """Return the table of the calibration by channel for one kind of prediction, such as one step ahead."""
         return {
             name: CalibrationRow(
                 n=c.n,
@@ -359,7 +362,7 @@ def _predictions_of_both(
 
 
 def record_inputs(model: Model, record: Record) -> tuple[InputTrace, ...]:
-    """Return the inputs of a record as the model uses them, one trace for each input that reports show."""
+    """Return the inputs of a record as traces of the result: those that reports show, as the model uses them."""
     return tuple(
         InputTrace(record=record.name, name=name, unit=unit, t=record.t, value=record.u[:, j])
         for j, name, unit in shown_inputs(model)
@@ -367,7 +370,7 @@ def record_inputs(model: Model, record: Record) -> tuple[InputTrace, ...]:
 
 
 def all_inputs(evaluation: PredictionEvaluation) -> tuple[InputTrace, ...]:
-    """Return the inputs of all records of an evaluation."""
+    """Return the inputs of all records of an evaluation as traces of the result, estimation records first."""
     return tuple(
         row
         for data in evaluation.sets.values()
@@ -393,7 +396,10 @@ def residual_rows(before: PredictionEvaluation, after: PredictionEvaluation | No
 
 
 def residual_row(r: ChannelResiduals, after: ChannelResiduals | None = None) -> ResidualTests:
-    """Return the whiteness tests of one channel of a record, and those of another model (``after``) if it is given."""
+    """Return the result's row of whiteness tests for one channel of a record.
+
+    ``after``: tests of the model with added effects, which the row gets too; None if there is only one model.
+    """
     return ResidualTests(
         **msgspec.structs.asdict(_whiteness_tests(r)),
         record=r.record,
@@ -408,7 +414,7 @@ def residual_row(r: ChannelResiduals, after: ChannelResiduals | None = None) -> 
 
 
 def _whiteness_tests(r: ChannelResiduals) -> WhitenessTests:
-    """Return the whiteness tests of one channel, without its record, lags and frequencies."""
+    """Return the part of a row of whiteness tests that depends on the model, without record, lags and frequencies."""
     return WhitenessTests(
         e=r.e,
         acf=r.tests.acf,
@@ -441,7 +447,10 @@ def cross_correlations(
 
 
 def cross_rows(r: ChannelResiduals, after: ChannelResiduals | None = None) -> list[CrossCorrelationRow]:
-    """Return the correlations of one channel with each input, and those of another model (``after``) if it is given."""
+    """Return the result's rows of correlations of one channel's residuals with each input.
+
+    ``after``: correlations of the model with added effects, which the rows get too; None if there is only one model.
+    """
     later = {
         c.input: CorrelationTest(z=c.z, p=finite(c.p), largest=finite(c.largest))
         for c in (() if after is None else after.inputs)
@@ -515,7 +524,7 @@ def homogeneity_reported(a: HomogeneityTest, reported: ReportedEstimates) -> Hom
 
 
 def homogeneity_row(a: HomogeneityTest) -> Homogeneity:
-    """Return the table row of a homogeneity test, whose values are already in reported units."""
+    """Return the result's row of a homogeneity test (one value for all logs?), already in reported units."""
     return Homogeneity(
         name=a.name,
         unit=a.unit,

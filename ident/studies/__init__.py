@@ -1,4 +1,6 @@
-"""Monte Carlo studies of the estimator: recovery of known true values, and coverage of its intervals."""
+"""Monte Carlo studies of the estimator: cases with known true values, their replicates, bias, variance and coverage.
+The command `ident study` is in workflows.
+"""
 
 import lazy_loader
 

@@ -1,4 +1,6 @@
-"""Model validation: prediction errors, calibration of prediction intervals, and whiteness of residuals."""
+"""Model validation: prediction errors, calibration of prediction intervals, and whiteness of residuals. Fits are in
+estimation, and searches for missing effects in diagnosis.
+"""
 
 import lazy_loader
 

@@ -41,7 +41,7 @@ INITIAL_FACTOR = 1.5  # initial value of a noise with a floor, relative to the f
 
 
 def write_check(report: CheckReport, command: str, out: Path) -> None:
-    """Write the HTML page of a check.
+    """Write the HTML page of `seatrial check`, with the findings and the curves of its logs.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def write_check(report: CheckReport, command: str, out: Path) -> None:
 def check_first(
     loaded: Sequence[LoadedLog], validation_logs: Sequence[LoadedLog], model: Model, despite_faults: bool
 ) -> tuple[list[LoadedLog], list[LoadedLog]]:
-    """Check the estimation logs and the validation logs of a fit, also for copies of each other.
+    """Check the estimation and validation logs of a command before its fit, also for copies of each other.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ def check_first(
 def with_findings(
     log: LoadedLog, sides: Mapping[str, float], despite_faults: bool, more: Sequence[Finding] = ()
 ) -> LoadedLog:
-    """Check a log, and return a copy with the findings in ``about["findings"]``.
+    """Check a log before a fit, and return a copy with the findings in ``about["findings"]``.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ def with_findings(
 
 
 def sides_of_model(model: Model, log: LoadedLog) -> Mapping[str, float]:
-    """Return the position of each thruster to starboard [m].
+    """Return the position of each thruster to starboard [m], for the checks before a fit.
 
     The positions are those of the model's arms ``y_left`` and ``y_right``, else those of the rig, else -1 for ``left``
     and +1 for ``right``.
@@ -237,10 +237,11 @@ def with_noise_floors(model: Model, logs: Sequence[LoadedLog]) -> tuple[Model, l
 
 
 def _rounding_error(channels: Mapping[str, Channel], name: str) -> float:
-    """Return the standard deviation of the rounding error of a signal; zero if it is not rounded or not logged.
+    """Return the standard deviation of the rounding error of a logged signal, for the lower bound of its noise.
 
-    The error is uniform over one step (Bennett 1948). A receiver that reports speed and course rounds the speed, so the
-    steps of a velocity are looked for in its magnitude too.
+    It is zero if the signal ``name`` is not rounded or not logged. The error is uniform over one step (Bennett 1948). A
+    receiver that reports speed and course rounds the speed, so the steps of a velocity are looked for in its magnitude
+    too.
     """
     if name not in channels:
         return 0.0

@@ -72,7 +72,7 @@ NEGLIGIBLE = 0.02  # of the standard deviation of a prior: a fitted effect below
 
 @dataclass(frozen=True)
 class DesignRequest:
-    """Options of an experiment design.
+    """Options of `seatrial mission design`.
 
     Attributes
     ----------
@@ -138,7 +138,7 @@ def make_design(source: str, request: DesignRequest, out: Path, command: str, re
     request : DesignRequest
         Options of the design.
     out : Path
-        The mission.toml, which must not exist. A .json and an .html file are written beside it.
+        The mission.toml, which must not exist. A .json file (the result) and an .html page are written beside it.
     command : str
         Command line, for the provenance.
     reporter : Reporter
@@ -162,7 +162,7 @@ def make_design(source: str, request: DesignRequest, out: Path, command: str, re
         raise SeatrialError(
             f"a mission for model {task.model.name} commands {len(model_thrusters)} thrusters "
             f"({', '.join(model_thrusters)}); "
-            f"--thrusters names {len(thrusters)}"
+            f"--thrusters names {len(thrusters)}: name one for each"
         )
     idle = Segment("static", np.zeros(1), np.zeros((1, len(thrusters))))
     parse_mission(dump_mission(Mission("names", "mission", tuple(thrusters), (idle,), 1.0)), "--thrusters")
@@ -234,7 +234,11 @@ def _paths_beside_mission(out: Path) -> dict[str, Path]:
 
 
 def _design_warnings(made: Design) -> list[ResultWarning]:
-    """Return warnings about assumed values, about sensor rates, and about signals beyond the fitted data."""
+    """Return the warnings of a designed mission, for its result.
+
+    They are about values that the model lacks and the design assumes, about sensor rates that were assumed or are above
+    those of the fit, and about inputs and states that leave the range of the fitted data.
+    """
     task = made.problem
     pole = None if task.actuation.shafts_are_states else task.actuation.pole
     warnings = design_warnings(task.model, task.actuation.full_thrust, pole)
@@ -263,7 +267,7 @@ def _design_warnings(made: Design) -> list[ResultWarning]:
 
 
 def beyond_validity(made: Design) -> list[str]:
-    """Return a text for each input and state of the nominal boat that leaves the range of the fitted data.
+    """Return a text for each input and state of a designed mission that leaves the range of the fitted data.
 
     Parameters
     ----------
@@ -382,7 +386,7 @@ def round_to_digits(values: Array, digits: int) -> Array:
 
 
 def make_task(source: str, request: DesignRequest) -> DesignProblem:
-    """Return the design problem of a model: steps, criterion, limits and prior.
+    """Return the design problem of the command: model, steps, criterion, limits and prior.
 
     Parameters
     ----------
@@ -441,7 +445,7 @@ def make_task(source: str, request: DesignRequest) -> DesignProblem:
 
 
 def _criterion_parameters(task: DesignProblem) -> tuple[str, ...]:
-    """Return the parameters of the criterion: the chosen ones, or all that the design observes."""
+    """Return the parameters of the design criterion: the chosen ones, or all that the sensors observe."""
     return task.chosen or task.observed_parameters
 
 
@@ -450,7 +454,8 @@ def _discrimination_design(
 ) -> tuple[Design, Discrimination]:
     """Search the mission that discriminates the two effects of ``request.between``.
 
-    Return the design, with its criterion of parameters, and the discrimination, with that of random missions.
+    The first result is this mission as a design, with the criterion of the parameters, for the same page as other
+    designs. The second has the separation T of the effects by this mission and by eight random missions.
     """
     a, b = hypotheses(task.model, request.between)
     made: DiscriminationDesign = discriminate(
@@ -478,7 +483,7 @@ def _discrimination_design(
 
 
 def hypotheses(model: Model, names: Sequence[str]) -> tuple[Model, Model]:
-    """Return the two models that a discrimination compares.
+    """Return the two models that a mission is to discriminate, each with one of two effects.
 
     Each model has one of the effects. The other effect is removed if the model has it, because a model with both
     effects would predict well whichever is true.
@@ -506,7 +511,7 @@ def hypotheses(model: Model, names: Sequence[str]) -> tuple[Model, Model]:
 
 
 def with_effect(model: Model, name: str) -> Model:
-    """Return the model with an effect of a relevant size.
+    """Return the model with an effect that is large enough for a discrimination of two effects.
 
     If the model already has the effect, and its fitted size is at least 2 % of the standard deviation of its prior
     (without a prior, one characteristic step), the size is kept. Otherwise its parameters are shifted by half of the
@@ -529,7 +534,7 @@ def with_effect(model: Model, name: str) -> Model:
         raise SeatrialError(f"there is no effect {name!r}; the effects are {', '.join(catalogue())}")
     effect = own or catalogue()[name]
     if own is None and not model.accepts(effect):
-        raise SeatrialError(f"effect {name!r} does not apply to model {model.name}")
+        raise SeatrialError(f"effect {name!r} does not apply to model {model.name}; use another effect or model")
     with_it = model if own is not None else model + effect
     # Only these parameters are sizes. Others are places or shapes: they are not zero without the effect, or follow the
     # amplitude of a one-sided effect.
@@ -545,7 +550,7 @@ def with_effect(model: Model, name: str) -> Model:
 
 
 def _track_table(track: Track, limits: DesignLimits) -> DesignTrack:
-    """Return the predicted track and the limits as the table of the result."""
+    """Return the predicted track of the boat, with the area and the current of the limits, as a table of the result."""
     corner = None if track.corner is None else (float(track.corner[0]), float(track.corner[1]))
     return DesignTrack(
         t=track.t,
@@ -563,19 +568,24 @@ def _track_table(track: Track, limits: DesignLimits) -> DesignTrack:
 
 
 def _rows_of_finer_grid(task: DesignProblem) -> NDArray[np.intp]:
-    """Return, for each row of the finer time grid, the index of the row of the task whose command holds there."""
+    """Return the rows of the design's time grid whose commands hold at the times of its finer grid.
+
+    The result (n_rows_finer,) has one row index of the design problem for each time of the finer grid.
+    """
     return np.asarray(np.searchsorted(task.t, task.finer.t + 1e-9, side="right") - 1)
 
 
 def _parameter_table(made: Design, baseline: Mapping[str, float]) -> tuple[DesignedParameter, ...]:
-    """Return the standard errors of each parameter before and after the mission, and after the best baseline signal.
+    """Return the table of standard errors in the result of a design, one row for each observed parameter.
 
-    ``baseline``: standard error after the baseline signal by name. Values are in reported units.
+    A row has the errors before the mission, after it, and after the best baseline signal, in reported units.
+    ``baseline``: standard error after the baseline signal, by name.
     """
     model, before, after = made.problem.model, made.before, made.predicted
     chosen, units = _criterion_parameters(made.problem), reported_units(model)
 
     def reported(errors: Mapping[str, float], p: Parameter) -> float | None:
+        """Return the error of parameter ``p`` in reported units; None if it is infinite (no information)."""
         return finite(errors[p.name] * units.factor(p.unit))
 
     return tuple(
@@ -591,10 +601,10 @@ def _parameter_table(made: Design, baseline: Mapping[str, float]) -> tuple[Desig
 def _design_answer(
     made: Design, parameters: Sequence[DesignedParameter], apart: Discrimination | None, baseline: BaselineSignal
 ) -> str:
-    """Return the sentence on the standard errors after the mission, or on the discrimination of two effects.
+    """Return the answer of a design: its expected standard errors, or how well it discriminates two effects.
 
-    ``apart``: discrimination of two effects, or None. If a baseline signal is better than the design, the warning about
-    it comes first.
+    ``parameters``: rows of the table of the result. ``apart``: discrimination of two effects, or None. ``baseline``:
+    best baseline signal; if it is better than the design, a warning about it comes first.
     """
     if apart is not None:
         first, second = apart.effects
@@ -618,7 +628,7 @@ def _design_answer(
 
 
 def warn_worse_than_baseline(baseline: BaselineSignal, made: Design) -> str:
-    """Return the warning that a random sequence is more informative than the design, with advice.
+    """Return the warning that a baseline signal (random sequence) is more informative than the design, with advice.
 
     Parameters
     ----------
@@ -636,7 +646,7 @@ def warn_worse_than_baseline(baseline: BaselineSignal, made: Design) -> str:
 
 
 def design_summary(result: DesignResult) -> Sequence[str]:
-    """Return the lines for the terminal: warnings, the answer, one line for each parameter, criterion and track.
+    """Return the lines that the command prints: warnings, answer, one line per parameter, criterion and track.
 
     Parameters
     ----------

@@ -30,7 +30,7 @@ from seatrial.ident.workflows.vehicle_model import considered_notes
 
 @dataclass(frozen=True)
 class DiagnosisRequest:
-    """Options of a diagnosis.
+    """Options of `seatrial ident diagnose`.
 
     Attributes
     ----------

@@ -58,7 +58,7 @@ ZERO_VALUE_STEPS = 5.0
 
 @dataclass(frozen=True)
 class InformationRequest:
-    """Options of an information analysis.
+    """Options of `seatrial ident information`.
 
     Attributes
     ----------
@@ -169,7 +169,7 @@ def _parameters_to_analyse(model: Model, chosen: Sequence[str], path: Path) -> t
 
 
 def record_parameters(model: Model, rows: Record) -> Array:
-    """Return the parameters of a record: per-record parameters are fitted to it, the others are unchanged.
+    """Return the parameter values of a record: per-record parameters are fitted to it, the others are unchanged.
 
     Parameters
     ----------
@@ -192,10 +192,11 @@ def record_parameters(model: Model, rows: Record) -> Array:
 def _segment_table(
     segments: Sequence[InformationSegment], loaded: Sequence[LoadedLog], records: Sequence[Record]
 ) -> tuple[SegmentInformation, ...]:
-    """Return the table of segments, with times [s of the log] and with the mission step of each.
+    """Return the table of log segments in the result: the information of each about every parameter.
 
-    ``loaded``, ``records``: logs and records of the same names. ``lost`` of a row is the share of each parameter's
-    information that the segment holds, 0 to 1.
+    The times are those of the log [s], and each row names the mission step that takes up most of it. ``loaded`` and
+    ``records`` are the logs and records of the same names. ``lost`` of a row is the share of each parameter's
+    information that would be lost without the segment, 0 to 1.
     """
     starts = {r.name: float(r.meta["t0"]) for r in records}
     steps = {log.run.name: log.segments for log in loaded}
@@ -220,9 +221,10 @@ def _segment_table(
 def _informed_parameter(
     model: Model, name: str, k: int, segments: Sequence[InformationSegment], rows: Sequence[SegmentInformation]
 ) -> InformedParameter:
-    """Return the information about one parameter, with the segment of time that contributes most.
+    """Return the table row of one parameter: standard error from all logs, and the segment that contributes most.
 
-    ``k``: index of the parameter in the arrays of ``segments`` and of the table ``rows``, which have the same order.
+    ``k``: index of the parameter in the arrays of ``segments``. ``segments``: information of each segment of the logs;
+    ``rows``: the table rows of the same segments.
     """
     best = max(range(len(rows)), key=lambda i: float(np.nan_to_num(segments[i].weight[k], posinf=np.inf)))
     p, row, units = model.parameter(name), rows[best], reported_units(model)
@@ -260,15 +262,18 @@ def _longest_mission_step(segments: Sequence[tuple[float, str]], begin: float, e
 
 
 def _segment_text(row: LogSpan) -> str:
-    """Return log, time and mission step of a segment as a text for a sentence."""
+    """Return a segment of a log as a text for the answer: ``run, 30 to 60 s (zigzag)``.
+
+    The mission step in brackets is left out if it is unknown.
+    """
     words = f"{row.record}, {row.t_from:.0f} to {row.t_to:.0f} s"
     return f"{words} ({row.what})" if row.what else words
 
 
 def _information_answer(parameters: Sequence[InformedParameter], n_segments: int) -> str:
-    """Return one or two sentences: the most informative segment of time, and the poorly known parameters.
+    """Return the answer of `seatrial ident information`: the most informative segment, and poorly known parameters.
 
-    ``n_segments``: number of segments of all logs.
+    ``n_segments``: number of segments of all logs. If it is 1, the answer asks for more logs or shorter segments.
     """
     known = [p for p in parameters if p.se is not None]
     if not known:
@@ -290,7 +295,11 @@ def _information_answer(parameters: Sequence[InformedParameter], n_segments: int
 
 
 def _information_notes(parameters: Sequence[InformedParameter], records: Sequence[Record], model: Model) -> list[str]:
-    """Return notes on missing sensors, on parameters without information, and on the mission that would inform them."""
+    """Return the notes of the result of `seatrial ident information`.
+
+    They are about sensors that a log lacks, parameters without information, and the command that designs a mission for
+    the poorly known parameters.
+    """
     notes = [
         f"{r.name}: not in the log and therefore not used: {', '.join(missing)}."
         for r in records

@@ -39,7 +39,7 @@ CURVE_INPUTS = ("f_left", "f_right", "X", "X_n")  # inputs that a static thrust 
 
 
 def known_curve(thruster: Path | None) -> ThrustCurve | None:
-    """Return the static thrust curve of a file; None without a file.
+    """Return the static thrust curve of the file that --thruster names; None without a file.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ def known_curve(thruster: Path | None) -> ThrustCurve | None:
 def derived_signals(
     channels: Mapping[str, Channel], holds: Mapping[str, str], source: str, curve: ThrustCurve | None, path: str | Path
 ) -> tuple[dict[str, Channel], dict[str, str]]:
-    """Return the channels and holds of one log, with the derived signals that a model may need.
+    """Return the channels and holds of one log, with the input signals that are derived from others.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def derived_signals(
 
 
 def with_derived_signals(log: LoadedLog, source: str, curve: ThrustCurve | None) -> LoadedLog:
-    """Return a log with the signals that the model may need and that can be derived from logged ones.
+    """Return a log with the input signals of a model that can be derived from logged ones.
 
     These are thrusts by a static curve, the total thrust, shaft speeds from commands, commands from shaft speeds, and
     for surge models the speed.
@@ -137,8 +137,9 @@ def with_derived_signals(log: LoadedLog, source: str, curve: ThrustCurve | None)
 
 
 def choose_model(source: str, loaded: Sequence[LoadedLog]) -> Model:
-    """Return the model of a name, with the sensors that any log has, and with the holds of the first log.
+    """Return the model of a name for the logs of a fit.
 
+    The model has the sensors that at least one log has, and its inputs are held between samples as in the first log.
     ``auto`` selects the horizontal model with the inputs that all logs have. If a log has commands only, the shafts are
     states of the model. If the shaft speeds are telemetry, the model includes their age.
 
@@ -226,14 +227,17 @@ def unused_signals(
 
 
 def _advice_on_other_name(name: str) -> str | None:
-    """Return advice on a signal whose name other programs use (`OTHER_NAMES`); None for other names."""
+    """Return advice on a logged signal whose name other programs use for one of the model's signals.
+
+    None for all names that are not in the table `OTHER_NAMES`.
+    """
     return next((text for alias, text in OTHER_NAMES.items() if name == alias or name.startswith(f"{alias}_")), None)
 
 
 def _unused_signal(name: str, logs: tuple[str, ...], model: Model, there: set[str]) -> UnusedSignal:
-    """Return one signal that the model does not use, with the code and the text of the reason.
+    """Return the entry of the result for one logged signal that the model does not use, with the reason.
 
-    ``logs``: logs that contain it. ``there``: names of all signals of all logs.
+    ``logs``: names of the logs that contain the signal ``name``. ``there``: names of all signals of all logs.
     """
     advice = _advice_on_other_name(name)
     sensors = [[o.name for o in s.outputs] for s in SENSORS.values()]
@@ -304,12 +308,12 @@ def thrust_from(model: Model, loaded: Sequence[LoadedLog]) -> str:
 
 
 def _has_held_shaft_speeds(log: LoadedLog) -> bool:
-    """Return whether an import map declares ``n_left`` and ``n_right`` with the hold ``zero``, as for commands."""
+    """Return whether the import map of the log holds ``n_left`` and ``n_right`` constant (``zero``), like commands."""
     return all(n in log.run.channels and log.run.channels[n].source == n and log.holds.get(n) == "zero" for n in SHAFTS)
 
 
 def _has_commands_for_shaft_speeds(log: LoadedLog) -> bool:
-    """Return whether commands stand for the shaft speeds that the log lacks (`with_derived_signals`)."""
+    """Return whether the log has no shaft speeds, so that its commands stand for them (`with_derived_signals`)."""
     shaft, command = (log.run.channels.get(names[0]) for names in (SHAFTS, COMMANDS))
     return shaft is command and log.propulsion is PropulsionInput.COMMAND
 
@@ -349,7 +353,7 @@ def in_one_frame(
     Raises
     ------
     SeatrialError
-        If the model has a fixed point and the logs have no common frame (`require_one_frame`).
+        If the model has a fixed point (mooring, tether) and the logs are too far apart to share it.
     """
     placed = share_frame([*loaded, *validation_logs], reference)
     require_one_frame(model, placed, reference)
@@ -357,9 +361,9 @@ def in_one_frame(
 
 
 def require_one_frame(model: Model, logs: Sequence[LoadedLog], reference: FrameOrigin | None = None) -> None:
-    """Raise SeatrialError if the model has a fixed point and the logs are too far apart to share it.
+    """Check that the logs of a model with a fixed point are near enough to share it; raise SeatrialError if not.
 
-    A fixed point (a mooring, a tether) is the same for all logs.
+    A fixed point is the position of a mooring or tether, which is the same for all logs.
 
     Parameters
     ----------
@@ -396,7 +400,7 @@ def saved_frame_warnings(model: Model, logs: Sequence[LoadedLog], reference: Fra
     Raises
     ------
     SeatrialError
-        If the model has a fixed point and the logs have no common frame (`require_one_frame`).
+        If the model has a fixed point (mooring, tether) and the logs are too far apart to share it.
     """
     require_one_frame(model, logs, reference)
     return frame_warnings(model, [log.run.name for log in logs if log.unplaced], saved_origin_unknown=reference is None)
@@ -483,7 +487,7 @@ def _check_thrust_inputs(
 def _with_logged_sensors(
     model: Model, path: Path, loaded: Sequence[LoadedLog], validation_logs: Sequence[LoadedLog]
 ) -> Model:
-    """Return a vehicle model with its inputs held as in the first log.
+    """Return a saved vehicle model with its inputs held between samples as in the first log.
 
     Raise SeatrialError if the logs have no sensor of the model at all. Sensors that only some logs lack are accepted.
     ``path``: file of the model, for the message.
@@ -499,7 +503,7 @@ def _with_logged_sensors(
 
 
 def check_names(model: Model, names: Sequence[str], n_logs: int) -> None:
-    """Raise SeatrialError for a name of ``--profile`` that a fit does not estimate: unknown, or fixed.
+    """Check the names of ``--profile``; raise SeatrialError for one that the fit does not estimate: unknown or fixed.
 
     Parameters
     ----------
@@ -527,7 +531,7 @@ def check_names(model: Model, names: Sequence[str], n_logs: int) -> None:
 def check_horizon(
     horizon: float | None, loaded: Sequence[LoadedLog], validation_logs: Sequence[LoadedLog] = ()
 ) -> None:
-    """Raise SeatrialError if the prediction horizon is longer than all logs that the model is evaluated on.
+    """Check ``--horizon``; raise SeatrialError if it is longer than all logs that the model is evaluated on.
 
     Parameters
     ----------

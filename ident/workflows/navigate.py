@@ -54,7 +54,7 @@ Columns = list[tuple[str, str, Array]]  # name, unit, values
 
 @dataclass(frozen=True)
 class NavigationRequest:
-    """Options of a navigation; all times [s] count from the start of a log.
+    """Options of `seatrial ident navigate`; all times [s] count from the start of a log.
 
     Attributes
     ----------
@@ -163,7 +163,7 @@ def _write_results(out: Path, result: NavigationResult, tables: Mapping[str, Col
 def _outages_by_segment(
     parts: Sequence[LoadedLog], outages: Sequence[tuple[float, float]]
 ) -> list[list[tuple[float, float]]]:
-    """Return, for each segment of one log, the GNSS outages (from, to) [s of the log] that it contains.
+    """Return, for each segment of one log, the ``outages`` (from, to) [s of the log] of --gnss-outage that it contains.
 
     ``parts``: segments of the log in order of time. An outage that begins between two segments belongs to the later
     one; an outage that begins after all belongs to the last one.
@@ -216,8 +216,9 @@ def _check_fixes(rows: Record, t0: float, without: Sequence[tuple[float, float]]
 
 
 def _csv_columns(done: Navigation, t0: float) -> Columns:
-    """Return the columns of the CSV: time, states, standard deviations, current, covariance of the position, GNSS use.
+    """Return the columns of the CSV file of a navigated log.
 
+    They are time, states, standard deviations, current (if it is a state), covariance of the position, and use of GNSS.
     ``t0``: log time [s] of the first row. The column ``gnss`` is 1 for a fix that was used, -1 for one that was
     withheld, else 0. States and standard deviations are in reported units.
     """
@@ -254,7 +255,10 @@ def write_csv(path: Path, columns: Columns) -> None:
 
 
 def _input_traces(done: Navigation, t0: float) -> list[InputTrace]:
-    """Return the inputs of a record over the time of the log. ``t0``: log time [s] of the first row."""
+    """Return the inputs of a navigated record as traces of the result, over the time of the log.
+
+    ``t0``: log time [s] of the first row.
+    """
     return [msgspec.structs.replace(row, t=row.t + t0) for row in record_inputs(done.model, done.record)]
 
 
@@ -300,7 +304,7 @@ def _navigated_record(done: Navigation, t0: float, table: Columns) -> NavigatedR
 
 
 def _outage_row(o: Outage, name: str, t0: float) -> GnssOutage:
-    """Return the table row of an outage, with times of the log.
+    """Return the row of the result for one GNSS outage ``o``, with the times of the log.
 
     ``name``: name of the record. ``t0``: log time [s] of its first row.
     """
@@ -326,14 +330,14 @@ def _outage_row(o: Outage, name: str, t0: float) -> GnssOutage:
 
 
 def _withheld_errors(found: OutageErrors | None) -> WithheldErrors | None:
-    """Return the errors at withheld fixes as the entry of the result; None for None."""
+    """Return the position errors at withheld fixes as an entry of the result; None if no fix was withheld."""
     if found is None:
         return None
     return WithheldErrors(rms=found.rms, largest=found.largest, inside=found.inside, n=found.n)
 
 
 def navigation_answer(found: Sequence[Outage], done: Sequence[Navigation]) -> str:
-    """Return the sentence on the worst GNSS outage, or on the accuracy of the position if there is no outage.
+    """Return the answer of `ident navigate`: the worst GNSS outage, or without one the accuracy of the position.
 
     Parameters
     ----------
@@ -371,10 +375,11 @@ def navigation_answer(found: Sequence[Outage], done: Sequence[Navigation]) -> st
 
 
 def _navigation_notes(parts: Sequence[tuple[Navigation, float, list[Outage]]], known: ParameterCovariance) -> list[str]:
-    """Return notes on missing sensors, large innovations, outages outside their regions and missing standard errors.
+    """Return the notes of the result of `seatrial ident navigate`.
 
-    ``parts``: navigation, log time [s] of its first row, and outages of each record. ``known``: covariance of the
-    parameters.
+    They are about missing sensors, innovations that are larger than the model predicts, fixes outside the predicted
+    95 % region at the end of an outage, and missing standard errors. ``parts``: navigation, log time [s] of its first
+    row, and outages of each record. ``known``: covariance of the parameters.
     """
     notes = []
     for done, t0, found in parts:

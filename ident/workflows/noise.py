@@ -60,19 +60,22 @@ class NoiseEstimate:
 
     @property
     def reason(self) -> str:
-        """Reason why the noise model is rejected, as a part of a sentence; empty if it is accepted."""
+        """Reason, as a part of a sentence, why the channel is not white noise plus a random walk; empty if it is."""
         return " and ".join(words for words, _ in self._departures())
 
     @property
     def remedy(self) -> str:
-        """Advice on the reason for the rejection. It is defined only for a rejected model."""
+        """Advice for a channel that is not white noise plus a random walk.
+
+        It is defined only if there is a `reason`; for other channels it raises IndexError.
+        """
         return self._departures()[-1][1]
 
     @property
     def exceptions(self) -> list[tuple[str, str]]:
-        """Features that the noise model does not describe even if it is accepted, each with its consequence.
+        """Spikes, jumps and coarse steps of the channel: pairs of a description and its consequence.
 
-        They are spikes, jumps and coarse steps.
+        White noise plus a random walk does not describe them, but the noise model may be accepted nevertheless.
         """
         f, found = self.fit, []
         size = np.abs(f.innovations)
@@ -90,10 +93,11 @@ class NoiseEstimate:
         return found
 
     def _departures(self) -> list[tuple[str, str]]:
-        """Return the texts of the departures from the noise model, each with advice; empty if there are none.
+        """Return the departures of the channel from white noise plus a random walk, each as a text with advice.
 
         A spectral line is returned alone if it holds more than half of the predictable variance. Otherwise the
-        autocorrelation and the lowest band are returned.
+        autocorrelation of the innovations and the frequency band with too high or too low density are returned.
+        Departures that are too small to matter are left out, so that the list may be empty.
         """
         predictable, line, band = self.fit.departures
         rate = 1.0 / self.fit.interval
@@ -190,7 +194,7 @@ def _channels_to_estimate(path: Path, loaded: LoadedLog, signals: Sequence[str])
 
 
 def _with_unwrapped_angles(channel: Channel) -> Channel:
-    """Return the channel with continuous angles and with times [s] from its first sample.
+    """Return the channel with times [s] from its first sample and, if it is an angle [rad], with continuous values.
 
     A heading that crosses 180 degrees would otherwise have a step.
     """
@@ -199,7 +203,7 @@ def _with_unwrapped_angles(channel: Channel) -> Channel:
 
 
 def _channel_noise(estimate: NoiseEstimate) -> ChannelNoise:
-    """Return the table row of one channel, with its spectrum. Errors and limits that are not finite are None."""
+    """Return the row of the result for the noise of one channel, with its spectrum. Non-finite errors are None."""
     frequency, density = welch(estimate.channel)
     averaged = band_spectrum(frequency, density)
     f = estimate.fit
@@ -224,7 +228,10 @@ def _channel_noise(estimate: NoiseEstimate) -> ChannelNoise:
 
 
 def _noise_answer(found: Sequence[NoiseEstimate]) -> str:
-    """Return the sentence on the channels that the noise model describes, and on those that it does not describe."""
+    """Return the answer of `seatrial ident noise`: how many channels are white noise plus a random walk.
+
+    The answer names the channels that are not, and those with spikes, jumps or coarse steps.
+    """
     bad = [x for x in found if x.fit.rejected]
     odd = [x for x in found if x.exceptions and not x.fit.rejected]
     but = f", but with {' and '.join(words for words, _ in odd[0].exceptions)}" if odd else ""
@@ -242,12 +249,16 @@ def _noise_answer(found: Sequence[NoiseEstimate]) -> str:
 
 
 def _percent(share: float) -> str:
-    """Format a share (0 to 1) in per cent, with two significant digits."""
+    """Format a share (0 to 1) in per cent with two significant digits, for the sentences of the result."""
     return f"{100 * share:.2g} %"
 
 
 def _noise_notes(found: Sequence[NoiseEstimate]) -> list[str]:
-    """Return notes on rejected channels, negligible departures, spikes, coarse steps, and flags of the fits."""
+    """Return the notes of the result of `seatrial ident noise`.
+
+    They are about channels that are not white noise plus a random walk, departures that are too small to matter,
+    spikes, coarse steps, and remarks of the fits.
+    """
     lines = [f"{x.label}: not white noise plus a random walk: {x.reason}. {x.remedy}" for x in found if x.fit.rejected]
     lines += [
         f"{x.label}: the innovations are not quite white, but no more than {_percent(x.fit.departures.share)} of their "

@@ -60,7 +60,7 @@ def write_all(
 
 
 def validity(fitted: FittedModel) -> dict[str, tuple[float, float]]:
-    """Return the range of each velocity state (``u``, ``v``, ``r``) and of each input in the estimation data.
+    """Return the range of each velocity state (``u``, ``v``, ``r``) and input in the estimation data, for model.toml.
 
     The range of a filtered state is from its 1 % to its 99 % quantile, that of an input from its minimum to its
     maximum.
@@ -89,7 +89,7 @@ def validity(fitted: FittedModel) -> dict[str, tuple[float, float]]:
 
 
 def sensor_rates(fitted: FittedModel) -> dict[str, float]:
-    """Return the rate [Hz] of each sensor in the estimation data.
+    """Return the rate [Hz] of each sensor in the estimation data, for model.toml.
 
     Parameters
     ----------

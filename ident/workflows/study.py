@@ -46,7 +46,7 @@ def run_study(
     jobs: int | None = None,
     reporter: Reporter = QUIET,
 ) -> list[Row]:
-    """Return all replicates of a case; those of earlier runs are read from ``out``.
+    """Run the replicates of a Monte Carlo case that are missing in ``out``, and return all.
 
     Parameters
     ----------
@@ -91,10 +91,10 @@ def run_study(
 
 
 def _rows_by_task(case: Case, todo: Sequence[int], seed: int, method: Method, jobs: int | None) -> Iterator[list[Row]]:
-    """Yield the rows of each task as soon as it is done, in any order.
+    """Run the replicates of a study in parallel, and yield the rows of each task as soon as it is done, in any order.
 
-    ``todo``: numbers of the replicates. Some backends of joblib return no result before all tasks are done. For these,
-    the tasks are run in waves.
+    ``todo``: numbers of the replicates. ``jobs``: number of processes, or None for that of joblib. Some backends of
+    joblib return no result before all tasks are done. For these, the tasks are run in waves.
     """
     pace = _TaskSize(todo)
     calls = (joblib.delayed(_run_timed)(case, task, seed, method) for task in pace.tasks())
@@ -126,10 +126,14 @@ class _TaskSize:
     """
 
     def __init__(self, todo: Sequence[int]) -> None:
+        """Start with tasks of one replicate; ``todo`` has the numbers of all replicates to run."""
         self.todo, self.size = todo, 1
 
     def tasks(self) -> Iterator[Sequence[int]]:
-        """Yield the replicate numbers of each task; a worker that becomes free requests the next one."""
+        """Yield the replicate numbers of one parallel task after the other.
+
+        A worker that becomes free requests the next task, so that it has the size of that moment.
+        """
         at = 0
         while at < len(self.todo):
             task = self.todo[at : at + self.size]
@@ -137,14 +141,14 @@ class _TaskSize:
             yield task
 
     def adapt(self, rows: Sequence[Row], seconds: float) -> None:
-        """Adapt the size of the next tasks to a finished task.
+        """Set the number of replicates in the next tasks from the CPU time of a finished task.
 
         Parameters
         ----------
         rows
-            Replicates of the task, at least one.
+            Rows of the replicates of the task, at least one.
         seconds
-            Its CPU time [s], with the simulation.
+            CPU time of the task [s], with the simulation.
         """
         simulation = sum(r["simulation"] for r in rows)
         each = max((seconds - simulation) / len(rows), 1e-6)
@@ -152,7 +156,7 @@ class _TaskSize:
 
 
 def _run_timed(case: Case, numbers: Sequence[int], seed: int, method: Method) -> tuple[float, list[Row]]:
-    """Run the replicates ``numbers`` of a case; return the CPU time [s] and the rows."""
+    """Run the replicates ``numbers`` of a case in one task; return its CPU time [s] and one row for each replicate."""
     began = time.process_time()
     rows = run_replicates(case, numbers, seed, method)
     return time.process_time() - began, rows
@@ -160,7 +164,7 @@ def _run_timed(case: Case, numbers: Sequence[int], seed: int, method: Method) ->
 
 @dataclass(frozen=True)
 class StudyRequest:
-    """Options of Monte Carlo studies of the estimator.
+    """Options of `seatrial ident study`, a Monte Carlo study of the estimator.
 
     Attributes
     ----------
@@ -202,7 +206,7 @@ class StudyRequest:
     jobs: int | None = None
 
     def cases(self) -> list[Case]:
-        """Return the case of each model, in their order and without repetitions.
+        """Return the case (mission, model and true values) of each model, in their order and without repetitions.
 
         Raises
         ------
@@ -321,7 +325,7 @@ def estimator(case: Case, method: Method) -> str:
 
 
 def _parameter_study(j: ParameterCoverage, truth: float, unit: str) -> ParameterStudy:
-    """Return the table row of one parameter. ``truth``, ``unit``: its true value and unit."""
+    """Return the row of the result for one parameter of a study. ``truth``, ``unit``: its true value and unit."""
     return ParameterStudy(
         name=j.name, unit=unit, truth=truth, n=j.n, at_bound=j.at_bound, sd=j.sd, bias=j.bias,
         bias_error=j.bias_error, ratio=j.ratio, ratio_low=j.ratio_interval[0], ratio_high=j.ratio_interval[1],

@@ -67,7 +67,7 @@ SETTLED_S, AVERAGED_S = 1.0, 0.6  # time after a change of command, and time at 
 
 @dataclass(frozen=True)
 class ThrusterRequest:
-    """Options of a thruster characterisation.
+    """Options of `seatrial ident thruster`.
 
     Attributes
     ----------
@@ -167,10 +167,10 @@ def characterise(request: ThrusterRequest, command: str, reporter: Reporter) -> 
 def _without_zero_drift(
     loaded: Sequence[LoadedLog], command_name: Callable[[LoadedLog], str], settle: float
 ) -> tuple[list[LoadedLog], list[str]]:
-    """Remove the drift of the load cells' zeros between rests; return new logs, and a line for each drift.
+    """Subtract the drift of the load cell's zero, measured at rests, from the force of each bench log.
 
-    ``command_name``: function that returns the name of the command of a log. ``settle``: time [s] after a change of
-    command that is left out. A log without force, command or rests is returned unchanged.
+    Return the new logs, and a line for each drift. ``command_name``: function that returns the name of a log's command.
+    ``settle``: time [s] after a change of command that is left out. A log without force, command or rests is unchanged.
     """
     found, lines = [], []
     for x in loaded:
@@ -185,16 +185,19 @@ def _without_zero_drift(
 
 
 def _calibration(loaded: Sequence[LoadedLog]) -> float | None:
-    """Return the largest relative standard uncertainty of the load cells' forces; None if no rig gives one."""
+    """Return the largest relative standard uncertainty of the load cells in the rigs of the bench logs.
+
+    None if no rig gives one.
+    """
     cells = [d.calibration for x in loaded if x.rig for d in x.rig.devices if d.calibration is not None]
     found = [sd for sd in (c.relative_sd for c in cells) if sd is not None]
     return max(found) if found else None
 
 
 def _refuse_options(path: Path, options: Sequence[str]) -> None:
-    """Raise SeatrialError if ``options`` is not empty: names of options that a static curve does not use.
+    """Refuse options of the command that do not apply to a static curve: raise SeatrialError if there are any.
 
-    ``path``: file of the log, for the message.
+    ``path``: file of the log, for the message. ``options``: names of these options; empty if none was given.
     """
     if options:
         raise SeatrialError(
@@ -204,13 +207,13 @@ def _refuse_options(path: Path, options: Sequence[str]) -> None:
 
 
 def _thruster_record(model: Model, loaded: LoadedLog, name: str) -> Record:
-    """Return the record of one log for a thruster model. ``name``: name of the thruster."""
+    """Return the record of one bench log for the fit of a thruster model. ``name``: name of the thruster."""
     channels = thruster_channels(loaded, model, name)
     return build_record(model, channels, name=loaded.run.name, rate=THRUSTER_RATE)
 
 
 def _static_force(fitted: Fit, records: Sequence[Record], loaded: Sequence[LoadedLog], name: str) -> StaticForce:
-    """Return the measured steady points, and the fitted static curve with its standard error.
+    """Return the measured steady thrust and the fitted static curve with its standard error, for the result.
 
     The curve covers the directions in which the shaft turned. ``name``: name of the thruster.
     """
@@ -223,10 +226,10 @@ def _static_force(fitted: Fit, records: Sequence[Record], loaded: Sequence[Loade
 
 
 def _steady_points(loaded: LoadedLog, name: str, bias: float) -> list[tuple[float, float, float]]:
-    """Return shaft speed, force [N] and standard error [N] at the end of each command that was held long enough.
+    """Return the steady points of a bench log for a plot: one for each command that was held long enough.
 
-    ``name``: name of the thruster. ``bias`` [N] is subtracted from the force. The last 0.6 s of each command are
-    averaged.
+    A point has the normalised shaft speed, the force [N] and its standard error [N], averaged over the last 0.6 s of
+    the command. ``name``: name of the thruster. ``bias`` [N] is subtracted from the force.
     """
     command, n, f = (loaded.run.channels[c] for c in (command_of(name), shaft_speed_of(name), "force"))
     points = []
@@ -240,7 +243,7 @@ def _steady_points(loaded: LoadedLog, name: str, bias: float) -> list[tuple[floa
 
 
 def _value_range(z: Array) -> tuple[float, float]:
-    """Return minimum and maximum of an array."""
+    """Return minimum and maximum of the values of a signal, for the range of validity in model.toml."""
     return float(z.min()), float(z.max())
 
 
@@ -329,9 +332,9 @@ def is_static(loaded: Sequence[LoadedLog], name: str | None) -> bool:
 
 
 def _command_names(channels: Mapping[str, Channel], name: str | None) -> list[str]:
-    """Return the channels with the command of the named thruster, or of all thrusters if ``name`` is None.
+    """Return the names of the channels with the command of the thruster ``name``, or of all thrusters if it is None.
 
-    A shaft speed stands for a missing command. Empty if the log has neither.
+    The shaft speed of a thruster stands for its missing command. A thruster with neither is left out.
     """
     thrusters = [name] if name else ["left", "right", *commanded_thrusters(channels)]
     signals = [(command_of(thruster), shaft_speed_of(thruster)) for thruster in dict.fromkeys(thrusters)]
@@ -340,9 +343,10 @@ def _command_names(channels: Mapping[str, Channel], name: str | None) -> list[st
 
 
 def _changing_commands(log: LoadedLog, name: str | None) -> list[str]:
-    """Return the names of the channels with commands that change.
+    """Return the names of the command channels whose value changes in a bench log.
 
-    Raise SeatrialError if there is none, or if several are not equal: the force of one thruster needs its name.
+    Raise SeatrialError if no command changes, or if the changing ones differ from each other: the user must then name
+    the thruster whose force was measured. ``name``: name of the thruster, or None for any.
     """
     channels = log.run.channels
     moved = [n for n in _command_names(channels, name) if np.ptp(channels[n].value) > 0]
@@ -363,7 +367,7 @@ def _changing_commands(log: LoadedLog, name: str | None) -> list[str]:
 
 
 def _curve_points(levels: Levels, curve: Curve, quadratic: Quadratic) -> StaticForce:
-    """Return the measured levels, the monotone curve and the quadratic curve for plots."""
+    """Return the measured levels, the monotone curve and the quadratic curve for the plots of the result."""
     grid = np.union1d(np.linspace(curve.n[0], curve.n[-1], 161), curve.n)
     return StaticForce(
         n=levels.n,
@@ -378,12 +382,12 @@ def _curve_points(levels: Levels, curve: Curve, quadratic: Quadratic) -> StaticF
 
 
 def _format_force(force: float) -> str:
-    """Format a force [N] with one decimal, or with two significant digits below 1 N."""
+    """Format a force [N] for the answer: one decimal, or two significant digits if it is below 1 N."""
     return f"{force:.1f} N" if abs(force) >= 1.0 else f"{force:.2g} N"
 
 
 def curve_answer(levels: Levels, measured: ThrustCurve, quadratic: Quadratic) -> str:
-    """Return the sentences on the force at the largest commands, and on the fit of the quadratic to the levels.
+    """Return the answer of a static curve: force at the largest commands, and fit of the quadratic to the levels.
 
     Parameters
     ----------

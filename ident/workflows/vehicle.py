@@ -88,10 +88,10 @@ def vehicle(request: VehicleRequest, command: str, reporter: Reporter) -> Vehicl
 
 
 def _assess(request: VehicleRequest, problem: VehicleProblem, reporter: Reporter) -> ModelAssessment | None:
-    """Test the model by the score tests of the catalogue.
+    """Test the vehicle model by the score tests of the catalogue of effects, before the fit.
 
-    None if the request excludes them, for a user-defined model, and for output error, which has no score tests. None
-    with a warning if the tests fail, because the model can be fitted without them.
+    Return None if the request excludes the tests, for a user-defined model, and for output error, which has no score
+    tests. Return None with a warning if the tests fail, because the model can be fitted without them.
     """
     if not request.score_tests or is_own_model(request.model) or request.estimation.method != "prediction-error":
         return None

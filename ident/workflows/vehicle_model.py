@@ -37,7 +37,7 @@ SLOW_INPUT_S = 0.015  # s: if samples of an output are farther apart, the times 
 
 @dataclass(frozen=True)
 class VehicleRequest:
-    """Options of a vehicle fit.
+    """Options of `seatrial ident vehicle`.
 
     Attributes
     ----------
@@ -92,7 +92,7 @@ class VehicleRequest:
 
 @dataclass(frozen=True)
 class VehicleProblem:
-    """Model with its priors, and the data for its estimation and validation.
+    """Vehicle model with its priors, and the logged signals for its estimation and validation.
 
     Attributes
     ----------
@@ -205,7 +205,7 @@ def considered_notes(model: Model) -> list[str]:
 def vehicle_problem(
     request: VehicleRequest, loaded: Sequence[LoadedLog], validation_logs: Sequence[LoadedLog]
 ) -> VehicleProblem:
-    """Return the model and the data of a vehicle fit.
+    """Return the model and the data of a vehicle fit, from the options of the command and the loaded logs.
 
     Parameters
     ----------

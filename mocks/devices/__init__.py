@@ -1,4 +1,6 @@
-"""Emulators of the devices: their messages on the wire, and their faults."""
+"""Emulators of the devices: the bytes that they send and answer, and their faults. Noise and systematic errors of their
+samples are in sensors.
+"""
 
 import lazy_loader
 

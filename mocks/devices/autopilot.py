@@ -53,7 +53,7 @@ class AutopilotEmulator(DeviceEmulator):
     def __init__(
         self, rig: Rig, device: Device, controllers: Mapping[int, EscController], now_unix: float = EPOCH_2015
     ) -> None:
-        """Set up an autopilot.
+        """Set up an emulated autopilot.
 
         Parameters
         ----------
@@ -194,7 +194,7 @@ class AutopilotEmulator(DeviceEmulator):
                 controller.command(self._now, OWN_N)
 
     def _stop_thrusters(self) -> None:
-        """Command zero to all thrusters of the autopilot."""
+        """Command zero to the speed controllers of all thrusters of the autopilot."""
         for controller in self._controllers.values():
             controller.command(self._now, 0.0)
 

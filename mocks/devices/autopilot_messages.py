@@ -113,7 +113,7 @@ class Reports:
         thrusters: Mapping[int, Thruster],
         controllers: Mapping[int, EscController],
     ) -> None:
-        """Set up the messages.
+        """Set up the encoder of the messages of one autopilot.
 
         Parameters
         ----------
@@ -150,17 +150,20 @@ class Reports:
 
     @property
     def ekf(self) -> int:
-        """Flags of the message EKF_STATUS_REPORT. Before `Vehicle.ekf_ready_at` they report no position."""
+        """Flags of the autopilot's position estimator (EKF), for the message EKF_STATUS_REPORT.
+
+        Before `Vehicle.ekf_ready_at` they report no position.
+        """
         return EKF_READY if self.t >= self._vehicle.ekf_ready_at else EKF_INITIALISING
 
     @property
     def _boot_ms(self) -> int:
-        """Time since boot [ms] by the clock of the autopilot."""
+        """Time since the boot of the autopilot [ms], by its own clock."""
         return self._boot_us // 1000  # rounded down, as ArduPilot does
 
     @property
     def _boot_us(self) -> int:
-        """Time since boot [us] by the clock of the autopilot."""
+        """Time since the boot of the autopilot [us], by its own clock."""
         return round((self.t + self.clock_error + BOOT_S) * 1e6)
 
     def encode_message(self, name: str, ahrs: Ahrs) -> bytes:

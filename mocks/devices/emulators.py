@@ -21,10 +21,10 @@ SLOW_STATUS_S = 0.2  # s, period of the messages STATUS 4 and 5 of one controlle
 
 @final
 class VectorNav(DeviceEmulator):
-    """AHRS of VectorNav. It sends binary messages with the device's time, or $VNYMR sentences."""
+    """Emulated AHRS of VectorNav. It sends binary messages with the device's time, or $VNYMR sentences."""
 
     def __init__(self, ascii_: bool) -> None:
-        """Set up the device. ``ascii_`` selects the $VNYMR sentences."""
+        """Set up an emulated VectorNav. ``ascii_``: whether it sends $VNYMR sentences instead of binary messages."""
         self._ascii = ascii_
 
     def encode(self, sample: Sample, t: float) -> bytes:
@@ -40,7 +40,7 @@ class VectorNav(DeviceEmulator):
 
 @final
 class Nmea(DeviceEmulator):
-    """GNSS receiver with NMEA sentences."""
+    """Emulated GNSS receiver that sends NMEA sentences."""
 
     def encode(self, sample: Sample, t: float) -> bytes:
         """Return the NMEA sentences GGA, RMC, VTG and GST of one fix. The clock error is added to its UTC."""
@@ -50,20 +50,20 @@ class Nmea(DeviceEmulator):
 
 @final
 class LoadCellLine(DeviceEmulator):
-    """Load cell that sends one line of text for each reading."""
+    """Emulated load cell that sends one line of text for each sample."""
 
     def encode(self, sample: Sample, t: float) -> bytes:
-        """Return the line of text with the counts of one reading."""
+        """Return the line of text with the counts of one load cell sample."""
         assert isinstance(sample, LoadCell)
         return loadcell.encode(sample.counts)
 
 
 @final
 class VescBus(DeviceEmulator):
-    """VESC speed controllers on a CAN bus behind an slcan adapter."""
+    """Emulated VESC speed controllers on a CAN bus behind an slcan adapter."""
 
     def __init__(self, controllers: Mapping[int, EscController], pole_pairs: Mapping[int, int]) -> None:
-        """Set up the bus. Arguments: the speed controllers and the pole pairs of their motors, both by CAN node."""
+        """Set up a bus from its VESC speed controllers and the pole pairs of their motors, both by CAN node."""
         self._controllers = controllers
         self._pole_pairs = pole_pairs
         self._adapter = Adapter()
@@ -98,10 +98,10 @@ class VescBus(DeviceEmulator):
 
 @final
 class DronecanBus(DeviceEmulator):
-    """DroneCAN speed controllers behind an slcan adapter. The controller of index k is node 20 + k of the bus."""
+    """Emulated DroneCAN speed controllers behind an slcan adapter. The controller of index k is node 20 + k."""
 
     def __init__(self, controllers: Mapping[int, EscController]) -> None:
-        """Set up the bus. ``controllers`` are the speed controllers by their DroneCAN index, which starts at 0."""
+        """Set up a bus from its speed controllers, by their DroneCAN index, which starts at 0."""
         self._controllers = controllers
         self._adapter = Adapter()
         self._commands = Assembler(dronecan.RAW_COMMAND)
@@ -159,8 +159,8 @@ def make_emulator(
     if device.protocol == "loadcell":
         if loadcell.compile_pattern(device.pattern).search(loadcell.encode(-123.0).decode().rstrip()) is None:
             raise SeatrialError(
-                f"{rig.path}: device {device.name}: the mock sends lines like -123, which the pattern does not match: "
-                "change it"
+                f"{rig.path}: device {device.name}: the mock sends lines like -123, which the pattern does not match; "
+                "change the pattern in the rig file"
             )
         return LoadCellLine()
     if device.protocol == "mavlink":
@@ -168,7 +168,9 @@ def make_emulator(
 
         return AutopilotEmulator(rig, device, controllers, time.time())
     if not device.port.startswith("slcan:"):
-        raise SeatrialError(f"{rig.path}: device {device.name}: a mock serves CAN as slcan:PORT, not {device.port}")
+        raise SeatrialError(
+            f"{rig.path}: device {device.name}: a mock serves CAN as slcan:PORT, not {device.port}; give such a port"
+        )
     if device.protocol == "dronecan":
         return DronecanBus(controllers)
     return VescBus(controllers, {t.node: t.pole_pairs for t in rig.thrusters if t.device == device.name})

@@ -146,7 +146,7 @@ class Faults:
         self._past: dict[_Source, deque[tuple[float, Sample]]] = {}  # readings of the last LATE_S, for "late"
 
     def trigger(self, t: float) -> None:
-        """Start the faults with the time `usr1` at run time ``t`` [s].
+        """Start the faults that wait for the signal SIGUSR1 (time `usr1`) at run time ``t`` [s].
 
         A fault that has ended starts again, with its spikes. An active fault goes on.
         """
@@ -220,7 +220,10 @@ class Faults:
         )
 
     def bytes(self, device: str, data: bytes, t: float) -> bytes:
-        """Return the bytes that arrive from a device: as many random bytes during a fault "garbage", else ``data``."""
+        """Return the bytes that arrive at the host when a device sends ``data`` at run time ``t`` [s].
+
+        They are ``data`` itself, or during a fault "garbage" of this device the same number of random bytes.
+        """
         return self._rng.bytes(len(data)) if self._faults and self.active("garbage", device, t) else data
 
     def _with_noise(self, sample: Sample) -> Sample:
@@ -264,7 +267,7 @@ _CHANGES: dict[str, Callable[[Sample], Sample]] = {
 
 
 def _in_degrees(sample: Ahrs) -> Ahrs:
-    """Return the sample with body rates in degrees per second instead of radians per second."""
+    """Return an AHRS sample whose body rates are in degrees per second, a fault, instead of radians per second."""
     return replace(sample, p=math.degrees(sample.p), q=math.degrees(sample.q), r=math.degrees(sample.r))
 
 

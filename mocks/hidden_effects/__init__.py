@@ -1,4 +1,4 @@
-"""Hidden effects of the mock boat and bench: physics that the plant has and the nominal model lacks."""
+"""Catalogue of hidden effects of the mock boat and bench: physics that the plant has and the nominal model lacks."""
 
 import lazy_loader
 

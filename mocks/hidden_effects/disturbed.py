@@ -14,7 +14,7 @@ def _gps(rng: np.random.Generator, scale: float) -> HiddenEffect:
     """Return the hidden effect "noise-gps": time-correlated errors of the GNSS position.
 
     The error of each axis is a Gauss-Markov process of standard deviation ``sigma`` [m] and correlation time 30 s.
-    ``sigma`` is drawn around ``0.3 scale``.
+    ``sigma`` is drawn within 15 % of ``0.3 scale``.
     """
     sigma = scale * effect_size(rng, 0.3)  # m
     parameters = {"sigma": sigma, "tau": 30.0}
@@ -25,7 +25,7 @@ def _gusts(rng: np.random.Generator, scale: float) -> HiddenEffect:
     """Return the hidden effect "noise-gusts": coloured forces whose strength changes in a period of 97 s.
 
     The forces X and Y have the standard deviation ``sigma`` [N], the moment N has ``0.12 sigma`` [N m], and all three
-    have a correlation time of 8 s. ``sigma`` is drawn around ``1.5 scale``.
+    have a correlation time of 8 s. ``sigma`` is drawn within 15 % of ``1.5 scale``.
     """
     sigma = scale * effect_size(rng, 1.5)  # N
     gust = Gust((sigma, sigma, 0.12 * sigma), 8.0, 97.0)
@@ -36,7 +36,7 @@ def _outliers(rng: np.random.Generator, scale: float) -> HiddenEffect:
     """Return the hidden effect "noise-outliers": outliers of the GNSS position.
 
     The fraction ``share`` of the fixes gets an additional error with a standard deviation of 3 m per axis. ``share`` is
-    drawn around ``0.01 scale``.
+    drawn within 15 % of ``0.01 scale``.
     """
     share = scale * effect_size(rng, 0.01)
     noise = Noise(outliers=(share, 3.0))

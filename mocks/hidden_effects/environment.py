@@ -16,7 +16,7 @@ def _wind(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
         X = 0.7 k |w| w_x,  Y = k |w| w_y,  N = 0.2 k w_x w_y
 
-    The true wind speed is drawn around 5.3 m/s whatever ``scale`` is, and its direction uniformly.
+    The true wind speed is drawn within 15 % of 5.3 m/s whatever ``scale`` is, and its direction uniformly.
     """
     drag = scale * 0.28  # N s2/m2, broadside
     speed = effect_size(rng, 5.3)  # m/s: 8 N broadside
@@ -24,7 +24,11 @@ def _wind(rng: np.random.Generator, scale: float) -> HiddenEffect:
     w_n, w_e = speed * math.cos(toward), speed * math.sin(toward)
 
     def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
-        """Return the force X, Y [N] and moment N [N m] of the effect. `Force` in the plant gives the arguments."""
+        """Return the force X, Y [N] and moment N [N m] of the effect, in body axes.
+
+        ``c`` and ``s`` are cosine and sine of the heading, ``u`` and ``v`` [m/s] the velocity through the water in body
+        axes, ``r`` [rad/s] the yaw rate, and ``v_n`` and ``v_e`` [m/s] the velocity over ground, north and east.
+        """
         rel_n, rel_e = w_n - v_n, w_e - v_e
         forward, starboard = c * rel_n + s * rel_e, c * rel_e - s * rel_n
         speed = math.hypot(forward, starboard)
@@ -43,7 +47,7 @@ def _current_drift(rng: np.random.Generator, scale: float) -> HiddenEffect:
     """Return the hidden effect "current-drift": a slow change of the ocean current, as at the turn of a tide.
 
     A vector [m/s] times the factor ``0.5 tanh((t - 200 s) / 180 s)`` is added to the constant current. The length of
-    the vector is drawn around ``0.22 scale``, and its direction uniformly.
+    the vector is drawn within 15 % of ``0.22 scale``, and its direction uniformly.
     """
     change, toward = scale * effect_size(rng, 0.22), 2.0 * math.pi * rng.uniform()  # m/s
     north, east = change * math.cos(toward), change * math.sin(toward)
@@ -64,7 +68,7 @@ def _tether(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
         force = -k d^2 / (d + slack) |v| v
 
-    ``k`` [N s2/m3] is drawn around ``0.08 scale``, and ``slack`` is 8 m.
+    ``k`` [N s2/m3] is drawn within 15 % of ``0.08 scale``, and ``slack`` is 8 m.
     """
     k = scale * effect_size(rng, 0.08)  # N s2/m3
     slack = 8.0  # m
@@ -83,9 +87,9 @@ def _tether(rng: np.random.Generator, scale: float) -> HiddenEffect:
 def _waves(rng: np.random.Generator, scale: float) -> HiddenEffect:
     """Return the hidden effect "waves": the forces of irregular waves with a narrow spectrum.
 
-    The forces are sums of sines (``Sea`` in seatrial.mocks.plant.weather). The peak frequency is drawn around 0.45 Hz,
-    and the direction uniformly. The standard deviations are drawn around ``7 scale`` [N] in surge, ``6 scale`` [N] in
-    sway and ``0.7 scale`` [N m] in yaw.
+    The forces are sums of sines (``Sea`` in seatrial.mocks.plant.weather). The peak frequency is drawn within 15 % of
+    0.45 Hz, and the direction uniformly. The standard deviations are drawn within 15 % of ``7 scale`` [N] in surge,
+    ``6 scale`` [N] in sway and ``0.7 scale`` [N m] in yaw.
     """
     frequency, toward = effect_size(rng, 0.45), 2.0 * math.pi * rng.uniform()  # Hz, rad
     wave = Wave(
@@ -109,12 +113,16 @@ def _heading_moment(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
         N = n sin(2 a) / (1 + 0.3 cos(a))
 
-    ``n`` [N m] is drawn around ``0.5 scale``, and the heading ``at`` [rad] uniformly.
+    ``n`` [N m] is drawn within 15 % of ``0.5 scale``, and the heading ``at`` [rad] uniformly.
     """
     n, at = scale * effect_size(rng, 0.5), 2.0 * math.pi * rng.uniform()  # N m
 
     def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
-        """Return the force X, Y [N] and moment N [N m] of the effect. `Force` in the plant gives the arguments."""
+        """Return the force X, Y [N] and moment N [N m] of the effect, in body axes.
+
+        ``c`` and ``s`` are cosine and sine of the heading, ``u`` and ``v`` [m/s] the velocity through the water in body
+        axes, ``r`` [rad/s] the yaw rate, and ``v_n`` and ``v_e`` [m/s] the velocity over ground, north and east.
+        """
         along, across = c * math.cos(at) + s * math.sin(at), s * math.cos(at) - c * math.sin(at)
         return 0.0, 0.0, n * 2.0 * along * across / (1.0 + 0.3 * along)
 

@@ -16,15 +16,19 @@ def _sway_yaw(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
         Y = -y_r g r,  N = -n_v g v
 
-    ``y_r`` [N s] is drawn around ``8 scale`` with a random sign. ``n_v`` [N s] is drawn around ``3 scale`` and has the
-    sign of ``y_r``.
+    ``y_r`` [N s] is drawn within 15 % of ``8 scale`` with a random sign. ``n_v`` [N s] is drawn within 15 % of
+    ``3 scale`` and has the sign of ``y_r``.
     """
     y_r = scale * effect_size(rng, 8.0, signed=True)  # N s at 0.75 m/s
     # With the sign of y_r, since both have the same cause.
     n_v = math.copysign(scale * effect_size(rng, 3.0), y_r)  # N s
 
     def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
-        """Return the force X, Y [N] and moment N [N m] of the effect. `Force` in the plant gives the arguments."""
+        """Return the force X, Y [N] and moment N [N m] of the effect, in body axes.
+
+        ``c`` and ``s`` are cosine and sine of the heading, ``u`` and ``v`` [m/s] the velocity through the water in body
+        axes, ``r`` [rad/s] the yaw rate, and ``v_n`` and ``v_e`` [m/s] the velocity over ground, north and east.
+        """
         gain = 0.4 + 0.8 * abs(u)
         return 0.0, -y_r * gain * r, -n_v * gain * v
 
@@ -35,12 +39,16 @@ def _sway_yaw(rng: np.random.Generator, scale: float) -> HiddenEffect:
 def _turning_resistance(rng: np.random.Generator, scale: float) -> HiddenEffect:
     """Return the hidden effect "turning-resistance": a resistance in surge that grows with the yaw rate.
 
-    The force is ``X = -k |r|^1.7``. ``k``, in N at 1 rad/s, is drawn around ``7.5 scale``.
+    The force is ``X = -k |r|^1.7``. ``k``, in N at 1 rad/s, is drawn within 15 % of ``7.5 scale``.
     """
     k = scale * effect_size(rng, 7.5)  # N at 1 rad/s
 
     def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
-        """Return the force X, Y [N] and moment N [N m] of the effect. `Force` in the plant gives the arguments."""
+        """Return the force X, Y [N] and moment N [N m] of the effect, in body axes.
+
+        ``c`` and ``s`` are cosine and sine of the heading, ``u`` and ``v`` [m/s] the velocity through the water in body
+        axes, ``r`` [rad/s] the yaw rate, and ``v_n`` and ``v_e`` [m/s] the velocity over ground, north and east.
+        """
         return -k * abs(r) ** 1.7, 0.0, 0.0
 
     return HiddenEffect("turning-resistance", "turning costs forward speed", {"k": k}, force=force)
@@ -49,12 +57,16 @@ def _turning_resistance(rng: np.random.Generator, scale: float) -> HiddenEffect:
 def _cubic_drag(rng: np.random.Generator, scale: float) -> HiddenEffect:
     """Return the hidden effect "cubic-drag": an additional drag that grows faster than the square of the speed.
 
-    The force is ``X = -k u |u|^2.2``. ``k``, in N at 1 m/s, is drawn around ``11 scale``.
+    The force is ``X = -k u |u|^2.2``. ``k``, in N at 1 m/s, is drawn within 15 % of ``11 scale``.
     """
     k = scale * effect_size(rng, 11.0)  # N at 1 m/s
 
     def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
-        """Return the force X, Y [N] and moment N [N m] of the effect. `Force` in the plant gives the arguments."""
+        """Return the force X, Y [N] and moment N [N m] of the effect, in body axes.
+
+        ``c`` and ``s`` are cosine and sine of the heading, ``u`` and ``v`` [m/s] the velocity through the water in body
+        axes, ``r`` [rad/s] the yaw rate, and ``v_n`` and ``v_e`` [m/s] the velocity over ground, north and east.
+        """
         return -k * u * abs(u) ** 2.2, 0.0, 0.0
 
     return HiddenEffect(
@@ -65,12 +77,16 @@ def _cubic_drag(rng: np.random.Generator, scale: float) -> HiddenEffect:
 def _yaw_bias(rng: np.random.Generator, scale: float) -> HiddenEffect:
     """Return the hidden effect "yaw-bias": a yaw moment that is almost constant.
 
-    The moment is ``N = n_0 (0.8 + 0.3 |u|)``. ``n_0`` [N m] is drawn around ``0.28 scale`` with a random sign.
+    The moment is ``N = n_0 (0.8 + 0.3 |u|)``. ``n_0`` [N m] is drawn within 15 % of ``0.28 scale`` with a random sign.
     """
     n_0 = scale * effect_size(rng, 0.28, signed=True)  # N m
 
     def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
-        """Return the force X, Y [N] and moment N [N m] of the effect. `Force` in the plant gives the arguments."""
+        """Return the force X, Y [N] and moment N [N m] of the effect, in body axes.
+
+        ``c`` and ``s`` are cosine and sine of the heading, ``u`` and ``v`` [m/s] the velocity through the water in body
+        axes, ``r`` [rad/s] the yaw rate, and ``v_n`` and ``v_e`` [m/s] the velocity over ground, north and east.
+        """
         return 0.0, 0.0, n_0 * (0.8 + 0.3 * abs(u))
 
     side = "starboard" if n_0 > 0.0 else "port"
@@ -81,7 +97,7 @@ def _cg_offset(rng: np.random.Generator, scale: float) -> HiddenEffect:
     """Return the hidden effect "cg-offset": a centre of gravity that lies ``x_g`` [m] forward of the body's origin.
 
     The offset of the rigid-body mass couples sway and yaw in the equations of motion (``make_rhs`` in
-    seatrial.mocks.plant.hull). ``x_g`` is drawn around ``0.13 scale`` with a random sign.
+    seatrial.mocks.plant.hull). ``x_g`` is drawn within 15 % of ``0.13 scale`` with a random sign.
     """
     x_g = scale * effect_size(rng, 0.13, signed=True)  # m; offset of the rigid mass of 17 kg
     where = "forward of" if x_g > 0.0 else "behind"
@@ -97,7 +113,7 @@ def _pendulum(rng: np.random.Generator, scale: float) -> HiddenEffect:
         X = mass (g sin(theta) cos(theta) + d l theta' - v r)
 
     The equations of motion add the force and remove the mass of the payload from the mass in surge. ``mass`` [kg] is
-    drawn around ``5 scale``, and the natural frequency ``omega / 2 pi`` around 0.55 Hz.
+    drawn within 15 % of ``5 scale``, and the natural frequency ``omega / 2 pi`` within 15 % of 0.55 Hz.
     """
     mass, frequency = scale * effect_size(rng, 5.0), effect_size(rng, 0.55)  # kg, Hz
     omega = 2.0 * math.pi * frequency
@@ -113,14 +129,18 @@ def _pendulum(rng: np.random.Generator, scale: float) -> HiddenEffect:
 def _cross_flow(rng: np.random.Generator, scale: float) -> HiddenEffect:
     """Return the hidden effect "cross-flow": the drag of the cross-flow along the hull in a turn.
 
-    The equations are ``Y = -d_vr |r|^1.15 v`` and ``N = -n_vr sqrt(v^2 + 0.05^2) r``. ``d_vr`` [kg] is drawn around
-    ``40 scale``, and ``n_vr`` [kg m] around ``10 scale``.
+    The equations are ``Y = -d_vr |r|^1.15 v`` and ``N = -n_vr sqrt(v^2 + 0.05^2) r``. ``d_vr`` [kg] is drawn within
+    15 % of ``40 scale``, and ``n_vr`` [kg m] within 15 % of ``10 scale``.
     """
     d_vr = scale * effect_size(rng, 40.0)  # kg
     n_vr = scale * effect_size(rng, 10.0)  # kg m
 
     def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
-        """Return the force X, Y [N] and moment N [N m] of the effect. `Force` in the plant gives the arguments."""
+        """Return the force X, Y [N] and moment N [N m] of the effect, in body axes.
+
+        ``c`` and ``s`` are cosine and sine of the heading, ``u`` and ``v`` [m/s] the velocity through the water in body
+        axes, ``r`` [rad/s] the yaw rate, and ``v_n`` and ``v_e`` [m/s] the velocity over ground, north and east.
+        """
         return 0.0, -d_vr * abs(r) ** 1.15 * v, -n_vr * math.hypot(v, 0.05) * r
 
     sentence = "in turns the cross-flow along the hull damps sway and yaw more than either alone would"
@@ -134,12 +154,16 @@ def _lift(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
         Y = -y_uv g v,  N = -n_ur g r
 
-    ``y_uv`` [kg/m] is drawn around ``30 scale``, and ``n_ur`` [kg m] around ``9 scale``.
+    ``y_uv`` [kg/m] is drawn within 15 % of ``30 scale``, and ``n_ur`` [kg m] within 15 % of ``9 scale``.
     """
     y_uv, n_ur = scale * effect_size(rng, 30.0), scale * effect_size(rng, 9.0)  # kg/m, kg m
 
     def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
-        """Return the force X, Y [N] and moment N [N m] of the effect. `Force` in the plant gives the arguments."""
+        """Return the force X, Y [N] and moment N [N m] of the effect, in body axes.
+
+        ``c`` and ``s`` are cosine and sine of the heading, ``u`` and ``v`` [m/s] the velocity through the water in body
+        axes, ``r`` [rad/s] the yaw rate, and ``v_n`` and ``v_e`` [m/s] the velocity over ground, north and east.
+        """
         gain = u * u / math.hypot(u, 0.15)
         return 0.0, -y_uv * gain * v, -n_ur * gain * r
 
@@ -150,13 +174,17 @@ def _lift(rng: np.random.Generator, scale: float) -> HiddenEffect:
 def _hump(rng: np.random.Generator, scale: float) -> HiddenEffect:
     """Return the hidden effect "hump": an additional drag around one speed, as of the boat's own wave.
 
-    The force is ``X = -height / cosh((|u| - speed) / width)^2 tanh(u / 0.2)``. ``height`` [N] is drawn around
-    ``7 scale``, ``speed`` [m/s] around 0.8, and ``width`` is 0.17 m/s.
+    The force is ``X = -height / cosh((|u| - speed) / width)^2 tanh(u / 0.2)``. ``height`` [N] is drawn within 15 % of
+    ``7 scale``, ``speed`` [m/s] within 15 % of 0.8, and ``width`` is 0.17 m/s.
     """
     height, speed, width = scale * effect_size(rng, 7.0), effect_size(rng, 0.80), 0.17  # N, m/s, m/s
 
     def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
-        """Return the force X, Y [N] and moment N [N m] of the effect. `Force` in the plant gives the arguments."""
+        """Return the force X, Y [N] and moment N [N m] of the effect, in body axes.
+
+        ``c`` and ``s`` are cosine and sine of the heading, ``u`` and ``v`` [m/s] the velocity through the water in body
+        axes, ``r`` [rad/s] the yaw rate, and ``v_n`` and ``v_e`` [m/s] the velocity over ground, north and east.
+        """
         return -height / math.cosh((abs(u) - speed) / width) ** 2 * math.tanh(u / 0.2), 0.0, 0.0
 
     sentence = f"at {speed:.2f} m/s the boat sits in the trough of its own wave, and drag has a hump there"
@@ -166,13 +194,17 @@ def _hump(rng: np.random.Generator, scale: float) -> HiddenEffect:
 def _coulomb(rng: np.random.Generator, scale: float) -> HiddenEffect:
     """Return the hidden effect "coulomb": a friction that hardly depends on the speed.
 
-    The force is ``X = -f u / sqrt(u^2 + 0.06^2)``, which is ``-f`` or ``f`` except near rest. ``f`` [N] is drawn around
-    ``4 scale``.
+    The force is ``X = -f u / sqrt(u^2 + 0.06^2)``, which is ``-f`` or ``f`` except near rest. ``f`` [N] is drawn within
+    15 % of ``4 scale``.
     """
     friction = scale * effect_size(rng, 4.0)  # N
 
     def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
-        """Return the force X, Y [N] and moment N [N m] of the effect. `Force` in the plant gives the arguments."""
+        """Return the force X, Y [N] and moment N [N m] of the effect, in body axes.
+
+        ``c`` and ``s`` are cosine and sine of the heading, ``u`` and ``v`` [m/s] the velocity through the water in body
+        axes, ``r`` [rad/s] the yaw rate, and ``v_n`` and ``v_e`` [m/s] the velocity over ground, north and east.
+        """
         return -friction * u / math.hypot(u, 0.06), 0.0, 0.0
 
     return HiddenEffect(

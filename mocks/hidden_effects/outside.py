@@ -17,8 +17,8 @@ def _thrust_band(rng: np.random.Generator, scale: float) -> HiddenEffect:
     """Return the hidden effect "thrust-band": a loss of thrust in a band of shaft speeds.
 
     Propellers that draw air lose thrust like this. With the mean shaft speed ``n`` of both thrusters, each thrust is
-    multiplied by ``1 - loss / (1 + ((n - at) / 0.12)^4)``. ``loss`` is drawn around ``0.28 scale``, and ``at`` around
-    0.55.
+    multiplied by ``1 - loss / (1 + ((n - at) / 0.12)^4)``. ``loss`` is drawn within 15 % of ``0.28 scale``, and ``at``
+    within 15 % of 0.55.
     """
     loss, at = scale * effect_size(rng, 0.28), effect_size(rng, 0.55)
 
@@ -29,7 +29,11 @@ def _thrust_band(rng: np.random.Generator, scale: float) -> HiddenEffect:
     def thrust(
         n_l: float, n_r: float, a_l: float, a_r: float, f_l: float, f_r: float, energy: float
     ) -> tuple[float, float]:
-        """Return the changed thrust [N], left and right. `Thrust` in the plant gives the arguments."""
+        """Return the thrust [N], left and right, after the effect has changed ``f_l`` and ``f_r`` [N].
+
+        ``n_l`` and ``n_r`` are the shaft speeds (-1 to 1), ``a_l`` and ``a_r`` [m/s] the forward velocities of the
+        thrusters through the water, and ``energy`` is the used energy in units of ENERGY_UNIT.
+        """
         share = lost((n_l + n_r) / 2.0)
         return f_l * (1.0 - share), f_r * (1.0 - share)
 
@@ -49,7 +53,7 @@ def _yaw_saddle(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
         N = 1.65 n z exp(-z^2 / 2)
 
-    ``n`` [N m] is drawn around ``0.7 scale`` with a random sign, and ``at`` around 0.55.
+    ``n`` [N m] is drawn within 15 % of ``0.7 scale`` with a random sign, and ``at`` within 15 % of 0.55.
     """
     n, at = scale * effect_size(rng, 0.7, signed=True), effect_size(rng, 0.55)  # N m, m/s
 
@@ -59,7 +63,11 @@ def _yaw_saddle(rng: np.random.Generator, scale: float) -> HiddenEffect:
         return n * 1.65 * z * math.exp(-0.5 * z * z)
 
     def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
-        """Return the force X, Y [N] and moment N [N m] of the effect. `Force` in the plant gives the arguments."""
+        """Return the force X, Y [N] and moment N [N m] of the effect, in body axes.
+
+        ``c`` and ``s`` are cosine and sine of the heading, ``u`` and ``v`` [m/s] the velocity through the water in body
+        axes, ``r`` [rad/s] the yaw rate, and ``v_n`` and ``v_e`` [m/s] the velocity over ground, north and east.
+        """
         return 0.0, 0.0, curve(u)
 
     sentence = "a bent bow turns the boat one way at low speed and the other way at high speed"
@@ -69,8 +77,8 @@ def _yaw_saddle(rng: np.random.Generator, scale: float) -> HiddenEffect:
 def _surge_step(rng: np.random.Generator, scale: float) -> HiddenEffect:
     """Return the hidden effect "surge-step": a drag that drops above the surge velocity ``at`` [m/s].
 
-    The additional force is ``X = relief (1 + tanh((u - at) / 0.05)) / 2``. ``relief`` [N] is drawn around
-    ``6 scale``, and ``at`` around 0.75.
+    The additional force is ``X = relief (1 + tanh((u - at) / 0.05)) / 2``. ``relief`` [N] is drawn within 15 % of
+    ``6 scale``, and ``at`` within 15 % of 0.75.
     """
     relief, at = scale * effect_size(rng, 6.0), effect_size(rng, 0.75)  # N, m/s
 
@@ -79,7 +87,11 @@ def _surge_step(rng: np.random.Generator, scale: float) -> HiddenEffect:
         return relief * 0.5 * (1.0 + math.tanh((u - at) / 0.05))
 
     def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
-        """Return the force X, Y [N] and moment N [N m] of the effect. `Force` in the plant gives the arguments."""
+        """Return the force X, Y [N] and moment N [N m] of the effect, in body axes.
+
+        ``c`` and ``s`` are cosine and sine of the heading, ``u`` and ``v`` [m/s] the velocity through the water in body
+        axes, ``r`` [rad/s] the yaw rate, and ``v_n`` and ``v_e`` [m/s] the velocity over ground, north and east.
+        """
         return curve(u), 0.0, 0.0
 
     sentence = f"above {at:.2f} m/s the stern breaks free and the boat drags less"
@@ -91,8 +103,8 @@ def _surge_step(rng: np.random.Generator, scale: float) -> HiddenEffect:
 def _heading_third(rng: np.random.Generator, scale: float) -> HiddenEffect:
     """Return the hidden effect "heading-third": a yaw moment with three cycles per turn of the boat.
 
-    The moment is ``N = n sin(3 (psi - at))``. ``n`` [N m] is drawn around ``0.5 scale``, and the heading ``at`` [rad]
-    uniformly.
+    The moment is ``N = n sin(3 (psi - at))``. ``n`` [N m] is drawn within 15 % of ``0.5 scale``, and the heading ``at``
+    [rad] uniformly.
     """
     n, at = scale * effect_size(rng, 0.5), 2.0 * math.pi * rng.uniform()  # N m
 
@@ -101,7 +113,11 @@ def _heading_third(rng: np.random.Generator, scale: float) -> HiddenEffect:
         return n * math.sin(3.0 * (psi - at))
 
     def force(c: float, s: float, u: float, v: float, r: float, v_n: float, v_e: float) -> tuple[float, float, float]:
-        """Return the force X, Y [N] and moment N [N m] of the effect. `Force` in the plant gives the arguments."""
+        """Return the force X, Y [N] and moment N [N m] of the effect, in body axes.
+
+        ``c`` and ``s`` are cosine and sine of the heading, ``u`` and ``v`` [m/s] the velocity through the water in body
+        axes, ``r`` [rad/s] the yaw rate, and ``v_n`` and ``v_e`` [m/s] the velocity over ground, north and east.
+        """
         return 0.0, 0.0, curve(math.atan2(s, c))
 
     sentence = "waves thrown back by three quays turn the boat, by a moment of three cycles in a circle"
@@ -115,7 +131,7 @@ def _jet_on_hull(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
         Y = y exp(-((d - 0.35) / 0.15)^2 / 2)
 
-    ``y`` [N] is drawn around ``5 scale`` with a random sign.
+    ``y`` [N] is drawn within 15 % of ``5 scale`` with a random sign.
     """
     y = scale * effect_size(rng, 5.0, signed=True)  # N
 

@@ -17,14 +17,18 @@ def _advance_ratio(rng: np.random.Generator, scale: float) -> HiddenEffect:
 
         f - k |n| a / (1 + 0.35 |a|)
 
-    ``k`` [N s/m] is drawn around ``7 scale``.
+    ``k`` [N s/m] is drawn within 15 % of ``7 scale``.
     """
     k = scale * effect_size(rng, 7.0)  # N s/m; at n = 0.6 and 1 m/s the loss is 3 N of 14 N
 
     def thrust(
         n_l: float, n_r: float, a_l: float, a_r: float, f_l: float, f_r: float, energy: float
     ) -> tuple[float, float]:
-        """Return the changed thrust [N], left and right. `Thrust` in the plant gives the arguments."""
+        """Return the thrust [N], left and right, after the effect has changed ``f_l`` and ``f_r`` [N].
+
+        ``n_l`` and ``n_r`` are the shaft speeds (-1 to 1), ``a_l`` and ``a_r`` [m/s] the forward velocities of the
+        thrusters through the water, and ``energy`` is the used energy in units of ENERGY_UNIT.
+        """
         loss_l = k * abs(n_l) * a_l / (1.0 + 0.35 * abs(a_l))
         loss_r = k * abs(n_r) * a_r / (1.0 + 0.35 * abs(a_r))
         return f_l - loss_l, f_r - loss_r
@@ -37,8 +41,8 @@ def _advance_ratio(rng: np.random.Generator, scale: float) -> HiddenEffect:
 def _reverse_thrust(rng: np.random.Generator, scale: float) -> HiddenEffect:
     """Return the hidden effect "reverse-thrust": the loss of thrust in reverse, where the jets strike the hull.
 
-    For a shaft speed ``n < 0`` the thrust is multiplied by ``1 - loss (1 - exp(2.5 n))``. ``loss`` is drawn around
-    ``0.4 scale``.
+    For a shaft speed ``n < 0`` the thrust is multiplied by ``1 - loss (1 - exp(2.5 n))``. ``loss`` is drawn within 15 %
+    of ``0.4 scale``.
     """
     loss = scale * effect_size(rng, 0.40)  # at n = -0.5 the loss is 0.29 of the thrust
 
@@ -49,7 +53,11 @@ def _reverse_thrust(rng: np.random.Generator, scale: float) -> HiddenEffect:
     def thrust(
         n_l: float, n_r: float, a_l: float, a_r: float, f_l: float, f_r: float, energy: float
     ) -> tuple[float, float]:
-        """Return the changed thrust [N], left and right. `Thrust` in the plant gives the arguments."""
+        """Return the thrust [N], left and right, after the effect has changed ``f_l`` and ``f_r`` [N].
+
+        ``n_l`` and ``n_r`` are the shaft speeds (-1 to 1), ``a_l`` and ``a_r`` [m/s] the forward velocities of the
+        thrusters through the water, and ``energy`` is the used energy in units of ENERGY_UNIT.
+        """
         return f_l * factor(n_l), f_r * factor(n_r)
 
     sentence = "in reverse the jets strike the hull and part of the thrust is lost; the bench does not show it"
@@ -60,14 +68,18 @@ def _mismatch(rng: np.random.Generator, scale: float) -> HiddenEffect:
     """Return the hidden effect "mismatch": thrusters of different strength.
 
     The thrust is multiplied by ``1 + eps (0.8 + 0.3 |n|)`` on the left and ``1 - eps (0.8 + 0.3 |n|)`` on the right.
-    ``eps`` is drawn around ``0.05 scale`` with a random sign.
+    ``eps`` is drawn within 15 % of ``0.05 scale`` with a random sign.
     """
     eps = scale * effect_size(rng, 0.05, signed=True)
 
     def thrust(
         n_l: float, n_r: float, a_l: float, a_r: float, f_l: float, f_r: float, energy: float
     ) -> tuple[float, float]:
-        """Return the changed thrust [N], left and right. `Thrust` in the plant gives the arguments."""
+        """Return the thrust [N], left and right, after the effect has changed ``f_l`` and ``f_r`` [N].
+
+        ``n_l`` and ``n_r`` are the shaft speeds (-1 to 1), ``a_l`` and ``a_r`` [m/s] the forward velocities of the
+        thrusters through the water, and ``energy`` is the used energy in units of ENERGY_UNIT.
+        """
         return f_l * (1.0 + eps * (0.8 + 0.3 * abs(n_l))), f_r * (1.0 - eps * (0.8 + 0.3 * abs(n_r)))
 
     stronger = "left" if eps > 0.0 else "right"
@@ -78,14 +90,18 @@ def _thruster_interaction(rng: np.random.Generator, scale: float) -> HiddenEffec
     """Return the hidden effect "thruster-interaction": a loss of thrust in water that the other thruster accelerates.
 
     The thrust is multiplied by ``1 - kappa |n|^1.3``, with the shaft speed ``n`` of the opposite thruster. ``kappa`` is
-    drawn around ``0.17 scale``.
+    drawn within 15 % of ``0.17 scale``.
     """
     kappa = scale * effect_size(rng, 0.17)
 
     def thrust(
         n_l: float, n_r: float, a_l: float, a_r: float, f_l: float, f_r: float, energy: float
     ) -> tuple[float, float]:
-        """Return the changed thrust [N], left and right. `Thrust` in the plant gives the arguments."""
+        """Return the thrust [N], left and right, after the effect has changed ``f_l`` and ``f_r`` [N].
+
+        ``n_l`` and ``n_r`` are the shaft speeds (-1 to 1), ``a_l`` and ``a_r`` [m/s] the forward velocities of the
+        thrusters through the water, and ``energy`` is the used energy in units of ENERGY_UNIT.
+        """
         return f_l * (1.0 - kappa * abs(n_r) ** 1.3), f_r * (1.0 - kappa * abs(n_l) ** 1.3)
 
     sentence = "each thruster draws from the water that the other has set in motion"
@@ -96,14 +112,18 @@ def _battery_sag(rng: np.random.Generator, scale: float) -> HiddenEffect:
     """Return the hidden effect "battery-sag": the loss of thrust with a falling battery voltage.
 
     The thrust is multiplied by ``1 - beta (1 - exp(-1.6 energy))``, with the used energy in units of ENERGY_UNIT.
-    ``beta`` is drawn around ``0.2 scale``.
+    ``beta`` is drawn within 15 % of ``0.2 scale``.
     """
     beta = scale * effect_size(rng, 0.20)  # after a mission of ten minutes the loss is 0.16 of the thrust
 
     def thrust(
         n_l: float, n_r: float, a_l: float, a_r: float, f_l: float, f_r: float, energy: float
     ) -> tuple[float, float]:
-        """Return the changed thrust [N], left and right. `Thrust` in the plant gives the arguments."""
+        """Return the thrust [N], left and right, after the effect has changed ``f_l`` and ``f_r`` [N].
+
+        ``n_l`` and ``n_r`` are the shaft speeds (-1 to 1), ``a_l`` and ``a_r`` [m/s] the forward velocities of the
+        thrusters through the water, and ``energy`` is the used energy in units of ENERGY_UNIT.
+        """
         gain = 1.0 - beta * (1.0 - math.exp(-1.6 * energy))
         return gain * f_l, gain * f_r
 
@@ -113,8 +133,8 @@ def _battery_sag(rng: np.random.Generator, scale: float) -> HiddenEffect:
 def _dead_band(rng: np.random.Generator, scale: float) -> HiddenEffect:
     """Return the hidden effect "dead-band": propellers with almost no thrust at low shaft speed.
 
-    The thrust is multiplied by ``(beyond / |n|)^2``. ``beyond`` is a smooth version of ``max(|n| - band, 0)``
-    (softplus with the width ``band / 4``, shifted to zero at ``n = 0``). ``band`` is drawn around ``0.06 scale``.
+    The thrust is multiplied by ``(beyond / |n|)^2``. ``beyond`` is a smooth version of ``max(|n| - band, 0)`` (softplus
+    with the width ``band / 4``, shifted to zero at ``n = 0``). ``band`` is drawn within 15 % of ``0.06 scale``.
     """
     band = scale * effect_size(rng, 0.06)
     soft = 0.25 * band
@@ -130,7 +150,11 @@ def _dead_band(rng: np.random.Generator, scale: float) -> HiddenEffect:
     def thrust(
         n_l: float, n_r: float, a_l: float, a_r: float, f_l: float, f_r: float, energy: float
     ) -> tuple[float, float]:
-        """Return the changed thrust [N], left and right. `Thrust` in the plant gives the arguments."""
+        """Return the thrust [N], left and right, after the effect has changed ``f_l`` and ``f_r`` [N].
+
+        ``n_l`` and ``n_r`` are the shaft speeds (-1 to 1), ``a_l`` and ``a_r`` [m/s] the forward velocities of the
+        thrusters through the water, and ``energy`` is the used energy in units of ENERGY_UNIT.
+        """
         return f_l * remaining_share(n_l), f_r * remaining_share(n_r)
 
     sentence = "slow propellers slip through the water and make hardly any thrust"
@@ -151,7 +175,7 @@ def _delay(rng: np.random.Generator, scale: float) -> HiddenEffect:
 def _lag(rng: np.random.Generator, scale: float) -> HiddenEffect:
     """Return the hidden effect "lag": a thrust that follows the shaft speed with a first-order lag.
 
-    The time constant ``lag`` [s] is drawn around ``0.3 scale``. It is 20 % longer while the shaft slows down
+    The time constant ``lag`` [s] is drawn within 15 % of ``0.3 scale``. It is 20 % longer while the shaft slows down
     (``Inflow`` in seatrial.mocks.plant.thruster).
     """
     lag = scale * effect_size(rng, 0.30)  # s

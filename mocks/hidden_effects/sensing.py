@@ -15,7 +15,7 @@ def _compass(rng: np.random.Generator, scale: float) -> HiddenEffect:
     """Return the hidden effect "compass": a compass deviation as a function of heading.
 
     The heading error (measured minus true) is ``b sin(psi) + c cos(psi) + d sin(2 psi)`` [rad]. ``b``, ``c`` and ``d``
-    are drawn around ``0.045 scale``, ``0.03 scale`` and ``0.006 scale``, with random signs.
+    are drawn within 15 % of ``0.045 scale``, ``0.03 scale`` and ``0.006 scale``, with random signs.
     """
     b, c = scale * effect_size(rng, 0.045, signed=True), scale * effect_size(rng, 0.03, signed=True)  # rad
     d = scale * effect_size(rng, 0.006, signed=True)
@@ -32,7 +32,7 @@ def _lever_arm(rng: np.random.Generator, scale: float) -> HiddenEffect:
     """Return the hidden effect "lever-arm": a GNSS antenna that lies ``(l_x, l_y)`` [m] from its place in the rig file.
 
     Position and velocity at the antenna are ``p + R(psi) l`` and ``R(psi) (u - r l_y, v + r l_x)``. ``l_x`` and ``l_y``
-    are drawn around ``0.5 scale`` and ``0.15 scale``, with random signs.
+    are drawn within 15 % of ``0.5 scale`` and ``0.15 scale``, with random signs.
     """
     forward, starboard = scale * effect_size(rng, 0.5, signed=True), scale * effect_size(rng, 0.15, signed=True)  # m
     sentence = "the GNSS antenna is not at the place in the rig file"
@@ -43,7 +43,7 @@ def _gnss_latency(rng: np.random.Generator, scale: float) -> HiddenEffect:
     """Return the hidden effect "gnss-latency": GNSS fixes that are ``latency`` [s] older than their time stamp.
 
     60 % of the latency is dead time. 40 % is the time constant of a first-order filter (``Antenna`` in
-    seatrial.mocks.plant.boat). ``latency`` is drawn around ``0.35 scale``.
+    seatrial.mocks.plant.boat). ``latency`` is drawn within 15 % of ``0.35 scale``.
     """
     latency = scale * effect_size(rng, 0.35)  # s
     sentence = "the GNSS receiver filters and delivers old fixes as if they were new"
@@ -54,7 +54,7 @@ def _mount(rng: np.random.Generator, scale: float) -> HiddenEffect:
     """Return the hidden effect "mount": an AHRS that is mounted with a rotation of ``psi_0`` [rad] about the z axis.
 
     The heading is measured as ``psi + psi_0``, and the accelerations are measured in the rotated axes. ``psi_0`` is
-    drawn around ``0.06 scale`` with a random sign.
+    drawn within 15 % of ``0.06 scale`` with a random sign.
     """
     turn = scale * effect_size(rng, 0.06, signed=True)  # rad
     sentence = f"the AHRS is screwed on {abs(math.degrees(turn)):.1f} deg askew"
@@ -64,8 +64,8 @@ def _mount(rng: np.random.Generator, scale: float) -> HiddenEffect:
 def _gyro_scale(rng: np.random.Generator, scale: float) -> HiddenEffect:
     """Return the hidden effect "gyro-scale": a scale error of the yaw gyro.
 
-    The error of the yaw rate is ``k (r + 0.15 r |r|)`` [rad/s]. ``k`` is drawn around ``0.03 scale`` with a random
-    sign.
+    The error of the yaw rate is ``k (r + 0.15 r |r|)`` [rad/s]. ``k`` is drawn within 15 % of ``0.03 scale`` with a
+    random sign.
     """
     k = scale * effect_size(rng, 0.03, signed=True)
 
@@ -86,7 +86,7 @@ def _accelerometer_tilt(rng: np.random.Generator, scale: float) -> HiddenEffect:
         a_x -> a_x + g 0.05 tanh(pitch T / 0.05)
         a_y -> a_y + g 0.12 tanh(roll u r / 0.12)
 
-    ``pitch`` [rad/N] is drawn around ``4e-4 scale``, and ``roll`` [rad s2/m] around ``0.04 scale``.
+    ``pitch`` [rad/N] is drawn within 15 % of ``4e-4 scale``, and ``roll`` [rad s2/m] within 15 % of ``0.04 scale``.
     """
     pitch, roll = scale * effect_size(rng, 4e-4), scale * effect_size(rng, 0.04)  # rad/N, rad s2/m
 
@@ -103,7 +103,7 @@ def _accelerometer_tilt(rng: np.random.Generator, scale: float) -> HiddenEffect:
 def _accelerometer_scale(rng: np.random.Generator, scale: float) -> HiddenEffect:
     """Return the hidden effect "accelerometer-scale": a scale error of the accelerometers.
 
-    The acceleration ``a`` [m/s2] of each axis is multiplied by ``1 + k / (1 + 0.1 |a|)``. ``k`` is drawn around
+    The acceleration ``a`` [m/s2] of each axis is multiplied by ``1 + k / (1 + 0.1 |a|)``. ``k`` is drawn within 15 % of
     ``0.15 scale`` with a random sign.
     """
     k = scale * effect_size(rng, 0.15, signed=True)

@@ -1,4 +1,6 @@
-"""Simulated plants: boat, bench, hull, thruster and weather."""
+"""Simulated plants without sensors: equations of motion of boat and bench, hull, thruster and weather, and the hooks of
+hidden effects.
+"""
 
 import lazy_loader
 

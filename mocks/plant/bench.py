@@ -106,7 +106,7 @@ class BenchPlant:
 
     @property
     def t(self) -> float:
-        """Time since the start [s]."""
+        """Simulated time since the start of the bench [s]."""
         return self.steps * self.step_s
 
     def command(self, thruster: int, t: float, n_cmd: float) -> None:
@@ -117,7 +117,7 @@ class BenchPlant:
         self.shafts[thruster].command(t, n_cmd)
 
     def advance(self) -> None:
-        """Integrate one step: disturbance, shaft, used energy, motion of the pool, rod and load cell filter."""
+        """Integrate the bench by one step: disturbance, shaft, used energy, motion of the pool, rod and cell filter."""
         if self._disturbance is not None and self.steps % DISTURBANCE_EVERY == 0:
             self._water_force = self._disturbance.step()
         n = self.shafts[0].advance()
@@ -178,7 +178,7 @@ class _Rod:
     """
 
     def __init__(self, frequency_hz: float, damping: float, step: float) -> None:
-        """Start at rest. Arguments: the natural frequency [Hz], the damping ratio (below 1) and the step [s]."""
+        """Set up a rod at rest: natural frequency [Hz], damping ratio (below 1) and step of the simulation [s]."""
         omega = 2.0 * math.pi * frequency_hz
         sigma, self._omega_d = damping * omega, omega * math.sqrt(1.0 - damping**2)
         decay, angle = math.exp(-sigma * step), self._omega_d * step
@@ -187,7 +187,7 @@ class _Rod:
         self._rate = 0.0
 
     def advance(self, force: float) -> None:
-        """Advance by one step under the constant input ``force`` [N]. The new output is then in `self.force`."""
+        """Advance the rod by one step under the constant ``force`` [N]. Its new output is then in `self.force`."""
         c, s, sigma = self._rotate
         x, v, w = self.force - force, self._rate, self._omega_d
         self.force = force + c * x + s * (v + sigma * x) / w

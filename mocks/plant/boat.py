@@ -196,7 +196,7 @@ class BoatPlant:
         return [Inflow(delay, lag, 0.5 * self.step_s, n) for _ in range(2)] if delay or lag else []
 
     def _first_state(self, run: int) -> State:
-        """Return the initial state of a run: at (0, 0), drifting with the current, with a random heading."""
+        """Return the boat's state at the start of a run: at (0, 0), drifting with the current, at a random heading."""
         psi = float(random_stream(self.boat.seed, START, run).uniform(-math.pi, math.pi))
         v_n, v_e = self.boat.current
         c, s = math.cos(psi), math.sin(psi)
@@ -204,7 +204,7 @@ class BoatPlant:
 
     @property
     def t(self) -> float:
-        """Time since the start [s]."""
+        """Simulated time since the start of the boat [s]."""
         return self.steps * self.step_s
 
     def command(self, thruster: int, t: float, n_cmd: float) -> None:
@@ -215,7 +215,7 @@ class BoatPlant:
         self.shafts[thruster].command(t, n_cmd)
 
     def advance(self) -> None:
-        """Integrate one step: external forces, shafts, state of the boat, used energy and GNSS latency."""
+        """Integrate the boat by one step: external forces, shafts, state, used energy and GNSS latency."""
         if self.steps % DISTURBANCE_EVERY == 0:
             self._update_external_forces()
         left, right = self.shafts
@@ -270,14 +270,14 @@ class BoatPlant:
 
 
 class Antenna:
-    """GNSS antenna with a lever arm and a latency.
+    """GNSS antenna of the simulated boat, with a lever arm and a latency.
 
     60 % of the latency is dead time. 40 % is the time constant of a first-order filter. The attribute `latency` is the
     latency [s].
     """
 
     def __init__(self, arm: tuple[float, float], latency: float, step: float) -> None:
-        """Set the lever arm [m, m] (forward, starboard), the latency [s] and the step of the simulation [s]."""
+        """Set up a GNSS antenna: lever arm [m, m] (forward, starboard), latency [s] and step of the simulation [s]."""
         self._arm = arm
         self.latency = latency
         self._queue: deque[tuple[float, float, float, float]] = deque()
@@ -286,7 +286,7 @@ class Antenna:
         self._filtered: tuple[float, float, float, float] | None = None
 
     def push(self, state: State) -> None:
-        """Add the state of the boat after a step to the dead time and the filter. Needed only with a latency."""
+        """Add the state of the boat after a step to the antenna's latency. Needed only with a latency."""
         self._queue.append(self._position_and_velocity(state))
         if self._filtered is None:
             self._filtered = self._queue[0]

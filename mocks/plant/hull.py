@@ -110,7 +110,7 @@ Forces = Callable[[State, Pair, Pair, Pair, Pair, float, Triple], Triple]
 def _make_forces(hull: Hull, thruster: ThrusterTruth, effects: Sequence[HiddenEffect]) -> Forces:
     """Return the function that sums all forces on the boat: surge force, sway force and yaw moment [N, N, N m].
 
-    The sum contains the thrust, the damping, the forces of the hooks of ``effects``, and the external forces, which are
+    The sum contains the thrust, the damping, the forces of the hidden ``effects``, and the external forces, which are
     an argument of the function. `Forces` gives all its arguments. Coriolis forces and masses are not in the sum.
     """
     c1, c2 = thruster.c1, thruster.c2
@@ -121,7 +121,12 @@ def _make_forces(hull: Hull, thruster: ThrusterTruth, effects: Sequence[HiddenEf
     tethers = [e.tether for e in effects if e.tether is not None]
 
     def forces(s: State, water: Pair, ground: Pair, turn: Pair, n: Pair, energy: float, external: Triple) -> Triple:
-        """Return the sum of all forces X, Y, N [N, N, N m]. `Forces` gives the arguments."""
+        """Return the sum of all forces on the boat: X, Y [N] and the yaw moment N [N m].
+
+        ``s`` is the state. ``water`` [m/s] is the velocity through the water in body axes, and ``ground`` [m/s] that
+        over ground, north and east. ``turn`` has cosine and sine of the heading, and ``n`` the shaft speeds, left and
+        right. ``energy`` is the used energy in units of ENERGY_UNIT. ``external`` has the disturbance forces X, Y, N.
+        """
         (u_w, v_w), (vel_n, vel_e), (c, si), (n_l, n_r) = water, ground, turn, n
         x_force, y_force, n_moment = external
         r = s[5]
@@ -181,7 +186,11 @@ def make_rhs(
     bob_mass, bob_length, bob_damping = bob if bob is not None else (0.0, 1.0, 0.0)
 
     def rhs(s: State, n_l: float, n_r: float, energy: float, x_force: float, y_force: float, n_moment: float) -> State:
-        """Return the time derivative of the state ``s``."""
+        """Return the time derivative of the boat's state ``s``.
+
+        ``n_l`` and ``n_r`` are the shaft speeds (-1 to 1), ``energy`` is the used energy in units of ENERGY_UNIT, and
+        the others are external forces [N, N, N m].
+        """
         _, _, psi, u, v, r, angle, rate = s
         c, si = cos(psi), sin(psi)
         v_n, v_e = current

@@ -61,10 +61,10 @@ class Shaft:
     """
 
     def __init__(self, truth: ThrusterTruth, dt: float, n: float = 0.0, *, braking: float = 1.0) -> None:
-        """Start at time 0 with the constant shaft speed ``n`` (normalised).
+        """Set up a shaft that turns at the constant speed ``n`` (normalised, -1 to 1) at time 0.
 
-        ``truth`` has the pole, the delay and the dead zone. ``dt`` is the step [s]. While ``|n|`` decreases, the pole
-        is divided by ``braking``.
+        ``truth`` has the pole, the delay and the dead zone. ``dt`` is the step of the simulation [s]. While ``|n|``
+        decreases, the pole is divided by ``braking``.
         """
         self._truth = truth
         self._dt = dt
@@ -96,11 +96,11 @@ class Shaft:
         return self.n
 
     def _slows_down(self) -> bool:
-        """Return whether the reference lets the magnitude of the shaft speed decrease; False at rest."""
+        """Return whether the reference lets the magnitude of the shaft speed decrease; False for a shaft at rest."""
         return (self._ref - self.n) * self.n < 0.0
 
     def _advance_with_new_references(self) -> None:
-        """Advance by one step in which the reference changes at least once. The step is split at these times."""
+        """Advance the shaft by one step that is split at the times at which its reference (delayed command) changes."""
         t, t_end = (self._steps - 1) * self._dt, self._steps * self._dt
         while self._pending and self._pending[0][0] < t_end:
             t_switch, ref = self._pending.popleft()
@@ -111,7 +111,7 @@ class Shaft:
         self._advance_with_constant_reference(t_end - t)
 
     def _advance_with_constant_reference(self, dt: float) -> None:
-        """Advance the shaft by ``dt`` [s] with a constant reference."""
+        """Advance the shaft by ``dt`` [s] with a constant reference (the delayed command that it follows)."""
         pole = self._pole_braking if self._slows_down() else self._truth.pole
         self.n = self._ref + (self.n - self._ref) * math.exp(-pole * dt)
 
@@ -120,16 +120,17 @@ class Inflow:
     """Delay and first-order lag of the water: from the shaft speed to the shaft speed that produces thrust."""
 
     def __init__(self, delay: float, lag: float, dt: float, n: float = 0.0) -> None:
-        """Set the delay [s], the time constant of the lag [s], the step [s] and the initial shaft speed.
+        """Set up the delay [s] and the first-order lag [s] from shaft speed to thrust.
 
-        The time constant is 20 % longer while the shaft slows down.
+        ``dt`` is the step of the simulation [s], and ``n`` the initial shaft speed (-1 to 1). The time constant ``lag``
+        is 20 % longer while the shaft slows down.
         """
         self._queue = deque([n] * round(delay / dt))
         self._rise, self._fall = (math.exp(-dt / (k * lag)) if lag else 0.0 for k in (1.0, 1.2))
         self._n = n
 
     def advance(self, n: float) -> float:
-        """Advance by one step, at whose end the shaft turns at ``n``. Return the shaft speed that produces thrust."""
+        """Advance by one step, at whose end the shaft turns at ``n`` (-1 to 1). Return the speed that makes thrust."""
         self._queue.append(n)
         delayed = self._queue.popleft()
         decay = self._rise if abs(delayed) > abs(self._n) else self._fall

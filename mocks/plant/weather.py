@@ -82,10 +82,10 @@ class Sea:
 
 
 class Squalls:
-    """Forces of gusts: first-order coloured noise, which is weak (a fifth) in the second half of each period."""
+    """Forces of gusts on the boat: first-order coloured noise, a fifth as strong in the second half of each period."""
 
     def __init__(self, gust: Gust, rng: np.random.Generator, dt: float) -> None:
-        """Draw the initial forces of ``gust`` with ``rng``. `forces` must be called every ``dt`` [s]."""
+        """Set up gusts: draw the initial forces of ``gust`` with ``rng``. Call `forces` every ``dt`` [s] afterwards."""
         draw = normals(rng)
         self._period = gust.period
         self._sources = [OrnsteinUhlenbeck(draw, dt, sigma, gust.tau) for sigma in gust.sigma]

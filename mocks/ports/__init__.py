@@ -1,4 +1,4 @@
-"""Ports of the mocks: ptys, and UDP and TCP sockets on loopback."""
+"""Ports of the mocks, which carry the bytes to the host: ptys, and UDP and TCP sockets on loopback."""
 
 import lazy_loader
 

@@ -18,12 +18,12 @@ from seatrial.ident.results import (
 
 
 def opening(result: Result) -> Section:
-    """Return the blocks that follow the headline of the page."""
+    """Return the part of the report page that follows its headline: the main numbers of the result."""
     return answer.section(result)
 
 
 def body(canvas: Canvas, result: Result) -> list[Section]:
-    """Return the sections of a result that have blocks, in the order of the page.
+    """Return the sections of the report page of a result, in their order, without the empty ones.
 
     Figures are added to ``canvas``.
 
@@ -52,7 +52,7 @@ def body(canvas: Canvas, result: Result) -> list[Section]:
 
 
 def _fit(canvas: Canvas, result: FitResult) -> list[Section]:
-    """Return the sections of a fit of a vehicle or thruster, or of a diagnosis, including those without blocks."""
+    """Return the sections of a fit of a vehicle or thruster, or of a diagnosis, including empty ones."""
     static = result.static if isinstance(result, ThrusterResult) else None
     profiled = result.profiles if isinstance(result, VehicleResult | ThrusterResult) else ()
     diagnosis = result if isinstance(result, DiagnosisResult) else None

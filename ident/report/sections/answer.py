@@ -25,11 +25,11 @@ MAX_KEY_PARAMETERS = 9
 
 
 def section(result: Result) -> Section:
-    """Return the untitled section that follows the headline.
+    """Return the untitled section that follows the headline of a report page.
 
     A diagnosis has its caveat, the chart of prediction errors and a card for each effect. Another fit has its key
-    parameters. A fit that did not converge has no such blocks, as its estimates are not valid, and neither has any
-    other result.
+    parameters. For any other result, and for a fit that did
+    not converge and has no valid estimates, the section is empty.
     """
     caveat = [result.caveat] if isinstance(result, DiagnosisResult) and result.caveat else []
     blocks: list[Any] = [Prose(line, "callout") for line in caveat]
@@ -46,7 +46,7 @@ def headline(result: DiagnosisResult) -> list[Any]:
     """Return the chart of prediction errors over the horizon, before and after the effects were added.
 
     The errors are from validation data if the result has any, otherwise from estimation data. Channels that diverged
-    are named in the caption. No block if no channel was compared.
+    are named in the caption. The result is empty if no channel was compared.
     """
     role, data = by_role(result.errors.validation, result.errors.estimation)[0]
     items = [(n, row) for n, row in data.horizon.items() if row.before is not None and row.after is not None]
@@ -84,7 +84,8 @@ def _channel_dumbbell(name: str, row: ErrorComparison, ratio: float, scale: floa
     ratio
         Error after over error before.
     scale
-        Length of a ratio of one, in per cent of the track's width. Positions beyond 100 are drawn at 100.
+        Length of a ratio of one, in per cent of the width of the dumbbell's track. Positions beyond 100 are drawn at
+        100.
     """
     factor, unit = formatting.degrees_for(row.unit)
     before, after = (factor * (value or 0.0) for value in (row.before, row.after))
@@ -114,7 +115,7 @@ def _criterion_in_words(criterion: float) -> str:
 
 
 def effect_card(effect: EffectRow) -> EffectCard:
-    """Return the card of an effect: formula, parameters, source, experiment, competing models, importance."""
+    """Return the card of an added effect: formula, parameters, source, experiment, competing models, importance."""
     parameters = []
     for row in effect.parameters:
         factor, unit = formatting.degrees_for(row.unit)
@@ -167,7 +168,7 @@ def attribution_words(effect: EffectRow) -> str:
 def key_parameters(fit: FitSummary) -> list[Any]:
     """Return up to nine facts of the free dynamic parameters that all runs share, and a caption.
 
-    Noise parameters and parameters without a standard error are left out. No blocks if no parameter is left.
+    Noise parameters and parameters without a standard error are left out. The result is empty if no parameter is left.
     """
     found = []
     for row in fit.parameters:

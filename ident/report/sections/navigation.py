@@ -72,7 +72,7 @@ def _metres_cell(value: float | None) -> Cell:
 def states_section(canvas: Canvas, result: NavigationResult) -> Section:
     """Return the section of estimated states: one tab per record with the track and all states over time.
 
-    Without finite states the section has no blocks.
+    Without finite states the section is empty.
 
     Parameters
     ----------

@@ -69,7 +69,7 @@ def parameters_section(
 
 
 def common_errors_blocks(row: CommonErrorsRow | None) -> list[Any]:
-    """Return the heading and the table of the common errors, no blocks if they were not added (None)."""
+    """Return the heading and the table of the common errors, empty if they were not added (None)."""
     if row is None:
         return []
     columns, cells = (("parameter", ""), ("estimate ± s.e.", "num"), ("meaning", "")), list[list[Cell | str]]()
@@ -137,7 +137,7 @@ def _parameter_cells(row: ParameterRow, extra: list[str]) -> list[Cell | str]:
 
 
 def _change_blocks(table: Sequence[ParameterChange]) -> list[Any]:
-    """Return the heading and table of the parameters before and after the effects were added; no blocks without any."""
+    """Return the heading and table of the parameters before and after the effects were added; empty without any."""
     if not table:
         return []
     columns = (("parameter", ""), ("before", "num"), ("after", "num"), ("unit", ""), ("change", "num"))
@@ -165,7 +165,7 @@ def _change_cells(row: ParameterChange) -> list[Cell | str]:
 def _correlation_blocks(canvas: Canvas, correlation: Correlation) -> list[Any]:
     """Return the heat map of the correlation of the estimates, and its strongest pairs.
 
-    No blocks for fewer than two parameters. Numbers are printed in the map for up to 14 parameters.
+    The result is empty for fewer than two parameters. Numbers are printed in the map for up to 14 parameters.
     """
     names, table = correlation.names, correlation.matrix
     if len(names) < 2:
@@ -219,7 +219,7 @@ MAX_DROP = 2.6  # upper end of the plots
 def profiles_section(canvas: Canvas, table: Sequence[ProfileCurve]) -> Section:
     """Return the section of profile likelihoods: a table of 95 % intervals and a plot for each parameter.
 
-    No blocks without profiles.
+    The result is empty without profiles.
 
     Parameters
     ----------
@@ -270,7 +270,7 @@ def _profile_cells(row: ProfileCurve, noted: bool) -> list[Cell | str]:
 
 
 def interval(low: float | None, high: float | None) -> str:
-    """Return an interval as text, ``1.2 to 3.4``.
+    """Return an interval from ``low`` to ``high`` as text, ``1.2 to 3.4``.
 
     An end that the data do not bound (None) is written as ``open``. If both ends are None, the text is a dash.
     """
@@ -323,7 +323,7 @@ ROW_PX, AXES_PX, LEFT_PX = 26, 104, 74  # height of a row, height of colour bar 
 def information_section(result: InformationResult) -> Section:
     """Return the section with the table of standard errors from the logs, and of the most informative segment of each.
 
-    No blocks without parameters.
+    The result is empty without parameters.
     """
     found = result.information.parameters
     columns = [
@@ -372,7 +372,7 @@ def segment_in_words(segment: LogSpan) -> str:
 def segments_section(canvas: Canvas, result: InformationResult) -> Section:
     """Return the map of lost information over time: one tab per log, with the inputs below the map.
 
-    No blocks if no segment has information.
+    The result is empty if no segment has information.
 
     Parameters
     ----------

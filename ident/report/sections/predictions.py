@@ -26,29 +26,32 @@ Kinds = Sequence[tuple[str, Mapping[str, ErrorComparison]]]
 
 
 def horizons(table: ErrorTable, seconds: float) -> list[tuple[str, Mapping[str, ErrorComparison]]]:
-    """Return title and errors by channel of each kind of prediction; the prediction over the horizon comes first.
+    """Return title and errors by channel of each kind of prediction, in the order of the report page.
 
-    ``seconds`` is the horizon [s]. The other kinds are one step ahead and simulation.
+    The order is: over the horizon of ``seconds`` [s], one step ahead, simulation.
     """
     one_step, horizon, simulation = titles(seconds)
     return [(horizon, table.horizon), (one_step, table.one_step), (simulation, table.simulation)]
 
 
 def titles(seconds: float) -> tuple[str, str, str]:
-    """Return the titles of one-step prediction, prediction over the horizon [s], and simulation."""
+    """Return the titles of one-step prediction, prediction over the horizon of ``seconds`` [s], and simulation."""
     return "One step ahead", f"{seconds:g} s ahead", "Simulation"
 
 
 def by_role(validation: T | None, estimation: T) -> list[tuple[str, T]]:
-    """Return role and data in the order of the page: validation data first, as they are stronger evidence.
+    """Return the role (``validation``, ``estimation``) and the data of each set, in the order of the report page.
 
-    Without validation data (None) only the estimation data are returned.
+    Validation data come first, as they are stronger evidence. If they are None, only the estimation data are returned.
     """
     return [*([] if validation is None else [("validation", validation)]), ("estimation", estimation)]
 
 
 def compared(errors: Errors) -> bool:
-    """Return whether any channel has an error of the model before effects were added."""
+    """Return whether the result compares two models, before and after effects were added.
+
+    It does if any channel has an error of the model before.
+    """
     tables = [table for _, table in by_role(errors.validation, errors.estimation)]
     kinds = [kind for table in tables for kind in (table.one_step, table.horizon, table.simulation)]
     return any(row.before is not None for kind in kinds for row in kind.values())
@@ -75,13 +78,13 @@ def errors_section(errors: Errors, seconds: float) -> Section:
 
 
 def _before_after_table(kinds: Kinds) -> list[Any]:
-    """Return the table of errors before and after, with their ratio and its interval; no block without channels."""
+    """Return the table of errors before and after, with their ratio and its interval; empty without channels."""
     columns = (("channel", ""), ("before", "num"), ("after", "num"), ("unit", ""), ("ratio", "num"), ("95 %", "num"))
     return _grouped_table(kinds, columns, _before_after_cells)
 
 
 def _error_table(kinds: Kinds) -> list[Any]:
-    """Return the table of the errors of one model, with the fit in per cent; no block without channels."""
+    """Return the table of the errors of one model, with the fit in per cent; empty without channels."""
     return _grouped_table(kinds, (("channel", ""), ("error", "num"), ("unit", ""), ("fit", "num")), _error_cells)
 
 
@@ -90,7 +93,7 @@ def _grouped_table(
     columns: tuple[tuple[str, str], ...],
     cells: Callable[[str, ErrorComparison], list[Cell | str]],
 ) -> list[Any]:
-    """Return a table with a heading and one row per channel for each kind of prediction; no block without channels.
+    """Return a table with a heading and one row per channel for each kind of prediction; empty without channels.
 
     Parameters
     ----------
@@ -147,7 +150,7 @@ def _before_after_cells(channel: str, row: ErrorComparison) -> list[Cell | str]:
 
 
 def next_section(words: str | None) -> Section:
-    """Return the section of the recommended experiment; no blocks without a text."""
+    """Return the section of the report page with the recommended experiment; empty without a text."""
     return Section("next", "Next experiment", [Prose(words, "callout")] if words else [])
 
 
@@ -168,7 +171,7 @@ def notes_section(lines: Sequence[str], unused: Sequence[UnusedSignal] = ()) -> 
 
 
 def made_section(made: Provenance) -> Section:
-    """Return the section of provenance: command, version of seatrial, time; empty entries are left out."""
+    """Return the section of provenance: command line, version of seatrial and time; empty entries are left out."""
     facts = (("Command", made.command), ("seatrial", made.seatrial), ("Time", formatting.moment(made.created)))
     found = [(label, value) for label, value in facts if value]
     return Section("made", "How it was made", [Facts(found, "made")] if found else [])
@@ -216,7 +219,7 @@ def calibration_section(canvas: Canvas, calibration: Calibrations, seconds: floa
 def _calibration_blocks(canvas: Canvas, role: str, data: CalibrationTable, seconds: float) -> list[Any]:
     """Return the table of all kinds of prediction for one set of data, and a reliability plot for each kind.
 
-    ``role`` is ``estimation`` or ``validation``, and ``seconds`` the horizon [s]. No blocks without channels.
+    ``role`` is ``estimation`` or ``validation``, and ``seconds`` the horizon [s]. The result is empty without channels.
     """
     lines: list[list[Cell | str]] = []
     plots = []

@@ -20,7 +20,7 @@ KOLMOGOROV_95 = 1.358
 
 
 def section(canvas: Canvas, result: FitResult) -> Section:
-    """Return the section of residuals: one tab per record, no blocks without residuals.
+    """Return the section of residuals: one tab per record, empty without residuals.
 
     A tab has the table of whiteness tests, three plots per channel, and the correlations with the inputs.
 
@@ -56,10 +56,10 @@ def section(canvas: Canvas, result: FitResult) -> Section:
 
 
 def _before_and_after(row: T, after: T | None) -> list[tuple[str, T, str]]:
-    """Return name, values and colour of the models before and after effects were added, or of the only model.
+    """Return label, values and colour of the curves in a plot of residuals, for one model or two.
 
-    ``row`` has the values of the model before, and ``after`` those of the model with the effects, None if there is
-    none.
+    ``row`` has the values of the model before effects were added, and ``after`` those of the model with them. If
+    ``after`` is None, only ``row`` is returned.
     """
     if after is not None:
         return [("before", row, drawing.BEFORE), ("after", after, drawing.MODEL)]
@@ -67,7 +67,7 @@ def _before_and_after(row: T, after: T | None) -> list[tuple[str, T, str]]:
 
 
 def _whiteness_table(found: Sequence[ResidualTests]) -> list[Any]:
-    """Return the table of the whiteness tests of a record, one row for each channel; no block without channels."""
+    """Return the table of the whiteness tests of a record, one row for each channel; empty without channels."""
     columns = (
         ("channel", ""),
         ("white", ""),
@@ -126,13 +126,13 @@ def _innovations_plot(canvas: Canvas, row: ResidualTests, tab: RecordTab) -> Plo
 
 
 def _horizontal_line(y: float) -> dict[str, Any]:
-    """Return the layout shape of a dotted horizontal line at ``y``."""
+    """Return a dotted horizontal line at ``y`` as a shape of a Plotly layout."""
     line = {"color": drawing.FAINT, "width": 1, "dash": "dot"}
     return {"type": "line", "xref": "paper", "x0": 0, "x1": 1, "y0": y, "y1": y, "line": line}
 
 
 def _horizontal_band(half: float) -> dict[str, Any]:
-    """Return the layout shape of a grey horizontal band from ``-half`` to ``half``."""
+    """Return a grey horizontal band from ``-half`` to ``half`` as a shape of a Plotly layout."""
     style = {"fillcolor": "#8a93a0", "opacity": 0.22, "line": {"width": 0}, "layer": "below"}
     return {"type": "rect", "xref": "paper", "x0": 0, "x1": 1, "y0": -half, "y1": half, **style}
 
@@ -193,7 +193,7 @@ def _periodogram_plot(canvas: Canvas, row: ResidualTests, tab: RecordTab) -> Plo
 def _cross_correlation_blocks(canvas: Canvas, rows: Sequence[CrossCorrelationRow], tab: RecordTab) -> list[Any]:
     """Return a plot of the cross-correlation for each pair of channel and input of a record.
 
-    No blocks without finite values.
+    The result is empty without finite values.
     """
     plots = []
     for row in rows:

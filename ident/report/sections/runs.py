@@ -42,7 +42,7 @@ def run_section(canvas: Canvas, logs: Sequence[LogSummary], inputs: Sequence[Inp
 
 
 def _log_name(row: LogSummary) -> str:
-    """Return the name of a log, or else the last part of its path, or else ``log``."""
+    """Return the name of a log for its table row, or else the last part of its path, or else ``log``."""
     return row.name or row.path.replace("\\", "/").rsplit("/", 1)[-1] or "log"
 
 
@@ -60,7 +60,7 @@ def _log_cells(row: LogSummary) -> list[Cell | str]:
 
 
 def _input_blocks(canvas: Canvas, inputs: Sequence[InputTrace], tab: RecordTab) -> list[Any]:
-    """Return the figure of the inputs of one record: one panel for each unit; no blocks without finite values."""
+    """Return the figure of the inputs of one record: one panel for each unit; empty without finite values."""
     by_unit: dict[str, list[InputTrace]] = {}
     for row in inputs:
         by_unit.setdefault(row.unit, []).append(row)
@@ -86,7 +86,7 @@ def _input_blocks(canvas: Canvas, inputs: Sequence[InputTrace], tab: RecordTab) 
 def prediction_section(canvas: Canvas, result: FitResult) -> Section:
     """Return the section of channels measured and predicted over the horizon, one tab per record.
 
-    The errors of the headline are those of these predictions. No blocks without predictions.
+    The errors of the headline are those of these predictions. The result is empty without predictions.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ def prediction_section(canvas: Canvas, result: FitResult) -> Section:
 def traces_section(canvas: Canvas, result: FitResult) -> Section:
     """Return the section of channels measured and simulated, and of the track, one tab per record.
 
-    No blocks without simulations.
+    The result is empty without simulations.
 
     Parameters
     ----------
@@ -197,15 +197,16 @@ def _simulation_blocks(canvas: Canvas, result: FitResult, rows: Sequence[Trace],
 
 
 def _errors_of(result: FitResult, role: str) -> ErrorTable:
-    """Return the errors on the data of a role; those of the estimation data if there are no validation data."""
+    """Return the errors on the data of ``role``; those of the estimation data if there are no validation data."""
     estimation, validation = result.errors.estimation, result.errors.validation
     return validation if role == "validation" and validation is not None else estimation
 
 
 def _fit_note(row: ErrorComparison | None) -> str:
-    """Return the fit in per cent, before and after if both are known; empty if the output is constant.
+    """Return the note on the fit of one channel for its panel's title: per cent, before and after if both are known.
 
-    A prediction without a finite error is called diverged.
+    Empty if the measured channel is constant, so that it has no fit. A prediction without a finite error is called
+    diverged.
     """
     if row is None or not row.spread:
         return ""
@@ -214,7 +215,7 @@ def _fit_note(row: ErrorComparison | None) -> str:
 
 
 def _stacked(canvas: Canvas, panels: Sequence[drawing.Panel], label: str) -> list[Any]:
-    """Return the figure of the panels above each other; no blocks without panels.
+    """Return the figure of the panels above each other; empty without panels.
 
     A caption is added if the vertical range of any panel is limited, except that of an angle.
     """
@@ -280,7 +281,7 @@ def _axis_limits(shown: list[Array | None], wide: list[Array | None]) -> list[fl
 
 
 def _finite_span(curves: list[Array | None]) -> tuple[float, float]:
-    """Return the smallest and largest finite value of all curves, NaN without any; None is no curve."""
+    """Return the smallest and the largest finite value of several curves; NaN without any. A curve may be None."""
     finite = [curve[np.isfinite(curve)] for curve in curves if curve is not None]
     every = np.concatenate(finite) if finite else np.empty(0)
     return (float(every.min()), float(every.max())) if every.size else (np.nan, np.nan)
@@ -289,7 +290,7 @@ def _finite_span(curves: list[Array | None]) -> tuple[float, float]:
 def _track_blocks(canvas: Canvas, result: FitResult, tab: RecordTab) -> list[Any]:
     """Return the plot of the track of a record: measured, simulated, and simulated before the effects.
 
-    No blocks without finite positions.
+    The result is empty without finite positions.
     """
     plots, origin = [], origin_words(result.logs, tab.name)
     for row in of_record(result.track, tab):

@@ -58,9 +58,9 @@ def _round_title(i: int, row: RoundRow, removed: Collection[str]) -> str:
 
 
 def _round_blocks(row: RoundRow, removed: Collection[str]) -> list[Any]:
-    """Return the blocks of one round: reason, candidates and refits.
+    """Return the contents of a tab for one round of the search: reason, candidates and refits.
 
-    ``removed`` has the names of the effects that were removed later; the block of the reason says so.
+    ``removed`` has the names of the effects that were removed later; the reason then says so.
     """
     blocks: list[Any] = [Prose(row.why, "why")] if row.why else []
     if row.chosen in removed:
@@ -73,7 +73,7 @@ def _round_blocks(row: RoundRow, removed: Collection[str]) -> list[Any]:
 def ranking(row: RoundRow, chosen: str | None) -> list[Any]:
     """Return the bar chart of up to 14 candidates of a round on a logarithmic axis, with a heading.
 
-    Candidates with a statistic of zero are left out; no blocks if none is left.
+    Candidates with a statistic of zero are left out; empty if none is left.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def ranking(row: RoundRow, chosen: str | None) -> list[Any]:
     high = max(*sizes, *limits) * 1.25
 
     def at(value: float) -> float:
-        """Return the position of a statistic on the axis, in per cent of the track's width."""
+        """Return the position of a score statistic on the logarithmic axis, in per cent of the chart's width."""
         return 100.0 * min(max(math.log(value / low) / math.log(high / low), 0.004), 1.0)
 
     bars = [_candidate_bar(c, at(size), at(limit), chosen) for c, size, limit in zip(best, sizes, limits, strict=True)]
@@ -133,7 +133,7 @@ def _candidate_bar(candidate: Candidate, width: float, limit: float, chosen: str
 
 
 def _refits_table(row: RoundRow, chosen: str | None) -> list[Any]:
-    """Return the heading and table of the refits of a round; no blocks without refits.
+    """Return the heading and table of the refits of a round; empty without refits.
 
     ``chosen`` is the name of the effect that was added, None if there is none.
     """
@@ -180,7 +180,7 @@ def _refit_cells(row: RefitRow, chosen: str | None) -> list[Cell | str]:
 def _residual_force_blocks(canvas: Canvas, result: DiagnosisResult) -> list[Any]:
     """Return the heading, legend and plots of the residual forces over time, one tab per record.
 
-    No blocks if no force has finite values.
+    The result is empty if no force has finite values.
     """
     forces = result.residual_forces
     found = record_tabs(forces, roles_of(result.logs, result.traces))
@@ -194,7 +194,7 @@ def _residual_force_blocks(canvas: Canvas, result: DiagnosisResult) -> list[Any]
 
 
 def _force_tab(canvas: Canvas, forces: Sequence[ResidualForce], tab: RecordTab) -> list[Any]:
-    """Return the figure of the residual forces of one record; no blocks without finite values."""
+    """Return the figure of the residual forces of one record; empty without finite values."""
     panels = [p for row in forces if (p := _force_panel(canvas, row))]
     if not panels:
         return []
