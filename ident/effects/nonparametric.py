@@ -27,6 +27,7 @@ from seatrial.ident.model import (
     State,
     ThrusterPair,
     Variable,
+    built_in,
     curve_name,
 )
 from seatrial.ident.models import TIME, residuals_of, sensor_errors_of, thrust_losses_of, unit_over, variables_of
@@ -207,7 +208,7 @@ def nonparametric_effect(model: Model, curve: ForceCurve, span: tuple[float, flo
         f"unknown {curve_name(EffectKind.NONPARAMETRIC, curve)}",
         f"a nonparametric effect: {residual.title} depends on {variable}",
         {residual.stage: add},
-        parameters=tuple(
+        parameters=built_in(
             Parameter(
                 n,
                 0.0,
@@ -415,7 +416,7 @@ def lagged_response(force: DisturbanceChannel, of: str, drive: Signal, unit: str
         f"unknown {curve_name(EffectKind.LAGGED, curve)}",
         f"a nonparametric effect: {force.title} follows {of} with a lag",
         {force.stage: add, "rate": follow},
-        parameters=tuple(
+        parameters=built_in(
             Parameter(
                 n,
                 0.0,
@@ -477,20 +478,24 @@ def resonant_response(force: DisturbanceChannel, of: str, drive: Signal, unit: s
         f"unknown {curve_name(EffectKind.RESONANT, curve)}",
         f"a nonparametric effect: {force.title} responds to {of} with a resonance",
         {force.stage: add, "rate": swing},
-        parameters=(
-            *(
+        parameters=built_in(
+            (
+                *(
+                    Parameter(
+                        n,
+                        0.0,
+                        of_drive,
+                        f"resonant response of {force.name} to {of}{part}",
+                        prior=(0.0, 2 * scale),
+                        step=0.03 * scale,
+                    )
+                    for n, part in zip(names, ("", ", quadrature"), strict=True)
+                ),
+                # The resonating part is unknown, so the frequencies do not scale: they are those that a log can show
                 Parameter(
-                    n,
-                    0.0,
-                    of_drive,
-                    f"resonant response of {force.name} to {of}{part}",
-                    prior=(0.0, 2 * scale),
-                    step=0.03 * scale,
-                )
-                for n, part in zip(names, ("", ", quadrature"), strict=True)
-            ),
-            # The resonating part is unknown, so the frequencies do not scale: they are those that a log can show
-            Parameter(f_name, 0.5, "Hz", "natural frequency", "log", prior=(0.5, 0.4), bounds=(0.1, 2.5), scales=False),
+                    f_name, 0.5, "Hz", "natural frequency", "log", prior=(0.5, 0.4), bounds=(0.1, 2.5), scales=False
+                ),
+            )
         ),
         states=tuple(
             State(n, unit, meaning, 0.0, sd0=0.05 * full)

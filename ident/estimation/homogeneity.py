@@ -26,7 +26,16 @@ from seatrial.ident.estimation.fitted_model import FIT_ERRORS
 from seatrial.ident.estimation.likelihood import Likelihood
 from seatrial.ident.estimation.maximum_likelihood import ROUGH_SEARCH, Fit, SearchSettings, fit
 from seatrial.ident.estimation.standard_errors import AT_BOUND, VAGUE
-from seatrial.ident.model import PARAMETERS, Effect, EffectKind, Model, Parameter, Signals, segment_name
+from seatrial.ident.model import (
+    PARAMETERS,
+    Effect,
+    EffectKind,
+    Model,
+    Parameter,
+    ParameterOrigin,
+    Signals,
+    segment_name,
+)
 from seatrial.ident.numerics import Array
 
 LEVEL = 0.01  # significance level of the homogeneity test
@@ -290,6 +299,7 @@ def between_runs_effect(model: Model, target: str) -> Effect:
             prior=(0.0, sd),
             per_record=True,
             step=0.05 * sd,
+            origin=ParameterOrigin.BUILT_IN,
         )
         return _build_between_runs_effect(
             PAYLOAD, "a payload that differs between runs", load, carried, "m_u + m, m_v + m in each run"
@@ -313,6 +323,7 @@ def between_runs_effect(model: Model, target: str) -> Effect:
         bounds=(MIN_DIFFERENCE, MAX_DIFFERENCE),
         per_record=True,
         step=0.01,
+        origin=ParameterOrigin.BUILT_IN,
     )
     formula = f"{', '.join(names)} (1 + k) in each run"
     return _build_between_runs_effect(target, f"a difference of {meaning} between runs", change, factor, formula)

@@ -306,9 +306,10 @@ def contradicted_priors(fit: Fit) -> list[tuple[Parameter, float, float]]:
     -----
     An estimate is the mean of what the data determine and of the prior, weighted by their informations. With the
     prior's share w of the information, the two differ by ``(estimate - mean) / (1 - w)``. The variance of this
-    difference is ``sd^2 (1 + k w / (1 - w))``. The factor k is that by which the robust variances exceed the plain
-    ones, here its mean over all estimates. Without it, a small error of the model would look like a wrong prior if the
-    data have a small share of the information.
+    difference is ``sd^2 (1 + k w / (1 - w)) + C / (1 - w)^2``. The factor k is that by which the robust variances
+    exceed the plain ones, here its mean over all estimates. C is the variance of the estimate by considered parameters
+    and by candidates that may be missing from the model. Without k and C, a small error of the model would look like a
+    wrong prior if the data have a small share of the information.
     """
     found = []
     excess = fit.inflation[np.isfinite(fit.inflation)]
@@ -318,13 +319,16 @@ def contradicted_priors(fit: Fit) -> list[tuple[Parameter, float, float]]:
         given_origins.add(ParameterOrigin.GIVEN)
     # The priors of effects in the catalogue describe how large an effect usually is, not this boat.
     of_effects = {p.name for e in fit.model.effects for p in e.parameters}
-    for p, value, weight in zip(fit.parameters, fit.values.tolist(), fit.prior_weight.tolist(), strict=True):
+    by_model = np.nan_to_num(np.diag(fit.considered)).tolist()
+    estimates = zip(fit.parameters, fit.values.tolist(), fit.prior_weight.tolist(), by_model, strict=True)
+    for p, value, weight, model_variance in estimates:
         prior = p.free_prior()
         for_this_boat = p.origin in given_origins and not (p.name in of_effects and p.origin is ParameterOrigin.GIVEN)
         if prior is None or not for_this_boat or (p.transform == "log" and value <= 0.0):
             continue
         by_data, moved = max(1.0 - weight, LEAST_DATA), (p.to_free(value) - prior[0]) / prior[1]
-        widths = moved / by_data / np.sqrt(1.0 + inflation * weight / by_data)
+        of_model = model_variance / (p.slope(value) * prior[1] * by_data) ** 2
+        widths = moved / by_data / np.sqrt(1.0 + inflation * weight / by_data + of_model)
         if abs(widths) > PRIOR_WIDTHS:
             found.append((p, value, float(widths)))
     return found

@@ -163,7 +163,14 @@ def current_walk() -> Effect:
         {"rate": drift},
         parameters=(
             Parameter(
-                "q_V", 0.005, "m/s/sqrt(s)", "diffusion of the current", "log", prior=(0.005, 0.01), scales=False
+                "q_V",
+                0.005,
+                "m/s/sqrt(s)",
+                "diffusion of the current",
+                "log",
+                prior=(0.005, 0.01),
+                scales=False,
+                origin=BUILT_IN,
             ),
         ),
         states=(
@@ -200,6 +207,7 @@ def telemetry_age() -> Effect:
                 bounds=(-0.03, 0.4),
                 step=0.01,
                 scales=False,
+                origin=BUILT_IN,
             ),
         ),
         inputs=tuple(i.delayed(-k) for i in now for k in range(-1, N_LATER_SAMPLES + 1) if k),

@@ -18,6 +18,7 @@ from seatrial.ident.model import (
     EffectKind,
     Model,
     Parameter,
+    ParameterOrigin,
     ParameterRole,
     Signals,
     State,
@@ -194,6 +195,7 @@ def disturbance(forces: Sequence[str] = ("X", "Y", "N")) -> Effect:
                 prior=(tau, tau),
                 bounds=(0.2, 10.0),
                 role=ParameterRole.DISTURBANCE,
+                origin=ParameterOrigin.BUILT_IN,
             ),
         ),
         states=tuple(
@@ -207,7 +209,15 @@ def disturbance(forces: Sequence[str] = ("X", "Y", "N")) -> Effect:
 
 def _diffusion_parameter(force: str, q: float, unit: str) -> Parameter:
     """Return the parameter of the diffusion of a disturbance force, with the value and prior mean q [``unit``]."""
-    return Parameter(f"q_{force}", q, unit, f"diffusion of the unexplained {force}", "log", prior=(q, 3 * q))
+    return Parameter(
+        f"q_{force}",
+        q,
+        unit,
+        f"diffusion of the unexplained {force}",
+        "log",
+        prior=(q, 3 * q),
+        origin=ParameterOrigin.BUILT_IN,
+    )
 
 
 def forces_of(model: Model) -> tuple[str, ...]:
@@ -239,7 +249,15 @@ def shaft_disturbance() -> Effect:
         "an unexplained acceleration of the shaft",
         {"rate": add},
         parameters=(
-            Parameter("q_n", q, "1/s/sqrt(s)", "diffusion of the unexplained acceleration", "log", prior=(q, 3 * q)),
+            Parameter(
+                "q_n",
+                q,
+                "1/s/sqrt(s)",
+                "diffusion of the unexplained acceleration",
+                "log",
+                prior=(q, 3 * q),
+                origin=ParameterOrigin.BUILT_IN,
+            ),
             Parameter(
                 "tau_n",
                 tau,
@@ -249,6 +267,7 @@ def shaft_disturbance() -> Effect:
                 prior=(tau, tau),
                 bounds=(0.05, 5.0),
                 role=ParameterRole.DISTURBANCE,
+                origin=ParameterOrigin.BUILT_IN,
             ),
         ),
         states=(State("b_n", "1/s", "unexplained acceleration of the shaft", "q_n", sd0=sd),),

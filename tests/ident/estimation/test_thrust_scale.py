@@ -103,6 +103,14 @@ def test_estimate_far_from_its_prior_is_reported(fitted: Fit) -> None:
     parameters = tuple(user_prior if k == i else p for k, p in enumerate(fitted.parameters))
     ((p, _, widths),) = contradicted_priors(replace(fitted, parameters=parameters))
     assert (p.name, widths) == ("m_u", pytest.approx(np.log(1 / 0.7) * 0.7 / 0.06, rel=0.2))
+    # With an uncertainty of the model that is twice the prior's, the distance is divided by about sqrt(1 + 2^2).
+    by_model = np.zeros_like(fitted.considered)
+    by_model[i, i] = (2 * value * 0.06 / 0.7) ** 2
+    unsure = replace(fitted, parameters=parameters, considered=by_model)
+    assert contradicted_priors(unsure) == []
+    by_model[i, i] /= 16
+    ((_, _, less),) = contradicted_priors(replace(fitted, parameters=parameters, considered=by_model))
+    assert less == pytest.approx(widths / np.sqrt(1.25), rel=0.05)
 
 
 def test_yaw_inertia_has_a_lower_limit_from_the_thruster_positions(fitted: Fit) -> None:

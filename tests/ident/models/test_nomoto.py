@@ -16,6 +16,7 @@ from seatrial.ident.data.record import Channel, LogSegment
 from seatrial.ident.effects.registry import catalogue
 from seatrial.ident.estimation.fitted_model import fit_nominal_model
 from seatrial.ident.estimation.prior_knowledge import fix_parameters, set_priors
+from seatrial.ident.model import YAW_RATE_WIDTH, smooth_modulus
 from seatrial.ident.model.structure import Model, Signals
 from seatrial.ident.models.catalogue import make_model
 from seatrial.ident.models.components import current_walk
@@ -209,7 +210,7 @@ def test_gnss_measures_a_moving_current_like_a_constant_one(psi: float, drifts: 
         ("dead-band", {"n_dead": 0.1}, (0.5 / 0.6) ** 2),
         ("thruster-interaction", {"kappa": 0.2}, 1 - 0.2 * 0.6),
         ("battery-sag", {"beta_E": 0.3}, 0.7),
-        ("turn-loss", {"loss_r": 0.5}, 0.8),
+        ("turn-loss", {"loss_r": 0.5}, 1 / (1 + 0.5 * smooth_modulus(0.5, YAW_RATE_WIDTH))),
     ],
 )
 def test_steady_speed_was_the_same_in_the_past(name: str, values: dict[str, float], share: float) -> None:
