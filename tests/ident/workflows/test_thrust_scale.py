@@ -113,6 +113,12 @@ def test_without_thrust_and_arms_no_estimate_is_in_kilograms(bare: tuple[dict[st
     assert load_model(out / "model.toml").model.parameter("c1").origin == "built-in"
 
 
+def test_score_tests_can_be_left_out(bare: tuple[dict[str, Any], str, Path]) -> None:
+    result, _, _ = bare  # with --no-score-tests
+    assert result["common_errors"] is None
+    assert not any("uncertainty of the model" in note for note in result["notes"])
+
+
 def test_ratios_to_the_thrust_are_right(bare: tuple[dict[str, Any], str, Path]) -> None:
     rows = rows_of(bare[0])
     for name, true in TRUE.items():
