@@ -252,6 +252,7 @@ class ExperimentBatch:
     """
 
     def __init__(self, model: Model, free: Sequence[str], covariance: bool) -> None:
+        """Store the arguments, which the class describes. Kernels are compiled on first use."""
         self.model, self.free, self.covariance = model, tuple(free), covariance
         self._tracks_in_noise: dict[int, Kernel] = {}
 
@@ -341,6 +342,7 @@ class DiscriminationBatch:
     """
 
     def __init__(self, model: Model, free: Sequence[str], truth: Model, covariance: bool) -> None:
+        """Store the arguments, which the class describes. ValueError is raised if the models have different sensors."""
         if [(s.name, [o.name for o in s.outputs]) for s in model.sensors] != [
             (s.name, [o.name for o in s.outputs]) for s in truth.sensors
         ]:

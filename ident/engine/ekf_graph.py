@@ -144,7 +144,10 @@ def pack(P: Any) -> Any:
 
 
 def unpack(p: Any, n: int) -> Any:
-    """Return the symmetric matrix (n, n) whose upper triangle is the column p, by matrix rows. It inverts `pack`."""
+    """Return the symmetric matrix (n, n) with the upper triangle ``p``, the inverse of `pack`.
+
+    ``p`` is a column (n (n + 1) / 2, 1) that has the entries of the upper triangle row by row.
+    """
     P = ca.SX(n, n)
     for k, (i, j) in enumerate(zip(*np.triu_indices(n), strict=True)):
         P[int(i), int(j)] = P[int(j), int(i)] = p[k]

@@ -72,6 +72,7 @@ class FilterKernels:
     """
 
     def __init__(self, model: Model, covariance: bool, joseph: bool) -> None:
+        """Store the arguments, which the class describes, and compute `key`. Kernels are compiled on first use."""
         self._model, self._covariance, self._joseph = model, covariance, joseph
         traced_key = kernel_cache.kernel_key(model, covariance, joseph) if len(model.sensors) <= MAX_BITS else None
         self._cache_key = traced_key if jit.AVAILABLE else None
@@ -79,7 +80,7 @@ class FilterKernels:
 
     @cached_property
     def graphs(self) -> EkfGraphs:
-        """CasADi expressions of the filter, built on first use."""
+        """CasADi expressions of the model's filter, built on first use."""
         from seatrial.ident.engine.ekf_graph import EkfGraphs
 
         return EkfGraphs(self._model, covariance=self._covariance, joseph=self._joseph)

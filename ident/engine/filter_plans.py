@@ -29,6 +29,7 @@ class Plans:
     """
 
     def __init__(self, graphs: EkfGraphs) -> None:
+        """Store the expressions of the filter for which the methods build plans."""
         self.graphs = graphs
         self.n_s = int(graphs.s.numel())
         self.n_parameters = int(graphs.p.numel())

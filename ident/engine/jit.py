@@ -21,13 +21,13 @@ except ImportError:  # llvmlite has no wheel for this machine; kernels are inter
     llvm = None
 
 AVAILABLE = llvm is not None
-# Whether the pass that combines instructions runs, and the level of the code generation. CasADi has already simplified
-# the expressions: all passes of level 1 and the code generation of level 2 take a third more time for a compilation and
-# save 1 to 4 % of the running time.
-COMBINE = True
-CODEGEN = 1
+# Passes over the IR, and level of the code generation. CasADi has already simplified the expressions of a kernel: all
+# passes of level 1 and the code generation of level 2 take a third more time for a compilation and save 1 to 4 % of the
+# running time.
+KERNEL = ("combine", 1)
 # The same for `quick_compilation`: compilation takes a fifth of the time, and the code up to twice the time to run
-QUICK = (False, 0)
+QUICK = ("none", 0)
+LOOPS = ("level 1", 2)  # for IR with loops and variables in memory, which the passes move to registers
 QUICK_ROWS = 10_000  # rows in the records of a model; with more rows, quick compilation costs more than it saves
 # Scheduler of the instructions in a block. The default scheduler favours instructions that can run in parallel. The
 # stages have thousands of instructions and fill all registers, so the default adds a tenth more instructions that only
@@ -96,30 +96,31 @@ def quick_compilation(n_rows: int) -> Iterator[None]:
         _quick_contexts.remove(token)
 
 
-def _optimisation() -> tuple[bool, int]:
-    """Return whether instructions are combined, and the level (0 to 3) of the code generation, in this context.
+def _optimisation(has_loops: bool) -> tuple[str, int]:
+    """Return the passes over the IR, and the level (0 to 3) of the code generation, in this context.
 
-    They are `QUICK` in `quick_compilation`.
+    They are `LOOPS` if the IR has loops that the passes have to improve, and otherwise `KERNEL`, or `QUICK` in
+    `quick_compilation`.
     """
-    return QUICK if _quick_contexts else (COMBINE, CODEGEN)
+    return LOOPS if has_loops else QUICK if _quick_contexts else KERNEL
 
 
 def target() -> tuple[Any, ...]:
     """Return what the machine code depends on, besides the IR: version of LLVM (None without llvmlite), name and
     features of the processor, default optimisation, scheduler option.
     """
-    return (llvm.llvm_version_info if AVAILABLE else None, CPU, FEATURES, COMBINE, CODEGEN, ORDER)
+    return (llvm.llvm_version_info if AVAILABLE else None, CPU, FEATURES, KERNEL, ORDER)
 
 
-def machine_code_key(ir: str) -> str:
+def machine_code_key(ir: str, has_loops: bool = False) -> str:
     """Return the SHA-256 hash (hexadecimal) that names the machine code of ``ir`` in the cache.
 
     It depends on the IR, on `target` and on the optimisation that holds at the time of the call.
     """
-    return hashlib.sha256(repr((*target(), _optimisation(), ir)).encode()).hexdigest()
+    return hashlib.sha256(repr((*target(), _optimisation(has_loops), ir)).encode()).hexdigest()
 
 
-def load_machine_code(ir: str, symbol: str) -> tuple[Any, int]:
+def load_machine_code(ir: str, symbol: str, has_loops: bool = False) -> tuple[Any, int]:
     """Load the machine code of ``ir`` from the cache on disk. If the cache lacks it, compile and store it.
 
     Parameters
@@ -128,6 +129,8 @@ def load_machine_code(ir: str, symbol: str) -> tuple[Any, int]:
         LLVM IR of a module.
     symbol : str
         Name of a function in the module.
+    has_loops : bool
+        Whether the function has inner loops and variables in memory, so that it needs more optimisation than a kernel.
 
     Returns
     -------
@@ -143,11 +146,11 @@ def load_machine_code(ir: str, symbol: str) -> tuple[Any, int]:
     """
     if not AVAILABLE:
         raise RuntimeError("llvmlite is not installed, so kernels cannot be compiled; install llvmlite")
-    key = machine_code_key(ir)
+    key = machine_code_key(ir, has_loops)
     cached = load_cached_machine_code(key, symbol)
     if cached is not None:
         return cached
-    machine_code = _compile(ir)
+    machine_code = _compile(ir, has_loops)
     write_cache(f"{key}.o", machine_code)
     return _link_object_file(machine_code, key, symbol)
 
@@ -175,24 +178,31 @@ def load_cached_machine_code(key: str, symbol: str) -> tuple[Any, int] | None:
 def _link_object_file(machine_code: bytes, key: str, symbol: str) -> tuple[Any, int]:
     """Link an object file under the name ``key``. Return the library and the address of the function ``symbol``."""
     builder = llvm.JITLibraryBuilder().add_object_img(machine_code).add_current_process().export_symbol(symbol)
-    library = builder.link(llvm.create_lljit_compiler(_target_machine()), key)
+    library = builder.link(llvm.create_lljit_compiler(_target_machine(KERNEL[1])), key)
     return library, int(library[symbol])
 
 
-def _target_machine() -> Any:
-    """Return LLVM's code generator for this processor, with the optimisation level that holds now."""
-    return llvm.Target.from_default_triple().create_target_machine(CPU, FEATURES, _optimisation()[1], jit=True)
+def _target_machine(level: int) -> Any:
+    """Return LLVM's code generator for this processor, with this optimisation level (0 to 3)."""
+    return llvm.Target.from_default_triple().create_target_machine(CPU, FEATURES, level, jit=True)
 
 
-def _compile(ir: str) -> bytes:
-    """Check, optimise and compile the IR of a module. Return the object file."""
-    machine = _target_machine()
+def _compile(ir: str, has_loops: bool) -> bytes:
+    """Check the IR of a module, optimise it for this processor, and compile it. Return the content of the object file.
+
+    ``has_loops`` asks for the optimisation `LOOPS`.
+    """
+    chosen, level = _optimisation(has_loops)
+    machine = _target_machine(level)
     module = llvm.parse_assembly(ir)
     module.verify()
-    if _optimisation()[0]:
+    builder = llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=1))
+    if chosen == "combine":
         passes = llvm.create_new_module_pass_manager()
         passes.add_instruction_combine_pass()
-        passes.run(module, llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options()))
+        passes.run(module, builder)
+    elif chosen == "level 1":
+        builder.getModulePassManager().run(module, builder)
     return bytes(machine.emit_object(module))
 
 

@@ -74,6 +74,7 @@ class ArenaPool:
     """Pool of arenas, with one arena for each thread that works at the same time."""
 
     def __init__(self) -> None:
+        """Create an empty pool; `borrow` adds arenas as they are needed."""
         self._free: list[Arena] = []
         self._lock = threading.Lock()
 
@@ -156,7 +157,7 @@ class Kernel:
 
     @cached_property
     def plan(self) -> Plan:
-        """Plan of the kernel, built on first use."""
+        """Plan of the kernel, with its stages and arrays. A kernel from the cache builds it on first use."""
         return self._build_plan()
 
     def __call__(
@@ -225,7 +226,8 @@ class Kernel:
     ) -> dict[str, Array]:
         """Run over many intervals of one record, each with its own initial state, and return the last row of each.
 
-        All stages run in all rows, as with a mask of all bits. The kernel has exactly one carried array.
+        All stages run in all rows, as if every sensor had a sample in each row. The kernel must have exactly one array
+        that it carries from row to row, such as the state.
 
         Parameters
         ----------
@@ -299,10 +301,11 @@ class Kernel:
         return last_rows
 
     def seeds(self, size: int, chosen: Sequence[int], groups: int | None = None) -> Array:
-        """Return one unit vector of ``size`` entries for each lane, as an array (groups, size, width).
+        """Return the directions of derivatives for a tangent kernel, as an array (groups, size, width).
 
-        Lane j, which is lane j % width of group j // width, has a one at entry ``chosen[j]``. Unused lanes are zero.
-        ``groups`` None is the least number of groups for all of ``chosen``.
+        Each lane computes the derivative in one direction. A direction is a unit vector of ``size`` entries. Lane j,
+        which is lane j % width of group j // width, has a one at entry ``chosen[j]``. Unused lanes have zeros. With
+        ``groups`` None or 0, the array has the least number of groups that hold all of ``chosen``, at least one.
         """
         width = self.layout.width
         groups = groups or self.groups(len(chosen))
@@ -316,7 +319,10 @@ class Kernel:
         return max(1, -(-n_lanes // self.layout.width))
 
     def _compile_loop(self) -> Loop:
-        """Compile the plan, or load its machine code from the cache on disk. Set `code` and return the loop."""
+        """Compile the plan, or load its machine code from the cache on disk. Return the function that runs the loop.
+
+        The key of the machine code is stored in `code`.
+        """
         from seatrial.ident.engine.llvm_emitter import LlvmEmitter
 
         ir = LlvmEmitter(self.plan).ir()

@@ -62,60 +62,79 @@ class TracedNumber:
         raise TypeError("a condition cannot be recorded")
 
     def __add__(self, other: Any) -> TracedNumber:
+        """Record ``self + other`` and return its traced result."""
         return self._record_operation("add", self, other)
 
     def __radd__(self, other: Any) -> TracedNumber:
+        """Record ``other + self`` and return its traced result."""
         return self._record_operation("add", other, self)
 
     def __sub__(self, other: Any) -> TracedNumber:
+        """Record ``self - other`` and return its traced result."""
         return self._record_operation("subtract", self, other)
 
     def __rsub__(self, other: Any) -> TracedNumber:
+        """Record ``other - self`` and return its traced result."""
         return self._record_operation("subtract", other, self)
 
     def __mul__(self, other: Any) -> TracedNumber:
+        """Record ``self * other`` and return its traced result."""
         return self._record_operation("multiply", self, other)
 
     def __rmul__(self, other: Any) -> TracedNumber:
+        """Record ``other * self`` and return its traced result."""
         return self._record_operation("multiply", other, self)
 
     def __truediv__(self, other: Any) -> TracedNumber:
+        """Record ``self / other`` and return its traced result."""
         return self._record_operation("divide", self, other)
 
     def __rtruediv__(self, other: Any) -> TracedNumber:
+        """Record ``other / self`` and return its traced result."""
         return self._record_operation("divide", other, self)
 
     def __pow__(self, other: Any) -> TracedNumber:
+        """Record ``self ** other`` and return its traced result."""
         return self._record_operation("power", self, other)
 
     def __rpow__(self, other: Any) -> TracedNumber:
+        """Record ``other ** self`` and return its traced result."""
         return self._record_operation("power", other, self)
 
     def __neg__(self) -> TracedNumber:
+        """Record ``-self`` and return its traced result."""
         return self._record_operation("negative", self)
 
     def __pos__(self) -> TracedNumber:
+        """Return the number itself; ``+self`` records nothing."""
         return self
 
     def __abs__(self) -> TracedNumber:
+        """Record ``abs(self)`` and return its traced result."""
         return self._record_operation("absolute", self)
 
     def __lt__(self, other: Any) -> TracedNumber:
+        """Record ``self < other`` and return its traced result."""
         return self._record_operation("less", self, other)
 
     def __le__(self, other: Any) -> TracedNumber:
+        """Record ``self <= other`` and return its traced result."""
         return self._record_operation("less_equal", self, other)
 
     def __gt__(self, other: Any) -> TracedNumber:
+        """Record ``self > other`` and return its traced result."""
         return self._record_operation("greater", self, other)
 
     def __ge__(self, other: Any) -> TracedNumber:
+        """Record ``self >= other`` and return its traced result."""
         return self._record_operation("greater_equal", self, other)
 
     def __eq__(self, other: object) -> TracedNumber:  # type: ignore[override]
+        """Record ``self == other`` and return its traced result."""
         return self._record_operation("equal", self, other)
 
     def __ne__(self, other: object) -> TracedNumber:  # type: ignore[override]
+        """Record ``self != other`` and return its traced result."""
         return self._record_operation("not_equal", self, other)
 
 

@@ -224,15 +224,15 @@ class LlvmEmitter:
         self._append_lines(f"end{q}:")
         self._assign_new_values(stage.bit is not None)
 
-    def _assign_new_values(self, sometimes: bool) -> None:
+    def _assign_new_values(self, is_conditional: bool) -> None:
         """Assign the new values of the current stage to the carried arrays in registers, and clear ``new_values``.
 
-        ``sometimes``: whether the stage is skipped in some rows, where the arrays keep their old values.
+        ``is_conditional``: whether the stage is skipped in some rows, where the arrays keep their old values.
         """
         q, before = self.stage_index, f"%end{self.stage_index - 1}" if self.stage_index else "%loop"
         for (name, j), value in self.new_values.items():
             old = self.register_values[name][j]
-            if sometimes:
+            if is_conditional:
                 self._append_lines(f"%held.{name}.{j}.{q} = phi double [{value.text}, %do{q}], [{old.text}, {before}]")
                 value = Value(f"%held.{name}.{j}.{q}", False, False)
             self.register_values[name][j] = value
@@ -242,19 +242,19 @@ class LlvmEmitter:
         """Write the instructions of a stage of CasADi expressions. Results that are also arguments are stored last."""
         f = stage.function
         arguments, names = f.name_in(), f.name_out()
-        late: list[tuple[str, int, Value]] = []
+        deferred: list[tuple[str, int, Value]] = []
 
         def done(i: int, j: int, value: Value) -> None:
-            """Store entry j of result i at once, or keep it in ``late`` if the stage may still read the array."""
+            """Store entry j of result i at once, or keep it in ``deferred`` if the stage may still read the array."""
             if names[i] in arguments or names[i] in self.plan.summed:
-                late.append((names[i], j, value))  # the stage may still have to read the old value
+                deferred.append((names[i], j, value))  # the stage may still have to read the old value
             else:
                 self._store_entry(names[i], j, value)  # a value stored at once needs no register any more
 
         evaluate_instructions(
             f, lambda i, j: self._load_entry(arguments[i], j), self._constant_literal, self._write_operation, done
         )
-        for result in late:
+        for result in deferred:
             self._store_entry(*result)
 
     def _write_lane_function(self, stage: ExpressionStage) -> None:

@@ -178,12 +178,12 @@ class Plan:
 
     @property
     def functions(self) -> tuple[Any, ...]:
-        """CasADi functions of the `ExpressionStage` stages, in order."""
+        """CasADi functions of those stages of the plan that compute expressions, in the order of the stages."""
         return tuple(s.function for s in self.stages if isinstance(s, ExpressionStage))
 
     @property
     def grams(self) -> frozenset[str]:
-        """Names of the results of `GramStage` stages."""
+        """Names of the results that are sums of products of columns, which `GramStage` stages compute."""
         return frozenset(s.result for s in self.stages if isinstance(s, GramStage))
 
     @cached_property
@@ -194,7 +194,8 @@ class Plan:
     def shape(self, name: str, n_rows: int, groups: int, per_row: bool = False) -> tuple[int, ...]:
         """Return the shape of the array ``name`` for ``n_rows`` rows and ``groups`` groups of lanes.
 
-        ``per_row`` asks for a summed result by row instead of its sum. The result is that of `Layout.shape`.
+        With ``per_row``, it is the shape of a result by row, of which the kernel otherwise returns the sum over the
+        rows. The result is that of `Layout.shape`. KeyError is raised for an unknown name.
         """
         return self.layout.shape(name, n_rows, groups, per_row)
 

@@ -102,7 +102,7 @@ def _compiled_recursion() -> Callable[..., None]:
     Its arguments are the seven sizes (n, s, m, t, p, w, r), then the addresses of the eight arrays, in the order of
     `_recursion_ir`. The function is compiled once per process.
     """
-    library, address = jit.load_machine_code(_recursion_ir(), "rows")
+    library, address = jit.load_machine_code(_recursion_ir(), "rows", has_loops=True)
     entry = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 7, *[ctypes.c_void_p] * 8)(address)
 
     def run(*arguments: Any) -> None:
@@ -125,6 +125,7 @@ class _IrWriter:
     """
 
     def __init__(self) -> None:
+        """Create a writer without lines."""
         self.lines: list[str] = []
         self._n = 0
 
@@ -225,6 +226,7 @@ def _recursion_ir() -> str:
             row = text.instruction(f"add i64 {text.instruction(f'mul i64 {k}, {height}')}, {i}")
 
             def write_columns(c: str) -> None:
+                """Write the sum of the products for the columns from ``c`` on."""
                 for name in sums:
                     text(f"store {vector} zeroinitializer, ptr {name}")
                 text.loop("%s", lambda j: add_product(row, j, text.address("%x", ("", now), ("%s", j), ("%w", c))))
@@ -263,6 +265,7 @@ def _recursion_ir() -> str:
             i = text.instruction(f"load i64, ptr {text.address('%to', ('', e))}")
 
             def write_columns(c: str) -> None:
+                """Write the addition of the input's part to the columns from ``c`` on."""
                 target = text.address("%x", ("", later), ("%s", i), ("%w", c))
                 source = text.address("%d", ("", after), ("%p", e), ("%w", c))
                 for to, drive in zip(vector_addresses(target), vector_addresses(source), strict=True):

@@ -32,6 +32,7 @@ class VectorisedModel:
     """
 
     def __init__(self, model: Model) -> None:
+        """Store the model, whose functions each call evaluates with numpy."""
         self.model = model
         self.n_states, self.n_outputs = len(model.states), len(model.outputs)
 
