@@ -124,9 +124,16 @@ class SearchSettings:
 ROUGH_SEARCH = SearchSettings(tolerance=0.02, robust_errors=False)
 
 
-# A search has converged if the expected gain in log-posterior of one more step is smaller than this, or than the
-# tolerance of its settings if that is larger. A gain of 0.01 is a move by 0.14 standard errors, one of 0.05 by 0.3.
+# The estimates are about sqrt(2 gain) standard errors from the maximum, if one more step is expected to gain this much
+# log-posterior. Up to the first limit, 0.14 standard errors, this does not matter. Up to the second limit, half
+# a standard error, the fit counts as converged, but its results say so. The tolerance of the settings may be larger.
 MAX_GAIN_LEFT = 1e-2
+LARGEST_GAIN_LEFT = 0.125
+
+
+def distance_from_maximum(gain: float) -> float:
+    """Return the distance from the maximum in standard errors at which one step gains this much log-posterior."""
+    return float(np.sqrt(2.0 * abs(gain)))
 
 
 @dataclass(frozen=True)
@@ -236,6 +243,11 @@ class Fit:
             if p.name == name and p.segment in (None, record):
                 return float(self.values[i]), float(self.errors[i])
         return self.model.parameter(name).value, float("nan")
+
+    @property
+    def distance_left(self) -> float | None:
+        """Distance of the estimates from the maximum in standard errors; None if it is too small to matter (0.14)."""
+        return distance_from_maximum(self.gain_left) if abs(self.gain_left) > MAX_GAIN_LEFT else None
 
     @property
     def bic(self) -> float:
@@ -517,12 +529,12 @@ def _assembled_fit(
     model = problem.model.with_values(dict(zip(names, record_values.mean(axis=0), strict=True)))
     plain = np.abs(problem.slopes(optimum.z)) * np.sqrt(np.diag(known.P + known.spread))
     inflation = np.where(np.isfinite(plain), np.fmax(known.errors / plain, 1.0), 1.0)
-    converged = abs(optimum.gain_left) < max(MAX_GAIN_LEFT, settings.tolerance)
+    converged = abs(optimum.gain_left) < max(LARGEST_GAIN_LEFT, settings.tolerance)
     message = (
         f"converged in {optimum.iterations} iterations"
         if converged
         else f"stopped after {optimum.iterations} iterations; "
-        f"its log-posterior can still rise by {optimum.gain_left:.3g}"
+        f"its estimates can still move by {distance_from_maximum(optimum.gain_left):.2g} standard errors"
     )
     return Fit(
         model=model,

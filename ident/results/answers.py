@@ -286,6 +286,12 @@ def estimation_warnings(fit: Fit, records: Sequence[Record], length: float | Non
             "values (thrust, arms, units)."
         )
         warnings.append(ResultWarning(code="prior-contradicted", text=text))
+    if fit.converged and (left := fit.distance_left) is not None:
+        text = (
+            f"The fit stopped close to its maximum: its estimates can still move by {left:.2g} standard errors. Use "
+            "--initial with these estimates to continue, or a model with fewer free parameters."
+        )
+        warnings.append(ResultWarning(code="nearly-converged", text=text))
     if (lost := unexcited_motion(fit, records)) is not None:
         text = (
             f"T{lost.clause[1:]}. The standard error is more than half of "

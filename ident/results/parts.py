@@ -102,6 +102,7 @@ WarningCode = Literal[
     "prior-contradicted",
     "inertia-too-small",
     "motion-not-excited",
+    "nearly-converged",
     "one-direction",
     "zero-unknown",
     "validation-run-failed",

@@ -23,6 +23,7 @@ from seatrial.ident.results.answers import (
     NAMES,
     change_sentence,
     check_warnings,
+    estimation_warnings,
     late_sensor_warnings,
     not_converged,
     outlier_lines,
@@ -334,10 +335,21 @@ def test_fit_that_did_not_converge_has_no_other_answer() -> None:
     found = fit(turning().with_free(("m", "d")), [turning_record(n_rows=300)], start={"m": 15.0})
     assert not_converged(found) is None
     short = replace(
-        found, converged=False, message="stopped after 60 iterations; its log-posterior can still rise by 667"
+        found,
+        converged=False,
+        message="stopped after 60 iterations; its estimates can still move by 36 standard errors",
     )
     answer = not_converged(short)
     assert answer is not None
     assert answer.startswith(
-        "The fit did not converge: it stopped after 60 iterations; its log-posterior can still rise by 667. Do not"
+        "The fit did not converge: it stopped after 60 iterations; its estimates can still move by 36 standard errors. "
     )
+
+
+def test_fit_that_stopped_close_to_its_maximum_says_so() -> None:
+    records = [turning_record(n_rows=300)]
+    found = fit(turning().with_free(("m", "d")), records, start={"m": 15.0})
+    assert not [w for w in estimation_warnings(found, records) if w.code == "nearly-converged"]
+    warning = estimation_warnings(replace(found, gain_left=0.045), records)[-1]
+    assert warning.code == "nearly-converged"
+    assert "can still move by 0.3 standard errors" in warning.text
