@@ -106,6 +106,7 @@ from seatrial.ident.validation import (
 )
 
 WAVES = "waves"
+DRAWN = SearchSettings(tolerance=0.02)  # for a curve that only illustrates the result: exact to 0.2 standard errors
 
 
 @dataclass(frozen=True)
@@ -1209,7 +1210,8 @@ def _reported_curves(
         elif r.effect.name == first and (likely := _likely_curve(search_round)):
             try:
                 effect = _nonparametric_effect_of(likely, current)
-                found.append(_curve_with_errors(effect, fit_and_evaluate(current.fit.model + effect, records, ())))
+                drawn_fit = fit_and_evaluate(current.fit.model + effect, records, (), settings=DRAWN)
+                found.append(_curve_with_errors(effect, drawn_fit))
             except FIT_ERRORS as problem:
                 undrawn = f"{r.effect.title}: {problem}"
         current = r.fitted
