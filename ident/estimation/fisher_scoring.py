@@ -33,9 +33,6 @@ DIVERGENCE_LIMIT = 1e30  # information above this is not possible: the simulatio
 # If a step increases the information by more than this factor (median over the coordinates), the simulation is about
 # to diverge.
 MAX_SENSITIVITY_RATIO = 1e6
-# Least damping after a step that gained nothing. Good steps divide the damping by ten each; without a lower limit, five
-# more steps could fail until the damping has an effect again.
-LEAST_AFTER_FAILURE = 0.1
 DAMPING_FLOOR = 1e-4  # least damping of a coordinate, relative to the largest information that it had so far
 LBFGSB_TOLERANCE = 0.05  # L-BFGS-B ends if a step gains less than this share of the fit's tolerance
 QUADRATIC_GAIN = 3.0  # the objective is nearly quadratic if a step gains less log-likelihood than this
@@ -321,7 +318,7 @@ def maximise(
                 correction.add_step(bounds.clip(z + step) - z, at, trial)
                 z, at = bounds.clip(z + step), trial
                 break
-            damping, growth = max(damping, LEAST_AFTER_FAILURE) * growth, growth * 2
+            damping, growth = damping * growth, growth * 2
             if damping > MAX_DAMPING or growth > 2.0**12:
                 if not correction.pairs:
                     return Optimum(z, at, iteration + 1, evaluations, gain_left)

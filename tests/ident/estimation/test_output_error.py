@@ -66,7 +66,7 @@ def test_sensitivities_to_parameters_and_initial_state_are_exact() -> None:
     names = ("m_r", "d_r", "d_rr", "e_r", "x0_r")
     scores = likelihood.scores(record, v, names)
     value, gradient = likelihood.gradient(record, v)
-    assert value == scores.value
+    assert value == pytest.approx(scores.value, rel=1e-14)  # two programs, which round differently
     for i, name in enumerate(names):
         column = list(model.values).index(name)
         np.testing.assert_allclose(scores.gradient[i], gradient[column], rtol=1e-9, atol=1e-9)
