@@ -81,7 +81,7 @@ def test_direction_that_was_not_measured_has_no_thrust(tmp_path: Path) -> None:
     vehicle, notes = fix_parameters(horizontal_model(), tmp_path / "t/model.toml", {})
     c1, c2 = vehicle.parameter("c1"), vehicle.parameter("c2")
     assert (c1.prior or (0, 0))[1] == pytest.approx(saved["c1"]["se"])
-    assert (c2.value, c2.free, str(c2.provenance)) == (0.0, False, "given")
+    assert (c2.value, c2.free, str(c2.provenance)) == (0.0, False, "built-in")
     (note,) = notes
     assert "cannot separate c2 from c1" in note
     # An older model.toml, in which both were free and had no error.
