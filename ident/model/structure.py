@@ -342,6 +342,9 @@ class Effect:
         Curve that this effect describes by a series, without a specific form.
     fixed_point : bool
         Whether the effect acts at a point fixed over ground: all logs must share one origin.
+    in_words : Callable or None
+        Function of the estimates and their standard errors, by parameter, that returns a clause for reports. None: the
+        parameters need no explanation.
     """
 
     name: str
@@ -365,6 +368,7 @@ class Effect:
     parametric_form_of: ForceCurve | None = None
     nonparametric_of: ForceCurve | None = None
     fixed_point: bool = False
+    in_words: Callable[[Mapping[str, tuple[float, float]]], str] | None = None
 
     def is_table_of(self, curve: ForceCurve | None) -> bool:
         """Return whether the effect is the nonparametric curve of this force and variable. None: return False."""

@@ -61,6 +61,7 @@ from .parts import NonparametricCurve as NonparametricCurve
 from .parts import ParameterChange as ParameterChange
 from .parts import ParameterRow as ParameterRow
 from .parts import Part as Part
+from .parts import PredictionChangeRow as PredictionChangeRow
 from .parts import ProfileCurve as ProfileCurve
 from .parts import Provenance as Provenance
 from .parts import RefitRow as RefitRow

@@ -60,6 +60,7 @@ FINE_SHIFT_PERCENT = 2.0  # smaller changes are printed with one decimal
 FACTOR_FROM = 3.0  # larger ratios of errors are printed as a factor, not in per cent
 LEVEL = 0.01  # significance level of the whiteness tests
 MEASURED_INPUTS = {"phi", "theta", "psi", "p", "q", "r"}  # inputs that are sensor outputs and contain sensor noise
+WIDE_INTERVAL = 0.5  # a wider 95 % interval of the fit is replaced by the interval of time that causes it
 NO_DEAD_ZONE = 5e-4  # of full command: a smaller dead zone would be printed as 0.0 %
 RAMP_SHARE = 0.05  # share of the rows, smallest commands first, that may belong to a ramp
 FEWEST_SAMPLES = 10  # equal samples from which a sensor is called stuck
@@ -158,8 +159,13 @@ def _fit_sentence(prediction: PredictionFit, errors: Errors, horizon: float) -> 
     if lost:
         return f"{begin}the prediction diverges ({_first_names(lost)})."
     each = {n: 1 - (row.after or 0.0) / row.spread for n, row in table.horizon.items() if row.spread}
-    low, high = prediction.low, prediction.high
+    low, high, largest = prediction.low, prediction.high, prediction.largest_errors
     interval = "" if low is None or high is None else f" (95 %: {100 * low:.0f} to {100 * high:.0f} %)"
+    if low is not None and high is not None and high - low > WIDE_INTERVAL and largest is not None:
+        interval = (
+            f" (without a useful interval: {_percent(largest.share)} of the squared errors are from "
+            f"{largest.begin:.0f} to {largest.end:.0f} s of {largest.record})"
+        )
     ends = [f"{_percent(each[n])} ({NAMES.get(n, n)})" for n in sorted(each, key=lambda n: -each[n])]
     span = f", from {ends[0]} to {ends[-1]}" if len(ends) > 1 else ""
     return f"{begin}fit {_percent(prediction.fit)}{interval}{span}."

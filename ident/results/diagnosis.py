@@ -21,7 +21,8 @@ from seatrial.ident.diagnosis import (
     recommended_experiment,
 )
 from seatrial.ident.effects import catalogue
-from seatrial.ident.estimation import ParameterShift, ReportedEstimates
+from seatrial.ident.estimation import FittedModel, ParameterShift, ReportedEstimates
+from seatrial.ident.model import Effect
 from seatrial.ident.results import parts
 from seatrial.ident.results.answers import (
     NAMES,
@@ -142,7 +143,7 @@ def diagnosis_result(
         residual_forces=_residual_force_rows(diagnosis, evaluation),
         rounds=tuple(_round_row(r) for r in diagnosis.rounds) or (_quiet_round(diagnosis),),
         common_errors=common_errors_row(diagnosis.common_errors, diagnosis.after, role),
-        effects=_effect_rows(diagnosis),
+        effects=_effect_rows(diagnosis, role),
         remaining_candidates=tuple(
             parts.RemainingCandidate(name=s.name, lm=s.lm, df=s.df, p=s.p) for s in diagnosis.remaining
         ),
@@ -326,7 +327,8 @@ def what_is_lacking(diagnosis: Diagnosis, *, fell: bool) -> str:
     """
     titles: dict[str, list[str]] = {"identified": [], "ambiguous": [], "nonparametric": []}
     for r, judged in zip(diagnosis.effects, diagnosis.attributions, strict=True):
-        titles[judged.attribution].append(r.effect.title)
+        words = in_words(r.effect, diagnosis.after)
+        titles[judged.attribution].append(f"{r.effect.title} ({words})" if words else r.effect.title)
     identified, ambiguous, nonparametric = titles.values()
     if nonparametric and diagnosis.attributions[0].attribution == "nonparametric":
         found = f"The model lacks {_joined_titles(nonparametric)}" if fell else _resemblance_clause(nonparametric)
@@ -341,6 +343,21 @@ def what_is_lacking(diagnosis: Diagnosis, *, fell: bool) -> str:
     else:
         found = _resemblance_clause(ambiguous)
     return f"{found}, and also {_joined_titles(nonparametric)}" if nonparametric else found
+
+
+def in_words(effect: Effect, fitted: FittedModel) -> str:
+    """Return the estimates of an effect as a clause for reports (``Effect.in_words``); empty if it has none.
+
+    Parameters
+    ----------
+    effect : Effect
+        Effect of the fitted model.
+    fitted : FittedModel
+        Fitted model, whose estimates are used.
+    """
+    if effect.in_words is None:
+        return ""
+    return effect.in_words({p.name: fitted.fit.estimate(p.name) for p in effect.parameters})
 
 
 def _resemblance_clause(titles: Sequence[str]) -> str:
@@ -454,10 +471,11 @@ def _refit_row(r: Refit) -> parts.RefitRow:
     )
 
 
-def _effect_rows(diagnosis: Diagnosis) -> tuple[parts.EffectRow, ...]:
+def _effect_rows(diagnosis: Diagnosis, role: parts.Role) -> tuple[parts.EffectRow, ...]:
     """Return the added effects with their estimates in the final model and their importance, the largest first.
 
-    The alternatives of an effect are the other refits of its round.
+    The alternatives of an effect are the other refits of its round. ``role`` names the data of the importance:
+    validation data, or estimation data without them.
     """
     rows = []
     rounds = {
@@ -486,6 +504,8 @@ def _effect_rows(diagnosis: Diagnosis) -> tuple[parts.EffectRow, ...]:
                 reasons=tuple(judged.reasons),
                 not_excluded=tuple(judged.not_excluded),
                 parameters=effect_parameter_rows(r.effect, diagnosis.after),
+                in_words=in_words(r.effect, diagnosis.after) or None,
+                prediction=None if weight.prediction is None else prediction_change(weight.prediction, role),
                 error_ratio_without=finite(weight.error_ratio),
                 gain_last=finite(weight.gain),
             )

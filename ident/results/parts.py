@@ -419,6 +419,18 @@ class PredictionFit(Part, frozen=True, kw_only=True):
     fit: Annotated[float, Meta(description="fit, 1 for a perfect prediction")]
     low: Annotated[float | None, Meta(description="95 % interval of `fit`; null: the data are too short")] = None
     high: Annotated[float | None, Meta(description="upper end of the interval")] = None
+    largest_errors: Annotated[
+        LargestErrorsRow | None, Meta(description="interval of time with the largest errors; null: no errors")
+    ] = None
+
+
+class LargestErrorsRow(Part, frozen=True, kw_only=True):
+    """Interval of two horizons with the largest share of the squared prediction errors over the horizon."""
+
+    record: Annotated[str, Meta(description="name of the record")]
+    begin: Annotated[float, Meta(description="begin of the interval, in seconds of the log")]
+    end: Annotated[float, Meta(description="end of the interval, in seconds of the log")]
+    share: Annotated[float, Meta(description="share of the squared errors, mean over all channels")]
 
 
 class PredictionChangeRow(Part, frozen=True, kw_only=True):
@@ -759,11 +771,21 @@ class EffectRow(Part, frozen=True, kw_only=True):
     parameters: Annotated[
         tuple[EffectParameter, ...], Meta(description="estimates of its parameters in the last model")
     ]
+    in_words: Annotated[
+        str | None, Meta(description="the estimates as a clause; null: the parameters need no explanation")
+    ] = None
+    prediction: Annotated[
+        PredictionChangeRow | None,
+        Meta(
+            description="effect importance: change of the prediction errors over the horizon if this effect is added "
+            "to the others; null: no comparison was possible"
+        ),
+    ] = None
     error_ratio_without: Annotated[
         float | None,
         Meta(
-            description="effect importance: prediction error 3 s ahead (on the bench 1.2 s) without the effect / with "
-            "it, disturbance forces left out; geometric mean over the channels of the validation data"
+            description="prediction error 3 s ahead (on the bench 1.2 s) without the effect / with it, by the inputs "
+            "alone; geometric mean over the channels of the validation data. The effects are sorted by this ratio"
         ),
     ]
     gain_last: Annotated[float | None, Meta(description="2 d ln L on the estimation data if the effect is added last")]

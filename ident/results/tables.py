@@ -34,6 +34,7 @@ from seatrial.ident.results.parts import (
     ForceScale,
     Homogeneity,
     InputTrace,
+    LargestErrorsRow,
     LogSummary,
     ParameterRow,
     PredictionChangeRow,
@@ -217,7 +218,15 @@ def prediction_fit(evaluation: PredictionEvaluation) -> PredictionFit | None:
     if not found.channels:
         return None
     low, high = finite(1 - found.high), finite(1 - found.low)
-    return PredictionFit(role=evaluation.headline_set, fit=1 - found.ratio, low=low, high=high)
+    predicted = {p.record.name: p for p in evaluation.sets[evaluation.headline_set].records}
+    largest = validation.largest_errors({name: p.errors for name, p in predicted.items()}, evaluation.horizon)
+    where = None
+    if largest is not None:
+        start = float(predicted[largest.record].record.meta.get("t0", 0.0))
+        where = LargestErrorsRow(
+            record=largest.record, begin=start + largest.begin, end=start + largest.end, share=largest.share
+        )
+    return PredictionFit(role=evaluation.headline_set, fit=1 - found.ratio, low=low, high=high, largest_errors=where)
 
 
 def prediction_change(found: validation.PredictionChange, role: Role) -> PredictionChangeRow | None:

@@ -14,6 +14,7 @@ from .evaluation import smoothed_forces as smoothed_forces
 from .prediction_errors import PredictionChange as PredictionChange
 from .prediction_errors import PredictionErrors as PredictionErrors
 from .prediction_errors import horizon_errors as horizon_errors
+from .prediction_errors import largest_errors as largest_errors
 from .prediction_errors import pooled_errors as pooled_errors
 from .prediction_errors import prediction_change_by_record as prediction_change_by_record
 from .whiteness import OUTLIER_SDS as OUTLIER_SDS

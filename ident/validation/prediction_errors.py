@@ -373,6 +373,65 @@ def prediction_change(
     )
 
 
+@dataclass(frozen=True)
+class LargestErrors:
+    """Interval of time with the largest share of the squared prediction errors of a set of records.
+
+    Attributes
+    ----------
+    record
+        Name of the record.
+    begin, end
+        Begin and end of the interval [s] in the time of the record.
+    share
+        Share of the interval in the squared errors, as the mean over all channels (0 to 1).
+    """
+
+    record: str
+    begin: float
+    end: float
+    share: float
+
+
+def largest_errors(by_record: Mapping[str, Mapping[str, PredictionErrors]], horizon: float) -> LargestErrors | None:
+    """Return the interval of two horizons whose prediction errors have the largest share of the total.
+
+    Parameters
+    ----------
+    by_record
+        Errors over the horizon, by record and channel.
+    horizon
+        Prediction horizon [s].
+
+    Returns
+    -------
+    LargestErrors or None
+        The interval; its end is at most the last time of the record. None if there are no errors other than zero.
+
+    Notes
+    -----
+    Each channel counts equally: its squared errors are divided by their sum over all records. Errors are limited to
+    1e9 in the unit of the channel, so a prediction that diverged has a finite share.
+    """
+    seconds = BLOCK_HORIZONS * horizon
+    sums: dict[tuple[str, float], dict[str, float]] = {}
+    totals: dict[str, float] = {}
+    for record, channels in by_record.items():
+        for name, errors in channels.items():
+            squares = np.minimum(np.abs(errors.e), DIVERGED) ** 2
+            totals[name] = totals.get(name, 0.0) + float(squares.sum())
+            blocks, index = np.unique(np.floor(errors.t / seconds), return_inverse=True)
+            for block, total in zip(blocks, np.bincount(index, squares, blocks.size), strict=True):
+                sums.setdefault((record, float(block)), {})[name] = float(total)
+    counted = [name for name, total in totals.items() if total > 0.0]
+    if not counted:
+        return None
+    shares = {at: float(np.mean([of.get(n, 0.0) / totals[n] for n in counted])) for at, of in sums.items()}
+    record, block = max(shares, key=lambda at: shares[at])
+    end = min((block + 1.0) * seconds, _last_time(by_record[record]))
+    return LargestErrors(record, block * seconds, end, shares[record, block])
+
+
 class _BlockSums(NamedTuple):
     """Sums of squared errors of a channel by block of time, at the times that both models have.
 

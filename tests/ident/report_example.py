@@ -228,6 +228,8 @@ def effect() -> dict[str, Any]:
         "reasons": [],
         "not_excluded": [],
         "parameters": [k_J],
+        "in_words": "the thrust falls by 6.1 N for each m/s at full speed",
+        "prediction": {"role": "validation", "ratio": 1 / 1.72, "low": 0.5, "high": 0.66, "verdict": "fell"},
         "error_ratio_without": 1.72,
         "gain_last": 640.0,
     }

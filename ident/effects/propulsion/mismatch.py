@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
+
 from seatrial.ident.model import Effect, Parameter, Signals
 
 
@@ -9,6 +12,16 @@ def scale(s: Signals) -> None:
     """Multiply the thrust of the left thruster by one plus the mismatch, and that of the right one by one minus it."""
     s.f["left"] = s.f["left"] * (1 + s.p.eps_LR)
     s.f["right"] = s.f["right"] * (1 - s.p.eps_LR)
+
+
+def compare_sides(estimates: Mapping[str, tuple[float, float]]) -> str:
+    """Return the thrust of the weaker side in per cent of the stronger side, with its standard error, as a clause."""
+    eps, se = estimates["eps_LR"]
+    weaker, stronger = ("left", "right") if eps < 0 else ("right", "left")
+    share = (1 - abs(eps)) / (1 + abs(eps))
+    error = 2 * se / (1 + abs(eps)) ** 2  # first-order error of the share
+    uncertainty = f" ± {100 * error:.2g}" if math.isfinite(error) else ""
+    return f"the {weaker} thruster gives {100 * share:.0f}{uncertainty} % of the thrust of the {stronger} one"
 
 
 EFFECT = Effect(
@@ -24,4 +37,5 @@ EFFECT = Effect(
     experiment="equal commands in forward and reverse, at several levels: the yaw rate follows the thrust",
     requires=("f", "hull"),
     alternatives=("yaw-bias", "sway-yaw"),
+    in_words=compare_sides,
 )

@@ -17,8 +17,10 @@ from seatrial.ident.results import (
     FitResult,
     FitSummary,
     ParameterRow,
+    PredictionChangeRow,
     Result,
     StaticForce,
+    format_number,
 )
 
 MAX_KEY_PARAMETERS = 9
@@ -36,7 +38,7 @@ def section(result: Result) -> Section:
     if isinstance(result, FitResult) and not result.converged:
         pass
     elif isinstance(result, DiagnosisResult):
-        blocks += headline(result) + [effect_card(effect) for effect in result.effects]
+        blocks += headline(result) + [effect_card(effect, result.horizon_seconds) for effect in result.effects]
     elif isinstance(result, FitResult):
         blocks += key_parameters(result.fit)
     return Section("answer", "", blocks)
@@ -114,8 +116,11 @@ def _criterion_in_words(criterion: float) -> str:
     return f"{formatting.plain(criterion)} worse"
 
 
-def effect_card(effect: EffectRow) -> EffectCard:
-    """Return the card of an added effect: formula, parameters, source, experiment, competing models, importance."""
+def effect_card(effect: EffectRow, horizon: float) -> EffectCard:
+    """Return the card of an added effect: formula, parameters, source, experiment, competing models, importance.
+
+    ``horizon`` is the prediction horizon [s] of the result.
+    """
     parameters = []
     for row in effect.parameters:
         factor, unit = formatting.degrees_for(row.unit)
@@ -123,6 +128,7 @@ def effect_card(effect: EffectRow) -> EffectCard:
         parameters.append((row.name, formatting.with_error(value, se, unit), row.meaning))
     alternatives = [f"{row.name} ({_criterion_in_words(row.criterion_behind)})" for row in effect.alternatives]
     facts = (
+        ("In words", effect.in_words),
         ("Acts on", effect.place),
         ("Source", effect.source),
         ("Shown by", effect.experiment),
@@ -135,22 +141,30 @@ def effect_card(effect: EffectRow) -> EffectCard:
         effect.formula,
         parameters,
         [(label, value) for label, value in facts if value],
-        *_importance_in_words(effect.error_ratio_without),
+        *_importance_in_words(effect.prediction, horizon),
     )
 
 
-def _importance_in_words(factor: float | None) -> tuple[str, str]:
-    """Return how much larger the prediction error is without the effect: the number, and the words after it.
+def _importance_in_words(change: PredictionChangeRow | None, horizon: float) -> tuple[str, str]:
+    """Return how the prediction error changes if the effect is left out: the number, and the words after it.
 
-    ``factor`` is the error without the effect over the error with it (seatrial.ident.diagnosis.importance). Both texts
-    are empty if it is unknown (None). From 2 on the number is a factor, otherwise a percentage.
+    ``change`` is the change over the horizon [s] by adding the effect to the others; both texts are empty if it is
+    unknown (None). From 2 on the number is a factor, otherwise a percentage.
     """
-    if factor is None:
+    if change is None:
         return "", ""
+    error = f"prediction error {horizon:g} s ahead without this effect"
+    factor = 1.0 / change.ratio
+    within = ""
+    if change.low is not None and change.high is not None:
+        low, high = (format_number(1.0 / end) for end in (change.high, change.low))
+        within = f" (95 %: {low} to {high} times)"
+    if change.verdict == "unchanged":
+        return "no significant change", f"of the {error}{within}"
     if factor >= 2.0:
-        return f"{formatting.plain(factor)} times", "as large a prediction error without this effect"
+        return f"{format_number(factor)} times", f"as large a {error}{within}"
     larger = "larger" if factor >= 1.0 else "smaller"
-    return formatting.percent(abs(factor - 1.0)), f"{larger} prediction error without this effect"
+    return formatting.percent(abs(factor - 1.0)), f"{larger} {error}{within}"
 
 
 def attribution_words(effect: EffectRow) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import permutations
@@ -231,3 +232,17 @@ def test_effect_whose_states_the_model_has_is_rejected() -> None:
     duplicate = replace(lag, name="other", parameters=(replace(lag.parameters[0], name="T_other"),))
     model = horizontal_model() + lag
     assert model.refusal(duplicate) == "model horizontal has late_left already"
+
+
+@pytest.mark.parametrize(
+    ("eps", "se", "words"),
+    [
+        (-0.08, 0.01, "the left thruster gives 85 ± 1.7 % of the thrust of the right one"),
+        (0.25, 0.05, "the right thruster gives 60 ± 6.4 % of the thrust of the left one"),
+        (0.1, math.nan, "the right thruster gives 82 % of the thrust of the left one"),
+    ],
+)
+def test_mismatch_is_given_as_the_share_of_the_weaker_side(eps: float, se: float, words: str) -> None:
+    in_words = catalogue()["mismatch"].in_words
+    assert in_words is not None
+    assert in_words({"eps_LR": (eps, se)}) == words

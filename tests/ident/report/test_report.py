@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from seatrial.ident.report import drawing, formatting
+from seatrial.ident.report.sections.answer import effect_card
 from tests.ident.pages import HOSTILE, KINDS, Page, loaded, numbers, printed, shortened, written
 
 MEGABYTE = 1_000_000
@@ -95,7 +96,26 @@ def test_answer_and_its_figures_come_first(diagnosis: dict[str, Any], page: Page
     assert f"{np.degrees(row['before']):.2f} → {np.degrees(row['after']):.2f} deg" in first
     assert "f_i -= k_J |n_i| (u - y_i r)" in first
     assert "6.08 ± 0.27 kg/s" in first
-    assert "72 %" in first
+    assert "72 % larger prediction error 10 s ahead without this effect (95 %: 1.5 to 2.0 times)" in first
+    assert "In wordsthe thrust falls by 6.1 N" in first
+
+
+@pytest.mark.parametrize(
+    ("ratio", "low", "high", "verdict", "shown"),
+    [
+        (0.25, 0.2, 0.5, "fell", "4.0 times as large a prediction error 10 s ahead without this effect (95 %: 2.0 to 5.0 t"),
+        (0.98, 0.9, 1.1, "unchanged", "no significant change of the prediction error 10 s ahead without this effect"),
+        (1.25, 1.1, 1.4, "rose", "20 % smaller prediction error 10 s ahead without this effect"),
+        (0.5, None, None, "unchanged", "no significant change of the prediction error 10 s ahead without this effect"),
+    ],
+)
+def test_importance_is_the_change_over_the_horizon(
+    ratio: float, low: float | None, high: float | None, verdict: str, shown: str, small: dict[str, Any]
+) -> None:
+    change = {"role": "validation", "ratio": ratio, "low": low, "high": high, "verdict": verdict}
+    (effect, *_) = loaded(small | {"effects": [small["effects"][0] | {"prediction": change}]}).effects
+    card = effect_card(effect, 10.0)
+    assert f"{card.importance} {card.importance_words}".startswith(shown)
 
 
 def test_figures_are_json_with_valid_arrays(page: Page) -> None:

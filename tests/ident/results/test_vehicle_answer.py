@@ -37,6 +37,7 @@ from seatrial.ident.results.parts import (
     ErrorComparison,
     Errors,
     ErrorTable,
+    LargestErrorsRow,
     LogFinding,
     LogSummary,
     PredictionChangeRow,
@@ -224,6 +225,11 @@ def test_fit_of_all_channels_comes_first(horizon: float, words: str) -> None:
     assert answer.startswith(
         f"{words} ahead on estimation data, all channels: fit 90 % (95 %: 88 to 92 %), from 99 % (north) to 10 % "
         "(surge specific force). "
+    )
+    worst = LargestErrorsRow(record="morning", begin=20.0, end=40.0, share=0.61)
+    wide = PredictionFit(role="estimation", fit=0.78, low=-17.65, high=1.0, largest_errors=worst)
+    assert "fit 78 % (without a useful interval: 61 % of the squared errors are from 20 to 40 s of morning)" in (
+        vehicle_answer(wide, errors, horizon, [], [], searchable=True)
     )
     far["ax"] = ErrorComparison(after=None, unit="", spread=1.0)
     assert "all channels: the prediction diverges (surge" in vehicle_answer(

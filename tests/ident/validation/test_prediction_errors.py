@@ -19,6 +19,7 @@ from seatrial.ident.validation.prediction_errors import (
     WARM_UP,
     PredictionErrors,
     horizon_errors,
+    largest_errors,
     one_step_errors,
     pooled_errors,
     prediction_change,
@@ -246,3 +247,23 @@ def test_all_channels_are_predicted_for_any_sample_rows() -> None:
     assert later["place"].e.size > 240
     late = later["place"].t - uneven.t[np.searchsorted(uneven.t, later["place"].t - 10.0 + 1e-6, "right") - 1]
     assert ((late >= 10.0 - 2e-6) & (late < 10.14)).all()
+
+
+def test_interval_with_the_largest_errors_is_found() -> None:
+    t = 0.1 * np.arange(1000)
+    even, burst = np.ones(t.size), np.where((t >= 40.0) & (t < 60.0), 10.0, 1.0)
+    errors = {name: PredictionErrors(t, e, np.ones(t.size)) for name, e in (("even", even), ("burst", burst))}
+    found = largest_errors({"one": {"x": errors["even"]}, "two": {"x": errors["burst"]}}, 10.0)
+    assert found is not None
+    assert (found.record, found.begin, found.end) == ("two", 40.0, 60.0)
+    assert found.share == pytest.approx(20000 / (1000 + 800 + 20000))
+    # Each channel counts equally, whatever its unit is.
+    both = {"x": errors["even"], "y": PredictionErrors(t, 1e6 * burst)}
+    found = largest_errors({"one": both}, 10.0)
+    assert found is not None
+    assert found.share == pytest.approx((0.2 + 20000 / 20800) / 2)
+    # The last interval ends with the record; errors of zero have no largest interval.
+    late = largest_errors({"one": {"x": PredictionErrors(t[:950], np.where(t[:950] > 90.0, 5.0, 0.1))}}, 10.0)
+    assert late is not None
+    assert (late.begin, late.end) == (80.0, pytest.approx(94.9))
+    assert largest_errors({"one": {"x": PredictionErrors(t, np.zeros(t.size))}}, 10.0) is None
