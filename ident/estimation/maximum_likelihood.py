@@ -484,11 +484,13 @@ def _search_maximum(problem: Problem, settings: SearchSettings, progress: Iterat
     """
     tolerance, max_iterations = settings.tolerance, settings.max_iterations
     z = problem.bounds.clip(problem.initial_coordinates)
-    if not problem.evaluate(z).finite:
+    start = problem.evaluate(z)
+    if not start.finite:
         problem.check(z)
     optimum = maximise(
-        problem.evaluate, z, problem.bounds, max_iterations=max_iterations, tolerance=tolerance, progress=progress
-    )
+        problem.evaluate, z, problem.bounds, max_iterations=max_iterations, tolerance=tolerance, progress=progress,
+        value=problem.value, start=start,
+    )  # fmt: skip
     if settings.refine and abs(optimum.gain_left) > tolerance and optimum.iterations < max_iterations:
         optimum = refine_lbfgsb(problem.value_and_gradient, optimum, problem.bounds, problem.evaluate, tolerance)
     return optimum
