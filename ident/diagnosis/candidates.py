@@ -74,6 +74,10 @@ class TrajectoryLinearisation:
         self._larger: dict[tuple[str, ForceCurve | None], tuple[Model, VectorisedModel]] = {}
         self._ends: dict[tuple[str, ForceCurve | None], list[Array]] = {}  # states of effects at the last row
 
+    def share_models(self, other: TrajectoryLinearisation) -> None:
+        """Use the models with candidates of ``other``, whose model is the same, so that they are derived only once."""
+        self.rowwise, self._larger = other.rowwise, other._larger
+
     def part(self, rows: slice) -> TrajectoryLinearisation:
         """Return the linearisation of consecutive rows of the record.
 
@@ -506,6 +510,8 @@ def normal_equations(
         TrajectoryLinearisation(model, v.values, r, v.run.x_pred)
         for r, v in zip(records, fitted.estimation, strict=True)
     ]
+    for path in paths[1:]:
+        path.share_models(paths[0])
     by_record = [variables(model, p.own, p.x, p.values) for p in paths]
     among = spline_bases(model, {name: np.concatenate([v[name] for v in by_record]) for name in by_record[0]})
     normal: NormalEquations | None = None

@@ -27,6 +27,7 @@ in a log check or in the restored sign of a shaft speed is a grid search
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import lru_cache
 from typing import Any
 
 from seatrial.ident.model.signal_id import SignalId
@@ -34,6 +35,7 @@ from seatrial.ident.model.signal_id import SignalId
 HISTORY_STEP = 0.1  # s between the copies ``NAME~k`` of an input
 
 
+@lru_cache(maxsize=4096)  # an effect asks for forty names in each evaluation of a model
 def tap_name(name: str, tap: int, step: float | None = None) -> str:
     """Return the name of a delayed copy of an input, for example ``n_left~3``, or ``n_left~3x0.05s`` with a ``step``.
 

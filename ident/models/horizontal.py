@@ -300,7 +300,8 @@ def available_taps(s: Signals, name: str) -> list[int]:
 
     The input ``name`` itself has the shift zero. Negative shifts are later values.
     """
-    return [k for k in range(-MAX_COPY_SHIFT, MAX_COPY_SHIFT) if hasattr(s.u, tap_name(name, k))]
+    inputs = vars(s.u)
+    return [k for k in range(-MAX_COPY_SHIFT, MAX_COPY_SHIFT) if tap_name(name, k) in inputs]
 
 
 def unchanged(s: Signals) -> None:

@@ -14,20 +14,21 @@ from typing import Any
 
 import numpy as np
 
-from seatrial.ident.model import HISTORY_STEP, INF, Effect, Input, Parameter, Signals, tap_name
+from seatrial.ident.model import HISTORY_STEP, INF, Effect, Input, Parameter, Signals, tap_name, weighted_sum
 from seatrial.ident.models import LONGEST_DELAY, SHORTEST_LAG, SIDES, available_taps
 
 N_PAST = 5  # number of earlier samples of each input
 
 
-def _value_ago(past: list[Any], tau: Any) -> Any:
-    """Return the value a time ``tau`` [s] ago, by linear interpolation. ``past[k]`` is the value k steps of 0.1 s ago.
+def _weights_ago(tau: Any) -> list[Any]:
+    """Return the weights of the values 0, 1, ... N_PAST steps of 0.1 s ago in the value a time ``tau`` [s] ago.
 
-    Beyond the last value, the result falls to zero within one step; the callers keep ``tau`` below that.
+    The interpolation is linear. Beyond the last value the sum of the weights falls to zero within one step; the callers
+    keep ``tau`` below that.
     """
     at = tau / HISTORY_STEP
-    near = [1 - abs(at - k) for k in range(len(past))]
-    return sum(value * w * (w > 0) for value, w in zip(past, near, strict=True))
+    near = [1 - abs(at - k) for k in range(N_PAST + 1)]
+    return [w * (w > 0) for w in near]
 
 
 def _delay_fix(s: Signals, then: Signals) -> None:
@@ -51,14 +52,14 @@ def delay_shaft(s: Signals) -> None:
 
     The earlier shaft speeds are interpolated between their delayed copies. Before the oldest copy, they are constant.
     """
-    half, earlier = s.p.tau_gnss / 2, {}
+    weights, earlier = _weights_ago(s.p.tau_gnss / 2), {}
     for side in SIDES:
         name = f"n_{side}"
         taps = available_taps(s, name)
         copies = [getattr(s.u, tap_name(name, k)) for k in taps]
         copies += N_PAST * copies[-1:]  # before the oldest copy, the input is assumed constant
         for i, k in enumerate(taps):
-            earlier[tap_name(name, k)] = _value_ago(copies[i : i + N_PAST + 1], half)
+            earlier[tap_name(name, k)] = weighted_sum(weights, copies[i : i + N_PAST + 1])
     _delay_fix(s, s.again(_earlier_lag_states(s, earlier), earlier, {}))
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from seatrial.ident.data.record import Channel, build_record
 from seatrial.ident.effects.registry import catalogue
-from seatrial.ident.effects.sensors.gnss_latency import N_PAST, _value_ago
+from seatrial.ident.effects.sensors.gnss_latency import N_PAST, _weights_ago
 from seatrial.ident.engine.vectorised_model import VectorisedModel
 from seatrial.ident.estimation.output_error import simulate
 from seatrial.ident.model.structure import Effect, Model, Signals
@@ -139,8 +139,9 @@ def test_sloshing_mass_is_less_than_the_boat(name: str) -> None:
 def test_past_thrust_covers_every_latency() -> None:
     latest = catalogue()["gnss-latency"].parameters[0].bounds[1]
     past = np.arange(N_PAST + 1.0)
-    assert _value_ago(past, latest / 2) == pytest.approx(past[-1])
-    assert _value_ago(past, latest / 4) == pytest.approx(past[-1] / 2)
+    assert past @ _weights_ago(latest / 2) == pytest.approx(past[-1])
+    assert past @ _weights_ago(latest / 4) == pytest.approx(past[-1] / 2)
+    assert past @ _weights_ago(0.0) == 0.0
 
 
 def driven(
