@@ -103,7 +103,13 @@ def test_answer_and_its_figures_come_first(diagnosis: dict[str, Any], page: Page
 @pytest.mark.parametrize(
     ("ratio", "low", "high", "verdict", "shown"),
     [
-        (0.25, 0.2, 0.5, "fell", "4.0 times as large a prediction error 10 s ahead without this effect (95 %: 2.0 to 5.0 t"),
+        (
+            0.25,
+            0.2,
+            0.5,
+            "fell",
+            "4.0 times as large a prediction error 10 s ahead without this effect (95 %: 2.0 to 5.0 t",
+        ),
         (0.98, 0.9, 1.1, "unchanged", "no significant change of the prediction error 10 s ahead without this effect"),
         (1.25, 1.1, 1.4, "rose", "20 % smaller prediction error 10 s ahead without this effect"),
         (0.5, None, None, "unchanged", "no significant change of the prediction error 10 s ahead without this effect"),
