@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import importlib.util
 import inspect
 import json
+import re
+import shutil
 import subprocess
 import sys
 import warnings
@@ -18,6 +21,7 @@ from seatrial import command_line
 from seatrial.daq.errors import SeatrialError, SeatrialWarning
 from tests.missions import boat_log, boat_with
 
+ROOT = Path(__file__).resolve().parents[2]
 THRUST = {"priors": {"c1": (40.0, 2.0)}, "fixed": {"c2": 1.1}}
 
 
@@ -113,7 +117,7 @@ def test_fit_is_that_of_the_command(logs: list[Path], fit: st.FittedVehicle, tmp
     for result in results:
         result.pop("created")
         result.pop("command", None)
-        result["fit"].pop("cpu_seconds")
+        result["fit"].pop("cpu")
     assert results[0] == results[1]
     assert (tmp_path / "python" / "report.html").exists()
     saved = st.load(tmp_path / "command")
@@ -226,6 +230,43 @@ def test_comparison_prefers_the_model_with_the_effect(
     run("ident", "compare", *paths, "--on", logs[2])
     printed = capsys.readouterr().out.splitlines()
     assert printed[2:] == compared.summary().splitlines()[2:]
+
+
+def test_the_page_runs_as_written(
+    logs: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for log in logs:
+        shutil.copy(log, tmp_path)
+    t = np.arange(0.0, 60.0, 0.1)
+    columns = {
+        "t": t,
+        "psi": 0.1 * t,
+        "r": 0.1 + 0.01 * np.sin(t),
+        "n_left": 0.5 + 0.1 * np.sin(t),
+        "n_right": 0.4 + 0 * t,
+    }
+    rows = np.column_stack(list(columns.values()))
+    np.savetxt(tmp_path / "other.csv", rows, delimiter=",", header=",".join(columns), comments="", fmt="%.6f")
+    monkeypatch.chdir(tmp_path)
+    text = (ROOT / "docs/how-to/python.md").read_text(encoding="utf-8")
+    space: dict[str, object] = {}
+    for block in re.findall(r"^```python\n(.*?)^```$", text, re.MULTILINE | re.DOTALL):
+        exec(compile(block, "python.md", "exec"), space)
+    printed = capsys.readouterr().out
+    assert "better: with effects" in printed or "better: nominal" in printed
+    assert "<Log other.mcap: 59.9 s, 4 signals" in printed
+    assert {p.name for p in (tmp_path / "vehicle").iterdir()} == {"model.toml", "result.json", "report.html"}
+
+
+def test_the_reference_is_up_to_date() -> None:
+    spec = importlib.util.spec_from_file_location("reference", ROOT / "docs/site/reference.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    page = (ROOT / "docs/reference.md").read_text(encoding="utf-8")
+    assert page == module.page(), "run python docs/site/reference.py"
+    assert all(re.search(rf"^### (st\.)?{name}$", page, re.MULTILINE) for name in st.__all__)
 
 
 @pytest.mark.parametrize(
