@@ -16,7 +16,7 @@ from markupsafe import Markup
 
 from seatrial.daq.files import write_output
 from seatrial.ident.report import formatting, sections
-from seatrial.ident.report.blocks import Canvas, Section
+from seatrial.ident.report.blocks import Canvas, Grid, Section
 from seatrial.ident.report.drawing import TEMPLATE, Budget, Figure
 from seatrial.ident.results import Result
 
@@ -81,7 +81,7 @@ def figure_page(title: str, figure: Figure) -> str:
     """
     canvas = Canvas(Budget())
     plot = canvas.plot(figure, int(figure["layout"].get("height", 500)), title)
-    body = [Section("figure", "Figure", [plot])]
+    body = [Section("figure", "", [Grid([plot])])]
     return compose("Figure", title, Section("answer", "", []), body, canvas.figures, version=version("seatrial"))
 
 

@@ -49,7 +49,9 @@ def prediction_figure(result: FitResult, channels: Sequence[str]) -> Figure:
             name = f"predicted {result.horizon_seconds:g} s ahead"
             panel.traces.append(line_trace(x.t_horizon, middle, name, POINTS, turn=turn))
         panels.append(panel)
-    return _stacked(f"Predicted {result.horizon_seconds:g} s ahead against measured", panels)
+    return _stacked(
+        f"Measured (grey) and predicted {result.horizon_seconds:g} s ahead (blue, with its 95 % band)", panels
+    )
 
 
 def residual_figure(residuals: Mapping[str, Mapping[str, Series]], channels: Sequence[str]) -> Figure:

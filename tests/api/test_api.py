@@ -170,13 +170,15 @@ def test_predictions_have_the_errors_of_the_result(fit: st.FittedVehicle) -> Non
 
 def test_figures(fit: st.FittedVehicle, tmp_path: Path) -> None:
     figure = fit.plot("psi", "r")
-    assert repr(figure) == "<Figure 'Predicted 10 s ahead against measured': 12 traces>"
+    assert repr(figure) == "<Figure 'Measured (grey) and predicted 10 s ahead (blue, with its 95 % band)': 12 traces>"
     bundle = figure._repr_mimebundle_()
     assert json.loads(json.dumps(bundle))["application/vnd.plotly.v1+json"]["layout"]["height"] > 300
     drawn = figure.to_plotly()
     assert len(drawn.data) == 12
     figure.save(tmp_path / "psi.html")
-    assert "ahead against measured" in (tmp_path / "psi.html").read_text("utf-8")
+    page = (tmp_path / "psi.html").read_text("utf-8")
+    assert "(blue, with its 95" in page
+    assert '<div class="plot" id="figure-1"' in page
     assert len(fit.plot_residuals("psi").data) == 3
     with pytest.raises(SeatrialError, match="there is no channel 'yaw'; the channels are psi, r"):
         fit.plot("yaw")
