@@ -38,7 +38,8 @@ def nodes_of(path: Path) -> tuple[ast.AST, ...]:
 def files() -> list[Path]:
     """Return every Python file of the project."""
     # Each file once, so not through the links in seatrial/.
-    return sorted([*(ROOT / "seatrial").glob("*.py"), *(path for top in CODE for path in (ROOT / top).rglob("*.py"))])
+    face = [*(ROOT / "seatrial").glob("*.py"), *(ROOT / "seatrial/api").glob("*.py")]
+    return sorted([*face, *(path for top in CODE for path in (ROOT / top).rglob("*.py"))])
 
 
 def module_of(path: Path) -> str:

@@ -79,7 +79,11 @@ def wanted() -> set[str]:
         f"seatrial/{path.as_posix()}"
         for path in parts
         if "__pycache__" not in path.parts and (path.suffix in DATA | {".py", ".pyi"} or path.name == "py.typed")
-    } | {path.relative_to(ROOT).as_posix() for path in (ROOT / "seatrial").glob("*.py")}
+    } | {
+        path.relative_to(ROOT).as_posix()
+        for pattern in ("*.py", "*.pyi", "api/*.py")
+        for path in (ROOT / "seatrial").glob(pattern)
+    }
 
 
 def test_the_wheel_holds_the_parts_and_nothing_else(built: Built) -> None:

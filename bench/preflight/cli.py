@@ -105,7 +105,9 @@ def check(
             dry = dry_run_of(mission, rig) if report and mission else None
             done = CheckReport(rig.path.name, tuple(worst_first(found)), tuple(logs), rig.name, dry)
         else:
-            found = _log_findings(motion, paths)
+            from seatrial.bench.preflight.log_findings import log_findings
+
+            found = log_findings(motion, paths)
             done = CheckReport(", ".join(path.name for path in paths), tuple(worst_first(found)), paths)
         faults = _print_findings(found, as_json)
         if report is not None:
@@ -340,7 +342,9 @@ def _findings_of_test(
             tests = run_link_test(rig, test.out, display, metadata, test.arm)
             return [_link_test_finding(name, found.seconds, found.passed) for name, found in tests.items()]
         result = run_mission(test.plan, rig, test.out, display, metadata, test.arm)
-        found = _log_findings(motion, [test.out])
+        from seatrial.bench.preflight.log_findings import log_findings
+
+        found = log_findings(motion, [test.out])
         return [*found, *(armed_finding(name) for name in result.still_armed)]
 
 
@@ -357,51 +361,3 @@ def _link_test_finding(name: str, seconds: float, passed: bool) -> Finding:
     return Finding(
         FAULT, "link-loss-goes-on", "link test", name, text, "check RC_OVERRIDE_TIME, FS_THR_ENABLE and FS_ACTION"
     )
-
-
-def _log_findings(motion: MotionChecks, paths: Sequence[Path]) -> list[Finding]:
-    """Return the findings of all logs. The motion is checked only if the package ident is installed.
-
-    A log without samples gives a fault. A log to which no check applies gives one finding without fault. With several
-    logs, the names of devices start with the name of the log.
-    """
-    from seatrial.daq.checks import check_devices
-    from seatrial.daq.log import open_log
-    from seatrial.daq.samples import MEASURED
-
-    found = []
-    for path in paths:
-        with open_log(path) as log:
-            here, counts = list(check_devices(log)), log.counts
-            samples = any(log.sources(kind) for kind in MEASURED)
-        if samples:
-            here += _motion_findings(motion, path)
-        else:
-            advice = "`seatrial info` shows what is in it"
-            here.append(Finding(FAULT, "log-empty", "log", "all of it", "it contains no sample of any device", advice))
-        if not here:
-            here = [
-                Finding(
-                    OK,
-                    "nothing-to-check",
-                    "log",
-                    "all of it",
-                    f"no check applies to its content: {', '.join(counts) or 'empty'}",
-                )
-            ]
-        prefix = f"{path.stem}: " if len(paths) > 1 else ""
-        found += [finding._replace(where=f"{prefix}{finding.where}") for finding in here]
-    return found
-
-
-def _motion_findings(motion: MotionChecks, path: Path) -> list[Finding]:
-    """Return the findings on the motion in a log.
-
-    If the check fails, or the package ident is not installed, return one warning with the reason.
-    """
-    try:
-        return motion.check_log(path)
-    except SeatrialError as error:
-        text = f"sensors and thrusters were not compared: {error}"
-        advice = "check the log where all of seatrial is installed"
-        return [Finding(WARNING, "motion-not-checked", "motion", path.name, text, advice)]

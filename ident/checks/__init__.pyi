@@ -1,6 +1,7 @@
 from .log_checks import IMPORTED as IMPORTED
 from .log_checks import CheckEvidence as CheckEvidence
 from .log_checks import check_copies as check_copies
+from .log_checks import check_log as check_log
 from .log_checks import check_signals as check_signals
 from .log_checks import device_faults as device_faults
 from .log_checks import invalidates_fit as invalidates_fit

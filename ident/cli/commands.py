@@ -85,6 +85,34 @@ def _parse_intervals(
     return [_parse_interval(text) for text in texts]
 
 
+@ident.command(short_help="Compare fitted models on the same logs.")
+@click.argument("models", nargs=-1, required=True, type=MODEL)
+@click.option("--on", "logs", multiple=True, required=True, type=LOG, help="Log to compare on; may be repeated.")
+@horizon_option
+@click.option("--rate", type=FiniteRange(0.0, min_open=True), help="Rate of the rows [Hz]; default: that of MODELS.")
+@click.option("--thruster", help="The static curve that the models were fitted with, or the name of the thruster.")
+@despite_option
+@window_option
+@trust_option
+def compare(models: tuple[Path, ...], logs: tuple[Path, ...], **how: Any) -> None:
+    """Predict the same logs by several fitted MODELS, and compare each model with the first one.
+
+    Use logs that no model was fitted to.
+
+    \b
+    Example:
+      seatrial ident compare vehicle/model.toml diagnosis/model.toml --on run4.mcap
+    """
+    from seatrial.ident.workflows.compare import CompareRequest, compare_models, comparison_lines
+
+    try:
+        found = compare_models(CompareRequest(models, logs, **how), Lines(err=True))
+    except (ValueError, KeyError) as problem:
+        raise SeatrialError(str(problem).strip("'\"")) from problem
+    for line in comparison_lines(found):
+        click.echo(line)
+
+
 @click.command(short_help="Estimate position, speeds and current with a fitted model.")
 @click.argument("model", type=MODEL)
 @click.argument("logs", nargs=-1, required=True, type=LOG)

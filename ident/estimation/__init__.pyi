@@ -10,6 +10,7 @@ from .fitted_model import RecordEvaluation as RecordEvaluation
 from .fitted_model import ValidationData as ValidationData
 from .fitted_model import cross_validated as cross_validated
 from .fitted_model import cut_into_blocks as cut_into_blocks
+from .fitted_model import evaluate_records as evaluate_records
 from .fitted_model import fit_and_evaluate as fit_and_evaluate
 from .fitted_model import fit_nominal_model as fit_nominal_model
 from .fitted_model import fit_with_rescaling as fit_with_rescaling

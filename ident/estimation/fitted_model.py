@@ -316,7 +316,9 @@ def fit_and_evaluate(
     model = with_outliers(model) if options.outlier_model else model
     views = tuple(_evaluation_of(full_fit.model, r, full_fit.record_values[i]) for i, r in enumerate(records))
     if not isinstance(validation_data, TimeBlocks):
-        judged, failed = _evaluate_validation_records(full_fit, validation_data, replace(settings, robust_errors=False))
+        judged, failed = evaluate_records(
+            full_fit.model, validation_data, full_fit.record_values[0], replace(settings, robust_errors=False)
+        )
         return FittedModel(model, full_fit, views, tuple(judged), tuple(failed))
     return cross_validated(FittedModel(model, full_fit, views, ()), validation_data)
 
@@ -379,25 +381,40 @@ def _state_distribution(view: RecordEvaluation) -> dict[str, tuple[float, float]
     return {s.name: (float(m), float(e)) for s, m, e in zip(view.model.states, mean, sd, strict=True)}
 
 
-def _evaluate_validation_records(
-    full_fit: Fit, validation_data: Sequence[Record], settings: SearchSettings
+def evaluate_records(
+    model: Model, records: Sequence[Record], values: Array | None = None, settings: SearchSettings | None = None
 ) -> tuple[list[RecordEvaluation], list[FailedRun]]:
-    """Evaluate a fit on validation records. Return the evaluations, and the runs that failed.
+    """Evaluate a fitted model on records that it was not fitted to.
 
-    The per-record parameters (the current) are estimated from all validation records at once; all other parameters keep
-    the estimates of the fit. If that fails, the records are evaluated one by one.
+    Only the per-record parameters (the current) are estimated, from all records at once; all other parameters keep
+    their values. If that fails, the records are evaluated one by one.
+
+    Parameters
+    ----------
+    model
+        Model with the estimates as values.
+    records
+        The records.
+    values : Array (n_parameters,), optional
+        Values of all parameters for a model without free per-record parameters; by default those of the model.
+    settings
+        Settings of the search for the per-record parameters. None: those of a search without robust errors.
+
+    Returns
+    -------
+    evaluations, failed
+        Evaluation of each record, and the records that could not be evaluated with the reason.
     """
-    model = full_fit.model
+    settings = settings or SearchSettings(robust_errors=False)
     own = [p.name for p in model.parameters if p.free and p.per_record]
-    if not validation_data:
+    if not records:
         return [], []
     try:
         if own:
-            adapted = fit(model.with_free(own), [r.for_model(model) for r in validation_data], settings=settings)
-            return [
-                _evaluation_of(adapted.model, r, adapted.record_values[i]) for i, r in enumerate(validation_data)
-            ], []
-        views = [_evaluation_of(model, r, full_fit.record_values[0]) for r in validation_data]
+            adapted = fit(model.with_free(own), [r.for_model(model) for r in records], settings=settings)
+            return [_evaluation_of(adapted.model, r, adapted.record_values[i]) for i, r in enumerate(records)], []
+        fixed = np.array(list(model.values.values())) if values is None else values
+        views = [_evaluation_of(model, r, fixed) for r in records]
         for v in views:
             if not np.isfinite(v.ll).all():
                 raise ValueError(
@@ -406,9 +423,9 @@ def _evaluate_validation_records(
                 )
         return views, []
     except FIT_ERRORS as problem:
-        if len(validation_data) == 1:
-            return [], [FailedRun(validation_data[0].name, str(problem))]
-    parts = [_evaluate_validation_records(full_fit, [r], settings) for r in validation_data]
+        if len(records) == 1:
+            return [], [FailedRun(records[0].name, str(problem))]
+    parts = [evaluate_records(model, [r], values, settings) for r in records]
     return [v for views, _ in parts for v in views], [f for _, failed in parts for f in failed]
 
 

@@ -1,6 +1,13 @@
 from .check_page import write_check_page as write_check_page
 from .design_page import write_design_page as write_design_page
+from .drawing import Panel as Panel
+from .drawing import band as band
+from .drawing import dots as dots
+from .drawing import line_trace as line_trace
+from .drawing import stacked as stacked
+from .formatting import degrees_for as degrees_for
 from .formatting import typeset_unit as typeset_unit
+from .page import figure_page as figure_page
 from .page import write_report as write_report
 from .study_page import study_as_text as study_as_text
 from .study_page import write_study_docs as write_study_docs

@@ -7,6 +7,7 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from functools import cache
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from markupsafe import Markup
 
 from seatrial.daq.files import write_output
 from seatrial.ident.report import formatting, sections
-from seatrial.ident.report.blocks import Canvas, Section
+from seatrial.ident.report.blocks import Canvas, Grid, Section
 from seatrial.ident.report.drawing import TEMPLATE, Budget, Figure
 from seatrial.ident.results import Result
 
@@ -66,6 +67,22 @@ def render(result: Result) -> str:
         created=result.created,
         warnings=[warning.text for warning in result.warnings],
     )
+
+
+def figure_page(title: str, figure: Figure) -> str:
+    """Return the HTML text of a page with one figure, which needs no network.
+
+    Parameters
+    ----------
+    title : str
+        Headline of the page.
+    figure : dict
+        Figure in the JSON of Plotly, with its height [px] in the layout.
+    """
+    canvas = Canvas(Budget())
+    plot = canvas.plot(figure, int(figure["layout"].get("height", 500)), title)
+    body = [Section("figure", "", [Grid([plot])])]
+    return compose("Figure", title, Section("answer", "", []), body, canvas.figures, version=version("seatrial"))
 
 
 def compose(

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from seatrial.ident.checks import device_faults
 from seatrial.ident.data import WHOLE, TimeWindow, load_all
-from seatrial.ident.diagnosis import diagnose, evaluate_diagnosis
+from seatrial.ident.diagnosis import Diagnosis, diagnose, evaluate_diagnosis
 from seatrial.ident.effects import catalogue
 from seatrial.ident.estimation import EstimationOptions, load_model
 from seatrial.ident.model import ModelKind
@@ -71,13 +71,34 @@ class DiagnosisRequest:
     window: TimeWindow = WHOLE
 
 
+@dataclass(frozen=True)
+class DiagnosedModel:
+    """Diagnosis of a model on logs, and its result.
+
+    Attributes
+    ----------
+    found
+        Findings, with the model before and after the missing effects were added.
+    result
+        Content of result.json.
+    effects_file
+        Python file of the user-defined effects; None if there is none.
+    """
+
+    found: Diagnosis
+    result: DiagnosisResult
+    effects_file: Path | None
+
+
 def diagnosis(request: DiagnosisRequest, command: str, reporter: Reporter) -> DiagnosisResult:
-    """Find the effects that a model lacks, and write model.toml with these effects, result.json and report.html.
+    """Find the effects that a model lacks (`diagnose_model`), and write the results.
+
+    The files are model.toml with the found effects, result.json and report.html in the folder ``request.out``.
 
     Parameters
     ----------
     request : DiagnosisRequest
-        Model, logs and options.
+        Model, logs, options and folder.
     command : str
         Command line, for the provenance.
     reporter : Reporter
@@ -87,6 +108,39 @@ def diagnosis(request: DiagnosisRequest, command: str, reporter: Reporter) -> Di
     -------
     DiagnosisResult
         Content of result.json.
+
+    Raises
+    ------
+    SeatrialError
+        As `diagnose_model`, or if a file cannot be written.
+    """
+    done = diagnose_model(request, command, reporter)
+    write_diagnosed_model(done, request.out)
+    return done.result
+
+
+def write_diagnosed_model(done: DiagnosedModel, out: Path) -> None:
+    """Write model.toml with the found effects, result.json and report.html to ``out``; existing files are replaced."""
+    after = done.found.after
+    write_all(out, done.result, after.fit, validity(after), done.effects_file, rates=sensor_rates(after))
+
+
+def diagnose_model(request: DiagnosisRequest, command: str, reporter: Reporter) -> DiagnosedModel:
+    """Find the effects that a model lacks. No file is written.
+
+    Parameters
+    ----------
+    request : DiagnosisRequest
+        Model, logs and options. Its folder is not used.
+    command : str
+        Command line, for the provenance.
+    reporter : Reporter
+        Receives progress and warnings.
+
+    Returns
+    -------
+    DiagnosedModel
+        The findings and their result.
 
     Raises
     ------
@@ -129,8 +183,4 @@ def diagnosis(request: DiagnosisRequest, command: str, reporter: Reporter) -> Di
         model_path=str(request.model),
         unused=unused,
     )
-    write_all(
-        request.out, result, found.after.fit, validity(found.after), effects_file or saved.effects_file,
-        rates=sensor_rates(found.after),
-    )  # fmt: skip
-    return result
+    return DiagnosedModel(found, result, effects_file or saved.effects_file)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 from seatrial.ident.checks import device_faults
 from seatrial.ident.data import load_all
 from seatrial.ident.diagnosis import COMMON_SEARCH, ModelAssessment, assess_model, with_model_uncertainty
-from seatrial.ident.estimation import FIT_ERRORS, fit_nominal_model, homogeneity_test, profile
+from seatrial.ident.estimation import FIT_ERRORS, FittedModel, fit_nominal_model, homogeneity_test, profile
 from seatrial.ident.model import with_outlier_model
 from seatrial.ident.models import is_own_model
 from seatrial.ident.reporter import Reporter
@@ -19,15 +20,31 @@ from seatrial.ident.workflows.output import sensor_rates, validity, write_all
 from seatrial.ident.workflows.vehicle_model import VehicleProblem, VehicleRequest, vehicle_problem
 
 
+@dataclass(frozen=True)
+class VehicleFit:
+    """Vehicle model that was fitted to logs, and its result.
+
+    Attributes
+    ----------
+    fitted
+        The fitted model with its records.
+    result
+        Content of result.json.
+    """
+
+    fitted: FittedModel
+    result: VehicleResult
+
+
 def vehicle(request: VehicleRequest, command: str, reporter: Reporter) -> VehicleResult:
-    """Fit a vehicle model to logs, evaluate it on these and on the validation logs, and write the results.
+    """Fit a vehicle model to logs (`fit_vehicle`), and write the results.
 
     The files are model.toml, result.json and report.html in the folder ``request.out``.
 
     Parameters
     ----------
     request : VehicleRequest
-        Logs, model and options.
+        Logs, model, options and folder.
     command : str
         Command line, for the provenance.
     reporter : Reporter
@@ -37,6 +54,38 @@ def vehicle(request: VehicleRequest, command: str, reporter: Reporter) -> Vehicl
     -------
     VehicleResult
         Content of result.json.
+
+    Raises
+    ------
+    SeatrialError
+        As `fit_vehicle`, or if a file cannot be written.
+    """
+    done = fit_vehicle(request, command, reporter)
+    write_vehicle_fit(done, request.out)
+    return done.result
+
+
+def write_vehicle_fit(done: VehicleFit, out: Path) -> None:
+    """Write model.toml, result.json and report.html to the folder ``out``; existing files are replaced."""
+    write_all(out, done.result, done.fitted.fit, validity(done.fitted), rates=sensor_rates(done.fitted))
+
+
+def fit_vehicle(request: VehicleRequest, command: str, reporter: Reporter) -> VehicleFit:
+    """Fit a vehicle model to logs, and evaluate it on these and on the validation logs. No file is written.
+
+    Parameters
+    ----------
+    request : VehicleRequest
+        Logs, model and options. Its folder is not used.
+    command : str
+        Command line, for the provenance.
+    reporter : Reporter
+        Receives progress and warnings.
+
+    Returns
+    -------
+    VehicleFit
+        The fitted model and its result.
 
     Raises
     ------
@@ -83,8 +132,7 @@ def vehicle(request: VehicleRequest, command: str, reporter: Reporter) -> Vehicl
             tested,
         ),
     )
-    write_all(request.out, result, fitted.fit, validity(fitted), rates=sensor_rates(fitted))
-    return result
+    return VehicleFit(fitted, result)
 
 
 def _assess(request: VehicleRequest, problem: VehicleProblem, reporter: Reporter) -> ModelAssessment | None:

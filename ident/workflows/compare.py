@@ -1,0 +1,288 @@
+"""Workflow of `seatrial ident compare`: several fitted models on the same logs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from math import inf
+from pathlib import Path
+
+import numpy as np
+
+from seatrial.daq.errors import SeatrialError
+from seatrial.ident.checks import device_faults
+from seatrial.ident.data import WHOLE, TimeWindow, load_all, make_record
+from seatrial.ident.estimation import RecordEvaluation, SavedModel, evaluate_records, load_model
+from seatrial.ident.reporter import Reporter
+from seatrial.ident.validation import PredictionChange, PredictionErrors, horizon_errors, prediction_change_by_record
+from seatrial.ident.workflows.check import check_first
+from seatrial.ident.workflows.model_inputs import check_horizon, in_one_frame, model_of_logs
+
+FEWEST_BLOCKS = 4  # blocks of time that an interval of the log score needs
+
+
+@dataclass(frozen=True)
+class CompareRequest:
+    """Options of `seatrial ident compare`.
+
+    Attributes
+    ----------
+    models
+        The model.toml of each model; at least two. The first one is the reference.
+    logs
+        Logs on which the models are compared.
+    horizon
+        Prediction horizon [s]; None: that of the first model.
+    rate
+        Rate of the rows [Hz]; None: the usual rate of the first model.
+    thruster
+        As in `seatrial ident diagnose`, for all models.
+    despite_faults
+        Whether to compare on logs with faults that make a fit meaningless.
+    window
+        Interval of the logs to use.
+    """
+
+    models: Sequence[Path]
+    logs: Sequence[Path]
+    horizon: float | None = None
+    rate: float | None = None
+    thruster: str | None = None
+    despite_faults: bool = False
+    window: TimeWindow = WHOLE
+
+
+@dataclass(frozen=True)
+class LogScore:
+    """Difference of two models in the log-likelihood of the samples, each predicted one step ahead.
+
+    It is the logarithmic score of the predictions (Gneiting and Raftery 2007). It needs no correction for the number of
+    parameters if neither model was fitted to these logs.
+
+    Attributes
+    ----------
+    gain
+        Log-likelihood of the second model less that of the first.
+    low, high
+        95 % interval of the gain, by Student's t over blocks of time; NaN for fewer than four blocks.
+    blocks
+        Number of blocks.
+    """
+
+    gain: float
+    low: float
+    high: float
+    blocks: int
+
+    @property
+    def verdict(self) -> str:
+        """``better`` or ``worse`` (the second model) if the interval excludes zero, otherwise ``unchanged``."""
+        return "better" if self.low > 0.0 else "worse" if self.high < 0.0 else "unchanged"
+
+
+@dataclass(frozen=True)
+class ComparedModel:
+    """One model of a comparison.
+
+    Attributes
+    ----------
+    name
+        Path of its model.toml.
+    saved
+        The model with its estimates.
+    rms
+        RMS prediction error over the horizon by channel, over all logs, in the unit of the channel.
+    fitted_to_logs
+        Names of the logs of the comparison that the model was fitted to. Its errors on them are too small.
+    change
+        Change of the prediction errors from the first model to this one; None for the first model.
+    score
+        Difference to the first model in log score. None for the first model, and if the models do not predict the same
+        measured channels.
+    """
+
+    name: str
+    saved: SavedModel
+    rms: Mapping[str, float]
+    fitted_to_logs: tuple[str, ...]
+    change: PredictionChange | None = None
+    score: LogScore | None = None
+
+    @property
+    def n_free(self) -> int:
+        """Number of free parameters that all logs share."""
+        return sum(p.free and not p.per_record for p in self.saved.model.parameters)
+
+
+@dataclass(frozen=True)
+class ModelComparison:
+    """Comparison of models on the same logs.
+
+    Attributes
+    ----------
+    horizon
+        Prediction horizon [s].
+    units
+        Unit of each channel, by name.
+    models
+        The models, in the order in which they were given.
+    """
+
+    horizon: float
+    units: Mapping[str, str]
+    models: tuple[ComparedModel, ...]
+
+
+def compare_models(request: CompareRequest, reporter: Reporter) -> ModelComparison:
+    """Predict the same logs by several fitted models, and compare the predictions with those of the first model.
+
+    Each model keeps its estimates. Only the parameters that belong to a log, such as the current, are estimated anew
+    for each log and model.
+
+    Parameters
+    ----------
+    request : CompareRequest
+        Models, logs and options.
+    reporter : Reporter
+        Receives progress.
+
+    Returns
+    -------
+    ModelComparison
+        Errors of each model, and its difference to the first one.
+
+    Raises
+    ------
+    SeatrialError
+        If there are fewer than two models, or if a model does not go with the logs.
+    """
+    if len(request.models) < 2:
+        raise SeatrialError("a comparison needs two models or more; give another model.toml")
+    loaded, _ = load_all(request.logs, [], request.window, device_faults)
+    check_horizon(request.horizon, loaded, [])
+    saved = [load_model(path) for path in request.models]
+    loaded, _ = check_first(loaded, [], saved[0].model, request.despite_faults)
+    horizon, rate = request.horizon or saved[0].model.horizon, request.rate
+    compared: list[tuple[SavedModel, list[RecordEvaluation], dict[str, dict[str, PredictionErrors]]]] = []
+    for path, known in zip(request.models, saved, strict=True):
+        reporter.progress(f"predicting the logs by {path}")
+        # First order, so that the likelihoods of all models are comparable.
+        model = replace(known.model, second_order=False)
+        placed, _ = in_one_frame(model, loaded, [], known.origin)
+        model, segments, _, usual = model_of_logs(model, path, placed, [], request.thruster)
+        rate = rate or usual
+        views, failed = evaluate_records(model, [make_record(model, s, rate) for s in segments])
+        if failed:
+            raise SeatrialError(f"{path}: {failed[0].record} cannot be predicted: {failed[0].reason}")
+        errors = {v.record.name: horizon_errors(v.model, v.record, v.values, v.run.x_filt, horizon) for v in views}
+        compared.append((known, views, errors))
+    first, digests = compared[0], [str(x.about.get("sha256", "-"))[:16] for x in loaded]
+    rows = []
+    for k, (path, (known, views, errors)) in enumerate(zip(request.models, compared, strict=True)):
+        used = " ".join(str(line) for line in known.provenance.get("logs", ()))
+        rows.append(
+            ComparedModel(
+                str(path),
+                known,
+                _rms_by_channel(errors),
+                tuple(x.run.name for x, digest in zip(loaded, digests, strict=True) if digest in used),
+                prediction_change_by_record(first[2], errors, horizon) if k else None,
+                _log_score(first[1], views) if k else None,
+            )
+        )
+    units = {o.name: o.unit for known, _, _ in compared for o in known.model.outputs}
+    return ModelComparison(horizon, units, tuple(rows))
+
+
+def _rms_by_channel(errors: Mapping[str, Mapping[str, PredictionErrors]]) -> dict[str, float]:
+    """Return the RMS error of each channel over all records."""
+    names = dict.fromkeys(name for by_channel in errors.values() for name in by_channel)
+    pooled = {n: np.concatenate([by[n].e for by in errors.values() if n in by]) for n in names}
+    return {n: float(np.sqrt(np.mean(e**2))) for n, e in pooled.items()}
+
+
+def _log_score(before: Sequence[RecordEvaluation], after: Sequence[RecordEvaluation]) -> LogScore | None:
+    """Return the difference in log score of two models that were evaluated on the same logs, in the same order.
+
+    None if the models do not predict the same samples: then the likelihoods are not comparable.
+    """
+    from scipy.special import stdtrit
+
+    gains: list[float] = []
+    for a, b in zip(before, after, strict=True):
+        measured = [
+            {n for n, y in zip(v.record.outputs, v.record.y.T, strict=True) if np.isfinite(y).any()} for v in (a, b)
+        ]
+        if measured[0] != measured[1]:
+            return None
+        # Blocks of twice the time over which residuals may be correlated; the last one is the longest.
+        length = 2.0 * a.model.block
+        begin, end = max(a.record.t[0], b.record.t[0]), min(a.record.t[-1], b.record.t[-1])
+        edges = [*np.arange(begin, end - length, length), inf]
+        for low, high in pairwise(edges):
+            sums = [float(v.ll[(v.record.t >= low) & (v.record.t < high)].sum()) for v in (a, b)]
+            gains.append(sums[1] - sums[0])
+    gain, n = float(np.sum(gains)), len(gains)
+    if n < FEWEST_BLOCKS:
+        return LogScore(gain, float("nan"), float("nan"), n)
+    reach = float(stdtrit(n - 1, 0.975) * np.std(gains, ddof=1) * np.sqrt(n))
+    return LogScore(gain, gain - reach, gain + reach, n)
+
+
+def comparison_lines(found: ModelComparison, names: Sequence[str] | None = None) -> list[str]:
+    """Return a comparison as lines of text: a table of errors by channel, then each difference to the first model.
+
+    Parameters
+    ----------
+    found : ModelComparison
+        The comparison.
+    names : sequence of str, optional
+        Names of the models; by default their paths.
+    """
+    names = list(names or (m.name for m in found.models))
+    channels = list(dict.fromkeys(n for m in found.models for n in m.rms))
+    head = ["", "unit", *(f"({chr(ord('a') + k)})" for k in range(len(names)))]
+    table = [head, *([c, found.units[c], *(_error_text(m.rms.get(c)) for m in found.models)] for c in channels)]
+    widths = [max(len(row[k]) for row in table) for k in range(len(head))]
+    lines = [
+        f"({chr(ord('a') + k)}) {name}, {m.n_free} free parameters"
+        for k, (name, m) in enumerate(zip(names, found.models, strict=True))
+    ]
+    lines += ["", f"RMS prediction error {found.horizon:g} s ahead"]
+    for row in table:
+        left = [cell.ljust(w) for cell, w in zip(row[:2], widths[:2], strict=True)]
+        lines.append("  ".join([*left, *(c.rjust(w) for c, w in zip(row[2:], widths[2:], strict=True))]).rstrip())
+    for k, m in enumerate(found.models):
+        if m.change is not None:
+            lines += ["", f"({chr(ord('a') + k)}) against (a): {_change_text(m.change)}", _score_text(m.score)]
+    for k, m in enumerate(found.models):
+        if m.fitted_to_logs:
+            lines.append(
+                f"({chr(ord('a') + k)}) was fitted to {', '.join(m.fitted_to_logs)}: its errors there are smaller than "
+                "on other logs. Compare on logs that no model has used."
+            )
+    return lines
+
+
+def _error_text(error: float | None) -> str:
+    """Return an RMS error with three digits; ``-`` for a channel that the model does not predict."""
+    return "-" if error is None else f"{error:.3g}" if np.isfinite(error) else "diverged"
+
+
+def _change_text(change: PredictionChange) -> str:
+    """Return the change of the prediction errors of all channels in words, with its 95 % interval."""
+    by, low, high = (100.0 * (r - 1.0) for r in (change.ratio, change.low, change.high))
+    if not np.isfinite(low):
+        return f"the prediction error of all channels changes by {by:+.0f} %; the logs are too short for an interval."
+    verdict = {"fell": "smaller", "rose": "larger", "unchanged": "not significantly different"}[change.verdict]
+    return f"the prediction error of all channels is {verdict}: {by:+.0f} % (95 %: {low:+.0f} to {high:+.0f} %)."
+
+
+def _score_text(score: LogScore | None) -> str:
+    """Return the difference in log score in words."""
+    if score is None:
+        return "The models do not predict the same channels, so their likelihoods are not compared."
+    interval = f" (95 %: {score.low:.1f} to {score.high:.1f})" if np.isfinite(score.low) else ""
+    verdict = {"better": "better", "worse": "worse", "unchanged": "not significantly different"}[score.verdict]
+    return f"One step ahead it is {verdict}: log-likelihood {score.gain:+.1f}{interval}, {score.blocks} blocks of time."

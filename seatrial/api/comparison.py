@@ -1,0 +1,112 @@
+"""Comparison of fitted models on the same logs, for the Python interface."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from seatrial.api.fits import FittedDiagnosis, FittedVehicle, Logs, Messages, errors_of_users, model_path, window_of
+from seatrial.api.logs import PathLike, as_paths, pandas
+
+if TYPE_CHECKING:
+    from seatrial.ident.workflows.compare import ModelComparison
+
+AnyModel = PathLike | FittedVehicle | FittedDiagnosis
+Models = Sequence[AnyModel] | Mapping[str, AnyModel]
+
+
+@dataclass(frozen=True, repr=False)
+class Comparison:
+    """Models on the same logs. `compare` returns it.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Name of each model; the first one is the reference.
+    found : ModelComparison
+        Errors and differences (`seatrial.ident.workflows.compare`).
+    """
+
+    names: tuple[str, ...]
+    found: ModelComparison
+
+    @property
+    def best(self) -> str:
+        """Name of the model with the smallest prediction error; the first one if no other is significantly better."""
+        better = [
+            (m.change.ratio, name)
+            for name, m in zip(self.names, self.found.models, strict=True)
+            if m.change is not None and m.change.verdict == "fell"
+        ]
+        return min(better)[1] if better else self.names[0]
+
+    def summary(self) -> str:
+        """Return the comparison as text: errors by channel, then each difference to the first model."""
+        from seatrial.ident.workflows.compare import comparison_lines
+
+        return "\n".join(comparison_lines(self.found, self.names))
+
+    def to_pandas(self) -> Any:
+        """Return the RMS prediction errors as a ``pandas.DataFrame``: a row for each channel, a column for each model.
+
+        Raises
+        ------
+        SeatrialError
+            If pandas is not installed.
+        """
+        columns = {name: dict(m.rms) for name, m in zip(self.names, self.found.models, strict=True)}
+        return pandas().DataFrame(columns)
+
+    def __repr__(self) -> str:
+        """Return the summary."""
+        return self.summary()
+
+
+def compare(
+    models: Models,
+    logs: Logs,
+    horizon: float | None = None,
+    rate: float | None = None,
+) -> Comparison:
+    """Compare fitted models on the same logs: their prediction errors, and their log score one step ahead.
+
+    Parameters
+    ----------
+    models : sequence, or dict by name, of path, `FittedVehicle` or `FittedDiagnosis`
+        Two models or more; the first one is the reference.
+    logs : path, `Log` or sequence of them
+        Logs. Use logs that no model was fitted to; the summary names the others.
+    horizon : float, optional
+        Horizon of the predictions [s]. None: that of the first model.
+    rate : float, optional
+        Rate of the rows [Hz]. None: the usual rate of the first model.
+
+    Returns
+    -------
+    Comparison
+        Errors of each model and the differences with their 95 % intervals.
+
+    Raises
+    ------
+    SeatrialError
+        If there are fewer than two models, or if a model does not go with the logs.
+
+    Examples
+    --------
+    >>> st.compare({"nominal": fit, "with mismatch": found}, "run4.mcap")
+    """
+    from seatrial.ident.workflows.compare import CompareRequest, compare_models
+
+    named = models if isinstance(models, Mapping) else {_name_of(m, k): m for k, m in enumerate(models)}
+    with errors_of_users(), ExitStack() as stack:
+        paths = [stack.enter_context(model_path(m)) for m in named.values()]
+        request = CompareRequest(paths, as_paths(logs), horizon, rate, window=window_of(logs))
+        found = compare_models(request, Messages(False))
+    return Comparison(tuple(named), found)
+
+
+def _name_of(model: AnyModel, index: int) -> str:
+    """Return a name of the model with this index: its path, or its number (from 1) if it was fitted in Python."""
+    return f"model {index + 1}" if isinstance(model, FittedVehicle | FittedDiagnosis) else str(model)

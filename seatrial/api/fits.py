@@ -1,0 +1,625 @@
+"""Fits and diagnoses of the Python interface, and their results as objects."""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypedDict, TypeVar, Unpack
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seatrial.api import plots, tables
+from seatrial.api.figures import Figure
+from seatrial.api.logs import Log, PathLike, as_paths, pandas
+from seatrial.daq.errors import SeatrialError, SeatrialWarning
+
+if TYPE_CHECKING:
+    from seatrial.ident.diagnosis import Diagnosis
+    from seatrial.ident.estimation import FittedModel, RecordEvaluation
+    from seatrial.ident.results import DiagnosisResult, FitResult, VehicleResult
+    from seatrial.ident.workflows.diagnose import DiagnosedModel
+    from seatrial.ident.workflows.vehicle import VehicleFit
+
+Logs = PathLike | Log | Sequence[PathLike | Log]
+Role = Literal["estimation", "validation"]
+T = TypeVar("T")
+
+
+class FitOptions(TypedDict, total=False):
+    """Options of `fit`. All are optional; the defaults are those of ``seatrial ident vehicle``.
+
+    Attributes
+    ----------
+    thruster : path
+        model.toml of the bench, or file of a static curve from command to thrust.
+    fixed : dict of str to float
+        Values of parameters that are known and not estimated.
+    initial : dict of str to float
+        Initial values of the search.
+    priors : dict of str to (mean, standard deviation)
+        Priors of parameters.
+    effects : sequence of str
+        Effects of the catalogue to add with free parameters.
+    score_tests : bool
+        Whether to test the model for missing effects: sensor errors are then estimated if the logs show them, and the
+        standard errors include what remains unexplained.
+    profiles : sequence of str
+        Parameters whose profile likelihood is computed.
+    outlier_model : bool
+        Whether all sensors may have outliers.
+    reml : bool
+        Whether the noise is estimated by restricted maximum likelihood.
+    mean_order : 1 or 2
+        Order of the extended Kalman filter.
+    horizon : float
+        Horizon of the predictions [s].
+    rate : float
+        Rate of the rows [Hz] to which faster sensors are averaged.
+    despite_faults : bool
+        Whether to fit logs with faults that make a fit meaningless.
+    progress : bool
+        Whether to print a line for each step of the computation.
+    """
+
+    thruster: PathLike
+    fixed: Mapping[str, float]
+    initial: Mapping[str, float]
+    priors: Mapping[str, tuple[float, float]]
+    effects: Sequence[str]
+    score_tests: bool
+    profiles: Sequence[str]
+    outlier_model: bool
+    reml: bool
+    mean_order: Literal[1, 2]
+    horizon: float
+    rate: float
+    despite_faults: bool
+    progress: bool
+
+
+class DiagnosisOptions(TypedDict, total=False):
+    """Options of `diagnose`. All are optional; the defaults are those of ``seatrial ident diagnose``.
+
+    Attributes
+    ----------
+    max_effects : int
+        Largest number of effects to add.
+    effects_file : path
+        Python file of own candidates.
+    thruster : str
+        For a vehicle model: file of the static curve that it was fitted with. For a thruster model: name of the
+        thruster, if the logs have several.
+    outlier_model : bool
+        Whether all sensors may have outliers.
+    horizon : float
+        Horizon of the predictions [s].
+    rate : float
+        Rate of the rows [Hz]; None for the usual rate of the model.
+    despite_faults : bool
+        Whether to search in logs with faults that make a fit meaningless.
+    progress : bool
+        Whether to print a line for each step of the computation.
+    """
+
+    max_effects: int
+    effects_file: PathLike
+    thruster: str
+    outlier_model: bool
+    horizon: float
+    rate: float | None
+    despite_faults: bool
+    progress: bool
+
+
+class Series(NamedTuple):
+    """Values of one channel of a record.
+
+    Attributes
+    ----------
+    t : Array (n,)
+        Times [s] of the record.
+    value : Array (n,)
+        Values.
+    """
+
+    t: NDArray[np.float64]
+    value: NDArray[np.float64]
+
+
+class Prediction(NamedTuple):
+    """Predictions of one channel of a record, at its samples.
+
+    Attributes
+    ----------
+    t : Array (n,)
+        Times [s] of the record.
+    measured : Array (n,)
+        Samples, in the unit of the channel.
+    predicted : Array (n,)
+        Predictions of these samples; infinite if the prediction diverged.
+    """
+
+    t: NDArray[np.float64]
+    measured: NDArray[np.float64]
+    predicted: NDArray[np.float64]
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of the prediction error. Angles have to be unwrapped by the caller for large errors."""
+        return float(np.sqrt(np.mean((self.measured - self.predicted) ** 2)))
+
+
+@dataclass(frozen=True, repr=False)
+class FittedResult:
+    """Fitted model with its records, and the result that the command would write.
+
+    Attributes
+    ----------
+    fitted : FittedModel
+        The fitted model (`seatrial.ident.estimation.FittedModel`).
+    result : FitResult
+        Content of result.json (`seatrial.ident.results`).
+    """
+
+    fitted: FittedModel
+    result: FitResult
+
+    @property
+    def answer(self) -> str:
+        """Answer of the fit in one or two sentences, with its prediction error."""
+        return self.result.answer
+
+    @property
+    def warnings(self) -> list[str]:
+        """Warnings of the fit, as sentences."""
+        return [w.text for w in self.result.warnings]
+
+    @property
+    def converged(self) -> bool:
+        """Whether the search for the maximum converged."""
+        return self.result.converged
+
+    @property
+    def params(self) -> dict[str, float]:
+        """Values of all parameters by name, SI and radians. A parameter of one record is ``NAME@RECORD``.
+
+        Without a known thrust, forces and masses are ratios to it, with names such as ``m_u/T``.
+        """
+        return {tables.full_name(row): row.value for row in self.result.fit.parameters}
+
+    @property
+    def standard_errors(self) -> dict[str, float]:
+        """Standard errors of the estimated parameters by name. NaN if a parameter has none: at a bound, for example."""
+        return {
+            tables.full_name(row): np.nan if row.se is None else row.se
+            for row in self.result.fit.parameters
+            if row.free
+        }
+
+    @property
+    def cov(self) -> NDArray[np.float64]:
+        """Covariance of the estimates (n, n), in the order of `free` and in the parameters' own units."""
+        return np.asarray(self.fitted.fit.covariance)
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """Names of the n estimated parameters, the order of `cov`. ``V_x@0`` is V_x in the first record."""
+        return self.fitted.fit.names
+
+    @property
+    def log_likelihood(self) -> float:
+        """Natural logarithm of the likelihood at the estimates, without the priors."""
+        return self.fitted.fit.log_likelihood
+
+    @property
+    def bic(self) -> float:
+        """Bayesian information criterion; smaller is better."""
+        return self.fitted.fit.bic
+
+    def summary(self) -> str:
+        """Return a table of the estimates as text, with the answer and the warnings.
+
+        The columns are estimate, standard error, 95 % interval, t statistic, unit and origin.
+        """
+        return tables.summary(self.result)
+
+    def to_pandas(self) -> Any:
+        """Return the parameters as a ``pandas.DataFrame`` with a row for each.
+
+        The columns are value, se, low, high (95 % interval), t, unit, origin, free, flag and meaning.
+
+        Raises
+        ------
+        SeatrialError
+            If pandas is not installed.
+        """
+        rows = [tables.statistics(row) for row in self.result.fit.parameters]
+        return pandas().DataFrame(rows, columns=list(tables.Statistics._fields)).set_index("name")
+
+    def residuals(self, on: Role = "estimation") -> dict[str, dict[str, Series]]:
+        """Return the standardised residuals (innovations), by record and channel.
+
+        Parameters
+        ----------
+        on : ``estimation`` or ``validation``
+            Data.
+
+        Returns
+        -------
+        dict of str to dict of str to Series
+            White noise of variance 1 if the model is complete. A channel has values only at its samples.
+        """
+        found = {}
+        for view in self._views(on):
+            by_channel = {}
+            for j, output in enumerate(self.fitted.model.outputs):
+                e = view.run.standardised[:, j]
+                if np.isfinite(e).any():
+                    by_channel[output.name] = Series(view.record.t[np.isfinite(e)], e[np.isfinite(e)])
+            found[view.record.name] = by_channel
+        return found
+
+    def predict(self, horizon: float | None = None, on: Role | None = None) -> dict[str, dict[str, Prediction]]:
+        """Predict each sample from the state a time ``horizon`` earlier, by the inputs alone.
+
+        Parameters
+        ----------
+        horizon : float, optional
+            Horizon [s]. None: that of the fit.
+        on : ``estimation`` or ``validation``, optional
+            Data. None: the validation data if there are any.
+
+        Returns
+        -------
+        dict of str to dict of str to Prediction
+            Predictions by record and channel. Angles are not wrapped: the prediction is within half a turn of the
+            sample.
+        """
+        from seatrial.ident.validation import horizon_errors
+
+        seconds = self.result.horizon_seconds if horizon is None else horizon
+        found = {}
+        for view in self._views(on):
+            record, model = view.record, view.model
+            errors = horizon_errors(model, record, view.values, view.run.x_filt, seconds)
+            found[record.name] = {name: _prediction(record, name, e.t, e.e) for name, e in errors.items()}
+        return found
+
+    def simulate(self, on: Role | None = None) -> dict[str, dict[str, Prediction]]:
+        """Simulate each record: the filter runs for 15 s, and then the model by the inputs alone.
+
+        Parameters
+        ----------
+        on : ``estimation`` or ``validation``, optional
+            Data. None: the validation data if there are any.
+
+        Returns
+        -------
+        dict of str to dict of str to Prediction
+            Simulated values at the samples after 15 s, by record and channel.
+        """
+        from seatrial.ident.validation import simulation_run
+
+        found = {}
+        for view in self._views(on):
+            run = simulation_run(view.model, view.record, view.values)
+            found[view.record.name] = {n: _prediction(view.record, n, e.t, e.e) for n, e in run.errors.items()}
+        return found
+
+    def plot(self, *channels: str) -> Figure:
+        """Return a figure of measured and predicted channels over the horizon, of all records of the result.
+
+        Parameters
+        ----------
+        *channels : str
+            Names of channels; none: all.
+        """
+        return plots.prediction_figure(self.result, channels)
+
+    def plot_residuals(self, *channels: str, on: Role = "estimation") -> Figure:
+        """Return a figure of the standardised residuals over time.
+
+        Parameters
+        ----------
+        *channels : str
+            Names of channels; none: all.
+        on : ``estimation`` or ``validation``
+            Data.
+        """
+        return plots.residual_figure(self.residuals(on), channels)
+
+    def _views(self, on: Role | None) -> tuple[RecordEvaluation, ...]:
+        """Return the records of a set of data; None: the validation data if there are any.
+
+        Raises
+        ------
+        SeatrialError
+            If there are no validation data.
+        """
+        if on == "validation" and not self.fitted.validation:
+            raise SeatrialError("this fit has no validation data; give logs to validate")
+        return self.fitted.validation if on != "estimation" and self.fitted.validation else self.fitted.estimation
+
+    def __repr__(self) -> str:
+        """Return the kind of result, the model and the answer, in a few lines."""
+        return f"<{type(self).__name__}: {self.result.fit.model}>\n{self.answer}\nsummary() has the estimates."
+
+    def _repr_html_(self) -> str:
+        """Return the summary for a notebook."""
+        return tables.as_html(self.result)
+
+
+class FittedVehicle(FittedResult):
+    """Vehicle model that was fitted to logs. `fit` returns it."""
+
+    result: VehicleResult
+
+    def save(self, folder: PathLike) -> Path:
+        """Write model.toml, result.json and report.html, as ``seatrial ident vehicle``. Return the folder.
+
+        Parameters
+        ----------
+        folder : path
+            Folder. Existing files of these names are replaced.
+        """
+        from seatrial.ident.workflows.vehicle import VehicleFit, write_vehicle_fit
+
+        write_vehicle_fit(VehicleFit(self.fitted, self.result), Path(folder))
+        return Path(folder)
+
+
+@dataclass(frozen=True, repr=False)
+class FittedDiagnosis(FittedResult):
+    """Diagnosis of a model: the effects that it lacks, and the model with these effects. `diagnose` returns it.
+
+    Attributes
+    ----------
+    fitted : FittedModel
+        The model with the effects.
+    result : DiagnosisResult
+        Content of result.json.
+    found : Diagnosis
+        All findings (`seatrial.ident.diagnosis.Diagnosis`).
+    effects_file : Path or None
+        Python file of own effects.
+    """
+
+    result: DiagnosisResult
+    found: Diagnosis
+    effects_file: Path | None = None
+
+    @property
+    def effects(self) -> dict[str, str]:
+        """Attribution of each effect that was added: ``identified``, ``ambiguous`` or ``nonparametric``, by name."""
+        return {e.name: e.attribution for e in self.result.effects}
+
+    @property
+    def recommended_experiment(self) -> str | None:
+        """Command of the experiment that would tell the competing effects apart; None if there is none."""
+        return self.result.recommended_experiment
+
+    def save(self, folder: PathLike) -> Path:
+        """Write model.toml with the effects, result.json and report.html, as ``seatrial ident diagnose``.
+
+        Parameters
+        ----------
+        folder : path
+            Folder, which is returned. Existing files of these names are replaced.
+        """
+        from seatrial.ident.workflows.diagnose import DiagnosedModel, write_diagnosed_model
+
+        write_diagnosed_model(DiagnosedModel(self.found, self.result, self.effects_file), Path(folder))
+        return Path(folder)
+
+
+def fit(logs: Logs, model: str = "auto", validate: Logs = (), **options: Unpack[FitOptions]) -> FittedVehicle:
+    """Fit a model of the boat to logs, with the defaults and the checks of ``seatrial ident vehicle``.
+
+    Parameters
+    ----------
+    logs : path, `Log` or sequence of them
+        Logs that the model is fitted to. Of a `Log`, its window is used.
+    model : str
+        Name of the structure, such as ``horizontal:command``, or ``FILE.py:NAME`` of your own. ``auto``: the horizontal
+        model with the inputs that the logs have.
+    validate : path, `Log` or sequence of them
+        Other logs, on which the fit is evaluated.
+    **options
+        `FitOptions`: thruster, fixed, initial, priors, effects, score_tests, profiles, outlier_model, reml, mean_order,
+        horizon, rate, despite_faults, progress.
+
+    Returns
+    -------
+    FittedVehicle
+        The fitted model. No file is written; ``save`` writes the files of the command.
+
+    Raises
+    ------
+    SeatrialError
+        If a log cannot be read, lacks signals that the model needs, or has faults that make a fit meaningless.
+
+    Examples
+    --------
+    >>> fit = st.fit("run1.mcap", validate="run3.mcap", priors={"c1": (40.0, 2.0)}, fixed={"c2": 1.1})
+    >>> fit.params["m_u"], fit.standard_errors["m_u"]
+    """
+    from seatrial.ident.estimation import EstimationOptions
+    from seatrial.ident.workflows.vehicle import fit_vehicle
+    from seatrial.ident.workflows.vehicle_model import VehicleRequest
+
+    given: dict[str, Any] = dict(options)
+    progress = given.pop("progress", False)
+    estimation = {n: given.pop(n) for n in ("outlier_model", "reml", "mean_order", "horizon") if n in given}
+    if "thruster" in given:
+        given["thruster"] = Path(given["thruster"])
+    with errors_of_users():
+        request = VehicleRequest(
+            as_paths(logs),
+            _paths_or_none(validate),
+            Path(),
+            replace(EstimationOptions(reml=True, mean_order=2), **estimation),
+            model,
+            window=window_of(logs),
+            **_known(given, VehicleRequest),
+        )
+        done: VehicleFit = fit_vehicle(request, _call("fit", request.logs, model=model), Messages(progress))
+    return FittedVehicle(done.fitted, done.result)
+
+
+def diagnose(
+    model: PathLike | FittedResult, logs: Logs, validate: Logs = (), **options: Unpack[DiagnosisOptions]
+) -> FittedDiagnosis:
+    """Find the effects that a model lacks, as ``seatrial ident diagnose``.
+
+    Parameters
+    ----------
+    model : path, `FittedVehicle` or `FittedDiagnosis`
+        Model to diagnose: a model.toml, a folder with one, or a fitted model.
+    logs : path, `Log` or sequence of them
+        Logs for the search. Of a `Log`, its window is used.
+    validate : path, `Log` or sequence of them
+        Other logs that validate each effect. Without them, blocks of the logs are cross-validated.
+    **options
+        `DiagnosisOptions`: max_effects, effects_file, thruster, outlier_model, horizon, rate, despite_faults, progress.
+
+    Returns
+    -------
+    FittedDiagnosis
+        The effects, and the model with them. No file is written; ``save`` writes the files of the command.
+
+    Raises
+    ------
+    SeatrialError
+        If model or logs cannot be used, or if the logs have faults that make a fit meaningless.
+
+    Examples
+    --------
+    >>> found = st.diagnose(fit, ["run1.mcap", "run2.mcap"], validate="run3.mcap")
+    >>> found.answer
+    >>> found.effects
+    {'mismatch': 'identified'}
+    """
+    from seatrial.ident.estimation import EstimationOptions
+    from seatrial.ident.workflows.diagnose import DiagnosisRequest, diagnose_model
+
+    given: dict[str, Any] = dict(options)
+    progress = given.pop("progress", False)
+    estimation = {n: given.pop(n) for n in ("outlier_model", "horizon") if n in given}
+    if "effects_file" in given:
+        given["effects_file"] = Path(given["effects_file"])
+    with errors_of_users(), model_path(model) as path:
+        request = DiagnosisRequest(
+            path,
+            as_paths(logs),
+            _paths_or_none(validate),
+            Path(),
+            EstimationOptions(**estimation),
+            window=window_of(logs),
+            **_known(given, DiagnosisRequest),
+        )
+        done: DiagnosedModel = diagnose_model(request, _call("diagnose", request.logs), Messages(progress))
+    return FittedDiagnosis(done.found.after, done.result, done.found, done.effects_file)
+
+
+class Messages:
+    """Reporter of the Python interface: warnings are Python warnings, and progress is printed if asked for."""
+
+    def __init__(self, progress: bool) -> None:
+        """Set up a reporter. ``progress``: whether to print a line for each step of the computation."""
+        self._progress = progress
+
+    def progress(self, text: str) -> None:
+        """Print a step of the computation to standard error, if asked for."""
+        if self._progress:
+            print(text, file=sys.stderr, flush=True)
+
+    def warning(self, text: str) -> None:
+        """Warn with the category `SeatrialWarning`, so that ``warnings.filterwarnings`` applies."""
+        warnings.warn(text, SeatrialWarning, stacklevel=4)
+
+
+@contextmanager
+def errors_of_users() -> Iterator[None]:
+    """Raise ValueError and KeyError of a computation as SeatrialError with one line, as the commands do."""
+    try:
+        yield
+    except (ValueError, KeyError) as problem:
+        raise SeatrialError(str(problem).strip("'\"")) from problem
+
+
+@contextmanager
+def model_path(model: PathLike | FittedResult) -> Iterator[Path]:
+    """Yield the path of a model.toml: that of a file or a folder, or of a temporary file for a fitted model.
+
+    Raises
+    ------
+    SeatrialError
+        If the path does not exist.
+    """
+    if isinstance(model, FittedVehicle | FittedDiagnosis):
+        with TemporaryDirectory() as folder:
+            yield model.save(folder) / "model.toml"
+        return
+    path = Path(str(model))
+    path = path / "model.toml" if path.is_dir() else path
+    if not path.exists():
+        raise SeatrialError(f"{path}: no such file; give a model.toml, a folder with one, or a fitted model")
+    yield path
+
+
+def window_of(logs: Logs) -> Any:
+    """Return the window of time of logs for a workflow (`seatrial.ident.data.TimeWindow`).
+
+    Raises
+    ------
+    SeatrialError
+        If several logs have different windows.
+    """
+    from seatrial.ident.data import WHOLE, TimeWindow
+
+    several = [logs] if isinstance(logs, str | Path | Log) else list(logs)
+    windows = {TimeWindow(x.start, x.end) if isinstance(x, Log) else WHOLE for x in several}
+    if len(windows) > 1:
+        raise SeatrialError("the logs were opened with different start or end, and a fit uses one window for all")
+    return windows.pop() if windows else WHOLE
+
+
+def _paths_or_none(logs: Logs) -> list[Path]:
+    """Return the paths of validation logs, which are used whole; an empty sequence is allowed.
+
+    Raises
+    ------
+    SeatrialError
+        If a log does not exist, or if a `Log` has a window.
+    """
+    several = [logs] if isinstance(logs, str | Path | Log) else list(logs)
+    if any(isinstance(x, Log) and (x.start > 0.0 or np.isfinite(x.end)) for x in several):
+        raise SeatrialError("validation logs are used whole; open them without start and end")
+    return as_paths(several) if several else []
+
+
+def _known(given: Mapping[str, Any], request: Callable[..., T]) -> Mapping[str, Any]:
+    """Return options for a request. SeatrialError names the first option that the request does not have."""
+    fields = getattr(request, "__dataclass_fields__", {})
+    for name in given:
+        if name not in fields:
+            raise SeatrialError(f"there is no option {name!r}; the options are {', '.join(sorted(fields))}")
+    return given
+
+
+def _call(function: str, logs: Sequence[Path], **more: str) -> str:
+    """Return the Python call for the provenance of a result, such as ``seatrial.fit(['run1.mcap'], model='auto')``."""
+    rest = "".join(f", {name}={value!r}" for name, value in more.items())
+    return f"seatrial.{function}({[p.name for p in logs]}{rest})"
+
+
+def _prediction(record: Any, channel: str, t: NDArray[np.float64], error: NDArray[np.float64]) -> Prediction:
+    """Return the predictions of a channel: the samples of the record at the times ``t`` [s], less their errors."""
+    measured = record.y[np.searchsorted(record.t, t), record.outputs.index(channel)]
+    return Prediction(t, measured, measured - error)

@@ -1,0 +1,200 @@
+"""Saved models and results of the Python interface, and simulation of a model for given inputs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from seatrial.api import tables
+from seatrial.api.fits import FittedDiagnosis, FittedVehicle, Series, errors_of_users
+from seatrial.api.logs import PathLike
+from seatrial.daq.errors import SeatrialError
+
+if TYPE_CHECKING:
+    from seatrial.ident.estimation import SavedModel
+    from seatrial.ident.model import Model
+
+MODEL, RESULT = "model.toml", "result.json"
+
+
+@dataclass(frozen=True, repr=False)
+class Saved:
+    """Model and result that a command or ``save`` has written.
+
+    Attributes
+    ----------
+    path : Path
+        File or folder that was loaded.
+    model : SavedModel or None
+        Content of model.toml (`seatrial.ident.estimation.SavedModel`); None if there is none.
+    result : Result or None
+        Content of result.json (`seatrial.ident.results`); None if there is none.
+    """
+
+    path: Path
+    model: SavedModel | None
+    result: Any
+
+    @property
+    def params(self) -> dict[str, float]:
+        """Values of all parameters by name, in SI units and radians.
+
+        Raises
+        ------
+        SeatrialError
+            If no model.toml was loaded.
+        """
+        return dict(self._saved_model().model.values)
+
+    @property
+    def standard_errors(self) -> dict[str, float]:
+        """Standard errors of the parameters by name; NaN if a parameter has none.
+
+        Raises
+        ------
+        SeatrialError
+            If no model.toml was loaded.
+        """
+        return dict(self._saved_model().errors)
+
+    @property
+    def answer(self) -> str:
+        """Answer of the result; empty if no result was loaded."""
+        return "" if self.result is None else str(self.result.answer)
+
+    def summary(self) -> str:
+        """Return the estimates as a table in text if the result is a fit, otherwise its answer.
+
+        Without a result the parameters of the model are listed with their standard errors.
+        """
+        if hasattr(self.result, "fit"):
+            return tables.summary(self.result)
+        if self.result is not None:
+            return self.answer
+        errors = self.standard_errors
+        return "\n".join(f"{n} = {v:.6g} ± {errors.get(n, np.nan):.2g}" for n, v in self.params.items())
+
+    def _saved_model(self) -> SavedModel:
+        """Return the model; SeatrialError if no model.toml was loaded."""
+        if self.model is None:
+            raise SeatrialError(f"{self.path}: no {MODEL} was loaded; load the folder that contains it")
+        return self.model
+
+    def __repr__(self) -> str:
+        """Return path, name of the model and answer, in a few lines."""
+        name = "no model" if self.model is None else self.model.model.name
+        return f"<Saved {self.path}: {name}>" + (f"\n{self.answer}" if self.answer else "")
+
+
+def load(path: PathLike) -> Saved:
+    """Load what a command or ``save`` has written: model.toml, result.json, or a folder with one of them or both.
+
+    Parameters
+    ----------
+    path : str or Path
+        File or folder.
+
+    Returns
+    -------
+    Saved
+        The model, the result, or both.
+
+    Raises
+    ------
+    SeatrialError
+        If there is no such file, or if it cannot be read.
+
+    Examples
+    --------
+    >>> saved = st.load("vehicle")
+    >>> print(saved.summary())
+    """
+    from seatrial.ident.estimation import load_model
+    from seatrial.ident.results import read_result
+
+    path = Path(path)
+    if not path.exists():
+        raise SeatrialError(f"{path}: no such file or folder; give a {MODEL}, a {RESULT}, or their folder")
+    if not path.is_dir():
+        is_result = path.suffix == ".json"
+        return Saved(path, None if is_result else load_model(path), read_result(path) if is_result else None)
+    model, result = path / MODEL, path / RESULT
+    if not (model.exists() or result.exists()):
+        raise SeatrialError(f"{path}: contains neither {MODEL} nor {RESULT}; give the folder of a result")
+    return Saved(path, load_model(model) if model.exists() else None, read_result(result) if result.exists() else None)
+
+
+def simulate(
+    model: PathLike | Saved | FittedVehicle | FittedDiagnosis,
+    t: ArrayLike,
+    inputs: Mapping[str, ArrayLike],
+    start: Mapping[str, float] | None = None,
+) -> dict[str, Series]:
+    """Simulate a fitted model for given inputs, without noise.
+
+    Parameters
+    ----------
+    model : path, `Saved`, `FittedVehicle` or `FittedDiagnosis`
+        The model.
+    t : Array (n,)
+        Times [s] of the input samples, increasing.
+    inputs : dict of str to Array (n,)
+        Value of each input at these times, for example ``n_left`` and ``n_right`` (-1 to 1).
+    start : dict of str to float, optional
+        Initial values of states, for example ``{"u": 1.0}``; the others have those of the model.
+
+    Returns
+    -------
+    dict of str to Series
+        States and outputs by name, in SI units and radians.
+
+    Raises
+    ------
+    SeatrialError
+        If an input of the model is missing, or if a state or input is unknown.
+
+    Examples
+    --------
+    >>> t = np.arange(0.0, 60.0, 0.1)
+    >>> motion = st.simulate("vehicle", t, {"n_left": 0.5 + 0 * t, "n_right": 0.4 + 0 * t})
+    >>> motion["r"].value[-1]
+    """
+    from seatrial.ident.data import Channel, build_record
+    from seatrial.ident.estimation import simulate as integrate
+
+    structure, times = _structure(model), np.asarray(t, dtype=float)
+    named = {name: np.asarray(values, dtype=float) for name, values in inputs.items()}
+    for name, values in named.items():
+        if values.shape != times.shape:
+            raise SeatrialError(f"input {name}: it has the shape {values.shape}, but the times have {times.shape}")
+    known = {i.name for i in structure.inputs} | {i.tap_of for i in structure.inputs if i.tap}
+    if unknown := [n for n in named if n not in known]:
+        raise SeatrialError(f"the model has no input {unknown[0]!r}; its inputs are {', '.join(sorted(known))}")
+    channels = {name: Channel(times, values) for name, values in named.items()}
+    # A record needs samples of a sensor. They only define the rows: the simulation does not use their values.
+    sensor = structure.sensors[0]
+    channels |= {o.name: Channel(times, np.zeros(times.size)) for o in sensor.outputs}
+    with errors_of_users():
+        record = build_record(structure, channels)
+        first = integrate(structure, record).x[0]
+        states = [s.name for s in structure.states]
+        for name, value in (start or {}).items():
+            if name not in states:
+                raise SeatrialError(f"the model has no state {name!r}; its states are {', '.join(states)}")
+            first[states.index(name)] = value
+        run = integrate(structure, record, x0=first)
+    found = {o.name: Series(run.t, run.y[:, j]) for j, o in enumerate(structure.outputs)}
+    return found | {name: Series(run.t, run.x[:, j]) for j, name in enumerate(states)}
+
+
+def _structure(model: PathLike | Saved | FittedVehicle | FittedDiagnosis) -> Model:
+    """Return the model with the estimates as values."""
+    if isinstance(model, FittedVehicle | FittedDiagnosis):
+        return model.fitted.fit.model
+    saved = model if isinstance(model, Saved) else load(model)
+    return saved._saved_model().model

@@ -1,0 +1,327 @@
+"""Logs of the Python interface: their signals, their checks, and the import of logs of other software."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seatrial.api.figures import Figure
+from seatrial.daq.checks import FAULT, WARNING, CheckReport, Finding, findings_lines, findings_summary, worst_first
+from seatrial.daq.errors import SeatrialError
+
+if TYPE_CHECKING:
+    from seatrial.ident.data import LoadedLog, TimeWindow
+
+PathLike = str | Path
+SHOWN = 12  # signals in the short description of a log
+
+
+@dataclass(frozen=True, repr=False)
+class Signal:
+    """One signal of a log with its own sample times.
+
+    Attributes
+    ----------
+    name : str
+        Name, for example ``psi``.
+    unit : str
+        Unit (SI, radians). Empty for a number without a unit, or if the unit is unknown.
+    t : Array (n,)
+        Sample times [s], from the first sample of the log.
+    value : Array (n,)
+        Samples.
+    """
+
+    name: str
+    unit: str
+    t: NDArray[np.float64]
+    value: NDArray[np.float64]
+
+    def __repr__(self) -> str:
+        """Return name, unit, number of samples and rate."""
+        rate = f", {1.0 / float(np.median(np.diff(self.t))):.3g} Hz" if self.t.size > 1 else ""
+        return f"<Signal {self.name} [{self.unit or '1'}]: {self.t.size} samples{rate}>"
+
+    def to_pandas(self) -> Any:
+        """Return the signal as a ``pandas.Series``, whose index is the time [s].
+
+        Raises
+        ------
+        SeatrialError
+            If pandas is not installed.
+        """
+        return pandas().Series(self.value, index=pandas().Index(self.t, name="t"), name=self.name)
+
+
+@dataclass(frozen=True, repr=False)
+class Log:
+    """Log, or a window of it, with the signals that models use.
+
+    Attributes
+    ----------
+    path : Path
+        File or folder of the log.
+    start, end : float
+        Window that was opened [s], from the first sample of the log; ``end`` is infinite for a log that is used to its
+        end.
+    signals : dict of str to Signal
+        Signals by name, in SI units and radians.
+    """
+
+    path: Path
+    start: float
+    end: float
+    signals: Mapping[str, Signal]
+
+    @property
+    def duration(self) -> float:
+        """Time from the first to the last sample of any signal [s]."""
+        first = min(s.t[0] for s in self.signals.values())
+        return float(max(s.t[-1] for s in self.signals.values()) - first)
+
+    def __getitem__(self, name: str) -> Signal:
+        """Return the signal of this name. KeyError lists the names of all signals if there is none."""
+        if name not in self.signals:
+            raise KeyError(f"{self.path.name} has no signal {name!r}; it has {', '.join(self.signals)}")
+        return self.signals[name]
+
+    def __repr__(self) -> str:
+        """Return file, duration and the first signals, in a few lines."""
+        names = list(self.signals)
+        more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
+        return f"<Log {self.path.name}: {self.duration:.1f} s, {len(names)} signals: {', '.join(names[:SHOWN])}{more}>"
+
+    def to_pandas(self) -> Any:
+        """Return all signals as a ``pandas.DataFrame`` with a column for each signal; the index is the time [s].
+
+        Each row is a sample time of at least one signal. A signal without a sample at that time is NaN.
+
+        Raises
+        ------
+        SeatrialError
+            If pandas is not installed.
+        """
+        return pandas().concat([s.to_pandas() for s in self.signals.values()], axis=1).sort_index()
+
+    def plot(self, *names: str) -> Figure:
+        """Return a figure of the signals with these names, or of all signals.
+
+        Parameters
+        ----------
+        *names : str
+            Names of signals.
+
+        Raises
+        ------
+        KeyError
+            If the log has no signal of a name.
+        """
+        from seatrial.ident.report import Panel, dots, stacked
+
+        chosen = [self[n] for n in names] or list(self.signals.values())
+        panels = [Panel(f"{s.name} [{s.unit or '1'}]", [dots(s.t, s.value, s.name, 3000)]) for s in chosen]
+        figure, height = stacked(panels, "time [s]")
+        return Figure(self.path.name, figure["data"], figure["layout"] | {"height": height, "showlegend": False})
+
+
+def open_log(path: PathLike, start: float = 0.0, end: float = np.inf) -> Log:
+    """Open a log and read its signals.
+
+    Parameters
+    ----------
+    path : str or Path
+        Log: a .mcap file, or the first of its segments.
+    start, end : float
+        Window of time to read [s], from the first sample of the log.
+
+    Returns
+    -------
+    Log
+        The signals, without outliers. `seatrial.daq.log.open_log` reads the recorded messages instead.
+
+    Raises
+    ------
+    SeatrialError
+        If the file is not a log, has no signal for an identification, or ends before ``start``.
+
+    Examples
+    --------
+    >>> log = st.open_log("run1.mcap", start=20.0)
+    >>> log["psi"].value
+    """
+    from seatrial.ident.data import TimeWindow, load_run
+
+    return _log_of(load_run(Path(path), "estimation", TimeWindow(start, end)), Path(path), TimeWindow(start, end))
+
+
+def _log_of(loaded: LoadedLog, path: Path, window: TimeWindow) -> Log:
+    """Return a loaded log with its signals cut to the window [s]."""
+    signals = {}
+    for name, channel in loaded.run.channels.items():
+        inside = (channel.t >= window.t_from) & (channel.t < window.t_to)
+        if inside.any():
+            signals[name] = Signal(name, channel.unit, channel.t[inside], channel.value[inside])
+    return Log(path, window.t_from, window.t_to, signals)
+
+
+def import_log(
+    files: PathLike | Sequence[PathLike], map_path: PathLike | None = None, out_dir: PathLike = ".", force: bool = False
+) -> list[Path]:
+    """Convert files of other software to logs, as ``seatrial import``.
+
+    Parameters
+    ----------
+    files : path or sequence of paths
+        Files: text tables, bags of ROS, DataFlash, ULog, MATLAB and others.
+    map_path : path, optional
+        Import map, which assigns columns to signals. None: a map is guessed for each file. Look at a guessed map before
+        you rely on it (``seatrial import --guess FILE``).
+    out_dir : path
+        Folder of the logs.
+    force : bool
+        Whether existing logs are replaced.
+
+    Returns
+    -------
+    list of Path
+        The logs.
+
+    Raises
+    ------
+    SeatrialError
+        If a file cannot be read, or if no signal can be recognised.
+
+    Examples
+    --------
+    >>> (log,) = st.import_log("run.csv", out_dir="logs")
+    """
+    from tempfile import TemporaryDirectory
+
+    from seatrial.daq.importers.guess import guess_map
+    from seatrial.daq.importers.import_files import import_files
+
+    sources, folder = as_paths(files), Path(out_dir)
+    folder.mkdir(parents=True, exist_ok=True)
+    if map_path is not None:
+        return import_files(Path(map_path), sources, out_dir=folder, force=force)
+    made: list[Path] = []
+    for source in sources:
+        with TemporaryDirectory() as scratch:
+            guessed = Path(scratch) / f"{source.stem}.toml"
+            guessed.write_text(guess_map(source).text, encoding="utf-8")
+            made += import_files(guessed, [source], out_dir=folder, force=force)
+    return made
+
+
+class Findings(tuple[Finding, ...]):
+    """Findings of a check, the worst first. Each has ``level``, ``code``, ``where``, ``text`` and ``advice``."""
+
+    __slots__ = ()
+
+    @property
+    def faults(self) -> list[Finding]:
+        """Findings that make a fit or a run meaningless."""
+        return [f for f in self if f.level == FAULT]
+
+    @property
+    def warnings(self) -> list[Finding]:
+        """Findings that need attention."""
+        return [f for f in self if f.level == WARNING]
+
+    def __repr__(self) -> str:
+        """Return one line for each finding, and their numbers."""
+        return "\n".join([*findings_lines(self), findings_summary(self)])
+
+    def to_pandas(self) -> Any:
+        """Return the findings as a ``pandas.DataFrame`` with a row for each finding.
+
+        Raises
+        ------
+        SeatrialError
+            If pandas is not installed.
+        """
+        return pandas().DataFrame(list(self), columns=list(Finding._fields))
+
+
+def check(logs: PathLike | Sequence[PathLike]) -> Findings:
+    """Check logs, as ``seatrial check``: devices, sensors, thrusters and the motion between them.
+
+    Parameters
+    ----------
+    logs : path or sequence of paths
+        Logs.
+
+    Returns
+    -------
+    Findings
+        The findings, the worst first. With several logs, ``where`` begins with the name of the log.
+
+    Raises
+    ------
+    SeatrialError
+        If a file is not a log.
+
+    Examples
+    --------
+    >>> st.check("run1.mcap").faults
+    []
+    """
+    from seatrial.bench.preflight.log_findings import log_findings
+
+    return Findings(worst_first(log_findings(_MotionChecks(), as_paths(logs))))
+
+
+class _MotionChecks:
+    """Checks of ident for the checks of bench, which must not import ident."""
+
+    def check_log(self, path: Path) -> list[Finding]:
+        """Return the findings on the motion in a log."""
+        from seatrial.ident.checks import check_log
+
+        return check_log(path)
+
+    def write_check_page(self, report: CheckReport, out: Path) -> None:
+        """Write the HTML page of a check to ``out``."""
+        from seatrial.ident.workflows.check import write_check
+
+        write_check(report, "seatrial.check", out)
+
+
+def as_paths(logs: PathLike | Log | Sequence[PathLike | Log]) -> list[Path]:
+    """Return the paths of one log or of several logs, given as paths or as `Log`.
+
+    Raises
+    ------
+    SeatrialError
+        If a log does not exist, or if none is given.
+    """
+    several = [logs] if isinstance(logs, str | Path | Log) else list(logs)
+    paths = [x.path if isinstance(x, Log) else Path(x) for x in several]
+    if not paths:
+        raise SeatrialError("no log was given; give at least one path")
+    for path in paths:
+        if not path.exists():
+            raise SeatrialError(f"{path}: no such file or folder; give the path of a log")
+    return paths
+
+
+def pandas() -> Any:
+    """Return the package pandas.
+
+    Raises
+    ------
+    SeatrialError
+        If it is not installed.
+    """
+    try:
+        import pandas as package  # type: ignore[import-untyped]
+    except ModuleNotFoundError as problem:
+        raise SeatrialError(
+            "the Python package pandas is not installed, and this conversion needs it: pip install pandas"
+        ) from problem
+    return package

@@ -1,0 +1,105 @@
+"""Figures of predictions and residuals for the Python interface."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from seatrial.api.figures import Figure
+from seatrial.daq.errors import SeatrialError
+from seatrial.ident.report import Panel, band, degrees_for, dots, line_trace, stacked
+
+if TYPE_CHECKING:
+    from seatrial.api.fits import Series
+    from seatrial.ident.results import FitResult
+
+POINTS = 3000  # largest number of points of a line
+TURN_DEG = 360.0
+
+
+def prediction_figure(result: FitResult, channels: Sequence[str]) -> Figure:
+    """Return a figure of measured and predicted channels over the horizon, with the 95 % band of the prediction.
+
+    Parameters
+    ----------
+    result
+        Result of a fit.
+    channels
+        Names of channels; empty: all.
+
+    Raises
+    ------
+    SeatrialError
+        If the result has no channel of a name.
+    """
+    check_names(channels, [x.channel for x in result.traces])
+    panels = []
+    for x in result.traces:
+        if channels and x.channel not in channels:
+            continue
+        factor, unit = degrees_for(x.unit)
+        turn = TURN_DEG if x.angle else None
+        panel = Panel(f"{x.channel} [{unit or '1'}], {x.record} ({x.role})")
+        panel.traces.append(dots(x.t, factor * x.measured, "measured", POINTS, turn=turn))
+        if x.t_horizon.size:
+            middle, half = factor * x.horizon, 1.96 * factor * x.sd_horizon
+            panel.traces.append(band(x.t_horizon, middle, half, POINTS, turn=turn))
+            name = f"predicted {result.horizon_seconds:g} s ahead"
+            panel.traces.append(line_trace(x.t_horizon, middle, name, POINTS, turn=turn))
+        panels.append(panel)
+    return _stacked(
+        f"Measured (grey) and predicted {result.horizon_seconds:g} s ahead (blue, with its 95 % band)", panels
+    )
+
+
+def residual_figure(residuals: Mapping[str, Mapping[str, Series]], channels: Sequence[str]) -> Figure:
+    """Return a figure of standardised residuals over time, by record and channel, with lines at ± 2.
+
+    Parameters
+    ----------
+    residuals
+        Residuals by record and channel.
+    channels
+        Names of channels; empty: all.
+
+    Raises
+    ------
+    SeatrialError
+        If the residuals have no channel of a name.
+    """
+    check_names(channels, [n for by_channel in residuals.values() for n in by_channel])
+    panels = []
+    for record, by_channel in residuals.items():
+        for name, series in by_channel.items():
+            if channels and name not in channels:
+                continue
+            ends = np.array([series.t[0], series.t[-1]])
+            panel = Panel(f"{name}, {record}: residual / predicted standard deviation")
+            panel.traces.append(dots(series.t, series.value, name, POINTS))
+            for level in (-2.0, 2.0):
+                panel.traces.append(line_trace(ends, np.full(2, level), f"{level:+g}", POINTS, dash="dot"))
+            panels.append(panel)
+    return _stacked("Standardised residuals", panels)
+
+
+def check_names(asked: Sequence[str], known: Sequence[str]) -> None:
+    """Check names of channels that a user gave.
+
+    Raises
+    ------
+    SeatrialError
+        If a name is not among the known ones.
+    """
+    for name in asked:
+        if name not in known:
+            raise SeatrialError(f"there is no channel {name!r}; the channels are {', '.join(dict.fromkeys(known))}")
+
+
+def _stacked(title: str, panels: Sequence[Panel]) -> Figure:
+    """Return a figure of panels above each other; SeatrialError if there are none."""
+    if not panels:
+        raise SeatrialError("there is nothing to draw: the fit has no such channel with samples")
+    figure, height = stacked(panels, "time [s]")
+    return Figure(title, figure["data"], figure["layout"] | {"height": height, "showlegend": False})

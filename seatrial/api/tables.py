@@ -1,0 +1,115 @@
+"""Tables of estimates as text, HTML and rows."""
+
+from __future__ import annotations
+
+import html
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+if TYPE_CHECKING:
+    from seatrial.ident.results import FitResult, ParameterRow
+
+NORMAL_95 = 1.959964  # standard deviations of a normal distribution on each side of its 95 % interval
+COLUMNS = ("", "estimate", "s.e.", "2.5 %", "97.5 %", "t", "unit", "origin")
+
+
+class Statistics(NamedTuple):
+    """Statistics of one parameter.
+
+    Attributes
+    ----------
+    name : str
+        Name; a parameter of one record is ``NAME@RECORD``.
+    value, se : float
+        Estimate and standard error; NaN for none.
+    low, high : float
+        95 % interval; NaN without a standard error.
+    t : float
+        Estimate over standard error; NaN without one.
+    unit : str
+        Unit of the values.
+    origin : str
+        Origin of the value, for example ``estimated`` or ``built-in``.
+    free : bool
+        Whether the parameter was estimated.
+    flag : str
+        What is wrong with the estimate; empty if nothing is.
+    meaning : str
+        Meaning in words.
+    """
+
+    name: str
+    value: float
+    se: float
+    low: float
+    high: float
+    t: float
+    unit: str
+    origin: str
+    free: bool
+    flag: str
+    meaning: str
+
+
+def full_name(row: ParameterRow) -> str:
+    """Return the name of a parameter; ``NAME@RECORD`` for a parameter of one record."""
+    return row.name if row.record is None else f"{row.name}@{row.record}"
+
+
+def statistics(row: ParameterRow) -> Statistics:
+    """Return the statistics of a parameter. A parameter that is fixed has no standard error."""
+    se = row.se if row.se is not None else math.nan
+    reach = NORMAL_95 * se
+    return Statistics(
+        full_name(row), row.value, se, row.value - reach, row.value + reach, row.value / se if se > 0 else math.nan,
+        row.unit, row.origin, row.free, row.flag or "", row.meaning,
+    )  # fmt: skip
+
+
+def summary(result: FitResult) -> str:
+    """Return the answer of a fit, its estimates as a table, the fixed parameters and the warnings, as text."""
+    fit = result.fit
+    lines = [
+        f"{fit.model}: {fit.method}{', REML' if fit.restricted else ''}, {fit.message}",
+        f"log-likelihood {fit.log_likelihood:.2f}" if fit.log_likelihood is not None else "log-likelihood not finite",
+        "",
+        result.answer,
+        "",
+    ]
+    rows = [statistics(row) for row in fit.parameters]
+    table = [COLUMNS, *(_cells(row) for row in rows if row.free)]
+    widths = [max(len(cells[k]) for cells in table) for k in range(len(COLUMNS))]
+    rule = "-" * (sum(widths) + 2 * (len(widths) - 1))
+    for k, cells in enumerate(table):
+        # Numbers are right-aligned; the name, the unit and the origin are left-aligned.
+        lines.append(
+            "  ".join(
+                c.ljust(w) if j in (0, 6, 7) else c.rjust(w) for j, (c, w) in enumerate(zip(cells, widths, strict=True))
+            ).rstrip()
+        )
+        lines += [rule] if k == 0 else []
+    lines += [rule] if len(table) > 1 else []
+    lines += [f"  {row.name}: {row.flag}" for row in rows if row.free and row.flag]
+    fixed = [f"{row.name} = {row.value:.6g} {row.unit}".strip() + f" ({row.origin})" for row in rows if not row.free]
+    lines += ["", f"fixed: {', '.join(fixed)}"] if fixed else []
+    lines += ["", *(f"warning: {w.text}" for w in result.warnings)] if result.warnings else []
+    return "\n".join(lines)
+
+
+def as_html(result: FitResult) -> str:
+    """Return answer, estimates and warnings as HTML for a notebook."""
+    rows = [statistics(row) for row in result.fit.parameters]
+    head = "".join(f"<th>{html.escape(c)}</th>" for c in COLUMNS)
+    body = "".join(f"<tr>{''.join(f'<td>{html.escape(c)}</td>' for c in _cells(row))}</tr>" for row in rows if row.free)
+    notes = "".join(f"<p>⚠ {html.escape(w.text)}</p>" for w in result.warnings)
+    return (
+        f"<p><b>{html.escape(result.answer)}</b></p>{notes}"
+        f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+    )
+
+
+def _cells(row: Statistics) -> tuple[str, ...]:
+    """Return the cells of a parameter in the order of `COLUMNS`. Numbers have four significant digits, NaN is empty."""
+    numbers = (row.value, row.se, row.low, row.high)
+    shown = ["" if math.isnan(v) else f"{v:.4g}" for v in numbers]
+    return (row.name, *shown, "" if math.isnan(row.t) else f"{row.t:.1f}", row.unit, row.origin)

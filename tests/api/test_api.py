@@ -1,0 +1,294 @@
+"""Tests of the Python interface on short logs of mock boats: its results equal those of the commands."""
+
+from __future__ import annotations
+
+import importlib.util
+import inspect
+import json
+import re
+import shutil
+import subprocess
+import sys
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import seatrial as st
+from seatrial import command_line
+from seatrial.daq.errors import SeatrialError, SeatrialWarning
+from tests.missions import boat_log, boat_with
+
+ROOT = Path(__file__).resolve().parents[2]
+THRUST = {"priors": {"c1": (40.0, 2.0)}, "fixed": {"c2": 1.1}}
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    folder, boat = tmp_path_factory.mktemp("api"), boat_with("mismatch", 5)
+    missions = ((100.0, 101), (60.0, 102), (90.0, 103))
+    return [boat_log(folder / f"run{k}.mcap", boat, s, m, k) for k, (s, m) in enumerate(missions, 1)]
+
+
+@pytest.fixture(autouse=True)
+def quiet() -> Iterator[None]:
+    """Ignore the warning about signals that the model does not use."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", SeatrialWarning)
+        yield
+
+
+@pytest.fixture(scope="module")
+def fit(logs: list[Path]) -> st.FittedVehicle:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", SeatrialWarning)
+        return st.fit(logs[0], validate=logs[1], score_tests=False, **THRUST)
+
+
+@pytest.fixture(scope="module")
+def found(logs: list[Path], fit: st.FittedVehicle) -> st.FittedDiagnosis:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", SeatrialWarning)
+        return st.diagnose(fit, logs[0], validate=logs[1], max_effects=1)
+
+
+def run(*words: object) -> None:
+    with pytest.raises(SystemExit) as left:
+        command_line.main([str(w) for w in words])
+    assert not left.value.code
+
+
+def test_the_import_loads_neither_numpy_nor_a_part() -> None:
+    code = "import sys, seatrial; print([m for m in sys.modules if m == 'numpy' or m.startswith('seatrial.')])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("name", sorted(st.__all__))
+def test_every_public_name_is_documented(name: str) -> None:
+    thing = getattr(st, name)
+    text = inspect.getdoc(thing) or ""
+    assert name in dir(st)
+    if inspect.isfunction(thing):
+        for section in ("Parameters", "Returns", "Raises", "Examples"):
+            assert f"{section}\n---" in text, section
+        for parameter in inspect.signature(thing).parameters:
+            described = [line.partition(" : ")[0].split(", ") for line in text.splitlines() if not line.startswith(" ")]
+            assert any(parameter in names or f"**{parameter}" in names for names in described), parameter
+    else:
+        assert len(text) > 30
+    methods = [m for n, m in inspect.getmembers(thing, inspect.isfunction) if not n.startswith("_")]
+    assert all(inspect.getdoc(m) for m in methods)
+
+
+def test_signals_of_a_log(logs: list[Path]) -> None:
+    log = st.open_log(logs[0])
+    assert repr(log).startswith("<Log run1.mcap: 100.0 s, 19 signals: x, y,")
+    assert log["psi"].unit == "rad"
+    assert repr(log["psi"]) == "<Signal psi [rad]: 5001 samples, 50 Hz>"
+    frame = log.to_pandas()
+    assert frame["psi"].dropna().to_numpy() == pytest.approx(log["psi"].value)
+    part = st.open_log(str(logs[0]), start=20.0, end=30.0)
+    inside = (log["psi"].t >= 20.0) & (log["psi"].t < 30.0)
+    np.testing.assert_array_equal(part["psi"].value, log["psi"].value[inside])
+    assert part.duration == pytest.approx(10.0, abs=0.1)
+    with pytest.raises(KeyError, match="has no signal 'yaw'; it has x, y"):
+        log["yaw"]
+
+
+def test_findings_are_those_of_the_command(logs: list[Path], capsys: pytest.CaptureFixture[str]) -> None:
+    found = st.check(logs[:2])
+    run("check", "--json", logs[0], logs[1])
+    told = json.loads(capsys.readouterr().out)["findings"]
+    assert [f._asdict() for f in found] == told
+    assert (found.faults, found.warnings) == ([], [])
+    assert repr(found).splitlines()[-1].startswith("0 faults, 0 warnings")
+    assert list(found.to_pandas()["code"]) == [f.code for f in found]
+
+
+def test_fit_is_that_of_the_command(logs: list[Path], fit: st.FittedVehicle, tmp_path: Path) -> None:
+    fit.save(tmp_path / "python")
+    words = ("--prior", "c1=40:2", "--fix", "c2=1.1", "--no-score-tests", "--validate", logs[1])
+    run("ident", "vehicle", logs[0], *words, "--out", tmp_path / "command")
+    results = [json.loads((tmp_path / k / "result.json").read_text("utf-8")) for k in ("python", "command")]
+    assert results[0].pop("command") == "seatrial.fit(['run1.mcap'], model='auto')"
+    for result in results:
+        result.pop("created")
+        result.pop("command", None)
+        result["fit"].pop("cpu")
+    assert results[0] == results[1]
+    assert (tmp_path / "python" / "report.html").exists()
+    saved = st.load(tmp_path / "command")
+    assert saved.answer == fit.answer
+    assert saved.params["m_u"] == pytest.approx(fit.params["m_u"])
+    assert saved.summary() == fit.summary()
+    assert st.load(tmp_path / "command" / "model.toml").standard_errors["m_u"] == pytest.approx(
+        fit.standard_errors["m_u"]
+    )
+
+
+def test_estimates_with_their_uncertainty(fit: st.FittedVehicle) -> None:
+    assert fit.converged
+    k = fit.free.index("m_u")
+    assert np.sqrt(fit.cov[k, k]) == pytest.approx(fit.standard_errors["m_u"], rel=1e-6)
+    frame = fit.to_pandas()
+    row = frame.loc["m_u"]
+    assert (row["value"], row["unit"], row["origin"]) == (fit.params["m_u"], "kg", "estimated")
+    assert row["high"] - row["low"] == pytest.approx(2 * 1.96 * row["se"], rel=1e-3)
+    assert np.isnan(frame.loc["c2", "se"])
+    lines = fit.summary().splitlines()
+    (shown,) = [line.split() for line in lines if line.startswith("m_u ")]
+    assert float(shown[1]) == pytest.approx(row["value"], rel=1e-3)
+    assert float(shown[5]) == pytest.approx(row["t"], rel=1e-2)
+    assert shown[6:] == ["kg", "estimated"]
+    assert fit.answer in lines
+    assert any(line.startswith("fixed: c2 = 1.1 N (given)") for line in lines)
+    assert len(repr(fit).splitlines()) == 3
+    assert "<table>" in fit._repr_html_()
+
+
+def test_residuals_are_standardised(fit: st.FittedVehicle) -> None:
+    for channel in fit.residuals()["run1"].values():
+        assert 0.9 < channel.value.std() < 1.1
+        assert channel.t.shape == channel.value.shape
+
+
+def test_predictions_have_the_errors_of_the_result(fit: st.FittedVehicle) -> None:
+    errors = fit.result.errors.validation
+    assert errors is not None
+    ahead = fit.predict()["run2"]
+    assert set(fit.predict()) == {"run2"}
+    assert set(fit.predict(on="estimation")) == {"run1"}
+    for name, row in errors.horizon.items():
+        assert ahead[name].rms == pytest.approx(row.after, rel=1e-9)
+    assert fit.predict(2.0)["run2"]["x"].rms < ahead["x"].rms
+    for name, row in errors.simulation.items():
+        assert fit.simulate()["run2"][name].rms == pytest.approx(row.after, rel=1e-9)
+
+
+def test_figures(fit: st.FittedVehicle, tmp_path: Path) -> None:
+    figure = fit.plot("psi", "r")
+    assert repr(figure) == "<Figure 'Measured (grey) and predicted 10 s ahead (blue, with its 95 % band)': 12 traces>"
+    bundle = figure._repr_mimebundle_()
+    assert json.loads(json.dumps(bundle))["application/vnd.plotly.v1+json"]["layout"]["height"] > 300
+    drawn = figure.to_plotly()
+    assert len(drawn.data) == 12
+    figure.save(tmp_path / "psi.html")
+    page = (tmp_path / "psi.html").read_text("utf-8")
+    assert "(blue, with its 95" in page
+    assert '<div class="plot" id="figure-1"' in page
+    assert len(fit.plot_residuals("psi").data) == 3
+    with pytest.raises(SeatrialError, match="there is no channel 'yaw'; the channels are psi, r"):
+        fit.plot("yaw")
+
+
+def test_simulation_of_given_inputs(fit: st.FittedVehicle) -> None:
+    """Equal thrusts end at the speed at which thrust and drag are equal."""
+    t = np.arange(0.0, 120.0, 0.1)
+    motion = st.simulate(fit, t, {"n_left": np.full(t.size, 0.5), "n_right": np.full(t.size, 0.5)}, {"u": 0.2})
+    p, u = fit.params, motion["u"].value  # through the water
+    assert u[0] == pytest.approx(0.2)
+    assert p["d_u"] * u[-1] + p["d_uu"] * u[-1] ** 2 == pytest.approx(2 * 0.25 * (p["c1"] + p["c2"]), rel=0.01)
+    with pytest.raises(SeatrialError, match="the model has no input 'n_l'; its inputs are n_left, n_right"):
+        st.simulate(fit, t, {"n_l": t})
+    with pytest.raises(SeatrialError, match="the model has no state 'speed'"):
+        st.simulate(fit, t, {"n_left": t, "n_right": t}, {"speed": 1.0})
+    with pytest.raises(SeatrialError, match="n_right"):
+        st.simulate(fit, t, {"n_left": t})
+    with pytest.raises(SeatrialError, match=r"n_left: it has the shape \(3,\), but the times have \(1200,\)"):
+        st.simulate(fit, t, {"n_left": [1.0, 2.0, 3.0]})
+
+
+def test_diagnosis_names_the_effect(found: st.FittedDiagnosis, tmp_path: Path) -> None:
+    assert list(found.effects) == ["mismatch"]
+    assert found.params["eps_LR"] == pytest.approx(-0.06, abs=0.03)
+    again = st.load(found.save(tmp_path / "found"))
+    assert again.answer == found.answer
+    assert again.params["eps_LR"] == pytest.approx(found.params["eps_LR"], rel=1e-6)
+
+
+def test_comparison_prefers_the_model_with_the_effect(
+    logs: list[Path],
+    fit: st.FittedVehicle,
+    found: st.FittedDiagnosis,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    compared = st.compare({"nominal": fit, "mismatch": found}, logs[2])
+    nominal, better = compared.found.models
+    assert better.n_free == nominal.n_free + 1
+    assert better.rms["r"] < 0.6 * nominal.rms["r"]
+    assert better.score is not None
+    assert better.score.verdict == "better"
+    assert (nominal.change, nominal.score) == (None, None)
+    assert list(compared.to_pandas().columns) == ["nominal", "mismatch"]
+    # On the log of the fit the summary says that the errors are too small.
+    own = st.compare([fit, found], logs[0])
+    assert "(a) was fitted to run1" in own.summary()
+    assert own.found.models[0].rms["r"] == pytest.approx(fit.predict(on="estimation")["run1"]["r"].rms, rel=0.05)
+    paths = [x.save(tmp_path / name) / "model.toml" for x, name in ((fit, "a"), (found, "b"))]
+    run("ident", "compare", *paths, "--on", logs[2])
+    printed = capsys.readouterr().out.splitlines()
+    assert printed[2:] == compared.summary().splitlines()[2:]
+
+
+def test_the_page_runs_as_written(
+    logs: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for log in logs:
+        shutil.copy(log, tmp_path)
+    t = np.arange(0.0, 60.0, 0.1)
+    columns = {
+        "t": t,
+        "psi": 0.1 * t,
+        "r": 0.1 + 0.01 * np.sin(t),
+        "n_left": 0.5 + 0.1 * np.sin(t),
+        "n_right": 0.4 + 0 * t,
+    }
+    rows = np.column_stack(list(columns.values()))
+    np.savetxt(tmp_path / "other.csv", rows, delimiter=",", header=",".join(columns), comments="", fmt="%.6f")
+    monkeypatch.chdir(tmp_path)
+    text = (ROOT / "docs/how-to/python.md").read_text(encoding="utf-8")
+    space: dict[str, object] = {}
+    for block in re.findall(r"^```python\n(.*?)^```$", text, re.MULTILINE | re.DOTALL):
+        exec(compile(block, "python.md", "exec"), space)
+    printed = capsys.readouterr().out
+    assert "better: with effects" in printed or "better: nominal" in printed
+    assert "<Log other.mcap: 59.9 s, 4 signals" in printed
+    assert {p.name for p in (tmp_path / "vehicle").iterdir()} == {"model.toml", "result.json", "report.html"}
+
+
+def test_the_reference_is_up_to_date() -> None:
+    spec = importlib.util.spec_from_file_location("reference", ROOT / "docs/site/reference.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    page = (ROOT / "docs/reference.md").read_text(encoding="utf-8")
+    assert page == module.page(), "run python docs/site/reference.py"
+    assert all(re.search(rf"^### (st\.)?{name}$", page, re.MULTILINE) for name in st.__all__)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda logs, fit: st.fit("missing.mcap"), "missing.mcap: no such file or folder"),
+        (lambda logs, fit: st.fit([]), "no log was given"),
+        (lambda logs, fit: st.fit(logs[0], despite=True), "there is no option 'despite'; the options are"),
+        (lambda logs, fit: st.fit(logs[0], model="boat"), "boat"),
+        (lambda logs, fit: st.fit(logs[0], validate=logs[0]), "for the fit and for the validation"),
+        (lambda logs, fit: st.fit(logs[0], validate=st.open_log(logs[1], 5.0)), "validation logs are used whole"),
+        (lambda logs, fit: st.diagnose("nowhere", logs[0]), "nowhere: no such file"),
+        (lambda logs, fit: st.compare([fit], logs[2]), "a comparison needs two models or more"),
+        (lambda logs, fit: st.load(logs[0].parent), "contains neither model.toml nor result.json"),
+        (lambda logs, fit: st.open_log(logs[0], 500.0), "no data are left from 500 s on"),
+    ],
+)
+def test_a_mistake_is_one_clear_line(logs: list[Path], fit: st.FittedVehicle, call: object, message: str) -> None:
+    assert callable(call)
+    with pytest.raises(SeatrialError) as raised:
+        call(logs, fit)
+    assert message in str(raised.value)
+    assert "\n" not in str(raised.value)
