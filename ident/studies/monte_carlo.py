@@ -477,7 +477,8 @@ def count_replicates(rows: Sequence[Row]) -> ReplicateCounts:
 def estimator_code_hash() -> str:
     """Return a hash (12 hexadecimal digits) of the source files that the results of a study depend on.
 
-    Stored replicates of other code are not used again. The hash is computed once per process.
+    It is stored with each replicate, so that a study can warn about stored replicates of another version of the code.
+    The hash is computed once per process.
     """
     digest = hashlib.sha256()
     for path in hashed_files():
