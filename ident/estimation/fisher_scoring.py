@@ -373,9 +373,9 @@ def refine_lbfgsb(
 ) -> Optimum:
     """Continue a search by the quasi-Newton method L-BFGS-B with the exact gradient.
 
-    The fit does so if Fisher scoring stops before it has converged.
-    The coordinates are scaled by the square roots of the information. The search ends if a step gains less than a
-    twentieth of the ``tolerance``, or after 200 iterations, so that a rough fit does not take hundreds of steps.
+    A fit uses it if Fisher scoring stops before it has converged. The coordinates are scaled by the square roots of the
+    information. The search ends if a step gains less than a twentieth of the ``tolerance``, or after 200 iterations, so
+    that a rough fit does not take hundreds of steps.
 
     Parameters
     ----------
@@ -477,6 +477,7 @@ class Problem:
         threads: int,
         initial_values: Mapping[str, float] | None = None,
     ) -> None:
+        """Create the objective, and assign a coordinate to each free parameter; see the class for the arguments."""
         self.likelihood, self.records, self.initial_values = likelihood, tuple(records), initial_values or {}
         model = self.model = likelihood.model
         index = {p.name: i for i, p in enumerate(model.parameters)}

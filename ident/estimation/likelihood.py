@@ -199,6 +199,7 @@ class Likelihood:
     """
 
     def __init__(self, model: Model, *, joseph: bool = False, process_noise: bool = True) -> None:
+        """Create the likelihood of a model. Nothing is compiled yet."""
         self.model = model
         self.process_noise = process_noise
         self._joseph = joseph

@@ -66,6 +66,7 @@ class EstimationOptions:
     horizon: float | None = None
 
     def __post_init__(self) -> None:
+        """Raise ValueError if the estimation method is unknown."""
         if self.method not in ("prediction-error", "output-error"):
             raise ValueError(f"there is no estimation method {self.method!r}; use prediction-error or output-error")
 
@@ -119,6 +120,7 @@ class SearchSettings:
     refine: bool = True
 
     def __post_init__(self) -> None:
+        """Raise ValueError if ``initial_state`` is neither ``free`` nor ``given``."""
         if self.initial_state not in ("free", "given"):
             raise ValueError(f"initial_state is {self.initial_state!r}; use free or given")
 

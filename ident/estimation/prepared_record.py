@@ -208,6 +208,7 @@ def _first_measurements(model: Model, record: Record, measured: NDArray[np.bool_
 
 def _changes_before_first(model: Model, record: Record, measured: NDArray[np.bool_]) -> Array:
     """Return the largest probable change of each output before its first measurement (n_outputs,), in its unit.
+
     It makes the initial state less certain if a sensor starts late. The change is zero if the first measurement comes
     within two median sample intervals of the start of the record, or if an output has fewer than two samples. Otherwise
     it is the time from the start to the first measurement, times the fastest rate of change among all outputs of the

@@ -516,6 +516,7 @@ class ConstrainedObjective:
     """
 
     def __init__(self, problem: Problem, k: int, z: Array) -> None:
+        """Hold coordinate k of the objective, and evaluate the objective at its optimum z (n,)."""
         self.problem, self.coordinate, self.bounds, self.parameter = problem, k, problem.bounds, problem.parameters[k]
         self.others = np.delete(np.arange(z.size), k)
         self.other_bounds = Bounds(

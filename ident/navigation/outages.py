@@ -189,6 +189,7 @@ class _OutageEvaluator:
     """
 
     def __init__(self, navigation: Navigation) -> None:
+        """Compute the antenna positions of the prediction and of the best estimate for all rows of the record."""
         self.navigation = navigation
         self.predicted, self.best = (navigation.position(e) for e in (navigation.predicted, navigation.best))
 
