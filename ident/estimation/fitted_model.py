@@ -64,7 +64,8 @@ class FittedModel:
     fit
         Fit to the estimation data.
     estimation, validation
-        Evaluation of the fitted model on each record of the estimation data and of the validation data.
+        Evaluation of the fitted model on each record of the estimation data and of the validation data. The validation
+        records may also be cut into blocks in time (`validated_in_blocks`).
     failed
         Validation runs that could not be evaluated; they are not in ``validation``.
     cross_validated
@@ -398,8 +399,9 @@ def _evaluate_validation_records(
 ) -> tuple[list[RecordEvaluation], list[FailedRun]]:
     """Evaluate a fit on validation records. Return the evaluations, and the runs that failed.
 
-    The per-record parameters (the current) are estimated from all validation records at once; all other parameters keep
-    the estimates of the fit. If that fails, the records are evaluated one by one.
+    The per-record parameters (the current) are estimated from all validation records at once, with the ``settings`` of
+    the search; all other parameters keep the estimates of ``full_fit``. If that fails, the records are evaluated one by
+    one, and those that fail again are returned as failed.
     """
     model = full_fit.model
     own = [p.name for p in model.parameters if p.free and p.per_record]
@@ -459,7 +461,7 @@ def _evaluation_of(model: Model, record: Record, values: Array) -> RecordEvaluat
 
 
 def nominal_model(model: Model) -> Model:
-    """Return the model to which a diagnosis compares others: with disturbance forces and sensor offsets as states.
+    """Return the model with which a diagnosis compares others: with disturbance forces and sensor offsets as states.
 
     The sizes of their noise and priors are scaled to the size of the boat, by its masses. A model that has disturbance
     forces already is only scaled. A model without forces or kinematic residuals is returned unchanged.

@@ -173,7 +173,8 @@ class Fit:
     prior_weight : Array (n,)
         Share of a parameter's information that comes from its prior; 1 if the data contain no information.
     robust_errors : Array (n,)
-        Standard errors from the sandwich covariance, valid for coloured residuals; NaN if they were not requested.
+        Standard errors from the sandwich covariance, valid for coloured (autocorrelated) residuals. NaN if they were
+        not requested, for parameters without a standard error, and for residuals autocorrelated for too long.
     coloured
         Whether the residuals are coloured: the information matrix test rejects the standard error of a parameter. The
         errors and the covariance are then those of the sandwich covariance if these are larger. Always False in output
@@ -199,7 +200,9 @@ class Fit:
     flags
         Pairs (full name of a parameter, remark), such as "at its bound".
     converged, message
-        Whether one more step gains less than 0.01 in log-posterior, and a sentence about the end of the search.
+        Whether one more step is expected to gain less than 0.125 in log-posterior (the estimates are then within half a
+        standard error of the maximum), or less than the tolerance of the search if that is larger; and a clause about
+        the end of the search.
     """
 
     model: Model
