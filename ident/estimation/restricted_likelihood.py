@@ -36,8 +36,8 @@ def apply_reml(problem: Problem, maximum: Optimum) -> Optimum:
 
     Maximum likelihood underestimates the noise, because the fitted dynamics reduce the innovations; the step corrects
     this. It moves noise parameters and dynamic parameters. A noise parameter keeps its value if it is not estimated as
-    a logarithm, is at a bound, or if the data do not determine its order of magnitude. A parameter that is known mainly
-    from its prior also keeps its value.
+    a logarithm, is at a bound, or if the data do not determine its order of magnitude. A dynamic parameter that all
+    records share and that is known mainly from its prior also keeps its value.
 
     Parameters
     ----------
@@ -101,7 +101,9 @@ def _identified_standard_errors(H: Array) -> Array:
 
 
 def _information_log_det(problem: Problem, z: Array, which: NDArray[np.intp]) -> float:
-    """Return the natural logarithm of the determinant of the Fisher information of some coordinates.
+    """Return the natural logarithm of the determinant of the Fisher information of some coordinates of a fit.
+
+    Coordinates are parameters, or the logarithms of positive parameters.
 
     Parameters
     ----------

@@ -433,7 +433,8 @@ def _variance_from_block_sums(parts: Sequence[Array], n_parameters: int) -> tupl
 class LikelihoodInterval:
     """Interval of a coordinate over which the log-likelihood has fallen by 1.92, with all other coordinates held.
 
-    It replaces the standard error of a parameter whose likelihood is flat around its estimate.
+    It replaces the standard error of a parameter whose likelihood is flat around its estimate. Coordinates are the
+    variables of the search; here the coordinate is the parameter itself, not its logarithm.
 
     Attributes
     ----------
@@ -464,24 +465,25 @@ class LikelihoodInterval:
 def flat_coordinates(
     value: Callable[[Array], float], z: Array, parameters: Sequence[Parameter], information: Array, bounds: Bounds
 ) -> list[LikelihoodInterval]:
-    """Find coordinates whose likelihood is flat around the estimate and falls further away, each with its interval.
+    """Find parameters whose likelihood is flat around the estimate and falls further away, each with its interval.
 
     An example is the end of a dead zone that lies between two commands of the log: all values in between fit equally
-    well. The curvature at the estimate is then no measure of the error, and the interval replaces it. Such a coordinate
-    is inside its bounds, and its standard error from the information exceeds its characteristic step. The
-    log-likelihood falls by 1.92 (the limit of a 95 % interval) on one side at least. The interval is shorter than half
-    of the 95 % interval that this standard error gives. A side without such a fall ends at the bound.
-    Coordinates that are logarithms are skipped, because the likelihood is smooth in them.
+    well. The curvature at the estimate is then no measure of the error, and the interval replaces it.
+
+    Such a parameter is inside its bounds, and its standard error from the information exceeds its characteristic step.
+    The log-likelihood falls by 1.92 (the limit of a 95 % interval) on one side at least. A side without such a fall
+    ends at the bound. The interval is shorter than half of the 95 % interval that the standard error gives. Parameters
+    that are estimated as logarithms are skipped, because the likelihood is smooth in them.
 
     Parameters
     ----------
     value
         Returns the objective (log-likelihood plus log-prior) at coordinates (n,).
     z : Array (n,)
-        Coordinates of the estimate.
+        Coordinates of the estimate: parameters, or the logarithms of positive parameters.
     parameters
         Parameters of the coordinates. The characteristic step of a parameter is its ``step``, or else a hundredth of
-        its value.
+        its value, or else 1.
     information : Array (n, n)
         Information at the estimate.
     bounds
@@ -490,7 +492,7 @@ def flat_coordinates(
     Returns
     -------
     list of LikelihoodInterval
-        One interval for each flat coordinate; empty if there is none.
+        One interval for each such parameter; empty if there is none.
     """
     found = []
     for i, p in enumerate(parameters):
@@ -581,10 +583,11 @@ def _bisect_drop(fallen: DropTest, inner: float, outer: float) -> float:
 
 
 def with_interval_information(at: Evaluation, found: Sequence[LikelihoodInterval]) -> Evaluation:
-    """Return a copy of the evaluation in which flat coordinates get the information of their likelihood intervals.
+    """Return a copy of the evaluation in which parameters with a flat likelihood get the information of an interval.
 
-    The information between a flat coordinate and the others becomes zero. ``found`` are the intervals, a result of
-    `flat_coordinates`. Standard errors then follow from the copy as usual.
+    Each interval in ``found`` is that over which the log-likelihood falls by 1.92; its information replaces the one
+    from the curvature at the optimum. The information between such a parameter and the others becomes zero. Standard
+    errors then follow from the copy as usual.
     """
     information = at.information.copy()
     for p in found:

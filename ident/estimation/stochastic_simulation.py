@@ -43,7 +43,10 @@ class SampledInputs:
 
     @classmethod
     def linear(cls, t: Array, u: Array) -> SampledInputs:
-        """Return inputs that are linear in time between the values ``u`` (n_rows, n_inputs) at the times ``t`` [s]."""
+        """Return inputs that are linear in time between the values ``u`` (n_rows, n_inputs) at the times ``t`` [s].
+
+        After the last time they keep the last value.
+        """
         return cls(t, u, np.vstack([u[1:], u[-1:]]))
 
 
