@@ -546,7 +546,7 @@ def _bracket_drop(fallen: DropTest, tried: Array, z: float) -> tuple[float, floa
     Parameters
     ----------
     fallen
-        Tells whether the log-likelihood has fallen by 1.92 at a value of the coordinate; None if it is not finite.
+        Returns whether the log-likelihood has fallen by 1.92 at a value of the coordinate; None if it is not finite.
     tried : Array
         Values of the coordinate, at increasing distances from the estimate on one side.
     z
@@ -571,7 +571,7 @@ def _bisect_drop(fallen: DropTest, inner: float, outer: float) -> float:
 
     It lies between ``inner``, where the log-likelihood has not fallen, and ``outer``. The result is infinite, with the
     sign of the side, if ``outer`` is infinite or if the log-likelihood stops being finite before it has fallen.
-    ``fallen`` tells whether the log-likelihood has fallen by 1.92 at a value; None if it is not finite there.
+    ``fallen`` returns whether the log-likelihood has fallen by 1.92 at a value; None if it is not finite there.
     """
     if not np.isfinite(outer):
         return outer
