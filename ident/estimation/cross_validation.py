@@ -50,15 +50,15 @@ def time_blocks(
 ) -> TimeBlocks:
     """Cut each record into blocks of consecutive rows, for cross-validation.
 
-    A record gets five to eight blocks of equal duration. The number is the duration of the record divided by
-    ``12 block``, within these limits.
+    A record gets five to eight blocks of equal duration. The number is the duration of the record divided by twelve
+    times ``block``, within these limits.
 
     Parameters
     ----------
     records
         Records to be cut.
     block
-        Duration [s] over which the residuals of the model may be correlated (``Model.block``), 5 s for a boat.
+        Duration [s] over which the residuals of the model may be correlated, 5 s for a boat (``Model.block``).
     starts
         For each record, the mean and standard deviation of each state, by name, with which its blocks start.
     """
@@ -75,9 +75,10 @@ def time_blocks(
 def leave_one_block_out(
     model: Model, blocks: TimeBlocks, values: Array, parameters: Sequence[Parameter]
 ) -> list[Array]:
-    """Return parameter values for each block that do not depend on the data of this block.
+    """Return parameter values for each block in time that do not depend on the data of this block.
 
-    The values come from one Newton step from the fit to all blocks. Only the nominal model's per-record parameters (the
+    They are used for cross-validation. The values come from one Newton step from the fit to all blocks, with the
+    block's contribution subtracted (approximate leave-one-out). Only the nominal model's per-record parameters (the
     current) are estimated from the block itself.
 
     Parameters
@@ -153,10 +154,19 @@ def leave_one_block_out(
 
 
 def _with_per_record_values_of_block(model: Model, block: Record, values: Array) -> Array:
-    """Return the values (n_parameters,) with the nominal model's per-record parameters estimated from the block.
+    """Estimate the nominal model's per-record parameters, such as the current, from a block; keep all other values.
 
-    An example of such a parameter is the current. Per-record parameters of effects and all other parameters keep their
-    values.
+    Return the values (n_parameters,). Per-record parameters of effects are kept, too: they must not come from the data
+    on which the effect is judged.
+
+    Parameters
+    ----------
+    model
+        Fitted model.
+    block
+        The block as a record.
+    values : Array (n_parameters,)
+        Values for the block, in the order of ``model.parameters``.
     """
     of_effects = {p.name for e in model.effects if not e.kind.nuisance for p in e.parameters}
     own = [p.name for p in model.parameters if p.free and p.per_record and p.name not in of_effects]

@@ -23,7 +23,7 @@ SAME_COMMAND = 0.02  # standard deviation of a command, or of the difference of 
 
 @dataclass(frozen=True)
 class UnexcitedMotion:
-    """Masses that the data do not determine, and the reason in the commands.
+    """Masses and inertia that the data do not determine, and the reason in the commands: the motion was not excited.
 
     Attributes
     ----------
@@ -38,13 +38,15 @@ class UnexcitedMotion:
 
     @property
     def clause(self) -> str:
-        """Clause for reports that names the parameters and the reason."""
+        """Clause for reports: that the data do not determine these parameters, and the reason if it is known."""
         reason = f": {self.reason}" if self.reason else ""
         return f"the data do not determine {', '.join(self.parameters)}{reason}"
 
 
 def unexcited_motion(fit: Fit, records: Sequence[Record]) -> UnexcitedMotion | None:
-    """Find the masses and the inertia that the data do not determine.
+    """Find the masses and the inertia that the data do not determine, because the commands did not excite the motion.
+
+    The data do not determine one if its standard error exceeds half of its estimate, or if it has no standard error.
 
     Parameters
     ----------
@@ -56,9 +58,9 @@ def unexcited_motion(fit: Fit, records: Sequence[Record]) -> UnexcitedMotion | N
     Returns
     -------
     UnexcitedMotion or None
-        None if the data determine all of them, and for a model without them.
+        None if the data determine all that were estimated.
     """
-    reported, lost = ReportedEstimates(fit), []  # ratios to the thrust if nobody gave the thrust
+    reported, lost = ReportedEstimates(fit), []  # ratios to the thrust if the thrust was not given
     for p in fit.parameters:
         if p.name in MASSES:
             value, error = reported.estimate(p, 0)
@@ -68,7 +70,11 @@ def unexcited_motion(fit: Fit, records: Sequence[Record]) -> UnexcitedMotion | N
 
 
 def _reason(fit: Fit, records: Sequence[Record]) -> str:
-    """Return why the motion was not excited, by the inputs of the two sides; empty if they changed and differed."""
+    """Return why the motion was not excited, as a clause about the inputs of the left and the right thruster.
+
+    The reason is that neither input changed, or that the two did not differ: a standard deviation below 2 % of the
+    largest input. The clause is empty if neither is true, or if the model has no inputs of two sides.
+    """
     own = [i.name for i in fit.model.inputs if not i.tap_of]
     sides = [next((n for n in own if n.endswith(f"_{side}")), None) for side in ("left", "right")]
     if None in sides:

@@ -45,7 +45,9 @@ FEWEST_REJECTED = 3
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Objective and its derivatives at a point. The objective is maximised.
+    """Value and derivatives of an objective that is maximised, at one point of the search.
+
+    The point has n coordinates: the variables of the search, each a parameter or the logarithm of a positive parameter.
 
     Attributes
     ----------
@@ -82,14 +84,15 @@ class Evaluation:
 
 @dataclass(frozen=True)
 class Bounds:
-    """Bounds of the coordinates.
+    """Bounds of the coordinates: of the variables of a search, each a parameter or the logarithm of one.
 
     Attributes
     ----------
     low, high : Array (n,)
         Lower and upper bounds; infinite for a coordinate without a bound.
     logarithmic : Array (n,) of bool
-        Whether the coordinate is the logarithm of a parameter. Steps of logarithms are limited to 1.5.
+        Whether the coordinate is the logarithm of a parameter. One step of the search changes a logarithm by at most
+        1.5.
     """
 
     low: Array
@@ -101,14 +104,25 @@ class Bounds:
         return np.clip(z, self.low, self.high)
 
     def pushed_against(self, z: Array, gradient: Array) -> Flags:
-        """Return for each coordinate whether z is at a bound and the objective rises beyond this bound (n,)."""
+        """Return for each coordinate whether it is at a bound and the objective rises beyond this bound (n,).
+
+        The search must hold such a coordinate.
+
+        Parameters
+        ----------
+        z : Array (n,)
+            Coordinates.
+        gradient : Array (n,)
+            Derivatives at z of the objective, which is maximised.
+        """
         low, high = self.reached(z)
         return np.asarray((low & (gradient < 0)) | (high & (gradient > 0)))
 
     def reached(self, z: Array) -> tuple[Flags, Flags]:
-        """Return whether each coordinate is at its lower bound, and whether it is at its upper bound, two arrays (n,).
+        """Return whether each coordinate of z (n,) is at its lower bound, and at its upper bound: two arrays (n,).
 
-        A coordinate counts as at a bound if it is beyond the bound or nearer than 1e-12 of the bound's value.
+        A coordinate counts as at a bound if it is beyond the bound or nearer than 1e-12 of the bound's value, for
+        rounding.
         """
         near = [ROUNDING * np.where(np.isfinite(bound), np.abs(bound), 0.0) for bound in (self.low, self.high)]
         return np.asarray(z <= self.low + near[0]), np.asarray(z >= self.high - near[1])
@@ -116,7 +130,7 @@ class Bounds:
 
 @dataclass(frozen=True)
 class Optimum:
-    """End point of a search.
+    """End point of a search for the maximum of an objective, and the effort of the search.
 
     Attributes
     ----------
@@ -127,7 +141,8 @@ class Optimum:
     iterations, evaluations : int
         Numbers of iterations and of evaluations of the objective.
     gain_left : float
-        Expected gain of the objective by one more step.
+        Gain of the objective that the quadratic approximation predicts for one more step. It is near zero if the search
+        has converged.
     """
 
     z: Array
@@ -143,16 +158,18 @@ Iterations = Callable[[int, float], None]  # called with the number and the obje
 
 @dataclass
 class BfgsCorrection:
-    """Correction of the Hessian near the optimum, from the steps of a search and the gradient's changes along them.
+    """Correction of the expected information towards the true negative Hessian, near the optimum, by BFGS updates.
 
-    Each step corrects the Hessian in its direction by a BFGS update (Nocedal and Wright 2006, eq. 6.19).
+    Each step of the search corrects the matrix in its direction by the change of the gradient along it (Nocedal and
+    Wright 2006, eq. 6.19).
 
     Attributes
     ----------
     largest : Array (n,)
-        Largest value so far of each diagonal element of the negative Hessian. At a kink, such as the end of a dead zone
-        between two samples, a coordinate loses its information. If its damping were relative to what remains, its next
-        step would reach its bounds (Moré 1978, section 5).
+        Largest value so far of each diagonal element of the uncorrected negative Hessian. It is the least scale of the
+        damping. At a kink of the objective, such as the end of a dead zone between two samples, a coordinate loses its
+        information. If its damping were relative to what remains, its next step would reach its bounds (Moré 1978,
+        section 5).
     pairs : list[tuple[Array, Array]]
         Up to 12 latest pairs of a step (n,) and the decrease of the gradient (n,) along it.
     """
@@ -161,10 +178,17 @@ class BfgsCorrection:
     pairs: list[tuple[Array, Array]] = field(default_factory=list)
 
     def add_step(self, step: Array, before: Evaluation, after: Evaluation) -> None:
-        """Add a step between two evaluated points, and update ``largest``.
+        """Add an accepted step of the search, and update ``largest`` from the point after it.
 
-        If the step gained more than 3 in log-likelihood, the objective is not quadratic yet: all pairs are deleted
-        instead.
+        If the step gained more than 3 in log-likelihood, the objective is not quadratic yet: all pairs are deleted, and
+        the step is not added.
+
+        Parameters
+        ----------
+        step : Array (n,)
+            Change of the coordinates.
+        before, after
+            Evaluations at the start and at the end of the step.
         """
         self.largest = np.maximum(self.largest, np.diag(after.hessian))
         if after.value - before.value > QUADRATIC_GAIN:
@@ -173,12 +197,13 @@ class BfgsCorrection:
         self.pairs = [*self.pairs[1 - MAX_BFGS_PAIRS :], (step, before.gradient - after.gradient)]
 
     def is_plausible(self, trial: Evaluation) -> bool:
-        """Return whether the information at a trial point is plausible: at most 1e6 times as large as before.
+        """Return whether the information at a trial point is plausible: less than 1e6 times as large as before.
 
-        The ratio is the median over the coordinates of the diagonal to its largest value so far.
+        The ratio is the median over the coordinates of: diagonal of the information, divided by its largest value so
+        far. Coordinates that never had information are not counted; without any other the result is True.
 
-        Just before a simulation diverges, its value may be finite and even better. Its sensitivities have diverged
-        already, so that the remaining gain appears to be zero.
+        The search rejects a point that is not plausible. Just before a simulation diverges, its objective may be finite
+        and even better. Its sensitivities have diverged already, so that the remaining gain appears to be zero.
         """
         known = self.largest > 0.0
         if not known.any():
@@ -186,9 +211,10 @@ class BfgsCorrection:
         return bool(np.median(np.diag(trial.information)[known] / self.largest[known]) < MAX_SENSITIVITY_RATIO)
 
     def hessian(self, at: Evaluation) -> Array:
-        """Return the negative Hessian (n, n) at a point, corrected by the stored steps.
+        """Return the negative Hessian (n, n) of the objective at a point, corrected by the stored steps of the search.
 
-        A step is skipped if the curvature along it differs from the uncorrected one by more than a factor of 20.
+        A step is skipped if the curvature along it, measured by the gradient, differs from that of the matrix by a
+        factor of 20 or more.
         """
         H = at.hessian
         for s, y in self.pairs:
@@ -202,10 +228,10 @@ class BfgsCorrection:
 def solve_step(at: Evaluation, H: Array, z: Array, bounds: Bounds, damping: float, least: Array | float = 0.0) -> Array:
     """Return the damped Newton step of a maximisation, which ends on the bounds if it would cross them.
 
-    Coordinates without any information do not move. No logarithm moves by more than ``LARGEST_STEP``; otherwise the
-    whole step is shortened. A logarithm that hardly changes the objective is an exception: it alone is limited, and the
-    step of the others is solved with it. Otherwise a noise parameter that the data do not inform would ask for a very
-    long step and shorten those of all others to almost zero.
+    Coordinates without any information do not move. No logarithm moves by more than 1.5 (a factor 4.5 of the
+    parameter); otherwise the whole step is shortened. A logarithm that hardly changes the objective is an exception: it
+    alone is limited, and the step of the others is solved with it. Otherwise a noise parameter that the data do not
+    inform would ask for a very long step and shorten those of all others to almost zero.
 
     Parameters
     ----------
@@ -218,9 +244,9 @@ def solve_step(at: Evaluation, H: Array, z: Array, bounds: Bounds, damping: floa
     bounds
         Bounds of the coordinates.
     damping
-        Damping relative to the diagonal of ``H``; 0 for a full Newton step.
+        Factor of Levenberg's damping: this multiple of the diagonal of ``H`` is added to ``H``. 0: full Newton step.
     least : Array (n,) or float
-        Lower limit of the diagonal of ``H`` where it scales the damping.
+        Where the diagonal of ``H`` is smaller than this, the damping is a multiple of this instead.
 
     Returns
     -------
@@ -255,12 +281,19 @@ def solve_step(at: Evaluation, H: Array, z: Array, bounds: Bounds, damping: floa
 
 
 def expected_gain(at: Evaluation, H: Array, step: Array) -> float:
-    """Return the gain of the objective that the quadratic approximation with negative Hessian H predicts for a step."""
+    """Return the gain of an objective that its quadratic approximation predicts for a step.
+
+    It is ``g' s - 1/2 s' H s`` with the gradient g in ``at``, the negative Hessian H (n, n) and the step s (n,).
+    """
     return float(at.gradient @ step - 0.5 * step @ H @ step)
 
 
 def remaining_gain(at: Evaluation, H: Array, z: Array, bounds: Bounds) -> float:
-    """Return the expected gain of the objective by an undamped step from z (n,), with negative Hessian H (n, n)."""
+    """Return the gain of the objective that one full Newton step from z (n,) is expected to bring.
+
+    A search has converged if it is near zero. ``at`` is the evaluation at z, and H (n, n) the negative Hessian there.
+    The step stays inside the ``bounds``.
+    """
     return expected_gain(at, H, solve_step(at, H, z, bounds, 0.0))
 
 
@@ -275,15 +308,17 @@ def maximise(
     value: Callable[[Array], float] | None = None,
     start: Evaluation | None = None,
 ) -> Optimum:
-    """Maximise an objective from ``z`` by damped Fisher scoring.
+    """Maximise an objective from ``z``, inside bounds, by Fisher scoring with Levenberg's damping.
 
-    The search ends if a full step is expected to gain less than ``tolerance``. It also ends if no step gains anything,
-    neither with the corrected Hessian nor with the expected information alone.
+    Fisher scoring makes Newton steps with the expected information as the negative Hessian; here BFGS updates correct
+    it. The search ends if a full step is expected to gain less than ``tolerance``. It also ends if no step gains
+    anything, neither with the corrected Hessian nor with the expected information alone.
 
     Parameters
     ----------
     evaluate
-        Returns the objective with its derivatives; finite at the start.
+        Returns the objective with its derivatives; finite at the start. A step to a point that is not finite is
+        rejected.
     z : Array (n,)
         Start of the search. It is clipped to the bounds.
     bounds
@@ -293,7 +328,7 @@ def maximise(
     tolerance
         Expected gain below which the search ends.
     progress
-        Called in each iteration with its number and the objective.
+        Called in each iteration with its number, from 0, and the objective. None: no call.
     value
         Returns the objective without its derivatives, in a fraction of the time. In a search that has rejected several
         steps, further steps are evaluated by it first. None: every step is evaluated with its derivatives.
@@ -349,10 +384,11 @@ def refine_lbfgsb(
     evaluate: Evaluate,
     tolerance: float,
 ) -> Optimum:
-    """Continue a search by L-BFGS-B with the exact gradient, if Fisher scoring makes no progress.
+    """Continue a search by the quasi-Newton method L-BFGS-B with the exact gradient.
 
-    The coordinates are scaled by the information. The search ends if a step gains a small share of the ``tolerance``,
-    so that a rough fit does not spend hundreds of steps on it.
+    A fit uses it if Fisher scoring stops before it has converged. The coordinates are scaled by the square roots of the
+    information. The search ends if a step gains less than a twentieth of the ``tolerance``, or after 200 iterations, so
+    that a rough fit does not take hundreds of steps.
 
     Parameters
     ----------
@@ -371,14 +407,17 @@ def refine_lbfgsb(
     -------
     Optimum
         Best point found, with the iterations and evaluations of both searches. If no better point was found, the point
-        is that of ``start``.
+        is that of ``start``, and only the evaluations are added.
     """
     from scipy import optimize  # imported here: it takes half a second and is seldom needed
 
     size = np.sqrt(np.maximum(np.diag(start.at.hessian), 1e-12))
 
     def negative_objective(w: Array) -> tuple[float, Array]:
-        """Return the negative objective and its gradient at scaled coordinates w (n,); 1e30 if it is not finite."""
+        """Return the negative objective and its gradient (n,), for a minimiser, at the scaled coordinates w (n,).
+
+        If they are not finite, return 1e30 and a zero gradient.
+        """
         value, gradient = value_and_gradient(bounds.clip(w / size))
         finite = np.isfinite(value) and bool(np.isfinite(gradient).all())
         return (-value, -gradient / size) if finite else (1e30, np.zeros(size.size))
@@ -406,7 +445,7 @@ T = TypeVar("T")
 
 
 class Problem:
-    """Objective of a fit: log-posterior of the free parameters, given records.
+    """Objective of a fit: log-posterior of the free parameters, given the measured records.
 
     It is a function of n coordinates: one for each shared free parameter, then one for each per-record parameter in
     each record. A coordinate is the parameter or, for a parameter with the transform "log", its logarithm.
@@ -422,7 +461,8 @@ class Problem:
     threads
         Largest number of records that are evaluated at the same time.
     initial_values
-        Initial values of per-record parameters (``V_x@0``) that differ from the model's.
+        Initial values of per-record parameters (``V_x@0`` is V_x in record 0) that differ from the model's. None: no
+        such values.
 
     Attributes
     ----------
@@ -450,6 +490,7 @@ class Problem:
         threads: int,
         initial_values: Mapping[str, float] | None = None,
     ) -> None:
+        """Create the objective, and assign a coordinate to each free parameter; see the class for the arguments."""
         self.likelihood, self.records, self.initial_values = likelihood, tuple(records), initial_values or {}
         model = self.model = likelihood.model
         index = {p.name: i for i, p in enumerate(model.parameters)}
@@ -504,21 +545,25 @@ class Problem:
         return out
 
     def natural_values(self, z: Array) -> Array:
-        """Return the values of the free parameters (n,) in their own units for the coordinates z (n,).
+        """Convert the coordinates z (n,) of a search to values of the free parameters (n,) in their own units.
 
-        They are clipped to their bounds, since logarithms are rounded.
+        The exponential of a logarithm is taken. The values are clipped to the parameters' bounds, since logarithms are
+        rounded.
         """
         return np.array([np.clip(p.from_free(float(c)), *p.bounds) for p, c in zip(self.parameters, z, strict=True)])
 
     def slopes(self, z: Array) -> Array:
-        """Return the derivative (n,) of each parameter by its coordinate: 1, or the parameter itself if logarithmic."""
+        """Return the derivative (n,) of each free parameter by its coordinate, at the coordinates z (n,).
+
+        It is 1, or the parameter itself if the coordinate is its logarithm. It converts gradients and standard errors.
+        """
         return np.array([p.slope(p.from_free(float(c))) for p, c in zip(self.parameters, z, strict=True)])
 
     def evaluate(self, z: Array) -> Evaluation:
-        """Return log-posterior, gradient and information at the coordinates z (n,), by forward sensitivities.
+        """Return log-posterior, gradient and expected information at the coordinates z (n,), summed over the records.
 
-        The information includes that of the priors. All constants of the likelihood, but not of the priors, are
-        included in the value.
+        The derivatives come from forward sensitivities. The information includes that of the priors. The value includes
+        all constants of the likelihood, but not those of the priors.
         """
         mean, weight = self.prior
         value = 0.0
@@ -539,15 +584,22 @@ class Problem:
         return Evaluation(value, gradient - weight * (z - mean), information + np.diag(weight), curvature)
 
     def information(self, z: Array, which: NDArray[np.intp]) -> Array:
-        """Return the information of the coordinates with the indices ``which``, with that of their priors.
+        """Return the block (n_which, n_which) of the Fisher information at z (n,) for some of the coordinates.
 
-        The result (n_which, n_which) is a block of the information at z (n,). It costs less than the whole matrix.
+        It includes the information of their priors, and costs less than the whole matrix.
+
+        Parameters
+        ----------
+        z : Array (n,)
+            Coordinates: free parameters, or their logarithms.
+        which : Array (n_which,) of int
+            Indices of the coordinates of the block, which also give its order.
         """
         slope, selected, n = self.slopes(z), set(which.tolist()), len(self.free)
         total = np.diag(self.prior[1])
 
         def chosen(i: int) -> list[int]:
-            """Return the indices in ``free`` of the selected coordinates of record i."""
+            """Return the indices in ``free`` of those parameters of record i whose coordinates are selected."""
             return [k for k in range(n) if self.coordinates[i][k] in selected]
 
         rows = self._for_each_record(
@@ -590,6 +642,9 @@ class Problem:
     def by_row(self, z: Array) -> list[tuple[list[int], Array]]:
         """Return the contribution of each row of each record to the gradient of the log-likelihood at z (n,).
 
+        A row is one instant of a record with its samples. Robust standard errors need these contributions. The priors
+        are not included.
+
         Returns
         -------
         list of (coordinates, contributions)
@@ -616,9 +671,9 @@ class Problem:
                 )
 
     def _for_each_record(self, work: Callable[[int, Array], T], z: Array) -> list[T]:
-        """Return ``work(i, values)`` for each record i, in up to ``threads`` threads.
+        """Return the results of ``work(i, values)`` for all records i in order, computed in up to ``threads`` threads.
 
-        ``values`` (n_parameters,) are all parameters of record i at the coordinates z (n,).
+        ``values`` (n_parameters,) are all parameters of record i at the coordinates z (n,), in their own units.
         """
         values = self.values(z)
         if self.threads == 1:

@@ -53,7 +53,7 @@ class FailedRun(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 @dataclass(frozen=True)
 class FittedModel:
-    """A model, its fit to the estimation data, and its evaluation on every record of both sets.
+    """A model, its fit to the estimation data, and its evaluation on each record of estimation and validation data.
 
     On validation data only per-record parameters (the current) are estimated.
 
@@ -64,11 +64,13 @@ class FittedModel:
     fit
         Fit to the estimation data.
     estimation, validation
-        Evaluation of the fitted model on each record of the estimation data and of the validation data.
+        Evaluation of the fitted model on each record of the estimation data and of the validation data. The validation
+        records may also be cut into blocks in time (`validated_in_blocks`).
     failed
         Validation runs that could not be evaluated; they are not in ``validation``.
     cross_validated
-        Whether ``validation`` contains blocks of the estimation records, each with the estimates from the other blocks.
+        Whether ``validation`` contains blocks in time of the estimation records, because there are no validation runs.
+        Each block is evaluated with the estimates from the other blocks.
     """
 
     model: Model
@@ -85,21 +87,23 @@ class FittedModel:
 
     @property
     def outlier_notes(self) -> list[str]:
-        """Sentences for the reader about outliers in the estimation data (``seatrial.ident.model.outlier_notes``)."""
+        """Sentences for a report about outliers in the estimation data; empty if there is nothing to say."""
         runs, measured = [v.run.outliers for v in self.estimation], [np.isfinite(r.y) for r in self.records]
         return outlier_notes(self.model, runs, measured)
 
 
 @dataclass(frozen=True)
 class RecordEvaluation:
-    """A fitted model on one record. Filter and smoother run at the first access.
+    """A fitted model on one record: its filter output, log-likelihood and smoothed states.
+
+    Filter and smoother run at the first access.
 
     Attributes
     ----------
     model
         Model with the estimates as values.
     record
-        Record with the channels of the model.
+        Record with the inputs and outputs of the model.
     values : Array (n_parameters,)
         Estimates for this record, in the order of ``model.parameters``.
     """
@@ -115,7 +119,7 @@ class RecordEvaluation:
 
     @cached_property
     def ll(self) -> Array:
-        """Contribution of each row to the log-likelihood (n_rows,).
+        """Contribution of each row (instant of the record) to the log-likelihood (n_rows,).
 
         It is cheaper than `run`, and enough for most candidates of a diagnosis.
         """
@@ -177,9 +181,10 @@ def fit_nominal_model(
 def validation_records(
     model: Model, segments: Sequence[LogSegment], rate: float
 ) -> tuple[list[Record], tuple[FailedRun, ...]]:
-    """Convert validation runs to records. Return the records, and the runs that cannot be converted.
+    """Convert validation runs to records of the model's inputs and outputs.
 
-    ``rate`` [Hz] is the rate of the rows, to which faster sensors are averaged.
+    Return the records, and the runs that cannot be converted with the reason. ``rate`` [Hz] is the rate of the rows of
+    a record, to which faster sensors are averaged.
     """
     records, failed = list[Record](), list[FailedRun]()
     for segment in segments:
@@ -197,7 +202,7 @@ def fit_with_rescaling(
     options: EstimationOptions | None = None,
     settings: SearchSettings | None = None,
 ) -> FittedModel:
-    """Fit the model of `nominal_model`, and fit it again if its priors turn out to be wrong.
+    """Fit a model with disturbance forces and sensor offsets, and fit it again if its priors turn out to be wrong.
 
     A second fit follows if the boat's estimated force or moment scale differs from the assumed one by a factor of two
     or more, or if the innovations contradict the declared noise of the sensors. If the second fit fails, does not
@@ -206,7 +211,7 @@ def fit_with_rescaling(
     Parameters
     ----------
     full
-        Model with disturbance forces and sensor offsets, a result of `nominal_model`.
+        Model with disturbance forces and sensor offsets as states, a result of `nominal_model`.
     records, validation_data
         Estimation and validation data.
     options
@@ -251,16 +256,24 @@ def fit_with_rescaling(
 
 
 def without_contradicted_noise(full: Model, fitted: FittedModel) -> Model:
-    """Return the model with the declared noise of the sensors as priors if the innovations of an output contradict it.
+    """Replace the declared noise of the sensors by priors if the innovations of an output contradict it.
 
     Declared noise is a fixed noise parameter of an output. It is contradicted if the robust standard deviation of the
     standardised innovations of any output is 1.5 or more. All declared noise parameters then become free, with their
-    values as the means of priors and 12.5 % as relative standard deviation. Otherwise the model is returned unchanged.
+    values as the means of priors and 12.5 % as relative standard deviation. Otherwise the model ``full`` is returned
+    unchanged.
 
     If noise that is declared too small were kept fixed, random errors would look like an effect, and the standard
-    errors would be too small. One contradicted channel makes the declared noise of all channels doubtful: its errors go
-    into the states and hide in the innovations of the others. The median of the innovations decides, since it is not
-    sensitive to outliers.
+    errors would be too small. One contradicted output makes the declared noise of all outputs doubtful: the filter puts
+    its errors into the states, so that the innovations of other outputs do not show them. The median of the innovations
+    decides, since it is not sensitive to outliers.
+
+    Parameters
+    ----------
+    full
+        Model before the fit.
+    fitted
+        Fit of this model, whose innovations on the estimation data are tested.
     """
     declared, ratios = list[Parameter](), list[float]()
     for e, o in zip(np.concatenate([v.run.standardised for v in fitted.estimation]).T, full.outputs, strict=True):
@@ -307,7 +320,7 @@ def fit_and_evaluate(
     initial, rows = reset_collapsed_noise(model, records), [r.for_model(model) for r in records]
 
     def fitted_from(start: Mapping[str, float]) -> Fit:
-        """Return the fit from the model's initial values, of which ``start`` replaces some."""
+        """Fit the model from its initial values, of which ``start`` (by parameter) replaces some."""
         return fit(initial, rows, options, settings, start=start)
 
     full_fit = fitted_from({})
@@ -324,9 +337,10 @@ def fit_and_evaluate(
 
 
 def cross_validated(fitted: FittedModel, blocks: TimeBlocks) -> FittedModel:
-    """Return the fit with its cross-validation in ``validation``: each block evaluated with estimates from the others.
+    """Evaluate a fit by blocked cross-validation: each block in time with the estimates from all other blocks.
 
-    ``blocks`` are blocks in time of the estimation records.
+    Return a copy of ``fitted`` with these evaluations in ``validation``. ``blocks`` are blocks in time of the
+    estimation records.
 
     Raises
     ------
@@ -347,20 +361,21 @@ def cut_into_blocks(records: Sequence[Record], views: Sequence[RecordEvaluation]
     records
         Records to be cut.
     views
-        Evaluation of a model on each record. The initial states of the blocks have the mean and spread of its filtered
+        Evaluation of a model on each record. In a block the states start with the mean and spread of its filtered
         states over the whole record.
     block
-        Duration [s] over which residuals may be correlated (``Model.block``), 5 s for a boat. A block for
-        cross-validation is twelve times as long.
+        Duration [s] over which residuals may be correlated, 5 s for a boat (``Model.block`` of the model). A block for
+        cross-validation is twelve times as long, within the limits on the number.
     """
     return time_blocks(records, block, [_state_distribution(v) for v in views])
 
 
 def _with_initial_states_of_effects(fitted: FittedModel, blocks: TimeBlocks) -> TimeBlocks:
-    """Return the blocks with initial states for all states of the fitted model, including those of its effects.
+    """Return blocks of records with an initial mean and standard deviation for every state of the fitted model.
 
-    Initial states that a block already has are kept. Missing ones get the mean and spread of the filtered states over
-    the record. Initial states at rest would be wrong wherever a record is cut.
+    Effects add states to a model, for which the blocks may have none. Initial values that a block already has are kept.
+    Missing ones get the mean and spread of the filtered states over the record. States that start at rest would be
+    wrong wherever a record is cut.
     """
     known = [r.start for r in blocks.records]
     if all(s.name in start for s in fitted.fit.model.states for start in known):
@@ -372,9 +387,9 @@ def _with_initial_states_of_effects(fitted: FittedModel, blocks: TimeBlocks) -> 
 
 
 def _state_distribution(view: RecordEvaluation) -> dict[str, tuple[float, float]]:
-    """Return mean and standard deviation of each filtered state over a record, by name of the state.
+    """Return mean and standard deviation of each filtered state over the rows of a record, by name of the state.
 
-    The standard deviation includes the filter's own uncertainty.
+    The standard deviation includes the filter's own uncertainty. Blocks of the record start with this distribution.
     """
     mean, variance = view.run.x_filt.mean(axis=0), view.run.x_filt.var(axis=0)
     sd = np.sqrt(variance + np.diagonal(view.run.P_filt, axis1=1, axis2=2).mean(axis=0))
@@ -433,7 +448,8 @@ def validated_in_blocks(fitted: FittedModel) -> FittedModel:
     """Return the fit with ``validation`` replaced by blocks in time of its validation records.
 
     An effect with per-record parameters must be evaluated this way: the values for a block come from the other blocks
-    of the run. A fit without validation records, or one that is cross-validated already, is returned unchanged.
+    of the run, not from the data on which they are judged. A fit without validation records, or one that is
+    cross-validated already, is returned unchanged.
 
     Raises
     ------
@@ -453,12 +469,15 @@ def validated_in_blocks(fitted: FittedModel) -> FittedModel:
 
 
 def _evaluation_of(model: Model, record: Record, values: Array) -> RecordEvaluation:
-    """Return the evaluation of the model on a record, restricted to the channels of the model."""
+    """Return the evaluation of the model on a record, of which only the model's inputs and outputs are kept.
+
+    ``values`` (n_parameters,) are the estimates for this record.
+    """
     return RecordEvaluation(model, record.for_model(model), values)
 
 
 def nominal_model(model: Model) -> Model:
-    """Return the model with disturbance forces and sensor offsets as states.
+    """Return the model with which a diagnosis compares others: with disturbance forces and sensor offsets as states.
 
     The sizes of their noise and priors are scaled to the size of the boat, by its masses. A model that has disturbance
     forces already is only scaled. A model without forces or kinematic residuals is returned unchanged.
@@ -472,9 +491,18 @@ def nominal_model(model: Model) -> Model:
 def with_all_candidates(
     nominal_model: Model, candidates: Mapping[str, Effect], runs: Sequence[LogSegment]
 ) -> tuple[Model, dict[str, Effect]]:
-    """Return the model with the effects of all candidates whose inputs exist in all runs, and these effects by name.
+    """Add all candidate effects to a model whose inputs exist in all runs. Return the model, and these effects by name.
 
-    One record of this model then contains the channels that each candidate needs.
+    A record of this model contains all inputs that the candidates need, so that it is made only once.
+
+    Parameters
+    ----------
+    nominal_model
+        Model to which the effects are added.
+    candidates
+        Effects by name.
+    runs
+        Logs, or parts of logs, whose recorded channels are searched for the inputs.
     """
     everything, kept = nominal_model, {}
     for name, effect in candidates.items():
@@ -484,18 +512,19 @@ def with_all_candidates(
 
 
 def missing_inputs(nominal_model: Model, effect: Effect, run: LogSegment) -> set[str]:
-    """Return the names of the inputs of an effect that a run lacks and that cannot be derived from its channels.
+    """Return the names of those inputs of an effect that a run does not contain and that cannot be derived from it.
 
-    The time ``t`` can always be derived, and ``work`` if the model has the shaft speed ``n``.
+    The time ``t`` can always be derived. The input ``work``, the integral of the cubed shaft speeds, can be derived if
+    the model has the shaft speed ``n``.
     """
     derived = {"t", "work"} if nominal_model.provides and "n" in nominal_model.provides else {"t"}
     return {i.tap_of or i.name for i in effect.inputs} - derived - set(run.channels)
 
 
 def without_absent_sensors(model: Model, records: Sequence[Record]) -> Model:
-    """Return the model with the noise parameters of those sensors fixed that have no sample in any record.
+    """Fix the noise parameters of those sensors that have no sample in any of the records, and return the model.
 
-    The data cannot inform these parameters.
+    The data contain no information about these parameters.
     """
     return model.replace_parameters(*[model.parameter(n).fixed() for n in _noise_of_absent_sensors(model, records)])
 
@@ -515,7 +544,10 @@ def without_unknown_noise(model: Model, records: Sequence[Record], validation_da
 
 
 def _noise_of_absent_sensors(model: Model, records: Sequence[Record]) -> set[str]:
-    """Return the names of the noise parameters of sensors that have no sample in any record."""
+    """Return the names of the noise parameters of outputs that have no sample in any record.
+
+    A noise parameter that an output with samples shares is not among them.
+    """
     columns = {n: j for j, n in enumerate(records[0].outputs)}
     seen = {o.name for o in model.outputs if any(np.isfinite(r.y[:, columns[o.name]]).any() for r in records)}
     informed = {o.noise for o in model.outputs if o.name in seen}

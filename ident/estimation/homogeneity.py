@@ -1,10 +1,10 @@
 """Heterogeneity of parameters between logs: homogeneity test, between-run effects, and shifts in a validation run.
 
-The homogeneity test is the likelihood ratio of one value for each log to one value for all logs. It also estimates the
-standard deviation between the logs (the scatter).
+The homogeneity test is the likelihood ratio of a model with one value of a parameter for each log to the model with one
+value for all logs. It also estimates the standard deviation between the logs (the scatter).
 
 Let ``m`` (k,) be the values fitted one for each log, and V their covariance. The scatter tau of the logs beyond V is
-that of
+the parameter tau of
 
     m ~ N(mu 1, V + tau^2 I)
 
@@ -50,7 +50,7 @@ MIN_SHIFT = 5.0  # a parameter has shifted if it differs by this many standard e
 
 @dataclass(frozen=True)
 class HomogeneityTest:
-    """Result of the homogeneity test of one parameter over several logs. Values are in the parameter's unit.
+    """Result of the test whether one parameter has the same value in several logs. Values are in the parameter's unit.
 
     Attributes
     ----------
@@ -61,7 +61,8 @@ class HomogeneityTest:
     value, error, robust_error
         Estimate, standard error and robust standard error of the fit with one value for all records.
     values, errors : Array (n_records,)
-        Estimates and standard errors of the fit with one value for each record; NaN errors for records at a bound.
+        Estimates and standard errors of the fit with one value for each record; NaN errors for records whose value is
+        at its bound or not identified.
     lr, df, p
         Likelihood ratio statistic (twice the gain in log-posterior, at least 0), its degrees of freedom and its p value
         by chi-squared; p is 1 if df is 0.
@@ -71,7 +72,7 @@ class HomogeneityTest:
         Mean of the records' values with that scatter, its standard error, and its 95 % interval. The interval uses
         Student's t, with the number of records that have a standard error minus one.
     left_out
-        Names of the records that do not inform the parameter. ``df`` does not count them.
+        Names of the records without enough information about the parameter. ``df`` does not count them.
     """
 
     name: str
@@ -100,8 +101,9 @@ class HomogeneityTest:
 def homogeneity_test(common: Fit, records: Sequence[Record], name: str) -> HomogeneityTest:
     """Test whether one value of a parameter holds for all records, by a fit with one value for each record.
 
-    A record informs the parameter if its standard error is below 0.95 of the prior's standard deviation, or if its
-    value is at a bound. If some records do not, both models are fitted again to the others for the likelihood ratio.
+    A record is informative about the parameter if its standard error is below 0.95 of the prior's standard deviation,
+    or if its value is at a bound. If some records are not, both models are fitted again to the others for the
+    likelihood ratio.
 
     Parameters
     ----------
@@ -111,6 +113,11 @@ def homogeneity_test(common: Fit, records: Sequence[Record], name: str) -> Homog
         Records of ``common``, in the same order.
     name
         Name of a free parameter that the records share.
+
+    Returns
+    -------
+    HomogeneityTest
+        Likelihood ratio test, values of the single records, and the standard deviation between them.
 
     Raises
     ------
@@ -143,8 +150,8 @@ def homogeneity_test(common: Fit, records: Sequence[Record], name: str) -> Homog
     informs = [i for i, k in enumerate(at) if known[i] or each.names[k] in stuck]
     lr, df = 2.0 * (each.log_posterior - common.log_posterior), len(informs) - 1
     if 0 < df < len(records) - 1:
-        # Fit both models again to the informing records alone: otherwise the likelihood ratio would include what the
-        # other records tell about the noise.
+        # Fit both models again to the informing records alone: otherwise the likelihood ratio would include the
+        # information of the other records about the noise.
         of_each = _refit_subset(common, _with_value_per_record(common.model, shared, len(informs)), records, informs)
         lr = 2.0 * (of_each.log_posterior - _refit_subset(common, common.model, records, informs).log_posterior)
     lr, df = max(lr, 0.0), max(df, 0)
@@ -173,7 +180,7 @@ def homogeneity_test(common: Fit, records: Sequence[Record], name: str) -> Homog
 
 
 def _with_value_per_record(model: Model, parameter: Parameter, n: int) -> Model:
-    """Return the model in which a shared parameter has a separate value in each of n records.
+    """Return a copy of the model in which a shared parameter has a separate value in each of n records.
 
     The standard deviation of its prior becomes ``sqrt(n)`` times as large: n equal values then have the same posterior
     as the one common value.
@@ -186,7 +193,7 @@ def _refit_subset(previous: Fit, model: Model, records: Sequence[Record], which:
     """Fit another model to some of the records with the options of a previous fit, so that their likelihoods compare.
 
     The previous model already has the outlier model and the free initial states of output error, so that neither is
-    applied again. The parameters of each record start from their previous values.
+    added again. The per-record parameters start from their previous values.
 
     Parameters
     ----------
@@ -216,6 +223,9 @@ def _refit_subset(previous: Fit, model: Model, records: Sequence[Record], which:
 
 def between_log_variance(values: Array, covariance: Array) -> tuple[float, float, float]:
     """Estimate the scatter between values beyond their covariance, by restricted maximum likelihood.
+
+    It is a random-effects model: each log has its own true value, and these are normal with the scatter as standard
+    deviation.
 
     Parameters
     ----------
@@ -256,10 +266,11 @@ def between_log_variance(values: Array, covariance: Array) -> tuple[float, float
 def between_runs(fitted: Fit) -> dict[str, Effect]:
     """Return candidate effects by name, each of which lets one quantity differ between the records of a fit.
 
-    The quantities are a payload (if the model has the masses m_u and m_v), the thrust (if it has c1), and each
-    estimated parameter that is positive and shared by the records. Parameters of noise and of effects are left out, and
-    so are parameters at a bound or of unknown order of magnitude.
-    Each name starts with ``between-runs:``. The result is empty for a single record.
+    A diagnosis tests them, to find whether the boat changed between runs. The quantities are a payload (if the model
+    has the masses m_u and m_v), the thrust (if it has the thrust coefficient c1), and each estimated parameter that is
+    positive and shared by the records. Parameters of noise and of effects are left out, and so are parameters at a
+    bound or of unknown order of magnitude. Each name starts with ``between-runs:``. The result is empty for a single
+    record.
     """
     if len(fitted.records) < 2:
         return {}
@@ -273,7 +284,7 @@ def between_runs(fitted: Fit) -> dict[str, Effect]:
 
 
 def between_runs_effect(model: Model, target: str) -> Effect:
-    """Return the effect by which one quantity differs between records. Each record has its own mass or factor.
+    """Return the effect by which one quantity differs between records: each record has its own added mass or factor.
 
     Parameters
     ----------
@@ -287,7 +298,7 @@ def between_runs_effect(model: Model, target: str) -> Effect:
     if target == PAYLOAD:
 
         def load(s: Signals) -> None:
-            """Add the payload to the masses in surge and sway."""
+            """Add the payload of the record to the masses in surge and sway, in place."""
             s.p.m_u, s.p.m_v = s.p.m_u + s.p.m_payload, s.p.m_v + s.p.m_payload
 
         sd = PAYLOAD_SHARE * model.values["m_u"]
@@ -308,7 +319,7 @@ def between_runs_effect(model: Model, target: str) -> Effect:
     meaning = "the thrust" if target == THRUST else f"{target} ({model.parameter(target).meaning})"
 
     def change(s: Signals) -> None:
-        """Multiply the parameters by the factor of the record."""
+        """Multiply the parameters by the factor 1 + k of the record, in place."""
         factor = 1.0 + getattr(s.p, f"k_{target}")
         for name in names:
             if hasattr(s.p, name):
@@ -332,7 +343,7 @@ def between_runs_effect(model: Model, target: str) -> Effect:
 def _build_between_runs_effect(
     target: str, title: str, change: Callable[[Signals], None], own: Parameter, formula: str
 ) -> Effect:
-    """Return an effect by which one parameter differs between the runs (heterogeneity).
+    """Return an effect by which one quantity differs between the runs (heterogeneity), from its parts.
 
     Parameters
     ----------
@@ -341,9 +352,9 @@ def _build_between_runs_effect(
     title
         Title of the effect in reports.
     change
-        Function that changes the parameters in a model's signals, in place.
+        Function that changes the model's parameters in place, for the record that is evaluated.
     own
-        Per-record parameter of the effect.
+        Per-record parameter of the effect: the additional mass or the relative difference.
     formula
         Formula of the effect for reports.
     """
@@ -382,7 +393,8 @@ def run_differences(fitted: Fit, name: str) -> tuple[RunDifference, ...]:
     """Return the differences of a per-record parameter from its value in the first record, one for each other record.
 
     ``name`` is the name of an estimated per-record parameter, without the index of the record. The standard errors take
-    account of the covariance of the two values. An error is NaN if the variance of the difference is not positive.
+    account of the covariance of the two values. An error is NaN if the variance of the difference is not positive or
+    unknown.
     """
     at = [fitted.names.index(segment_name(name, i)) for i in range(len(fitted.records))]
     found = []
@@ -396,7 +408,7 @@ def run_differences(fitted: Fit, name: str) -> tuple[RunDifference, ...]:
 
 @dataclass(frozen=True)
 class ParameterShift:
-    """Parameter, or payload, whose change explains best how a run differs from those of a fit.
+    """Parameter, or payload, whose change explains best how one run differs from the runs of a fit.
 
     Attributes
     ----------
@@ -420,11 +432,12 @@ class ParameterShift:
 
 
 def parameter_shift(fitted: Fit, record: Record, values: Array) -> ParameterShift | None:
-    """Return the parameter whose change explains best how a run differs from those of a fit.
+    """Return the parameter whose change explains best how a run, for example a validation run, differs from a fit.
 
     Each shared parameter except noise, and a payload, is fitted in turn to the run alone, together with the run's
-    per-record parameters and without a prior. A candidate that cannot be fitted is skipped. Of the parameters that
-    differ by more than 5 standard errors, the one with the largest log-likelihood is returned.
+    per-record parameters. The shared parameter has no prior; the payload keeps its prior. A candidate that cannot be
+    fitted is skipped. Of the parameters that differ by more than 5 standard errors, the one with the largest
+    log-likelihood is returned.
 
     Parameters
     ----------

@@ -55,12 +55,14 @@ class LikelihoodAndScore:
 
 
 class Covariances(NamedTuple):
-    """State covariances and transition matrices of n consecutive rows of a record.
+    """State covariances and transition matrices of an extended Kalman filter, for n consecutive rows of a record.
+
+    A row is one instant of the record with its samples.
 
     Attributes
     ----------
     P_pred, P_filt : Array (n, n_states, n_states)
-        Covariance of the states before and after the samples of each row.
+        Covariance of the states before and after the filter uses the samples of each row.
     Phi : Array (n, n_states, n_states)
         Transition matrix of the linearised model from each row to the next one.
     """
@@ -72,17 +74,19 @@ class Covariances(NamedTuple):
 
 @dataclass(frozen=True)
 class FilterResult:
-    """Output of the extended Kalman filter for each row: state means, covariances and innovations.
+    """Output of the extended Kalman filter for each row of a record: state means, covariances and innovations.
+
+    A row is one instant of the record with its samples. Angles are in rad; all values are in the units of the model.
 
     Attributes
     ----------
     t : Array (n_rows,)
         Time [s].
     x_pred, x_filt : Array (n_rows, n_states)
-        State means before and after the samples of the row.
+        State means before and after the filter uses the samples of the row.
     covariances : Callable[[slice], Covariances]
-        Function from a slice of rows (step 1) to their covariances. In a record of more than 16384 rows it runs the
-        filter again for rows that are not in memory; it is fastest for the slices in `pieces`.
+        Function that returns the covariances of a slice of rows (step 1). In a record of more than 16384 rows it runs
+        the filter again for rows that are not in memory; it is fastest for the slices in `pieces`.
     e : Array (n_rows, n_outputs)
         Measured minus predicted outputs, from `x_pred`; NaN if not measured. Angles are in -pi to pi.
     R : Array (n_outputs,)
@@ -91,11 +95,12 @@ class FilterResult:
         Innovations and their variances in sequential processing: each is conditional on those before it in its row, so
         that ``eps / sqrt(S)`` is white. NaN if not measured.
     ll : Array (n_rows,)
-        Contribution of each row to ln L.
+        Contribution of each row to the log-likelihood.
     outliers_allowed : Array (n_outputs,) of bool or None
-        Whether the output has the outlier model. None has the same meaning as all False.
+        Whether the output has the outlier model (contaminated normal innovations). None has the same meaning as all
+        False.
     outliers_skipped : Array (n_rows, n_outputs) of bool or None
-        Outliers before the first measurement, which the filter skips. None: there are none.
+        Outliers before the first regular measurement, which the filter skips. None: there are none.
     """
 
     t: Array
@@ -112,9 +117,10 @@ class FilterResult:
 
     @property
     def pieces(self) -> list[slice]:
-        """Consecutive slices that cover all rows. The covariances of one slice are computed together.
+        """Consecutive slices that cover all rows of the record, for which covariances are obtained fastest.
 
-        A record of up to 16384 rows has one slice; a longer record has slices of 1024 rows.
+        A record of up to 16384 rows has one slice; a longer record has slices of 1024 rows. The covariances of one
+        slice are computed together and held in memory.
         """
         return _row_pieces(self.t.size)
 
@@ -148,7 +154,7 @@ class FilterResult:
 
     @property
     def value(self) -> float:
-        """Log-likelihood of the record."""
+        """Log-likelihood of the record: the sum over its rows."""
         return float(self.ll.sum())
 
     @property
@@ -163,8 +169,8 @@ class FilterResult:
     def outliers(self) -> NDArray[np.bool_]:
         """Whether a sample is an outlier (n_rows, n_outputs).
 
-        A sample is an outlier if the filter skips it before the first measurement. With the outlier model, it is also
-        an outlier if the probability that it is good is below 0.5.
+        A sample is an outlier if the filter skipped it before the first regular measurement. For an output with the
+        outlier model, it is also an outlier if the probability that it belongs to the regular noise is below 0.5.
         """
         left = np.zeros(self.eps.shape, dtype=bool) if self.outliers_skipped is None else self.outliers_skipped
         return (
@@ -175,11 +181,11 @@ class FilterResult:
 
 
 class Likelihood:
-    """Likelihood of records under a model, as a function of the parameter values.
+    """Likelihood of measured records under a model, as a function of the parameter values.
 
     In all methods, ``values`` is an Array (n_parameters,) in the order of ``model.parameters``, in their own units.
     ValueError is raised for another shape. Methods may be called from several threads. A parameter vector for which the
-    filter diverges gives NaN. The kernels are compiled at the first call.
+    filter diverges gives NaN. The filter code of the model is compiled at the first call.
 
     Parameters
     ----------
@@ -193,6 +199,7 @@ class Likelihood:
     """
 
     def __init__(self, model: Model, *, joseph: bool = False, process_noise: bool = True) -> None:
+        """Create the likelihood of a model. Nothing is compiled yet."""
         self.model = model
         self.process_noise = process_noise
         self._joseph = joseph
@@ -202,11 +209,14 @@ class Likelihood:
 
     @cached_property
     def _kernels(self) -> FilterKernels:
-        """Compiled kernels of the model, shared with all models that differ only in parameter values."""
+        """Compiled filter functions of the model, which all models share that differ only in parameter values."""
         return filter_kernels_for(self.model, covariance=self.process_noise, joseph=self._joseph)
 
     def value(self, record: Record, values: Array) -> float:
-        """Return the log-likelihood of a record, including the terms that do not depend on the parameters."""
+        """Return the log-likelihood of a record, including the terms that do not depend on the parameters.
+
+        ``values`` (n_parameters,) are all parameters of the model. The result is NaN if the filter diverges.
+        """
         data, start = self._prepare_with_initial_state(record, values)
         kernel = self._kernels.value
         with self._arenas.borrow() as arena:
@@ -215,10 +225,11 @@ class Likelihood:
             return float(done["ll"][0])
 
     def gradient(self, record: Record, values: Array) -> tuple[float, Array]:
-        """Return the log-likelihood and its gradient (n_parameters,) by all parameters of the model, also fixed ones.
+        """Return the log-likelihood of a record and its gradient (n_parameters,) by all parameters, also fixed ones.
 
-        The adjoint filter computes the gradient in a time that does not depend on the number of parameters. The
-        dependence of the initial state on the parameters is included.
+        ``values`` (n_parameters,) are the parameters at which it is computed. The adjoint filter, which runs backwards
+        through the record, needs a time that does not depend on the number of parameters. The dependence of the initial
+        state on the parameters is included.
         """
         data, start = self._prepare_with_initial_state(record, values)
         forward_kernel, backward_kernel = self._kernels.forward, self._kernels.backward
@@ -227,7 +238,10 @@ class Likelihood:
         fixed_arrays = {"p": p, "g": np.zeros(p.size), "bar": np.zeros(state.size)}
 
         def forward(piece: slice, s: Array, total: Array) -> dict[str, Array]:
-            """Run the forward pass over a piece. Update the filter state ``s`` and the sum ``total`` in place."""
+            """Run the filter over a slice of rows, and store what the backward pass needs.
+
+            The filter state ``s`` and the sum ``total`` (1,) of the log-likelihood are updated in place.
+            """
             rows = {**_kernel_inputs(forward_kernel, data, piece), "p": p, "s": s, "ll": total}
             return forward_kernel(piece.stop - piece.start, data.mask[piece], rows, arena=arena)
 
@@ -251,15 +265,17 @@ class Likelihood:
     ) -> LikelihoodAndScore:
         """Return log-likelihood, score and expected Fisher information of a record, by forward sensitivities.
 
+        The score is the gradient of the log-likelihood. Parameters are in their own units, not in logarithms.
+
         Parameters
         ----------
         record, values
-            Data, and the parameter values at which the score is computed.
+            Data, and the values of all parameters (n_parameters,) at which the score is computed.
         free
             Names of the n_free parameters to differentiate by, in the order of the result; by default those that are
             free in the model.
         by_row
-            Whether to return the contributions of the rows to the score, too.
+            Whether to return the contributions of the rows (instants of the record) to the score, too.
         """
         free = self.model.free if free is None else free
         data, start = self._prepare_with_initial_state(record, values)
@@ -289,9 +305,10 @@ class Likelihood:
         return LikelihoodAndScore(value, dll.sum(axis=0), information, dll if by_row else None)
 
     def value_by_row(self, record: Record, values: Array) -> Array:
-        """Return the contribution of each row to the log-likelihood (n_rows,).
+        """Return the contribution of each row (instant of the record) to the log-likelihood (n_rows,).
 
-        The kernel is that of `scores`, which a search has already compiled.
+        ``values`` (n_parameters,) are all parameters of the model. The compiled code is that of `scores`, so that
+        nothing is compiled after a search.
         """
         data, start = self._prepare_with_initial_state(record, values)
         kernel = self._kernels.tangent
@@ -302,6 +319,8 @@ class Likelihood:
 
     def filter(self, record: Record, values: Array) -> FilterResult:
         """Run the extended Kalman filter over a record and return its output for each row.
+
+        ``values`` (n_parameters,) are all parameters of the model. Validation, the smoother and plots use the result.
 
         Raises
         ------
@@ -318,7 +337,7 @@ class Likelihood:
         outputs, pieces = len(self.model.outputs), _row_pieces(data.n_rows)
 
         def run(rows: slice, s: Array) -> dict[str, Array]:
-            """Run the filter over a slice of rows from the state s at its start."""
+            """Run the filter over a slice of rows from the state ``s`` at its start. ``s`` is updated in place."""
             sensor_arrays = {
                 f"{kind}{bit}": np.full((rows.stop - rows.start, len(sensor.outputs)), np.nan)
                 for bit, sensor in enumerate(self.model.sensors)
@@ -340,7 +359,10 @@ class Likelihood:
         last = {len(pieces) - 1: _covariances_of_run(done, n)}  # covariances of the piece that was requested last
 
         def covariances(requested: slice) -> Covariances:
-            """Return the covariances of the requested rows. Run the filter again for pieces that are not in memory."""
+            """Return the covariances of the requested rows.
+
+            Run the filter again for those 1024-row pieces of the record whose covariances are not in memory.
+            """
             first, end, _ = requested.indices(n_rows)
             parts = []
             for k, rows in enumerate(pieces):
@@ -389,11 +411,14 @@ class Likelihood:
         return done["predicted"][:, :n].copy(), _covariance_matrices(done["predicted"], n)
 
     def measured(self, record: Record) -> int:
-        """Return the number of scalar measurements of a record that enter the likelihood."""
+        """Return the number of scalar measurements of a record that the filter uses: all except skipped outliers."""
         return self._prepare(record).n_measured
 
     def _prepare_with_initial_state(self, record: Record, values: Array) -> tuple[Prepared, InitialCondition]:
-        """Return the prepared record and its initial state. Raise ValueError if ``values`` has the wrong shape."""
+        """Return the arrays of a record for the filter, and the state with which the filter starts at these ``values``.
+
+        Raise ValueError if ``values`` has not the shape (n_parameters,).
+        """
         if np.shape(values) != (len(self._index),):
             raise ValueError(
                 f"model {self.model.name} has {len(self._index)} parameters, but the array of their values has the "
@@ -404,25 +429,35 @@ class Likelihood:
 
 
 def _contiguous_doubles(values: Array) -> Array:
-    """Return the values as a contiguous float64 array, as kernels need them. It may be the same array."""
+    """Return the values as a contiguous float64 array, as compiled code needs them; a copy only if necessary."""
     return np.ascontiguousarray(values, dtype=np.float64)
 
 
 def _kernel_inputs(kernel: Kernel, data: Prepared, piece: slice = slice(None)) -> dict[str, Array]:
-    """Return the arrays of a prepared record that a kernel reads, by name, for a slice of rows (all by default)."""
+    """Return those arrays of a prepared record that a compiled function reads, by name, cut to a slice of rows.
+
+    ``piece`` is the slice; by default it holds all rows.
+    """
     return {name: a[piece] for name, a in data.rows.items() if name in kernel.layout.sizes}
 
 
 def _row_pieces(n_rows: int) -> list[slice]:
-    """Return consecutive slices that cover all rows: one for up to ``WHOLE`` rows, otherwise ``PIECE`` rows each."""
+    """Return consecutive slices that cover all rows of a record and limit the memory of the filter.
+
+    It is one slice for up to 16384 rows; otherwise each slice has 1024 rows, the last one possibly fewer.
+    """
     size = n_rows if n_rows <= WHOLE else PIECE
     return [slice(first, min(first + size, n_rows)) for first in range(0, n_rows, size)]
 
 
 def _symmetric_from_blocks(blocks: Array) -> Array:
-    """Return the symmetric matrix (n, n), n = groups width, that is stored in blocks (groups, groups, width, width).
+    """Assemble a symmetric matrix (n, n) from square blocks, with n = n_blocks width.
 
-    Block (i, j) holds the entries of block row i and block column j. Only entries on and above the diagonal are used.
+    Parameters
+    ----------
+    blocks : Array (n_blocks, n_blocks, width, width)
+        Block (i, j) holds the entries of block row i and block column j. Only entries on and above the diagonal of the
+        whole matrix are used; the others are their mirror image.
     """
     groups, _, width, _ = blocks.shape
     upper = np.triu(blocks.swapaxes(1, 2).reshape(groups * width, groups * width))
@@ -430,15 +465,24 @@ def _symmetric_from_blocks(blocks: Array) -> Array:
 
 
 def _covariances_of_run(done: Mapping[str, Array], n: int) -> Covariances:
-    """Return covariances and transition matrices from the arrays of a filter run with n model states."""
+    """Unpack covariances and transition matrices from the result arrays of a filter run.
+
+    ``done`` contains ``predicted`` and ``filtered`` (states with covariances, one row each) and ``Phi``; ``n`` is the
+    number of states of the model.
+    """
     Phi = np.ascontiguousarray(done["Phi"].reshape(-1, n, n).swapaxes(1, 2))
     return Covariances(_covariance_matrices(done["predicted"], n), _covariance_matrices(done["filtered"], n), Phi)
 
 
 def _covariance_matrices(s: Array, n: int) -> Array:
-    """Return covariances (n_rows, n, n) from filter states s (n_rows, n + n (n + 1) / 2).
+    """Unpack covariance matrices (n_rows, n, n) from filter states.
 
-    Each row of s holds n means, then the upper triangle of the covariance by matrix rows.
+    Parameters
+    ----------
+    s : Array (n_rows, n + n (n + 1) / 2)
+        In each row n state means, then the upper triangle of their covariance by matrix rows.
+    n
+        Number of states of the model.
     """
     i, j = np.triu_indices(n)
     at = np.empty((n, n), np.intp)

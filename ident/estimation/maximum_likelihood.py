@@ -66,6 +66,7 @@ class EstimationOptions:
     horizon: float | None = None
 
     def __post_init__(self) -> None:
+        """Raise ValueError if the estimation method is unknown."""
         if self.method not in ("prediction-error", "output-error"):
             raise ValueError(f"there is no estimation method {self.method!r}; use prediction-error or output-error")
 
@@ -75,7 +76,10 @@ class EstimationOptions:
         return self.method == "prediction-error"
 
     def with_mean_order(self, model: Model) -> Model:
-        """Return the model with the order 1 or 2 of ``mean_order``; the same model if that is None."""
+        """Return the model with the filter mean of order ``mean_order``: 1, or 2 with the curvature term.
+
+        It is the same model if ``mean_order`` is None.
+        """
         return model if self.mean_order is None else replace(model, second_order=self.mean_order == 2)
 
 
@@ -116,6 +120,7 @@ class SearchSettings:
     refine: bool = True
 
     def __post_init__(self) -> None:
+        """Raise ValueError if ``initial_state`` is neither ``free`` nor ``given``."""
         if self.initial_state not in ("free", "given"):
             raise ValueError(f"initial_state is {self.initial_state!r}; use free or given")
 
@@ -132,7 +137,10 @@ LARGEST_GAIN_LEFT = 0.125
 
 
 def distance_from_maximum(gain: float) -> float:
-    """Return the distance from the maximum in standard errors at which one step gains this much log-posterior."""
+    """Return how many standard errors the estimates are away from the maximum, from the gain of one more step.
+
+    ``gain`` is the expected gain in log-posterior; the distance is ``sqrt(2 |gain|)``, as for a parabola.
+    """
     return float(np.sqrt(2.0 * abs(gain)))
 
 
@@ -165,7 +173,8 @@ class Fit:
     prior_weight : Array (n,)
         Share of a parameter's information that comes from its prior; 1 if the data contain no information.
     robust_errors : Array (n,)
-        Standard errors from the sandwich covariance, valid for coloured residuals; NaN if they were not requested.
+        Standard errors from the sandwich covariance, valid for coloured (autocorrelated) residuals. NaN if they were
+        not requested, for parameters without a standard error, and for residuals autocorrelated for too long.
     coloured
         Whether the residuals are coloured: the information matrix test rejects the standard error of a parameter. The
         errors and the covariance are then those of the sandwich covariance if these are larger. Always False in output
@@ -191,7 +200,9 @@ class Fit:
     flags
         Pairs (full name of a parameter, remark), such as "at its bound".
     converged, message
-        Whether one more step gains less than 0.01 in log-posterior, and a sentence about the end of the search.
+        Whether one more step is expected to gain less than 0.125 in log-posterior (the estimates are then within half a
+        standard error of the maximum), or less than the tolerance of the search if that is larger; and a clause about
+        the end of the search.
     """
 
     model: Model
@@ -246,12 +257,15 @@ class Fit:
 
     @property
     def distance_left(self) -> float | None:
-        """Distance of the estimates from the maximum in standard errors; None if it is too small to matter (0.14)."""
+        """Distance of the estimates from the maximum in standard errors; None up to 0.14, which does not matter."""
         return distance_from_maximum(self.gain_left) if abs(self.gain_left) > MAX_GAIN_LEFT else None
 
     @property
     def bic(self) -> float:
-        """Bayesian information criterion ``n ln(n_measured) - 2 ln L`` (Schwarz); smaller is better."""
+        """Bayesian information criterion ``n ln(n_measured) - 2 ln L`` with n estimated parameters (Schwarz).
+
+        Smaller is better.
+        """
         return float(len(self.names) * np.log(self.n_measured) - 2.0 * self.log_likelihood)
 
 
@@ -329,9 +343,10 @@ def fit(
 
 
 def _check_data(problem: Problem) -> None:
-    """Raise ValueError if the data cannot determine the free parameters.
+    """Raise ValueError if the data cannot determine the free parameters of a fit.
 
     The model must have a free parameter, and at least as many measured values as free parameters without a prior.
+    ``problem`` is the objective of the fit.
     """
     if not problem.names:
         raise ValueError(f"model {problem.model.name} has no free parameters to estimate; free at least one of them")
@@ -355,8 +370,9 @@ def _assess_uncertainty(problem: Problem, optimum: Optimum, with_robust: bool) -
     optimum
         Maximum of the objective.
     with_robust
-        Whether to compute robust errors, considered parameters and the intervals of coordinates with a flat likelihood.
-        Otherwise the robust errors are NaN.
+        Whether to compute three things that cost evaluations: robust errors, the uncertainty from considered parameters
+        (not estimated, with an uncertain prior), and the intervals of parameters with a flat likelihood. Otherwise the
+        robust errors are NaN, and the other two are left out.
     """
     z, slopes = optimum.z, problem.slopes(optimum.z)
     # The many rough fits of a diagnosis skip these two: both cost evaluations.
@@ -411,9 +427,10 @@ def considered_information(problem: Problem, z: Array) -> Array:
 def _residuals_are_coloured(problem: Problem, robust: Sandwich) -> bool:
     """Return whether the information matrix test rejects the standard error of any parameter except noise.
 
-    The test rejects if the smallest p value times the number of tested parameters is below 0.001. NaN is not counted.
-
-    The scores of noise parameters also depend on the fourth moment of the residuals, so that the test would not apply.
+    The residuals are then autocorrelated (coloured), and robust standard errors are used. The test rejects if the
+    smallest p value in ``robust`` times the number of tested parameters is below 0.001. NaN is not counted. Parameters
+    of noise are not tested: their scores also depend on the fourth moment of the residuals, so that the test does not
+    apply.
     """
     noise = problem.model.noise_parameters
     p = np.array([p for p, q in zip(robust.p.tolist(), problem.parameters, strict=True) if q.name not in noise])
@@ -427,7 +444,7 @@ def _with_outlier_model_and_start(
     settings: SearchSettings,
     begin: Mapping[str, float],
 ) -> Model:
-    """Return the model with the outlier model, with the better of two sets of initial values.
+    """Add the outlier model (contaminated normal noise) to a model, with the better of two sets of initial values.
 
     One set is the model's own values; the other one comes from a fit without the outlier model. The set with the larger
     log-likelihood is taken. If the fit without the outlier model fails, the model's own values are taken.
@@ -441,7 +458,7 @@ def _with_outlier_model_and_start(
     options, settings
         Options and settings of the fit with the outlier model. The fit without it has the same method and search.
     begin
-        Initial values of per-record parameters: ``V_x@0``.
+        Initial values of per-record parameters: ``V_x@0`` is V_x in record 0.
 
     Notes
     -----
@@ -469,7 +486,7 @@ def _estimable_parameters(model: Model, options: EstimationOptions) -> tuple[str
     """Return the names of the free parameters that the method can estimate, in the order of the model.
 
     These are all free parameters in prediction error. Output error has neither process noise nor uncertainty of the
-    initial state, so that the parameters of these are left out.
+    initial state, so that their standard deviations are left out.
     """
     if options.process_noise:
         return model.free
@@ -480,7 +497,9 @@ def _estimable_parameters(model: Model, options: EstimationOptions) -> tuple[str
 def _search_maximum(problem: Problem, settings: SearchSettings, progress: Iterations | None) -> Optimum:
     """Search for the maximum by Fisher scoring, and by L-BFGS-B if scoring stops before it has converged.
 
-    ValueError is raised if a record cannot be evaluated at the initial values; the message names it.
+    L-BFGS-B is not used if the settings exclude it or if the largest number of iterations is reached. ``progress`` is
+    called in each iteration with its number and the objective. ValueError is raised if a record cannot be evaluated at
+    the initial values; the message names it.
     """
     tolerance, max_iterations = settings.tolerance, settings.max_iterations
     z = problem.bounds.clip(problem.initial_coordinates)
@@ -507,7 +526,7 @@ def _assembled_fit(
     prior_part: float,
     cpu_seconds: float,
 ) -> Fit:
-    """Return the fit with all its results in the parameters' own units.
+    """Collect the results of a search in a `Fit`, in the parameters' own units.
 
     Parameters
     ----------
@@ -519,8 +538,8 @@ def _assembled_fit(
         Robust standard errors.
     coloured
         Whether the residuals are coloured.
-    options
-        Options of the fit.
+    options, settings
+        Options and settings of the fit. The tolerance of the settings enters the criterion of convergence.
     prior_part
         Part of the log-posterior that comes from the priors, at most 0.
     cpu_seconds

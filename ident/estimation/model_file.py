@@ -59,7 +59,7 @@ from seatrial.ident.models import (
 from seatrial.ident.numerics import Array
 
 FORMAT = "seatrial-model 1"
-NOTABLE_INFLATION = 1.001  # an inflation of a standard error below this factor is rounding, and is not written
+NOTABLE_INFLATION = 1.001  # a smaller factor by which residuals increase a standard error is rounding: not written
 STATE_NUMBERS = ("sd0", "noise")  # attributes of a state that are written if they are numbers, not parameter names
 
 
@@ -141,7 +141,8 @@ def save_model(
 ) -> None:
     """Write the model of a fit to a model.toml, and beside it a copy of each user-defined Python file that it needs.
 
-    An existing model.toml is replaced. The copies are recorded as run before, so that `load_model` may run them.
+    An existing model.toml is replaced. `load_model` may run the copies without a question, because the user has run the
+    same code in the fit.
 
     Parameters
     ----------
@@ -209,9 +210,11 @@ def save_model(
 
 
 def _states_table(model: Model, effects_file: Path | None) -> dict[str, dict[str, float]]:
-    """Return the table ``states``: ``sd0`` and ``noise`` of states that were scaled to the boat's size for the fit.
+    """Return the table ``states`` of model.toml: numbers of the effects' states that were scaled to the boat's size.
 
-    Keys are names of states. States of user-defined effects are not scaled; a value that is a parameter is left out.
+    Keys are names of states. Each entry has the initial standard deviation ``sd0`` and the process noise ``noise``,
+    except those that are parameters. States of user-defined effects are not scaled and are left out.
+    ``effects_file`` is the Python file with these effects; None if there is none.
     """
     own = load_effects(effects_file) if effects_file is not None else {}
     return {
@@ -225,13 +228,14 @@ def _states_table(model: Model, effects_file: Path | None) -> dict[str, dict[str
 def _is_scaled_to_boat(effect: Effect, own: Mapping[str, Effect]) -> bool:
     """Return whether the priors and states of an effect are scaled to the size of the boat.
 
-    Effects of the catalogue and nonparametric effects are scaled; user-defined effects (``own``, by name) are not.
+    Effects of the catalogue and nonparametric effects are scaled; user-defined effects (``own``, by name) are not, even
+    if they have the name of an effect of the catalogue.
     """
     return (effect.name in catalogue() and effect.name not in own) or effect.kind.nonparametric
 
 
 def _scale_table(model: Model, calibration: float | None) -> Any:
-    """Return the table ``scale``: provenance of thrust and arm, and warnings as comments.
+    """Return the table ``scale`` of model.toml: provenance of the thrust and the thrusters' arms; warnings as comments.
 
     For a bench model the thrust is measured, and the relative uncertainty ``calibration`` of the load cell is written
     if it is known. None if the table would be empty.
@@ -247,9 +251,10 @@ def _scale_table(model: Model, calibration: float | None) -> Any:
 
 
 def _curve_table(effect: Effect) -> dict[str, Any]:
-    """Return the table under ``curves`` that defines a nonparametric effect, which has no entry in the catalogue.
+    """Return the table of model.toml under ``curves`` that defines a nonparametric effect.
 
-    Such an effect is a curve, or a lagged or resonant response to an input.
+    Such an effect is a force as a free curve over a signal, or a lagged or resonant response to an input. It has no
+    entry in the catalogue, from which it could be read again. AssertionError is raised for other effects.
     """
     assert effect.curve is not None
     curve = effect.curve
@@ -261,8 +266,8 @@ def _curve_table(effect: Effect) -> dict[str, Any]:
 def _copy_beside_model(path: Path, file: Path) -> Path:
     """Copy a Python file into the folder of the model.toml at ``path``, unless it is there. Return the copy's path.
 
-    If another file there has the same name, the copy has the digest of the file in its name. The copy is recorded as
-    run before, so that `load_model` may run it.
+    If another file there has the same name, the copy has the digest of the file in its name. The copy counts as
+    trusted: `load_model` may run it without a question.
     """
     text, place = file.read_bytes(), path.parent / file.name
     if place.exists() and place.read_bytes() != text:
@@ -274,9 +279,10 @@ def _copy_beside_model(path: Path, file: Path) -> Path:
 
 
 def _parameter_table(p: Parameter, fit: Fit, *, with_prior: bool) -> dict[str, Any]:
-    """Return the table of a parameter in the file. Entries that do not apply are left out.
+    """Return the table of a parameter in model.toml: value, unit, standard error, prior and so on, where they apply.
 
-    ``with_prior``: whether to write the prior of the parameter.
+    A per-record parameter is written with its value in the model, the mean over the records. ``with_prior`` is whether
+    to write the prior of the parameter.
     """
     value, error = fit.estimate(p.name)
     row: dict[str, Any] = {
@@ -303,7 +309,7 @@ def _parameter_table(p: Parameter, fit: Fit, *, with_prior: bool) -> dict[str, A
 
 
 def load_model(path: Path) -> SavedModel:
-    """Read a model.toml.
+    """Read a fitted model from a model.toml.
 
     A Python file that it names is run only if this user has run the same file before, or has allowed it with
     ``--trust-code`` (`seatrial.ident.models.trusted_file`).
@@ -375,7 +381,7 @@ def _trusted_python_files(table: Mapping[str, Any], path: Path) -> tuple[str, Pa
 
 
 def _build_model(table: Mapping[str, Any], source: str, own: Mapping[str, Effect]) -> Model:
-    """Return the model of the file: its structure with effects, outlier model and parameter values.
+    """Return the model that a model.toml describes: its structure with effects, outlier model and parameter values.
 
     Parameters
     ----------
@@ -419,15 +425,19 @@ def _build_model(table: Mapping[str, Any], source: str, own: Mapping[str, Effect
 
 
 def _with_saved_state_numbers(state: State, row: Mapping[str, Any]) -> State:
-    """Return the state with ``sd0`` and ``noise`` from its table in the file. Missing numbers are not changed."""
+    """Return the state with the initial standard deviation ``sd0`` and the process noise ``noise`` of its file table.
+
+    Numbers that the table ``row`` lacks are not changed.
+    """
     numbers: dict[str, Any] = {k: float(row[k]) for k in STATE_NUMBERS if k in row}
     return replace(state, **numbers)
 
 
 def _vessel_size(model: Model, rows: Sequence[Mapping[str, Any]]) -> VesselScale:
-    """Return the size of the boat in the file, by its surge mass and yaw inertia.
+    """Return the size of the boat that a model.toml describes, from its surge mass and yaw inertia.
 
-    Steps and bounds of effects are not in the file; they scale with this size.
+    Steps and bounds of effects are not in the file; they scale with this size. ``rows`` are the tables of the
+    parameters in the file.
     """
     masses = {row["name"]: float(row["value"]) for row in rows if row["name"] in ("m_u", "m_r")}
     return size_of(model.with_values({n: z for n, z in masses.items() if n in model.values}))
@@ -449,10 +459,10 @@ def _check_units(effect: Effect, rows: Sequence[Mapping[str, Any]]) -> None:
 
 
 def _with_bounds_around_values(effect: Effect, rows: Sequence[Mapping[str, Any]]) -> Effect:
-    """Return the effect with the bounds of its scaled parameters wide enough for the values in the file.
+    """Widen the bounds of an effect's scaled parameters so that they include the values in the file. Return the effect.
 
     Bounds are scaled with the size of the boat. The fit that wrote the file may have assumed another size, so that a
-    value at its bound may lie outside the bounds of today.
+    value at its bound may lie outside the bounds of today. ``rows`` are the tables of the parameters in the file.
     """
     values = {row["name"]: float(row["value"]) for row in rows}
 
@@ -466,10 +476,11 @@ def _with_bounds_around_values(effect: Effect, rows: Sequence[Mapping[str, Any]]
 
 
 def _parameter_from_table(p: Parameter, row: Mapping[str, Any]) -> Parameter:
-    """Return the parameter p of the model's structure with the entries of its table in the file.
+    """Return the parameter p of the model's structure with the entries of its table ``row`` in the file.
 
     The entries are the value, whether it is free or considered, the prior and the origin. Without a prior in the table,
-    the parameter keeps its prior. ValueError is raised for a prior that is not valid.
+    the parameter keeps its prior. An estimated parameter keeps its origin. ValueError is raised for a prior that is not
+    valid.
     """
     origin = ParameterOrigin(row.get("origin", "given"))
     estimated = origin is ParameterOrigin.ESTIMATED
@@ -493,9 +504,10 @@ def _parameter_from_table(p: Parameter, row: Mapping[str, Any]) -> Parameter:
 
 
 def _effect_by_name(name: str, model: Model, curves: Mapping[str, Any]) -> Effect:
-    """Return an effect by its name in the file.
+    """Return an effect by its name in a model.toml.
 
-    The effect is a component of the model, a nonparametric effect, a between-run effect, or an effect of the catalogue.
+    The effect is a component of the model (such as disturbance forces), a nonparametric effect, a between-run effect,
+    or an effect of the catalogue.
 
     Parameters
     ----------
@@ -535,7 +547,7 @@ def _effect_by_name(name: str, model: Model, curves: Mapping[str, Any]) -> Effec
 
 
 def _effect_from_curve_table(model: Model, row: Mapping[str, Any]) -> Effect:
-    """Return the nonparametric effect that a table under ``curves`` defines.
+    """Return the nonparametric effect of ``model`` that the table ``row`` under ``curves`` of a model.toml defines.
 
     ValueError is raised if the model cannot have this effect.
     """

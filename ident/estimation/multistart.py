@@ -17,16 +17,17 @@ from seatrial.ident.estimation.likelihood import Likelihood
 from seatrial.ident.estimation.maximum_likelihood import Fit
 
 N_STARTS = 2  # largest number of starts besides the model's own initial values
-# For a grid that must gain, a point's log-likelihood must exceed that of the fit by this: more than one parameter gains
-# by chance.
+# For a start grid with ``gaining``, the log-likelihood of a point must exceed that of the fit by this: more than one
+# parameter gains by chance.
 START_GAIN = 2.0
 MIN_GAIN = 0.5  # another maximum is taken only if its log-posterior is higher by this
 
 
 def best_of_starts(first: Fit, records: Sequence[Record], refit: Callable[[Mapping[str, float]], Fit]) -> Fit:
-    """Return the best of a fit and the fits from other initial values in the model's start grid.
+    """Return the best of a fit and of new fits from other initial values, for a likelihood with several maxima.
 
-    A refit replaces the best fit so far if its log-posterior is higher by more than 0.5. A start from which the
+    The other initial values come from the model's start grid (a grid of initial values for a few of its parameters). A
+    refit replaces the best fit so far if its log-posterior is higher by more than 0.5. A start from which the
     likelihood cannot be evaluated is skipped.
 
     Parameters
@@ -49,12 +50,13 @@ def best_of_starts(first: Fit, records: Sequence[Record], refit: Callable[[Mappi
 
 
 def alternative_starts(first: Fit, records: Sequence[Record]) -> list[dict[str, float]]:
-    """Return the likeliest points of the model's start grid that are away from the fit.
+    """Return other initial values for a search: the likeliest points of the model's start grid away from the fit.
 
-    The log-likelihood is evaluated at all points of the grid, with all other parameters as in the fit. Points are taken
-    in the order of decreasing likelihood. In the first parameter of the grid, a point differs from the fit and from the
-    points before it by more than 1.5 times the grid's minimum distance. If the grid must gain, a point is taken only if
-    its log-likelihood exceeds that of the fit by more than 2.
+    The start grid has initial values for a few parameters, such as delay and lag of a thruster. The log-likelihood is
+    evaluated at all its points, with all other parameters as in the fit. Points are taken in the order of decreasing
+    likelihood. In the first parameter of the grid, a point differs from the fit and from the points before it by more
+    than 1.5 times the grid's minimum distance. If the grid has ``gaining``, a point is taken only if its log-likelihood
+    exceeds that of the fit by more than 2.
 
     Parameters
     ----------

@@ -43,12 +43,15 @@ class Simulation:
 
 
 def output_error(model: Model) -> Likelihood:
-    """Return the output-error likelihood of a model: no process noise, and an exactly known initial state."""
+    """Return the output-error likelihood of a model: no process noise, and an exactly known initial state.
+
+    Its innovations are the differences of the measurements from a simulation.
+    """
     return Likelihood(model, process_noise=False)
 
 
 def with_initial_state(model: Model, names: Sequence[str] | None = None, *, per_record: bool = True) -> Model:
-    """Return the model with the initial values of states as free parameters ``x0_NAME``.
+    """Return the model with the initial values of states as free parameters ``x0_NAME``, for output error.
 
     The parameters start at the initial value ``x0`` of the state. The standard deviation ``sd0`` of the initial state
     becomes zero, and the state does not start from a measurement any more. A state whose ``x0`` is already a parameter
@@ -86,7 +89,7 @@ def with_initial_state(model: Model, names: Sequence[str] | None = None, *, per_
 
 
 def with_free_initial_states(model: Model, records: Sequence[Record]) -> tuple[Model, dict[str, float]]:
-    """Return the model that output error estimates, with the initial state of each record free.
+    """Return the model that output error estimates, with the unknown initial states of each record as free parameters.
 
     A state that starts from a measurement gets a free parameter ``x0_NAME`` for each record, which starts at that
     record's first sample. A state that starts from a number gets a parameter with that number as prior mean and ``sd0``
@@ -128,7 +131,7 @@ def simulate(
     x0: Array | None = None,
     preparer: Preparer | None = None,
 ) -> Simulation:
-    """Simulate the model over the inputs of a record, without process noise.
+    """Simulate the model over the inputs of a record, without process noise and without measurement noise.
 
     Measurements matter only for states that start from one (``from_output``).
 
@@ -141,10 +144,10 @@ def simulate(
     values : Array (n_parameters,), optional
         Values of the parameters, in the order of ``model.parameters``; by default those of the model.
     x0 : Array (n_states,), optional
-        State in the first row; by default that of the model.
+        State in the first row; by default the initial state of the model for this record.
     preparer
-        Preparer of the model. It keeps its results, which saves time if a record is simulated many times. None: a new
-        one is created.
+        Converter of records to arrays for the model. It keeps its results, which saves time if a record is simulated
+        many times. None: a new one is created.
 
     Returns
     -------
@@ -163,6 +166,8 @@ def predict_ahead(
     model: Model, record: Record, values: Array | None, states: Array, start: NDArray[np.int64], end: NDArray[np.int64]
 ) -> Simulation:
     """Predict rows of a record from the states at earlier rows and the inputs between them, without process noise.
+
+    Validation compares such predictions over a horizon with the measurements.
 
     Parameters
     ----------
@@ -189,11 +194,11 @@ def predict_ahead(
 
 
 def _simulation_kernel(model: Model) -> Kernel:
-    """Return the kernel that simulates the model without process noise."""
+    """Return the compiled function that simulates the model without process noise."""
     return filter_kernels_for(model, covariance=False).simulate
 
 
 def _values_or_default(model: Model, values: Array | None) -> Array:
-    """Return the values (n_parameters,) as a contiguous float64 array; the values of the model's parameters if None."""
+    """Return parameter values (n_parameters,) as a contiguous float64 array; None stands for those of the model."""
     given = [p.value for p in model.parameters] if values is None else values
     return np.ascontiguousarray(given, dtype=np.float64)

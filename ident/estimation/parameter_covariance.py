@@ -32,7 +32,7 @@ PARAMETER_STEP = 0.05  # step of finite differences [standard deviations]; model
 
 @dataclass(frozen=True)
 class ParameterUncertainty:
-    """Uncertainty of a fit's parameters, as k principal directions of their covariance.
+    """Uncertainty of a fit's parameters: k principal directions of their covariance, one standard deviation long.
 
     Attributes
     ----------
@@ -47,7 +47,10 @@ class ParameterUncertainty:
     root: Array
 
     def values_one_deviation_away(self, model: Model, values: Array) -> Iterator[tuple[Array, Array]]:
-        """Yield for each direction two copies of ``values``, moved by plus and by minus one standard deviation.
+        """Yield two copies of parameter values for each principal direction of the covariance, one deviation away.
+
+        The first copy is moved in the direction, the second one against it. Predictions with both give the variance by
+        the parameters.
 
         Parameters
         ----------
@@ -60,9 +63,10 @@ class ParameterUncertainty:
             yield self._values_moved_by(model, values, step), self._values_moved_by(model, values, -step)
 
     def _values_moved_by(self, model: Model, values: Array, step: Array) -> Array:
-        """Return a copy of the values with the n uncertain parameters moved by ``step`` and clipped to their bounds.
+        """Return a copy of parameter values with the n uncertain ones moved by a step and clipped to their bounds.
 
-        The step (n,) is in the estimator's coordinates, the result in the parameters' own units.
+        The ``step`` (n,) is in the estimator's coordinates (logarithms of positive parameters). ``values``
+        (n_parameters,) and the result are in the parameters' own units.
         """
         out = values.copy()
         for i, d in zip(self.columns, step.tolist(), strict=True):
@@ -72,11 +76,12 @@ class ParameterUncertainty:
 
 
 def parameter_uncertainty(fit: Fit, record: int | None = None) -> ParameterUncertainty:
-    """Return the uncertainty of a fit's parameters as principal directions.
+    """Return the uncertainty of a fit's parameters for predictions, as principal directions of their covariance.
 
     Noise parameters are left out, because the mean of a prediction does not depend on them. So are parameters without a
-    standard error (at a bound, not identified). The part of the covariance from considered parameters is subtracted: a
-    prediction is compared with the same sensors that were wrong in the fit.
+    standard error (at a bound, not identified). The part of the covariance from considered parameters (not estimated,
+    such as the calibration of a sensor) is subtracted: a prediction is compared with the same sensors that were wrong
+    in the fit.
 
     Parameters
     ----------
@@ -128,7 +133,10 @@ def prediction_variance(
     preparer = Preparer(model)
 
     def outputs(v: Array) -> Array:
-        """Return the predicted outputs after the known rows (n_rows - known, n_outputs), for parameter values v."""
+        """Return the outputs (n_rows - known, n_outputs) predicted after the known rows.
+
+        ``v`` (n_parameters,) are the parameter values.
+        """
         return simulate(model, tail, v, likelihood.filter(head, v).x_filt[-1], preparer).y[1:]
 
     total = np.zeros((record.n_rows, len(model.outputs)))
@@ -140,7 +148,7 @@ def prediction_variance(
 
 @dataclass(frozen=True)
 class ParameterCovariance:
-    """Covariance of parameters in their own units.
+    """Covariance matrix of named parameters in their own units, as it is read from a model file.
 
     Attributes
     ----------
@@ -155,10 +163,11 @@ class ParameterCovariance:
 
 
 def principal_directions(model: Model, values: Array, known: ParameterCovariance | None) -> list[Array]:
-    """Return parameter vectors moved by 0.05 standard deviations along each principal direction of the covariance.
+    """Return parameter vectors moved by 0.05 standard deviations along each principal direction of their covariance.
 
-    The directions are in the estimator's coordinates (logarithms of positive parameters). Noise parameters are not
-    moved: the state estimate hardly depends on them.
+    Finite differences between these vectors give the effect of the parameter errors on a state estimate. The directions
+    are in the estimator's coordinates (logarithms of positive parameters). Noise parameters are not moved: the state
+    estimate hardly depends on them.
 
     Parameters
     ----------
@@ -195,6 +204,9 @@ def principal_directions(model: Model, values: Array, known: ParameterCovariance
 
 
 def dynamic_parameters(model: Model) -> list[str]:
-    """Return the names of the free parameters that all records share, except those of noise and disturbance forces."""
+    """Return the names of the free parameters of the dynamics, in the order of the model.
+
+    They are those that all records share, except those of noise and disturbance forces.
+    """
     noise = model.noise_parameters
     return [p.name for p in model.parameters if p.free and not p.per_record and p.name not in noise]

@@ -1,6 +1,7 @@
 """Records as the arrays of the compiled filter, and the state at the start of a record.
 
-`Preparer` checks a record once, adds the bit mask of the sensors, and finds the first measurement of each output.
+`Preparer` checks a record once, marks in each row the sensors that have a sample (one bit for each sensor), and finds
+the first measurement of each output.
 `initial_condition` computes the initial mean and covariance of the states from it.
 """
 
@@ -30,22 +31,26 @@ UNKNOWN_ANGLE = float(np.pi / np.sqrt(3.0))  # rad, standard deviation of a unif
 
 @dataclass(frozen=True)
 class Prepared:
-    """Record as C-contiguous arrays of float64 for the compiled filter.
+    """Record as contiguous float64 arrays for the compiled Kalman filter, with what its initial state needs.
+
+    A row is one instant of the record, with its samples and the inputs until the next row.
 
     Attributes
     ----------
     n_rows : int
         Number of rows of the record.
     rows : dict of Array
-        ``u``, ``u_next`` (n_rows, n_inputs), ``y`` (n_rows, n_outputs), ``h`` (n_rows,) [s] of the record.
+        Arrays of the record: inputs ``u`` at the start and ``u_next`` at the end of the interval after each row
+        (n_rows, n_inputs), measurements ``y`` (n_rows, n_outputs), length ``h`` of the interval (n_rows,) [s].
     mask : Array (n_rows,) of uint32
-        Bit k is one if sensor k of the model has a sample in the row, and if this sample is used.
+        Sensors whose samples the filter uses in each row, as bits of an integer: bit k is one if sensor k of the model
+        has a sample and this sample is used.
     first : Array (n_outputs,)
         First measurement of each output that is no outlier, in the unit of the output. NaN for an output that the
         record does not contain.
     moved : Array (n_outputs,)
-        Possible change of the output between the start of the record and its first measurement, in the unit of the
-        output. Zero unless the first measurement is late (`LATE`).
+        Largest probable change of the output between the start of the record and its first measurement, in the unit of
+        the output. Zero unless the first measurement comes later than two median sample intervals.
     noise : Array (n_outputs,)
         Upper estimate of the standard deviation of the white noise, in the unit of the output. Zero for an output that
         initialises no state or has no measurement.
@@ -69,17 +74,19 @@ class Prepared:
 
 
 class Preparer:
-    """Converter of records to `Prepared` for one model.
+    """Converter of records to the arrays of the compiled filter (`Prepared`), for one model.
 
-    The converter keeps each result until its record is deleted. A second call with the same `Record` object returns the
-    same `Prepared` object.
+    A second call with the same `Record` object returns the stored result of the first one. A result is stored until its
+    record is deleted.
+
+    Parameters
+    ----------
+    model
+        Model whose inputs, sensors and states determine the arrays.
     """
 
     def __init__(self, model: Model) -> None:
-        """Create a converter with an empty store of results.
-
-        ``model``: the model whose inputs, sensors and states determine the arrays.
-        """
+        """Create a converter for the model, with an empty store of results."""
         self.model = model
         self._cache: dict[int, tuple[weakref.ref[Record], Prepared]] = {}
 
@@ -105,7 +112,7 @@ class Preparer:
         return prepared
 
     def _prepare(self, record: Record) -> Prepared:
-        """Check the record, and compute its mask, first measurements, noise and outliers without the cache.
+        """Check the record and compute its arrays for the filter, without use of stored results.
 
         Raises
         ------
@@ -169,13 +176,26 @@ class Preparer:
 
 
 def _first_measurements(model: Model, record: Record, measured: NDArray[np.bool_]) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the first measurement of each output (n_outputs,), and which samples before it are outliers.
+    """Return the first regular measurement of each output (n_outputs,), and which samples before it are outliers.
 
-    ``measured`` (n_rows, n_outputs): whether a row has a sample of the output. The second result has the same shape,
-    and is True for outliers. An output without a sample has a first measurement of NaN. Outliers are searched only for
-    outputs with ``robust``; for other outputs the first sample is returned. The outliers must be left out. While the
-    initial state is uncertain every sample is probable: the filter would accept an outlier, become certain of it, and
-    then reject the good samples.
+    The first measurements initialise the states of the filter. The outliers must be left out. While the initial state
+    is uncertain every sample is probable: the filter would accept an outlier, become certain of it, and then reject the
+    good samples.
+
+    Parameters
+    ----------
+    model, record
+        Model, and a record of its outputs.
+    measured : Array (n_rows, n_outputs) of bool
+        Whether a row has a sample of the output.
+
+    Returns
+    -------
+    first : Array (n_outputs,)
+        In the unit of the output; NaN for an output without a sample.
+    outliers : Array (n_rows, n_outputs) of bool
+        Whether the sample is an outlier before the first regular one. Outliers are searched only for outputs with
+        ``robust``; for other outputs the first sample is the first measurement.
     """
     found, outliers = np.full(measured.shape[1], np.nan), np.zeros(measured.shape, dtype=bool)
     for j in np.flatnonzero(measured.any(axis=0)):
@@ -187,13 +207,21 @@ def _first_measurements(model: Model, record: Record, measured: NDArray[np.bool_
 
 
 def _changes_before_first(model: Model, record: Record, measured: NDArray[np.bool_]) -> Array:
-    """Return the possible change of each output before its first measurement (n_outputs,), in the unit of the output.
+    """Return the largest probable change of each output before its first measurement (n_outputs,), in its unit.
 
-    ``measured`` (n_rows, n_outputs): whether a row has a sample of the output that is no outlier. The change is zero if
-    the first measurement comes within `LATE` median sample intervals of the start of the record, or if an output has
-    fewer than two samples. Otherwise the change is the time from the start to the first measurement, times the fastest
-    rate of change (quantile `FAST`) among all outputs of the same unit. All outputs of a unit are considered because
-    north and east velocity exchange when a boat turns. The change of an angle is at most `UNKNOWN_ANGLE`.
+    It makes the initial state less certain if a sensor starts late. The change is zero if the first measurement comes
+    within two median sample intervals of the start of the record, or if an output has fewer than two samples. Otherwise
+    it is the time from the start to the first measurement, times the fastest rate of change among all outputs of the
+    same unit. The rate of an output is the 95 % quantile over its samples. All outputs of a unit are considered because
+    north and east velocity exchange when a boat turns. The change of an angle is at most 1.81 rad, the standard
+    deviation of an unknown direction.
+
+    Parameters
+    ----------
+    model, record
+        Model, and a record of its outputs.
+    measured : Array (n_rows, n_outputs) of bool
+        Whether a row has a sample of the output that is no outlier.
     """
     delay, rate = np.zeros(measured.shape[1]), np.zeros(measured.shape[1])
     for j in np.flatnonzero(measured.sum(axis=0) > 1):
@@ -212,12 +240,19 @@ def _changes_before_first(model: Model, record: Record, measured: NDArray[np.boo
 
 
 def _initial_noise(model: Model, record: Record, measured: NDArray[np.bool_]) -> Array:
-    """Return the standard deviation of the white noise of each output (n_outputs,), in the unit of the output.
+    """Estimate the standard deviation of the white noise of each output (n_outputs,), in the unit of the output.
 
-    ``measured`` (n_rows, n_outputs): whether a row has a sample of the output that is no outlier. The result is zero
-    for an output that initialises no state or has no sample. The estimate uses the distance of each sample from the
-    straight line between its neighbours. Curvature of the motion inflates it, which only makes the initial state less
-    certain. Repeated samples, as of a slow sensor that is read often, are skipped.
+    It limits how certain the initial state may be. The estimate uses the distance of each sample from the straight line
+    between its neighbours. Curvature of the motion inflates it, which only makes the initial state less certain.
+    Repeated samples, as of a slow sensor that is read often, are skipped. The result is zero for an output that
+    initialises no state or has no sample. For an angle it is at most 1.81 rad.
+
+    Parameters
+    ----------
+    model, record
+        Model, and a record of its outputs.
+    measured : Array (n_rows, n_outputs) of bool
+        Whether a row has a sample of the output that is no outlier.
     """
     found, initial = np.zeros(measured.shape[1]), {s.from_output for s in model.states}
     for j, output in enumerate(model.outputs):
@@ -232,15 +267,21 @@ def _initial_noise(model: Model, record: Record, measured: NDArray[np.bool_]) ->
 
 
 def _first_inlier(t: Array, samples: Array, angle: bool) -> int:
-    """Return the index of the first sample that is no outlier; 0 if all second differences are zero.
+    """Return the index of the first sample of an output that is no outlier; 0 if all second differences are zero.
 
-    ``t`` (n,): increasing times [s]. ``samples`` (n,): values of one output, without NaN. ``angle``: whether the values
-    are angles [rad], so that differences are wrapped.
+    A robust straight line is fitted to the first 7 samples by repeated medians (Siegel 1982: its slope is the median of
+    the median slopes of each sample to all others). The result is the first sample near this line. An earlier sample
+    also counts if the two samples after it lead to it, as in a curve. Distances are compared with the noise by second
+    differences. Second differences of zero, frequent for a sensor of coarse resolution, are ignored.
 
-    A robust straight line is fitted to the first `N_AGREE` samples by repeated medians (Siegel 1982: its slope is the
-    median of the median slopes of each sample to all others). The result is the first sample near this line. An earlier
-    sample also counts if the two samples after it lead to it, as in a curve. Distances are compared with the noise by
-    second differences. Second differences of zero, frequent for a sensor of coarse resolution, are ignored.
+    Parameters
+    ----------
+    t : Array (n,)
+        Increasing times [s].
+    samples : Array (n,)
+        Values of the output, without NaN.
+    angle
+        Whether the values are angles [rad], so that differences are wrapped to -pi to pi.
     """
     bend = wrap(np.diff(wrap(np.diff(samples), angle)), angle)
     noise = noise_from_differences(bend[bend != 0.0])
@@ -262,13 +303,16 @@ def _first_inlier(t: Array, samples: Array, angle: bool) -> int:
 
 
 def _median_distances(samples: Array, angle: bool) -> Array:
-    """Return the median absolute difference (n,) of each sample to all samples (n,), wrapped for an angle [rad]."""
+    """Return the median absolute difference of each sample to all samples (n,), in the samples' unit.
+
+    ``samples`` (n,); ``angle``: whether they are angles [rad], whose differences are wrapped to -pi to pi.
+    """
     return np.asarray(np.median(np.abs(wrap(samples[:, None] - samples, angle)), axis=1))
 
 
 @dataclass(frozen=True)
 class InitialCondition:
-    """State of the filter at the start of a record, and its derivative with respect to the parameters.
+    """State of the Kalman filter at the start of a record, and its derivative with respect to the parameters.
 
     Attributes
     ----------
@@ -284,7 +328,7 @@ class InitialCondition:
 
 
 def initial_condition(model: Model, values: Array, data: Prepared, covariance: bool) -> InitialCondition:
-    """Return the initial mean and covariance of the states.
+    """Return the mean and covariance of the states with which the filter starts in a record, and their derivatives.
 
     Parameters
     ----------
@@ -303,13 +347,13 @@ def initial_condition(model: Model, values: Array, data: Prepared, covariance: b
         The mean of a state is the first measurement of its ``from_output``. Without such a measurement it is the mean
         in ``Record.start``, and without an entry there the parameter or number ``x0`` of the model. The covariance is
         diagonal. Its entries are ``sd0^2`` (for an entry of ``Record.start``: the square of the standard deviation
-        there), plus the square of the possible change before a late first measurement.
+        there), plus the square of the probable change before a first measurement that comes late.
 
     Notes
     -----
     The filter uses the first measurement again, so that the initial state must be much less certain than this
-    measurement. ``sd0`` is therefore at least ``START_SPREAD`` times the noise. A state with ``sd0`` zero remains known
-    exactly.
+    measurement. ``sd0`` is therefore at least 5 times the noise. A state with ``sd0`` zero starts at its mean exactly,
+    except for the change before a late measurement.
     """
     n = len(model.states)
     outputs = [o.name for o in model.outputs]

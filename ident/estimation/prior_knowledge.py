@@ -67,8 +67,9 @@ def apply_rig_geometry(
 def _with_antenna(model: Model, rig: Rig) -> tuple[Model, list[str]]:
     """Return the model with the lever arm of the rig's antenna, and a note if this is not possible or ambiguous.
 
-    The first device of the rig with a lever arm counts as the antenna of all GNSS outputs. The model is unchanged, and
-    there is no note, if no device has a lever arm or the model has no GNSS output.
+    The lever arm is the position of the antenna from the centre of gravity. The first device of the rig with a lever
+    arm counts as the antenna of all GNSS outputs. The model is unchanged, and there is no note, if no device has a
+    lever arm or the model has no GNSS output.
     """
     sensitive = slice(2 if "hull" in model.provides else 3)  # without roll and pitch the height has no effect
     arms = [d.lever_arm_m for d in rig.devices if any(tuple(d.lever_arm_m)[sensitive])]
@@ -87,11 +88,11 @@ def _with_antenna(model: Model, rig: Rig) -> tuple[Model, list[str]]:
 
 
 def with_effects(model: Model, names: Sequence[str]) -> Model:
-    """Return the model with the effects of these names added.
+    """Return the model with the effects of these names added (option ``--effect``).
 
-    If an effect has another form for this model, that form is added. Priors are scaled to the size of the boat. Free
-    parameters with the value zero start at their characteristic step instead: at zero the likelihood of some effects
-    has no slope.
+    Some effects have several forms, of which a model accepts one; that form is added. Priors are scaled to the size of
+    the boat. Free parameters with the value zero start at their characteristic step instead: at zero the likelihood of
+    some effects has no slope.
 
     Raises
     ------
@@ -105,9 +106,10 @@ def with_effects(model: Model, names: Sequence[str]) -> Model:
 
 
 def _moved_from_zero(p: Parameter) -> Parameter:
-    """Return the parameter with its characteristic step as value, but at most its upper bound.
+    """Return the parameter with its characteristic step as initial value, but at most its upper bound.
 
-    A fixed parameter, or one whose value is not zero, is returned unchanged.
+    At zero the likelihood of some effects has no slope. A fixed parameter, or one whose value is not zero, is returned
+    unchanged.
     """
     return p.at(min(p.step, p.bounds[1])) if p.free and p.value == 0.0 else p
 
@@ -115,8 +117,8 @@ def _moved_from_zero(p: Parameter) -> Parameter:
 def _effect_form_for_model(model: Model, name: str) -> Effect:
     """Return the effect of the catalogue with this name, in the form that the model accepts.
 
-    All forms of an effect have the same first parameter. SeatrialError is raised if there is no such effect, if the
-    model has its first parameter already, or if the model accepts no form.
+    All forms of an effect have the same first parameter, by which they are found. SeatrialError is raised if there is
+    no such effect, if the model has its first parameter already, or if the model accepts no form.
     """
     known = {**catalogue(), CURRENT_WALK: current_walk(), TELEMETRY_AGE: telemetry_age()}
     possible = {e.name: e for e in known.values() if model.accepts(e)}
@@ -136,7 +138,8 @@ def fix_parameters(model: Model, thruster: Path | None, given: Mapping[str, floa
     """Return the model with known parameters: thrust from a bench test, and fixed values from the command line.
 
     The thrust coefficients c1 and c2 from the bench get a prior with their standard uncertainty (statistics and
-    calibration). A value in ``given`` takes precedence over the bench.
+    calibration). A coefficient that the bench test did not estimate is fixed at its value there. A value in ``given``
+    takes precedence over the bench.
 
     Parameters
     ----------

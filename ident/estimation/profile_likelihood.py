@@ -1,13 +1,14 @@
 """Profile likelihood: the log-likelihood over one parameter with all others fitted again, and its 95 % interval.
 
-From the estimate the parameter is moved outwards until the log-likelihood has dropped by 1.92, half of the 95 %
-quantile of chi-squared (Pawitan 2001, section 3.4). Two difficulties are handled:
+The interval is valid where a standard error is not, because the log-likelihood is no parabola. From the estimate the
+parameter is moved outwards until the log-likelihood has dropped by 1.92, half of the 95 % quantile of chi-squared
+(Pawitan 2001, section 3.4). Two difficulties are handled:
 
-- A refit from a bad place ends at another local maximum or at a bound. Each refit therefore starts at the best of
-  several places. If the drop jumps, the refit is tried from more places.
-- The distance of the first point is a guess from the curvature. A point that lies too far out, or at which the
-  likelihood is not finite, only closes a bracket. The bracket is then narrowed until the distance of the crossing is
-  known to one per cent.
+- A refit from bad initial values ends at another local maximum or at a bound. Each refit therefore starts at the best
+  of several sets of values. If the drop jumps, the refit is repeated from more sets.
+- The distance of the first point is a guess from the curvature. If this point lies too far out, or if the likelihood is
+  not finite there, the end of the interval lies between it and the last point inside. This bracket is then narrowed
+  until the distance of the end is known to one per cent.
 """
 
 from __future__ import annotations
@@ -48,27 +49,30 @@ N_RESTARTS = 4  # times that the profile may be traced again from a better optim
 class Profile:
     """Profile likelihood of one parameter, in the parameter's own unit.
 
+    It is the log-likelihood as a function of this parameter, with all other estimated parameters fitted again at each
+    value.
+
     Attributes
     ----------
     name, unit
         Full name of the parameter (``V_x@0``: the value of V_x in record 0), and its unit.
     value
-        Value at the maximum of the likelihood. It is the fit's estimate, except in two cases: after REML, it is the
-        maximum of the likelihood itself; if a better fit was found during the search, it is the value of that fit, and
-        ``notes`` contain a line about it.
+        Value at the maximum of the likelihood. It is the fit's estimate, except in two cases: after REML (restricted
+        maximum likelihood), it is the maximum of the likelihood itself; if a better fit was found during the search,
+        it is the value of that fit, and ``notes`` contain a line about it.
     grid : Array (n,)
         Values of the parameter, increasing, with ``value`` among them.
     drop : Array (n,)
         Drop of the log-likelihood from its maximum at these values, all other parameters fitted again; zero at
         ``value``.
     low, high
-        Ends of the 95 % interval, accurate to about one per cent of their distance from ``value``. An end is the bound
-        of the parameter if the interval reaches it, and NaN if no end was found.
+        Ends of the 95 % interval, where the drop is 1.92, accurate to about one per cent of their distance from
+        ``value``. An end is the bound of the parameter if the interval reaches it, and NaN if no end was found.
     wald_low, wald_high
-        The fit's value +- 1.96 standard errors (of the logarithm if the fit estimates the logarithm); NaN if the
-        parameter has no standard error.
+        Ends of the Wald interval: the fit's value +- 1.96 standard errors (of the logarithm if the fit estimates the
+        logarithm). NaN if the parameter has no standard error.
     notes
-        Remarks for the reader.
+        Remarks about the two ends of the interval and about a better fit, as sentences for a report.
     """
 
     name: str
@@ -86,6 +90,8 @@ class Profile:
 def profile(fit: Fit, records: Sequence[Record], name: str, *, threads: int = 2) -> Profile:
     """Return the profile likelihood of one estimated parameter, on a grid whose range is found by the search.
 
+    It is used for a 95 % interval that does not assume a quadratic log-likelihood.
+
     Parameters
     ----------
     fit, records
@@ -95,6 +101,12 @@ def profile(fit: Fit, records: Sequence[Record], name: str, *, threads: int = 2)
         enough if the fit has one record.
     threads
         Largest number of records that are evaluated at the same time.
+
+    Returns
+    -------
+    Profile
+        Log-likelihood over the parameter, and the 95 % interval. If a better fit is found during the search, the
+        profile is that of the better fit, and ``notes`` says so.
 
     Raises
     ------
@@ -132,12 +144,17 @@ def profile(fit: Fit, records: Sequence[Record], name: str, *, threads: int = 2)
 
 
 def _trace_both_sides(objective: ConstrainedObjective) -> list[ProfileBranch]:
-    """Trace the profile on the lower side, then on the upper side of the estimate."""
+    """Trace the profile on the lower side, then on the upper side of the estimate, and return both in this order."""
     return [trace_profile(objective, sign) for sign in (-1, 1)]
 
 
 def _problem_of_fit(fit: Fit, records: Sequence[Record], threads: int) -> Problem:
-    """Return the fit's objective for the records. Raise ValueError if the records are not those of the fit."""
+    """Return the objective of a fit (log-posterior of its estimated parameters) for the given records.
+
+    ``threads`` is the largest number of records that are evaluated at the same time. Raise ValueError if the records
+    are not those of the fit: the names of the estimated parameters then differ, because there are more or fewer
+    per-record parameters.
+    """
     likelihood = Likelihood(fit.model, process_noise=fit.options.process_noise)
     free = tuple(dict.fromkeys(p.name for p in fit.parameters))
     problem = Problem(likelihood, [r.for_model(fit.model) for r in records], free, threads)
@@ -156,18 +173,22 @@ def _profile_in_own_unit(
     wald: Sequence[float],
     notes: Sequence[str],
 ) -> Profile:
-    """Return the profile in the parameter's own unit.
+    """Convert the two sides of a profile from the estimator's coordinate to the parameter's own unit.
+
+    The estimator's coordinate is the logarithm of the parameter for a parameter with ``transform="log"``, otherwise the
+    parameter itself.
 
     Parameters
     ----------
     objective
-        Objective with the parameter held.
+        Objective of which the profile was traced.
     name
         Full name of the parameter.
     sides
-        Lower and upper branch of the profile.
+        Profile below and above the estimate, in this order.
     wald
-        Lower and upper end of the Wald interval (1.96 standard errors), in the estimator's coordinate.
+        Lower and upper end of the Wald interval (1.96 standard errors), in the estimator's coordinate. An end that is
+        not finite becomes NaN.
     notes
         Remarks for the reader.
     """
@@ -195,18 +216,25 @@ def _profile_in_own_unit(
 
 
 def trace_profile(objective: ConstrainedObjective, sign: int) -> ProfileBranch:
-    """Trace one side of the profile: find the points of the branch, its end and a note about the end.
+    """Find the end of a parameter's 95 % likelihood interval on one side of the estimate, point by point.
 
-    The trace ends when the distance at which the log-likelihood has dropped by 1.92 (the crossing) is known to one per
-    cent, when a bound is reached, or when the allowed number of points is used. It also ends if a better optimum than
-    the estimate is found. This optimum is then in ``objective.best_found``, and the caller starts again from there.
+    At each point the parameter is held and all others are fitted again. The search ends when the distance at which the
+    log-likelihood has dropped by 1.92 is known to one per cent, when a bound is reached, or when the allowed number of
+    points is used. It also ends if a better optimum than the estimate is found. This optimum is then in
+    ``objective.best_found``, and the caller starts again from there.
 
     Parameters
     ----------
     objective
-        Objective with the parameter held.
+        Objective of a fit with the parameter held.
     sign
-        -1 for the lower side, 1 for the upper.
+        -1 for the side below the estimate, 1 for the side above.
+
+    Returns
+    -------
+    ProfileBranch
+        Evaluated points, the distance of the interval's end, and a remark about this end. An estimate at its bound on
+        this side has the distance 0 and no further points.
     """
     z_k, side = objective.z[objective.coordinate], ProfileBranch([ProfilePoint(0.0, 0.0, objective.z)])
     room = float(
@@ -241,10 +269,22 @@ def trace_profile(objective: ConstrainedObjective, sign: int) -> ProfileBranch:
 
 
 def _set_limit_and_note(objective: ConstrainedObjective, sign: int, side: ProfileBranch, room: float) -> None:
-    """Set ``limit`` and ``note`` of a finished branch in place.
+    """Set ``limit`` (distance of the interval's end) and ``note`` (remark about it) of a finished ``side``, in place.
 
-    ``sign`` is -1 for the lower side and 1 for the upper. ``room`` is the distance of the estimate from the parameter's
-    bound on this side, in the estimator's coordinate.
+    The limit is the crossing of a drop of 1.92. Without a point beyond the crossing it is the distance of the bound if
+    the bound was reached. It stays NaN if the search ended before, or if the likelihood is not finite further out.
+
+    Parameters
+    ----------
+    objective
+        Objective of which the profile was traced.
+    sign
+        -1 for the side below the estimate, 1 for the side above.
+    side
+        Points of this side of the profile.
+    room
+        Distance of the estimate from the parameter's bound on this side, in the estimator's coordinate (the logarithm
+        of a positive parameter).
     """
     reached = objective.parameter.from_free(float(objective.z[objective.coordinate]) + sign * side.last_inside.s)
     if side.first_outside is None:
@@ -258,13 +298,23 @@ def _set_limit_and_note(objective: ConstrainedObjective, sign: int, side: Profil
 
 
 def _next_distance_outwards(objective: ConstrainedObjective, side: ProfileBranch, sign: int, target: float) -> float:
-    """Return the distance from the estimate of the next point outwards, where the drop should reach ``target``.
+    """Return the distance from the estimate at which the next, more distant point of a profile is placed.
 
-    ``sign`` is -1 for the lower side and 1 for the upper. The distance is in the estimator's coordinate. It is at most
-    three times that of the last point inside, and for a logarithm at most 1.5 more than that.
+    The distance is in the estimator's coordinate (the logarithm of a positive parameter). The first distance comes from
+    the curvature at the estimate, or from the parameter's characteristic step if the curvature is unknown. Later ones
+    extrapolate the points found so far; they are 1.25 to 3 times the distance of the last point inside the interval.
+    For a logarithm the distance grows by at most 1.5.
 
-    The first distance comes from the curvature, or from the characteristic step if the curvature is unknown. Later ones
-    extrapolate the points found so far.
+    Parameters
+    ----------
+    objective
+        Objective with the parameter held.
+    side
+        Points of this side of the profile so far.
+    sign
+        -1 for the side below the estimate, 1 for the side above.
+    target
+        Drop of the log-likelihood that the next point should have.
     """
     last, logarithmic = side.last_inside, bool(objective.bounds.logarithmic[objective.coordinate])
     if last.s > 0.0:
@@ -283,7 +333,9 @@ def _next_distance_outwards(objective: ConstrainedObjective, side: ProfileBranch
 
 @dataclass(frozen=True)
 class ProfilePoint:
-    """Point of a profile branch.
+    """One evaluated point of a profile likelihood: the held parameter's distance, and the refit of all others.
+
+    Coordinates are the variables of the search: a parameter, or the logarithm of a positive parameter.
 
     Attributes
     ----------
@@ -292,7 +344,8 @@ class ProfilePoint:
     drop : float
         Drop of the log-likelihood from its maximum; infinite if the likelihood is not finite.
     z : Array (n,)
-        All coordinates: the held one, and the others at the values that were fitted again.
+        All coordinates: the held one, and the others at the values that were fitted again. If ``drop`` is infinite
+        there was no refit, and ``z`` is the estimate.
     """
 
     s: float
@@ -302,10 +355,11 @@ class ProfilePoint:
 
 @dataclass
 class ProfileBranch:
-    """Points of the profile on one side of the estimate, and the end of the 95 % interval on this side.
+    """One side of a profile likelihood: its points below or above the estimate, and the end of the 95 % interval there.
 
-    A point is inside if the log-likelihood has dropped by less than 1.92. The bracket is the interval between the last
-    point inside and the first point outside.
+    A point is inside if the log-likelihood has dropped by less than 1.92, half of the 95 % quantile of chi-squared. The
+    bracket is the interval between the last point inside and the first point outside; the end lies in it. Distances are
+    in the estimator's coordinate (the logarithm of a positive parameter).
 
     Attributes
     ----------
@@ -326,7 +380,7 @@ class ProfileBranch:
 
     @property
     def points_inside(self) -> list[ProfilePoint]:
-        """Points before the first one at which the log-likelihood has dropped by 1.92 or more."""
+        """Points before the first one whose log-likelihood has dropped by 1.92 or more; the estimate is among them."""
         n = next((i for i, p in enumerate(self.points) if p.drop >= DROP_95), len(self.points))
         return self.points[:n]
 
@@ -342,18 +396,23 @@ class ProfileBranch:
 
     @property
     def plotted_points(self) -> list[ProfilePoint]:
-        """Points to be plotted: those inside except the estimate, and the first one outside if its drop is finite."""
+        """Points for a plot: those inside the 95 % interval, and the first one outside if its drop is finite.
+
+        The estimate is not included.
+        """
         return [*self.points_inside[1:], *[p for p in [self.first_outside] if p is not None and np.isfinite(p.drop)]]
 
     def add_point(self, point: ProfilePoint) -> None:
-        """Insert a point into ``points`` in order of distance from the estimate."""
+        """Insert an evaluated point into ``points``, in order of distance from the estimate."""
         self.points = sorted([*self.points, point], key=lambda p: p.s)
 
     @property
     def growth_exponent(self) -> float:
-        """Exponent with which the drop grows with the distance at the last point inside, 0.25 to 2.
+        """Exponent a of ``drop ~ distance^a``, from the last two points inside the 95 % interval, limited to 0.25 to 2.
 
-        It is 2 for a parabola, and less if the drop flattens out. It needs two points inside, including the estimate.
+        It is 2 for a parabola, and less if the log-likelihood flattens out. It extrapolates to the next distance. The
+        estimate counts as a point; with it and one more point the exponent is 2. There must be at least two points
+        inside.
         """
         before, last = self.points_inside[-2:]
         if before.drop < MIN_DROP or before.s == 0.0:
@@ -361,18 +420,22 @@ class ProfileBranch:
         return float(np.clip(np.log(max(last.drop / before.drop, 1.0)) / np.log(last.s / before.s), 0.25, 2.0))
 
     def doubtful_drop(self, s: float) -> float:
-        """Return the drop at the distance ``s`` above which a refit may have failed.
+        """Return the drop of the log-likelihood at distance ``s`` above which a refit is suspected to have failed.
 
-        It is four times the drop of a parabola through the last point inside; with no such point, four times 1.92.
+        A refit can end at a local maximum that is not the highest. The threshold is four times the drop of a parabola
+        through the last point inside the 95 % interval, or four times 1.92 if the estimate is the only point inside.
+        The caller repeats a suspect refit from other initial values.
         """
         last = self.last_inside
         return JUMP_RATIO * (max(last.drop, TARGET_DROPS[0]) * (s / last.s) ** 2 if last.s > 0 else DROP_95)
 
     def crossing(self) -> tuple[float, bool]:
-        """Return the distance at which the drop is 1.92, and whether it is accurate to one per cent.
+        """Return the distance at which the log-likelihood has dropped by 1.92; and whether it is exact to 1 %.
 
-        The square root of the drop is nearly a straight line in the distance, so that it is interpolated. If the first
-        point outside has no finite drop, the distance is the middle of the bracket. There must be a point outside.
+        The distance is the end of the 95 % interval. The square root of the drop is nearly a straight line in the
+        distance, so that it is interpolated. The distance is the middle between the last point inside and the first
+        point outside if these are within one per cent, or if the drop of the outer one is infinite. AssertionError is
+        raised if no point outside exists.
         """
         inner, outer = self.last_inside, self.first_outside
         assert outer is not None
@@ -388,11 +451,12 @@ class ProfileBranch:
         return at, bool(smooth and (close or abs(at - chord) < CROSSING_TOLERANCE * at))
 
     def next_distance_in_bracket(self) -> float:
-        """Return the distance of the next point inside the bracket, and append the width to ``bracket_widths``.
+        """Return the distance of the next point: between the last one inside the 95 % interval and the first outside.
 
-        At this distance, a straight line through the square roots of the drops at both ends reaches the root of 1.92.
-        If that line is a poor guess, the middle of the bracket is taken (the geometric middle if the bracket spans more
-        than a factor of four). There must be a point outside.
+        A straight line through the square roots of the drops at both points reaches the root of 1.92 at this distance.
+        If that line is a poor guess, the middle is taken (the geometric middle if the distances differ by more than a
+        factor of four). With only the estimate inside, the distance is at most half of the outer one. The width between
+        both points is appended to ``bracket_widths``. AssertionError is raised if no point outside exists.
         """
         inner, outer = self.last_inside, self.first_outside
         assert outer is not None
@@ -410,12 +474,23 @@ class ProfileBranch:
 
 
 class ConstrainedObjective:
-    """Objective of a fit as a function of one held coordinate, with all other coordinates fitted again.
+    """Objective of a fit (log-posterior) as a function of one held coordinate, with all other coordinates fitted again.
+
+    Coordinates are the variables of the search: a parameter, or the logarithm of a positive parameter.
+
+    Parameters
+    ----------
+    problem
+        Objective of the fit, a function of n coordinates.
+    k
+        Index of the held coordinate.
+    z : Array (n,)
+        Coordinates of the estimate, from which the profile starts.
 
     Attributes
     ----------
     problem : Problem
-        Objective of the fit, a function of n coordinates.
+        Objective of the fit.
     coordinate : int
         Index of the held coordinate.
     parameter : Parameter
@@ -436,10 +511,12 @@ class ConstrainedObjective:
     slope : Array (n - 1,)
         Derivatives of the fitted values of the other coordinates by the held one, at the optimum.
     flat : Array (n,)
-        Information of coordinates with a flat likelihood from their intervals (`flat_coordinates`); zero for others.
+        For coordinates whose likelihood is flat around the optimum: information (1 / variance) of a normal distribution
+        whose 95 % interval is the width of the flat part. Zero for all other coordinates.
     """
 
     def __init__(self, problem: Problem, k: int, z: Array) -> None:
+        """Hold coordinate k of the objective, and evaluate the objective at its optimum z (n,)."""
         self.problem, self.coordinate, self.bounds, self.parameter = problem, k, problem.bounds, problem.parameters[k]
         self.others = np.delete(np.arange(z.size), k)
         self.other_bounds = Bounds(
@@ -448,7 +525,11 @@ class ConstrainedObjective:
         self._set_centre(z)
 
     def _set_centre(self, z: Array) -> None:
-        """Make z (n,) the optimum from which the profile starts, and compute all attributes that depend on it."""
+        """Make z (n,) the optimum from which the profile starts.
+
+        Evaluate the objective there, and set the attributes that depend on it: the objective, its derivatives, the
+        slopes of the other coordinates, and the coordinates whose likelihood is flat.
+        """
         problem = self.problem
         self.z, at = z, problem.evaluate(z)
         flat = flat_coordinates(problem.value, z, problem.parameters, at.information, self.bounds)
@@ -459,10 +540,12 @@ class ConstrainedObjective:
         self.curvature, self.slope = self._profile_curvature(with_interval_information(at, flat))
 
     def _profile_curvature(self, at: Evaluation) -> tuple[float, Array]:
-        """Return the curvature of the profile at the optimum and the slopes of the other coordinates (n - 1,).
+        """Return the curvature of the profile at the optimum, and the slopes of the other coordinates (n - 1,).
 
-        ``at`` is the evaluation at the optimum. A curvature of zero means unknown. The slope of a coordinate is zero if
-        it is at a bound beyond which the objective rises.
+        The curvature is the negative second derivative of the profile by the held coordinate (the Schur complement of
+        the negative Hessian); zero means unknown, because it is within rounding. The slope of a coordinate is the
+        derivative of its fitted value by the held coordinate. It is zero if the coordinate is at a bound beyond which
+        the objective rises. ``at`` is the evaluation at the optimum.
         """
         H = at.hessian
         held = self.bounds.pushed_against(self.z, at.gradient)[self.others]
@@ -478,9 +561,10 @@ class ConstrainedObjective:
         return (curvature if curvature > NULL_SPACE_TOLERANCE * H[self.coordinate, self.coordinate] else 0.0), follow
 
     def restart(self) -> bool:
-        """Start the profile from a better optimum if one was found. Return whether one was found.
+        """Make the best point found so far the new optimum, if it is better. Return whether it is.
 
-        An optimum is better if its objective exceeds that of the present one by 0.01 or more.
+        It is better if its objective exceeds that of the present optimum by 0.01 or more. Before it becomes the
+        optimum, it is improved by a search over all coordinates.
         """
         if self.best_found[0] < self.top + MIN_GAIN:
             return False
@@ -489,15 +573,29 @@ class ConstrainedObjective:
         return True
 
     def release(self, z: Array) -> None:
-        """Search for the maximum with all coordinates free, from z (n,). Keep it in ``best_found`` if it is better."""
+        """Search for the maximum over all coordinates, the held one included, from z (n,).
+
+        The result replaces ``best_found`` if its objective is larger.
+        """
         top = maximise(self._evaluate_with_flat_information, z, self.bounds, max_iterations=40, tolerance=TOLERANCE)
         self.best_found = max(self.best_found, (top.at.value, top.z), key=lambda candidate: candidate[0])
 
     def best_point(self, s: float, sign: int, side: ProfileBranch) -> ProfilePoint:
-        """Return the point of the profile at distance ``s`` from the estimate, on the side ``sign`` (-1 or 1).
+        """Return the profile's point at distance ``s`` from the estimate, with all other coordinates fitted again.
 
-        The refit starts from the nearest point inside, as it is or moved along the slopes at the optimum. If the drop
-        jumps, the refit is repeated from the optimum and from the nearest point further out.
+        The refit starts at the coordinates of the nearest point inside the 95 % interval, or at these moved along the
+        slopes at the optimum, whichever has the larger objective. If the drop of the log-likelihood is larger than
+        expected, the refit is repeated from the optimum and from the nearest more distant point, and the smaller drop
+        counts.
+
+        Parameters
+        ----------
+        s
+            Distance of the held coordinate from the estimate, positive, in the coordinate's unit.
+        sign
+            -1 for the side below the estimate, 1 for the side above.
+        side
+            Points of this side so far. It is not changed.
         """
         near, z_k = side.last_inside, float(self.z[self.coordinate]) + sign * s
         carried = near.z.copy()
@@ -511,14 +609,24 @@ class ConstrainedObjective:
         return point
 
     def _refit_at_distance(self, s: float, z_k: float, starts: Iterable[Array]) -> ProfilePoint:
-        """Return the point with the held coordinate at ``z_k``, a distance ``s`` from the estimate.
+        """Hold the coordinate at a value, fit all others again, and return the point of the profile.
 
-        The others are fitted from the best of the ``starts`` (n,), and ``best_found`` is updated. The drop is infinite
-        if the objective is not finite at any start.
+        ``best_found`` is replaced if the refit is better.
+
+        Parameters
+        ----------
+        s
+            Distance of ``z_k`` from the estimate. It is only copied to the result.
+        z_k
+            Value at which the coordinate is held.
+        starts
+            Coordinates (n,) from which the refit may start; the one with the largest objective is used. Their entry of
+            the held coordinate is ignored. If the objective is finite at none of them, the drop of the result is
+            infinite.
         """
 
         def whole(rest: Array) -> Array:
-            """Return all coordinates (n,) from those that are not held (n - 1,)."""
+            """Insert the held coordinate into the others (n - 1,), and return all coordinates (n,)."""
             return np.insert(rest, self.coordinate, z_k)
 
         def evaluate(rest: Array) -> Evaluation:
@@ -541,9 +649,10 @@ class ConstrainedObjective:
         return ProfilePoint(s, self.top - value, whole(rest))
 
     def _evaluate_with_flat_information(self, z: Array) -> Evaluation:
-        """Return the evaluation at z (n,). Coordinates with a flat likelihood have at least the curvature ``flat``.
+        """Return the evaluation at z (n,), in which coordinates with a flat likelihood get a least curvature.
 
-        Without information a flat coordinate would take a very long step.
+        The least total information of such a coordinate is its entry in ``flat``. Without information it would take a
+        very long step.
         """
         at = self.problem.evaluate(z)
         return Evaluation(

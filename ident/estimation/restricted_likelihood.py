@@ -32,11 +32,12 @@ LEAST_DIAGONAL = 1e-300  # replaces a zero on the diagonal of an information mat
 
 
 def apply_reml(problem: Problem, maximum: Optimum) -> Optimum:
-    """Take one Newton step from the maximum of the likelihood to that of the restricted likelihood.
+    """Take one Newton step from the maximum of the likelihood to that of the restricted likelihood (REML).
 
-    The step moves noise parameters and dynamic parameters. A noise parameter keeps its value if it is not estimated as
-    a logarithm, is at a bound, or is not informed by the data. A parameter that is known mainly from its prior also
-    keeps its value.
+    Maximum likelihood underestimates the noise, because the fitted dynamics reduce the innovations; the step corrects
+    this. It moves noise parameters and dynamic parameters. A noise parameter keeps its value if it is not estimated as
+    a logarithm, is at a bound, or if the data do not determine its order of magnitude. A dynamic parameter that all
+    records share and that is known mainly from its prior also keeps its value.
 
     Parameters
     ----------
@@ -49,8 +50,9 @@ def apply_reml(problem: Problem, maximum: Optimum) -> Optimum:
     -------
     Optimum
         Point after the step. ``at`` contains the gradient of the restricted likelihood, but the value of the likelihood
-        at its maximum. The result is ``maximum`` itself in these cases: no noise or no dynamics is estimated; the step
-        of a coordinate exceeds its standard error; the likelihood falls by more than 1.92 or cannot be evaluated.
+        at its maximum. The result is ``maximum`` itself in these cases: no noise or no dynamics is estimated; the
+        information is not finite; the step of a coordinate exceeds its standard error; the likelihood falls by more
+        than 1.92 or cannot be evaluated.
     """
     names = problem.model.noise_parameters
     inside = ~np.logical_or(*problem.bounds.reached(maximum.z)) & (np.diag(maximum.at.information) > 0)
@@ -88,12 +90,10 @@ def apply_reml(problem: Problem, maximum: Optimum) -> Optimum:
 
 
 def _identified_standard_errors(H: Array) -> Array:
-    """Return the standard errors (n,) that the Hessian implies, without combinations that the data do not identify.
+    """Return the standard errors (n,) that a negative Hessian H (n, n) implies, in the estimator's coordinates.
 
-    ``H`` (n, n) is the negative Hessian. The errors are in the estimator's coordinates.
-
-    A reliable step ends within these errors. If a step is longer, it follows a combination that the data hardly
-    identify, and is no Newton step.
+    Combinations of parameters that the data do not identify are left out. A reliable step ends within these errors. If
+    a step is longer, it follows a combination that the data hardly identify, and is no Newton step.
     """
     w, V, scale = scaled_eigen(H, LEAST_DIAGONAL)
     identified = w > NULL_SPACE_TOLERANCE
@@ -101,7 +101,9 @@ def _identified_standard_errors(H: Array) -> Array:
 
 
 def _information_log_det(problem: Problem, z: Array, which: NDArray[np.intp]) -> float:
-    """Return the natural logarithm of the determinant of the Fisher information of some coordinates.
+    """Return the natural logarithm of the determinant of the Fisher information of some coordinates of a fit.
+
+    Coordinates are parameters, or the logarithms of positive parameters.
 
     Parameters
     ----------

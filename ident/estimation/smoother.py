@@ -50,12 +50,12 @@ class SmootherResult:
 
 
 class SmoothedStates(NamedTuple):
-    """Smoothed states of a record, given all of its samples.
+    """Smoothed states of a record: means and standard deviations, given all of its samples, also later ones.
 
     Attributes
     ----------
     x, sd : Array (n_rows, n_states)
-        Means and standard deviations of the states.
+        Means and standard deviations of the states, in the states' units.
     """
 
     x: Array
@@ -63,14 +63,17 @@ class SmoothedStates(NamedTuple):
 
 
 def smooth(run: FilterResult) -> SmootherResult:
-    """Return the smoothed states of a filter run with their covariances. States without variance are not changed."""
+    """Run the Rauch-Tung-Striebel smoother over a filter run, and return means and covariances of the states.
+
+    States without variance are not changed.
+    """
     parts = list(_smoothed_pieces(run))[::-1]
     x, P, lag_one = (np.concatenate(part) for part in zip(*[part[1:] for part in parts], strict=True))
     return SmootherResult(run.t, x, P, lag_one)
 
 
 def smoothed_states(run: FilterResult) -> SmoothedStates:
-    """Return means and standard deviations of the smoothed states of a filter run.
+    """Return means and standard deviations of the states given all samples of a record, from its filter run.
 
     The function needs less memory than `smooth` for a long record.
     """
@@ -81,13 +84,14 @@ def smoothed_states(run: FilterResult) -> SmoothedStates:
 
 
 def _smoothed_pieces(run: FilterResult) -> Iterator[tuple[slice, Array, Array, Array]]:
-    """Yield the smoothed states of consecutive pieces of the record, the last piece first.
+    """Run the smoother backwards over a filter run, in pieces of consecutive rows that limit the memory.
 
     Yields
     ------
     tuple[slice, Array, Array, Array]
-        Rows of the piece; means (n, n_states) and covariances (n, n_states, n_states) of its n rows; cross-covariances
-        of the row after each row with this row. The last row of the record has no cross-covariance.
+        The last piece first: rows of the piece; means (n, n_states) and covariances (n, n_states, n_states) of its n
+        rows; cross-covariances of the row after each row with this row. The last row of the record has no
+        cross-covariance.
     """
     after: tuple[Array, Array, Array] | None = None  # x, P and predicted P of the row that follows the piece
     for rows in reversed(run.pieces):
@@ -110,7 +114,10 @@ def _smoothed_pieces(run: FilterResult) -> Iterator[tuple[slice, Array, Array, A
 
 
 def smoothed_mean(run: FilterResult) -> Array:
-    """Return the means of the smoothed states (n_rows, n_states), in a third of the time that `smooth` takes."""
+    """Return the means of the smoothed states (n_rows, n_states) of a filter run, without their covariances.
+
+    It takes a third of the time of `smooth`.
+    """
     x = run.x_filt.copy()
     back, P_after = x[-1], run.covariances(slice(x.shape[0] - 1, None)).P_pred
     for rows in reversed(run.pieces):
@@ -160,9 +167,10 @@ def _smoother_gains(Phi: Array, P_filt: Array, P_next: Array) -> Array:
 
 
 def _solve_or_pseudo_inverse(correlation: Array, right: Array) -> Array:
-    """Return ``correlation^-1 right`` for each row, both arguments (n, n_states, n_states).
+    """Solve ``correlation X = right`` for each of n rows of a record, both arguments (n, n_states, n_states).
 
-    If the matrix of any row is singular, the pseudo-inverse is used for all rows.
+    Return X of the same shape. If the matrix of any row is not positive definite, the pseudo-inverse is used for all
+    rows.
     """
     solved = np.empty_like(right)
     try:

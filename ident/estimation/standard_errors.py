@@ -47,13 +47,14 @@ AUTOCORRELATED_TOO_LONG = (
 class Uncertainty:
     """Covariance of the estimates and their standard errors, with flags for parameters that lack one.
 
-    All numbers are in the parameters' own units, except those of the estimator's coordinates (the logarithm for a
-    parameter with ``transform="log"``).
+    All numbers are in the parameters' own units, except ``P``, ``spread`` and ``limits``: these are in the estimator's
+    coordinates (the logarithm for a parameter with ``transform="log"``).
 
     Attributes
     ----------
     errors : Array (n,)
-        Standard errors. NaN for parameters at a bound and for parameters that the data do not identify.
+        Standard errors. NaN for parameters at a bound, for those that the data do not identify, and for logarithms with
+        a standard error above 5.
     covariance, correlation : Array (n, n)
         Covariance and correlation of the estimates; NaN for parameters without a standard error.
     prior_weight : Array (n,)
@@ -63,9 +64,11 @@ class Uncertainty:
     flags : tuple of (name, remark)
         Remarks about single parameters, such as "at its bound".
     P : Array (n, n)
-        Covariance of the coordinates, with those at a bound held there. NaN for coordinates without an error.
+        Covariance of the coordinates (inverse information), with those at a bound held there. NaN for coordinates
+        without a standard error.
     spread : Array (n, n)
-        Covariance of the coordinates that parameters at their bounds and considered parameters add to ``P``.
+        Covariance that is added to ``P``, from parameters at their bounds, and from considered parameters: parameters
+        that are not estimated, but whose prior is uncertain.
     limits : Array (n,)
         For a coordinate at its bound, the far end of its 95 % interval; NaN for all others.
     considered : Array (n, n)
@@ -93,25 +96,25 @@ def assess(
     prior: Array,
     considered: Array | None = None,
 ) -> Uncertainty:
-    """Return standard errors, covariance and flags from the information at the optimum.
+    """Return standard errors, covariance and flags of an estimate from the Fisher information at the optimum.
 
     Parameters
     ----------
     at
         Objective, gradient and information at the optimum; the information includes that of the priors.
     z : Array (n,)
-        Estimator's coordinates of the optimum.
+        Estimator's coordinates of the optimum: parameters, or the logarithms of positive parameters.
     bounds
         Bounds of the coordinates.
     names
         Names of the parameters, for the flags.
     slopes : Array (n,)
-        Derivative of each parameter by its coordinate.
+        Derivative of each parameter by its coordinate: 1, or the parameter itself for a logarithm.
     prior : Array (n,)
-        Information of the priors.
+        Information (1 / variance) of the priors, in the coordinates; 0 without a prior.
     considered : Array (n, k), optional
-        Fisher information between the estimates and each of k considered parameters, multiplied by the prior standard
-        deviation of the considered parameter. None: no considered parameters.
+        Fisher information between the estimates and each of k considered parameters (not estimated, with an uncertain
+        prior), multiplied by the prior standard deviation of the considered parameter. None: no considered parameters.
 
     Returns
     -------
@@ -121,8 +124,8 @@ def assess(
 
     Notes
     -----
-    The estimates follow the considered parameters by ``-P considered``. The data do not reduce the uncertainty of the
-    considered parameters themselves.
+    An error c (k,) of the considered parameters, in prior standard deviations, shifts the estimates by
+    ``-P considered c``. The data do not reduce the uncertainty of the considered parameters themselves.
     """
     n = z.size
     at_bound = np.logical_or(*bounds.reached(z))
@@ -171,20 +174,20 @@ def assess(
 def _covariance_from_bounds(
     at: Evaluation, z: Array, bounds: Bounds, P: Array, names: Sequence[str]
 ) -> tuple[Array, Array, list[tuple[str, str]]]:
-    """Return the covariance that parameters at their bounds add to the other parameters.
+    """Return the covariance that parameters at their bounds add to the estimates of the other parameters.
 
     Parameters
     ----------
     at
         Objective, gradient and information at the optimum.
     z : Array (n,)
-        Estimator's coordinates of the optimum.
+        Estimator's coordinates of the optimum (logarithms of positive parameters).
     bounds
         Bounds of the coordinates.
-    names
-        Names of the parameters, for the flags.
     P : Array (n, n)
         Covariance of the coordinates, with those at a bound held there. NaN for coordinates without an error.
+    names
+        Names of the parameters, for the flags.
 
     Returns
     -------
@@ -197,19 +200,19 @@ def _covariance_from_bounds(
 
     Notes
     -----
-    If the parameter is held at its bound, the intervals of the others are too short: with a quadratic
-    damping at zero, the 95 % interval of the linear damping held the truth in 89 % of the cases. If the bound is
-    ignored, they are too long.
+    If the parameter is held at its bound, the intervals of the others are too short: with a quadratic damping at zero,
+    the 95 % interval of the linear damping contained the true value in 89 % of the cases. If the bound is ignored, they
+    are too long.
 
     The data push a parameter b against its bound with the gradient g; its profile likelihood has the curvature c. At
     the distance d from the bound the profile likelihood has dropped by
 
         g d + c d^2 / 2,     so that d95 = 2 * 1.92 / (g + sqrt(g^2 + 2 * 1.92 c))
 
-    is the end of the 95 % interval of b (Pawitan 2001, section 2.6; one-sided: Self and Liang 1987). The other
-    coordinates follow by ``f d95`` with ``f = -I_oo^-1 I_ob``, and their 95 % intervals have to reach as far. The
-    covariance is therefore widened by ``f f' (d95 / 1.96)^2``. This term vanishes for a large g. For g = 0 it is all
-    that a free b would add.
+    is the end of the 95 % interval of b (Pawitan 2001, section 2.6; one-sided: Self and Liang 1987). The optimum of the
+    other coordinates then moves by ``f d95`` with ``f = -I_oo^-1 I_ob`` (I: information; o: other coordinates), and
+    their 95 % intervals have to reach as far. The covariance is therefore widened by ``f f' (d95 / 1.96)^2``. This term
+    vanishes for a large g. For g = 0 it is all that a free b would add.
     """
     n = z.size
     spread, limits = np.zeros((n, n)), np.full(n, np.nan)
@@ -237,10 +240,13 @@ def _unidentified_parameters(
 ) -> tuple[NDArray[np.bool_], list[tuple[str, str]]]:
     """Find the parameters that take part in a combination of parameters that the data do not identify.
 
+    Such a combination is an eigenvector of the scaled information with an eigenvalue near zero: the likelihood does not
+    change along it.
+
     Parameters
     ----------
     information : Array (n, n)
-        Information of the n coordinates inside their bounds.
+        Fisher information of those n coordinates that are inside their bounds.
     names, labels
         Names of the parameters and of their coordinates (``ln m_u`` for a logarithm).
 
@@ -301,16 +307,18 @@ LEAST_BY_DATA = 1e-3
 
 @dataclass(frozen=True)
 class Sandwich:
-    """Robust standard errors and their test against the errors from the information.
+    """Robust standard errors (from the sandwich covariance) and their test against the errors from the information.
+
+    They are valid if the residuals are autocorrelated, where the errors from the information are too small.
 
     Attributes
     ----------
     errors : Array (n,)
         Robust standard errors in the parameters' own units. NaN if the parameter has no standard error, or if its
-        residuals are autocorrelated for too long.
+        residuals are autocorrelated over such a long time that the record has too few independent blocks.
     least : Array (n,)
-        Lower bound of the robust standard errors. It equals `errors` except for residuals that are autocorrelated for
-        too long: there it comes from the longest possible blocks, which miss a part of the variance.
+        Lower bound of the robust standard errors. It equals `errors` where these are known. For residuals that are
+        autocorrelated for too long it comes from the longest possible blocks, which miss a part of the variance.
     p : Array (n,)
         p value of the information matrix test (White 1982), for each variance alone: the probability of a variance at
         least as large if the information is right. NaN if the parameter has no standard error, or if the data determine
@@ -323,19 +331,22 @@ class Sandwich:
 
 
 def sandwich(known: Uncertainty, rows: Sequence[tuple[list[int], Array]], slopes: Array, prior: Array) -> Sandwich:
-    """Return robust standard errors, with a test against those of the information.
+    """Return robust standard errors from the sandwich covariance, with a test against those of the information.
+
+    The covariance of the score (gradient of the log-likelihood) is estimated from its sums over blocks of rows, so that
+    autocorrelated residuals are accounted for.
 
     Parameters
     ----------
     known
         Uncertainty from the information, a result of `assess`.
     rows : sequence of (coordinates, contributions)
-        For each record the indices of its coordinates, and the contribution of each row to their gradient
-        (n_rows, n_coordinates).
+        For each record the indices of its coordinates, and the contribution of each row (instant of the record) to
+        their gradient (n_rows, n_coordinates).
     slopes : Array (n,)
-        Derivative of each parameter by its coordinate.
+        Derivative of each parameter by its coordinate: 1, or the parameter itself for a logarithm.
     prior : Array (n,)
-        Information of the priors.
+        Information (1 / variance) of the priors, in the coordinates.
 
     Returns
     -------
@@ -344,7 +355,8 @@ def sandwich(known: Uncertainty, rows: Sequence[tuple[list[int], Array]], slopes
 
     Notes
     -----
-    Priors have no rows. Their uncertainty enters the covariance of the estimates unchanged, as ``P Lambda P``.
+    Priors have no rows. Their uncertainty enters the covariance of the estimates unchanged, as ``P Lambda P``, with the
+    covariance P from the information and the diagonal matrix Lambda of ``prior``.
     """
     from scipy import special  # imported here: it takes a fifth of a second, and only an estimate needs it
 
@@ -362,10 +374,10 @@ def sandwich(known: Uncertainty, rows: Sequence[tuple[list[int], Array]], slopes
 
 
 def widened(known: Uncertainty, robust: Array) -> Uncertainty:
-    """Return the uncertainty with standard errors that are at least the ``robust`` ones (n,).
+    """Return a copy of the uncertainty whose standard errors are at least the ``robust`` ones (n,).
 
     The covariance and its considered part are scaled accordingly; the correlations and the limits do not change. A
-    robust error that is NaN or smaller has no effect.
+    robust error that is NaN or smaller has no effect. It is applied if the residuals are coloured.
     """
     factor = np.fmax(robust / known.errors, 1.0)
     factor = np.where(np.isfinite(factor), factor, 1.0)
@@ -376,15 +388,15 @@ def widened(known: Uncertainty, robust: Array) -> Uncertainty:
 
 
 def _variance_from_block_sums(parts: Sequence[Array], n_parameters: int) -> tuple[float, float, bool]:
-    """Return the variance of the sum of a quantity over all rows, estimated from the sums over blocks of rows.
+    """Return the variance of the sum of an autocorrelated quantity over all rows, from its sums over blocks of rows.
 
-    A block is longer than the autocorrelation. The variance is corrected for the covariance between neighbouring
-    blocks, and for the degrees of freedom that the fitted parameters take.
+    A block is several times longer than the autocorrelation. The variance is corrected for the covariance between
+    neighbouring blocks, and for the degrees of freedom that the fitted parameters take.
 
     Parameters
     ----------
     parts : sequence of Array (n_rows,)
-        Contributions of the rows of each record.
+        For each record, the contributions of its rows to the sum.
     n_parameters
         Number of fitted parameters.
 
@@ -419,7 +431,10 @@ def _variance_from_block_sums(parts: Sequence[Array], n_parameters: int) -> tupl
 
 @dataclass(frozen=True)
 class LikelihoodInterval:
-    """Interval of a coordinate over which the log-likelihood has fallen by 1.92, with all others held.
+    """Interval of a coordinate over which the log-likelihood has fallen by 1.92, with all other coordinates held.
+
+    It replaces the standard error of a parameter whose likelihood is flat around its estimate. Coordinates are the
+    variables of the search; here the coordinate is the parameter itself, not its logarithm.
 
     Attributes
     ----------
@@ -435,7 +450,7 @@ class LikelihoodInterval:
 
     @property
     def remark(self) -> str:
-        """Remark about the parameter for reports: its standard error comes from this interval."""
+        """Sentence for reports: the parameter's standard error comes from this interval."""
         return (
             f"the likelihood is flat here and falls at {self.low:.4g} and at {self.high:.4g}: the standard error is "
             "from this interval, all other parameters held"
@@ -443,30 +458,32 @@ class LikelihoodInterval:
 
     @property
     def information(self) -> float:
-        """Fisher information (1 / variance) of a normal distribution with this interval as its 95 % interval."""
+        """Fisher information (1 / variance) of a normal distribution that has this interval as its 95 % interval."""
         return float((2.0 * Z_95 / (self.high - self.low)) ** 2)
 
 
 def flat_coordinates(
     value: Callable[[Array], float], z: Array, parameters: Sequence[Parameter], information: Array, bounds: Bounds
 ) -> list[LikelihoodInterval]:
-    """Return coordinates whose likelihood is flat around the estimate and falls further away, each with its interval.
+    """Find parameters whose likelihood is flat around the estimate and falls further away, each with its interval.
 
     An example is the end of a dead zone that lies between two commands of the log: all values in between fit equally
-    well. The curvature at the estimate is then no measure of the error. Such a coordinate is inside its bounds, and its
-    standard error from the information exceeds its characteristic step. The log-likelihood has fallen by 1.92 (the
-    limit of a 95 % interval) on both sides, within half of the 95 % interval that this standard error gives.
-    Coordinates that are logarithms are skipped, because the likelihood is smooth in them.
+    well. The curvature at the estimate is then no measure of the error, and the interval replaces it.
+
+    Such a parameter is inside its bounds, and its standard error from the information exceeds its characteristic step.
+    The log-likelihood falls by 1.92 (the limit of a 95 % interval) on one side at least. A side without such a fall
+    ends at the bound. The interval is shorter than half of the 95 % interval that the standard error gives. Parameters
+    that are estimated as logarithms are skipped, because the likelihood is smooth in them.
 
     Parameters
     ----------
     value
-        Returns the log-likelihood of coordinates (n,).
+        Returns the objective (log-likelihood plus log-prior) at coordinates (n,).
     z : Array (n,)
-        Coordinates of the estimate.
+        Coordinates of the estimate: parameters, or the logarithms of positive parameters.
     parameters
         Parameters of the coordinates. The characteristic step of a parameter is its ``step``, or else a hundredth of
-        its value.
+        its value, or else 1.
     information : Array (n, n)
         Information at the estimate.
     bounds
@@ -475,7 +492,7 @@ def flat_coordinates(
     Returns
     -------
     list of LikelihoodInterval
-        One interval for each flat coordinate; empty if there is none.
+        One interval for each such parameter; empty if there is none.
     """
     found = []
     for i, p in enumerate(parameters):
@@ -498,9 +515,18 @@ def flat_coordinates(
 
 
 def _drop_test(value: Callable[[Array], float], z: Array, i: int) -> DropTest:
-    """Return a function that tests whether the log-likelihood has fallen by 1.92 at another value of coordinate i.
+    """Return a function that tests whether the log-likelihood has fallen by 1.92 if coordinate i takes another value.
 
     All other coordinates keep their values in z (n,). The function returns None if the log-likelihood is not finite.
+
+    Parameters
+    ----------
+    value
+        Returns the log-likelihood at coordinates (n,).
+    z : Array (n,)
+        Coordinates of the estimate.
+    i
+        Index of the tested coordinate.
     """
     top = value(z)
 
@@ -520,7 +546,7 @@ def _bracket_drop(fallen: DropTest, tried: Array, z: float) -> tuple[float, floa
     Parameters
     ----------
     fallen
-        Test of the drop.
+        Returns whether the log-likelihood has fallen by 1.92 at a value of the coordinate; None if it is not finite.
     tried : Array
         Values of the coordinate, at increasing distances from the estimate on one side.
     z
@@ -545,6 +571,7 @@ def _bisect_drop(fallen: DropTest, inner: float, outer: float) -> float:
 
     It lies between ``inner``, where the log-likelihood has not fallen, and ``outer``. The result is infinite, with the
     sign of the side, if ``outer`` is infinite or if the log-likelihood stops being finite before it has fallen.
+    ``fallen`` returns whether the log-likelihood has fallen by 1.92 at a value; None if it is not finite there.
     """
     if not np.isfinite(outer):
         return outer
@@ -556,9 +583,11 @@ def _bisect_drop(fallen: DropTest, inner: float, outer: float) -> float:
 
 
 def with_interval_information(at: Evaluation, found: Sequence[LikelihoodInterval]) -> Evaluation:
-    """Return a copy of the evaluation with the information of flat coordinates replaced by that of their intervals.
+    """Return a copy of the evaluation in which parameters with a flat likelihood get the information of an interval.
 
-    The information between a flat coordinate and the others becomes zero. ``found`` is a result of `flat_coordinates`.
+    Each interval in ``found`` is that over which the log-likelihood falls by 1.92; its information replaces the one
+    from the curvature at the optimum. The information between such a parameter and the others becomes zero. Standard
+    errors then follow from the copy as usual.
     """
     information = at.information.copy()
     for p in found:

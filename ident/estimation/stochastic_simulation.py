@@ -1,4 +1,4 @@
-"""Simulation of a model with its process noise, in plain numpy and independent of the filter's kernels.
+"""Simulation of a model with its process noise, in plain numpy and independent of the compiled filter.
 
 It uses stochastic Heun steps, of weak order two for noise that does not depend on the state (Kloeden and Platen 1992,
 14.1). Each interval between rows has several steps. All replicates are simulated at once.
@@ -20,7 +20,9 @@ SUBSTEP = 0.0125  # [s] largest step of the integration
 
 @dataclass(frozen=True)
 class SampledInputs:
-    """Inputs of a simulation in n_rows rows. Between rows, an input changes linearly from ``u`` to ``u_next``.
+    """Inputs of a simulation at the n_rows instants (rows) of a record, and how they change in between.
+
+    Between rows, an input changes linearly from ``u`` to ``u_next``. It is constant if both are equal.
 
     Attributes
     ----------
@@ -41,7 +43,10 @@ class SampledInputs:
 
     @classmethod
     def linear(cls, t: Array, u: Array) -> SampledInputs:
-        """Return inputs that are linear in time between the values ``u`` (n_rows, n_inputs) at the times ``t`` [s]."""
+        """Return inputs that are linear in time between the values ``u`` (n_rows, n_inputs) at the times ``t`` [s].
+
+        After the last time they keep the last value.
+        """
         return cls(t, u, np.vstack([u[1:], u[-1:]]))
 
 
@@ -54,16 +59,16 @@ def simulate_stochastic(
     x0: Array | None = None,
     substep: float = SUBSTEP,
 ) -> tuple[Array, Array]:
-    """Simulate a model with process noise and measurement noise.
+    """Simulate a model with process noise and measurement noise, for several independent replicates at once.
 
     Parameters
     ----------
     model
         Model to simulate.
     inputs
-        Inputs, common to all replicates. They define the rows of the result.
+        Inputs, common to all replicates. They define the rows (instants) of the result.
     values : Array (n_replicates, n_parameters)
-        Parameters of each replicate (independent simulation), in the order of ``model.parameters``.
+        Parameters of each replicate, in the order of ``model.parameters``.
     rngs
         A random generator for each replicate, so that a replicate does not depend on the others.
     x0 : Array (n_replicates, n_states), optional
@@ -144,7 +149,19 @@ def _integrate_interval(
 
 
 def _state_rates(model: Model, x: Array, u: Array, p: Sequence[Any]) -> Array:
-    """Return the time derivatives of the states x (n_states, n_replicates) for inputs u (n_inputs,), parameters p."""
+    """Return the time derivatives (n_states, n_replicates) of the states of all replicates.
+
+    Parameters
+    ----------
+    model
+        Model to simulate.
+    x : Array (n_states, n_replicates)
+        States.
+    u : Array (n_inputs,)
+        Inputs.
+    p
+        Value of each parameter: a number, or an array (n_replicates,).
+    """
     rate = model.signals(x, u, p).rate
     out = np.empty_like(x)
     for i, state in enumerate(model.states):
@@ -170,7 +187,8 @@ def _draw_initial_state(model: Model, values: Array, rng: np.random.Generator) -
 def _noise_by_replicate(model: Model, values: Array, noise: float | str) -> Array:
     """Return the standard deviation or diffusion of a noise for each replicate (n_replicates,).
 
-    ``noise`` is a number for all replicates, or the name of a parameter. ``values`` is (n_replicates, n_parameters).
+    ``noise`` is a number for all replicates, or the name of a parameter. ``values`` (n_replicates, n_parameters) are
+    the parameters of the replicates.
     """
     if not isinstance(noise, str):
         return np.full(len(values), float(noise))

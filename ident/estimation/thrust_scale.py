@@ -34,7 +34,10 @@ LEAST_GYRATION = 0.15  # least radius of gyration in yaw over the hull's length;
 
 @dataclass(frozen=True)
 class ThrustScale:
-    """Provenance of the values that define a model's forces in newtons and moments in newton metres.
+    """Scale of a model's forces and moments: the provenance of the thrust and of the thrusters' arms that define it.
+
+    The motion of a boat determines masses and damping only as ratios to the thrust. Without a known thrust, numbers are
+    reported as ratios to it.
 
     Attributes
     ----------
@@ -105,10 +108,10 @@ class ThrustScale:
         return f"{' '.join(top) or '1'}/{joined}" if bottom else " ".join(top)
 
     def name(self, name: str, unit: str) -> str:
-        """Return the name under which the parameter ``name`` with this unit is reported: ``m_u/T``, ``m_r/(T y_arm)``.
+        """Return the name under which a parameter is reported; for a ratio, for example ``m_u/T`` or ``m_r/(T y_arm)``.
 
-        T is the thrust of one thruster at full forward command. A number that is not reported as a ratio keeps its
-        name.
+        T is the thrust of one thruster at full forward command. ``name`` and ``unit`` are those of the parameter in the
+        model. A number that is not reported as a ratio keeps its name.
         """
         thrust, arm = self.powers(unit)
         parts = ["T"] * (thrust > 0) + ["y_arm"] * (arm > 0)
@@ -140,11 +143,12 @@ def thrust_scale_of(model: Model) -> ThrustScale:
 def free_unknown_scale(model: Model) -> Model:
     """Return the model with the scale of forces free as far as the data can determine it.
 
-    - If c2 was not given, it is estimated with a prior around zero, of a standard deviation of 0.1 c1.
-    - If no arm was given, the two arms become one symmetric arm, which the Munk moment determines. If one was given,
-      the other mirrors it.
-    - If c1 was not given but a mass was, c1 is estimated. If neither was given, c1 keeps its built-in value, and the
-      estimates are ratios to it.
+    - If the asymmetric thrust coefficient c2 was not given, it is estimated with a prior around zero, of a standard
+      deviation of 0.1 c1.
+    - If no arm (lateral position of a thruster) was given, the two arms become one symmetric arm, which the Munk moment
+      determines. If one was given, the other is its negative.
+    - If the thrust coefficient c1 was not given but a mass was, c1 is estimated. If neither was given, c1 keeps its
+      built-in value, and the estimates are ratios to it.
     """
     values = model.values
     if "c1" not in values or "m_u" not in values:
@@ -162,7 +166,8 @@ def _with_both_arms(model: Model) -> Model:
     """Return the model with arms (lateral positions) for both thrusters.
 
     If no arm was given, both arms become one parameter, plus and minus ``y_arm``. If one arm was given, the other is
-    its negative. A user-defined model, or one without a yaw inertia or arms, is returned unchanged.
+    its negative. A model whose arms are both given, a user-defined model, or one without a yaw inertia or arms, is
+    returned unchanged.
     """
     if not {"m_r", "y_left", "y_right"} <= set(model.values) or ".py:" in model.source:
         return model
@@ -179,15 +184,15 @@ def _with_both_arms(model: Model) -> Model:
 
 @dataclass(frozen=True)
 class ReportedUnits:
-    """Units in which the numbers of a model are reported.
+    """Units in which the numbers of a model are reported: their own, or ratios to the thrust and to the arm.
 
     Attributes
     ----------
     scale
         Provenance of the force scale, which decides what is reported as a ratio.
     thrust, arm
-        Thrust [N] of one thruster at full forward command, and arm [m], by which numbers are divided; 1 if no number is
-        divided by it.
+        Thrust [N] of one thruster at full forward command, and arm [m] (lateral position of a thruster), by which
+        numbers are divided; 1 if no number is divided by it.
     """
 
     scale: ThrustScale
@@ -195,7 +200,10 @@ class ReportedUnits:
     arm: float = 1.0
 
     def factor(self, unit: str) -> float:
-        """Return the factor by which a number in ``unit`` is multiplied when it is reported; 1 if it is no ratio."""
+        """Return the factor by which a number in ``unit`` is multiplied when it is reported.
+
+        It is 1 if the number is not reported as a ratio.
+        """
         thrust, arm = self.scale.powers(unit)
         return float(self.thrust**-thrust * self.arm**-arm) if thrust or arm else 1.0
 
@@ -214,7 +222,7 @@ def reported_units(model: Model) -> ReportedUnits:
 
 @dataclass(frozen=True)
 class ReportedEstimates:
-    """Estimates of a fit as they are reported: as ratios to the thrust if the scale of forces is unknown.
+    """Estimates of a fit as they are reported: as ratios to thrust and arm if the scale of forces is unknown.
 
     Attributes
     ----------
@@ -235,7 +243,10 @@ class ReportedEstimates:
         return self.units.scale
 
     def factor(self, unit: str) -> float:
-        """Return the factor by which a number in ``unit`` is multiplied when it is reported; 1 if it is no ratio."""
+        """Return the factor by which a number in ``unit`` is multiplied when it is reported.
+
+        It is 1 if the number is not reported as a ratio.
+        """
         return self.units.factor(unit)
 
     def estimate(self, p: Parameter, record: int = 0) -> tuple[float, float]:
@@ -263,19 +274,29 @@ class ReportedEstimates:
         return np.asarray(self._covariance / np.outer(root, root))
 
     def _log_gradient(self, thrust: int, arm: int) -> Array:
-        """Return the derivative of ``a ln T + b ln y`` by each estimate (n,), for the powers a of thrust, b of arm."""
+        """Return the derivatives (n,) of ``a ln T + b ln y`` by the n estimates of the fit.
+
+        T is the thrust at full forward command with the power a (``thrust``), and y the arm with the power b (``arm``).
+        They serve the delta method for the standard errors of ratios.
+        """
         by_thrust, by_arm = thrust / self.units.thrust, arm / self.units.arm
         derivatives = {"c1": by_thrust, "c2": by_thrust, "y_arm": by_arm}
         return np.array([derivatives.get(p.name, 0.0) for p in self.fit.parameters])
 
     @cached_property
     def _known_covariance(self) -> Array:
-        """Covariance of the estimates of the fit (n, n) in their own units, with zero instead of NaN."""
+        """Covariance of the estimates of the fit (n, n) in their own units.
+
+        It is zero for parameters without a standard error.
+        """
         return np.nan_to_num(self.fit.covariance, nan=0.0)
 
     @cached_property
     def _covariance(self) -> Array:
-        """Covariance of the reported estimates (n, n), NaN for parameters without a standard error."""
+        """Covariance (n, n) of the estimates as they are reported, by the delta method.
+
+        It is NaN for parameters without a standard error.
+        """
         parameters = self.fit.parameters
         powers = [self.scale.powers(p.unit) for p in parameters]
         J = np.array(
@@ -295,6 +316,11 @@ def contradicted_priors(fit: Fit) -> list[tuple[Parameter, float, float]]:
 
     Data and prior contradict each other if they differ by more than 3 of their common standard deviations. Priors of
     the effects in the catalogue are not tested, because they describe a usual size and not this boat.
+
+    Parameters
+    ----------
+    fit
+        Fit of a model, with the weights of its priors.
 
     Returns
     -------
@@ -338,12 +364,14 @@ def least_yaw_inertia(fit: Fit, length: float | None = None) -> float | None:
     """Return the least moment of inertia in yaw [kg m2] that a rigid body with the estimated mass can have.
 
     It is the larger of two values: that of a bar that reaches from thruster to thruster, and that of a hull whose
-    radius of gyration is 0.15 times its ``length`` [m]. Without a length, it is that of the bar.
+    radius of gyration is 0.15 times its ``length`` [m]. Without a length, it is that of the bar. An estimated inertia
+    below it is implausible.
 
     Returns
     -------
     float or None
-        None if the arms or masses are unknown.
+        None if the model lacks mass, inertia or arms, or if thrust or arms were not given, so that masses or inertia
+        are known as ratios only.
     """
     scale, values = thrust_scale_of(fit.model), fit.model.values
     if not {"m_u", "m_r"} <= set(values) or scale.relative or scale.relative_yaw or scale.arm is None:

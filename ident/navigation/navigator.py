@@ -1,8 +1,8 @@
 """Navigation: filtered and smoothed states of a fitted model along a record, with their covariance.
 
-The ocean current is a state here. A fit estimates the current as a parameter of each record; a navigator cannot know
+The ocean current is a state here. A fit estimates the current as a parameter of each record; a navigator does not have
 this parameter in advance and estimates the current along the record. Parameter errors are included as a consider
-covariance (Bierman 1977, chapter 8):
+covariance, the contribution of quantities that the filter does not estimate (Bierman 1977, chapter 8):
 
     P_total = P + sum_i dx_i dx_i'
 
@@ -46,7 +46,7 @@ CURRENT_SD = 0.5  # m/s, initial standard deviation of the current if its parame
 
 @dataclass(frozen=True)
 class Estimate:
-    """State estimates along a record; the covariance includes the parameter errors.
+    """Means and covariances of the states along a record. The covariance includes the errors of the model's parameters.
 
     Attributes
     ----------
@@ -67,7 +67,10 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Navigation:
-    """Result of navigation along a record.
+    """Result of navigation along a record: estimated states with covariances, and which position fixes were used.
+
+    A row is one instant of the record. A fix is a measured GNSS position. A fix is withheld if the filter does not use
+    it on purpose, to measure the effect of a GNSS outage.
 
     Attributes
     ----------
@@ -113,11 +116,14 @@ class Navigation:
 
     @cached_property
     def _compiled(self) -> VectorisedModel:
-        """Compiled model that is evaluated for many rows at once."""
+        """Compiled model functions that are evaluated for many rows at once."""
         return VectorisedModel(self.model)
 
     def position(self, estimate: Estimate) -> tuple[Array, Array]:
-        """Return the position of the antenna in the NED frame that follows from an estimate.
+        """Return the horizontal position of the antenna that follows from state estimates, with its covariance.
+
+        The antenna is the point whose position the GNSS measures; a model without lever arm has it at the origin of the
+        boat.
 
         Parameters
         ----------
@@ -167,11 +173,12 @@ class Navigation:
 
 
 def navigator(model: Model) -> Model:
-    """Return the model with states in place of the per-record parameters of the current.
+    """Return the model with the ocean current as states, in place of its per-record parameters.
 
-    The initial standard deviation of a state is that of the parameter's prior. A model without per-record current is
-    returned unchanged. Each parameter is fixed at the mean of its prior, and the state is the deviation from it. The
-    states are constant unless the model has the effect of a random-walk current.
+    A filter can then estimate the current along a record. The initial standard deviation of a state is that of the
+    parameter's prior. Each parameter is fixed at the mean of its prior, and the state is the deviation from it. The
+    states are constant unless the model has the effect of a random-walk current. A model without per-record current is
+    returned unchanged.
     """
     currents = {p.name: p for p in model.parameters if p.name in CURRENT and p.per_record}
     if set(currents) != set(CURRENT):
@@ -194,7 +201,7 @@ def navigate(
     without_gnss: Sequence[tuple[float, float]] = (),
     known: ParameterCovariance | None = None,
 ) -> Navigation:
-    """Estimate the states of a fitted model along a record, with their covariance.
+    """Estimate the states of a fitted model along a record (position, velocity, current), with their covariance.
 
     Parameters
     ----------
@@ -205,7 +212,7 @@ def navigate(
     smoothed : bool
         Whether ``Navigation.best`` uses all samples; otherwise it uses the samples up to each row.
     without_gnss : sequence of (float, float)
-        Intervals of ``record.t`` [s] whose GNSS samples are withheld.
+        Intervals of ``record.t`` [s] whose GNSS samples are not used, to measure the effect of an outage.
     known : ParameterCovariance, optional
         Covariance of the parameters, whose errors widen the covariance of the states. Without it, the parameters count
         as exact.
@@ -269,10 +276,26 @@ def _best_states(run: FilterResult, smoothed: bool) -> tuple[Array, Array]:
 def _without_gnss_samples(
     model: Model, record: Record, intervals: Sequence[tuple[float, float]]
 ) -> tuple[Record, NDArray[np.bool_]]:
-    """Return the record without GNSS samples in the intervals, and a mask (n_rows,) of the withheld positions.
+    """Return a copy of the record without GNSS samples in some intervals, and in which rows a position was removed.
 
-    An interval is a pair of times of the record [s]; its end does not belong to it. Positions, velocities and speeds of
-    sensors that have only these outputs are replaced by NaN. The given record is not changed.
+    The removed samples are NaN. They are those of all sensors that have only positions, velocities and speeds as
+    outputs.
+
+    Parameters
+    ----------
+    model
+        Model of the record.
+    record
+        Record of the same outputs. It is not changed.
+    intervals
+        Pairs of times of the record [s]; the end does not belong to the interval.
+
+    Returns
+    -------
+    Record
+        Copy without these samples.
+    Array (n_rows,) of bool
+        Whether a position was removed from the row.
 
     Raises
     ------
@@ -304,11 +327,11 @@ def _consider_covariance(
     known: ParameterCovariance | None,
     smoothed: bool,
 ) -> tuple[Array, Array]:
-    """Return the consider covariances of prediction and best estimate, each (n_rows, n_states, n_states).
+    """Return what parameter errors add to the covariances of one-step prediction and best estimate.
 
-    They are the contributions of the parameter errors to the covariances. The filter, and the smoother if
-    ``smoothed``, run again with parameters that are moved along each principal direction of their covariance. A
-    direction for which the filter diverges is left out.
+    Both results (consider covariances) are (n_rows, n_states, n_states). The filter, and the smoother if ``smoothed``,
+    run again with parameters that are moved along each principal direction of their covariance. A direction for which
+    the filter diverges is left out.
 
     Parameters
     ----------
@@ -339,7 +362,8 @@ def _consider_covariance(
 def _state_difference(model: Model, a: Array, b: Array) -> Array:
     """Return the difference ``a - b`` of two state trajectories (n_rows, n_states).
 
-    States that are outputs with an angle are wrapped to a half turn.
+    Differences of angles are wrapped to -pi to pi. A state is an angle if the model has an output of the same name that
+    is one.
     """
     angles = {o.name for o in model.outputs if o.angle}
     d = a - b

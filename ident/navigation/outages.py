@@ -41,14 +41,14 @@ class Ellipse:
 
 @dataclass(frozen=True)
 class OutageErrors:
-    """Errors of the estimated positions against the withheld fixes of an outage.
+    """Errors of the estimated positions against the GNSS fixes that were withheld from the filter during an outage.
 
     Attributes
     ----------
     rms, largest : float
         Root mean square and largest distance from the fixes [m].
     inside : float
-        Empirical coverage of the 95 % ellipses, 0..1; the ellipses include the measurement noise of a fix.
+        Share of the fixes inside the 95 % ellipses, 0..1; the ellipses include the measurement noise of a fix.
     n : int
         Number of fixes.
     """
@@ -61,7 +61,7 @@ class OutageErrors:
 
 @dataclass(frozen=True)
 class Outage:
-    """One GNSS outage, from the last fix before it to the first fix after it.
+    """One GNSS outage, from the last position fix before it to the first fix after it, with the errors of the position.
 
     The outage starts at the first row of the record if no fix precedes it, and ends at the last row if no fix follows.
 
@@ -74,22 +74,22 @@ class Outage:
     leading : bool
         Whether no fix precedes; the position predicted for the end then depends on the initial state alone.
     withheld : bool
-        Whether fixes were withheld on purpose.
+        Whether fixes within the outage exist but were withheld from the filter on purpose.
     north, east : float
         Position at the end [m], predicted by the filter without GNSS.
     at_end : Ellipse
-        Confidence ellipse of this position.
+        95 % confidence ellipse of this position.
     error : float or None
         Distance of the predicted position from the fix at the end [m], or from the last withheld fix if no fix
         follows. None without either.
     allowed : float or None
-        95 % radius of this distance [m], with the measurement noise of the fix.
+        95 % radius of this distance [m], with the measurement noise of the fix; None without such a fix.
     inside : bool or None
-        Whether the fix is inside the 95 % ellipse that includes its measurement noise.
+        Whether the fix is inside the 95 % ellipse that includes its measurement noise; None without such a fix.
     widest : float
-        Largest 95 % radius of the best estimate within the outage [m].
+        95 % radius of the best estimate [m] at the row within the outage at which its variance is largest.
     predicted, best : OutageErrors or None
-        Errors of the filter's prediction and of the best estimate against the withheld fixes.
+        Errors of the filter's prediction and of the best estimate against the withheld fixes; None without any.
     """
 
     start: float
@@ -159,10 +159,11 @@ def circular_error(large: float, small: float) -> float:
 
 
 def gnss_outages(navigation: Navigation) -> list[Outage]:
-    """Return the GNSS outages of a record in order of time.
+    """Return the GNSS outages of a record in order of time, with the position error of each.
 
-    An outage is an interval between two used fixes that is longer than three median intervals between fixes and longer
-    than 2 s. The intervals before the first and after the last used fix also count. Withheld fixes are not used.
+    An outage is an interval between two fixes that the filter used. It is longer than three median intervals between
+    fixes and longer than 2 s. The intervals before the first and after the last used fix also count. Withheld fixes are
+    not used, so that an interval in which all fixes are withheld is an outage.
     """
     used = np.flatnonzero(navigation.used)
     t = navigation.t
@@ -176,25 +177,31 @@ def gnss_outages(navigation: Navigation) -> list[Outage]:
 
 
 class _OutageEvaluator:
-    """Evaluator of the outages of one record.
+    """Evaluator of the outages of one record, which computes the antenna positions once for all outages.
 
     Attributes
     ----------
     navigation
         Result of the navigation along the record.
     predicted, best
-        Positions (n_rows, 2) [m] and their covariances (n_rows, 2, 2) [m2], of the prediction and of the best estimate.
-        They are computed once for all outages.
+        Positions (n_rows, 2) [m] and their covariances (n_rows, 2, 2) [m2]: one-step predictions, and best estimates
+        (smoothed or filtered).
     """
 
     def __init__(self, navigation: Navigation) -> None:
+        """Compute the antenna positions of the prediction and of the best estimate for all rows of the record."""
         self.navigation = navigation
         self.predicted, self.best = (navigation.position(e) for e in (navigation.predicted, navigation.best))
 
     def outage(self, first: int, last: int, is_open: bool) -> Outage:
-        """Return the outage from the row ``first`` to the row ``last``, with its errors.
+        """Evaluate the outage between two rows of the record: its ellipse, and its errors where fixes exist.
 
-        ``is_open`` means that the last row has no used fix, so that no fix follows the outage.
+        Parameters
+        ----------
+        first, last
+            Indices of the rows at the start and at the end of the outage.
+        is_open
+            Whether no fix follows the outage: the row ``last`` has no used fix.
         """
         n, t = self.navigation, self.navigation.t
         withheld = first + np.flatnonzero(n.withheld[first : last + 1])
@@ -250,9 +257,10 @@ class _OutageEvaluator:
         return np.hypot(e[:, 0], e[:, 1]), mahalanobis <= CHI2
 
     def _errors_at_fixes(self, estimate: tuple[Array, Array], rows: NDArray[np.intp]) -> OutageErrors | None:
-        """Return the errors of the estimated positions against the fixes of the rows; None without rows.
+        """Return the errors of the estimated positions against the fixes of some rows; None without rows.
 
-        ``estimate``: positions (n_rows, 2) [m] and their covariances (n_rows, 2, 2) [m2].
+        ``estimate``: positions (n_rows, 2) [m] and their covariances (n_rows, 2, 2) [m2]. ``rows``: indices (n,) of
+        rows with a fix.
         """
         if not rows.size:
             return None

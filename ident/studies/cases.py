@@ -1,4 +1,4 @@
-"""Cases of ``seatrial ident study``: missions and true values.
+"""Cases of ``seatrial ident study`` (Monte Carlo studies of the estimator): missions and true parameter values.
 
 Built-in cases have step sequences as in section 5 of the paper, and the boat of its Table 5. User-defined cases are
 a fitted model.toml, or a ``Case`` of a Python file. This module also repeats a designed mission, and compares the
@@ -54,7 +54,9 @@ N_DELAYS = round(0.2 / DELAY_STEP) + 1  # up to twice the true delay
 def random_levels(
     t: Array, levels: Callable[[np.random.Generator], Array], hold: tuple[float, float], seed: int
 ) -> Array:
-    """Return a random step sequence (n_rows, n_inputs). The levels of all inputs change at the same times.
+    """Return a random step sequence for the inputs of a mission (n_rows, n_inputs).
+
+    All inputs change their levels at the same times.
 
     Parameters
     ----------
@@ -76,7 +78,7 @@ def random_levels(
 
 
 def _shaft_speeds(command: Array, step: float) -> Array:
-    """Return the shaft speeds (n_rows, n) that follow from commands (n_rows, n), from rest.
+    """Return the normalised shaft speeds (n_rows, n) that follow from commands (n_rows, n), from rest.
 
     A command is held from one row to the next, ``step`` [s] later. The shaft is a first-order lag.
     """
@@ -84,7 +86,10 @@ def _shaft_speeds(command: Array, step: float) -> Array:
 
 
 def surge_case(seconds: float = 300.0) -> Case:
-    """Return the surge case: forward and reverse thrust in steps, position at 10 Hz, for ``seconds`` [s]."""
+    """Return the simulated case of straight motion: forward and reverse thrust in steps, position at 10 Hz.
+
+    The mission lasts ``seconds`` [s]. The true values are those of the boat of Table 5.
+    """
     t = _row_times(seconds, 0.1)
     force = random_levels(t, lambda rng: rng.uniform(-30.0, 80.0, 1), (5.0, 15.0), MISSION_SEED)
     model = _model_at(surge_model(), HULL | {"s_u": 0.02, "e_x": 0.05})
@@ -94,7 +99,10 @@ def surge_case(seconds: float = 300.0) -> Case:
 
 
 def yaw_case(seconds: float = 300.0) -> Case:
-    """Return the yaw case: yaw moment in steps, gyro at 20 Hz, for ``seconds`` [s]."""
+    """Return the simulated case of pure rotation: yaw moment in steps, gyro at 20 Hz.
+
+    The mission lasts ``seconds`` [s]. The true values are those of the boat of Table 5.
+    """
     t = _row_times(seconds, 0.05)
     moment = random_levels(t, lambda rng: rng.uniform(-12.0, 12.0, 1), (2.0, 8.0), MISSION_SEED)
     model = _model_at(yaw_model(), HULL | {"s_r": 0.02, "e_r": 0.01})
@@ -102,9 +110,10 @@ def yaw_case(seconds: float = 300.0) -> Case:
 
 
 def horizontal_case(seconds: float = 400.0) -> Case:
-    """Return the horizontal case: both thrusters in steps, for ``seconds`` [s].
+    """Return the simulated case of the boat in surge, sway and yaw: both thrusters in steps, for ``seconds`` [s].
 
-    Heading, gyro and accelerometers are sampled at 10 Hz, position and velocity at 5 Hz.
+    Heading, gyro and accelerometers are sampled at 10 Hz, position and velocity at 5 Hz. The current is unknown. The
+    true values are those of the boat of Table 5.
     """
     t = _row_times(seconds, 0.1)
     n = _shaft_speeds(random_levels(t, lambda rng: rng.uniform(-0.5, 1.0, 2), (3.0, 10.0), MISSION_SEED), 0.1)
@@ -119,7 +128,10 @@ def horizontal_case(seconds: float = 400.0) -> Case:
 
 
 def thruster_case(seconds: float = 100.0) -> Case:
-    """Return the thruster case: steps on the bench for ``seconds`` [s]; command, shaft speed and force at 80 Hz."""
+    """Return the simulated bench test of a thruster: random steps for ``seconds`` [s].
+
+    Command, shaft speed and force are sampled at 80 Hz. The delay is 0.1 s.
+    """
     t = _row_times(seconds, DELAY_STEP)  # with this step the delayed commands change at rows
     command = random_levels(t, lambda rng: rng.uniform(-1.0, 1.0, 1), (1.0, 4.0), MISSION_SEED)[:, 0]
     whole = [np.searchsorted(t, t - k * DELAY_STEP + 1e-9, side="right") - 1 for k in range(N_DELAYS)]
@@ -131,7 +143,7 @@ def thruster_case(seconds: float = 100.0) -> Case:
 
 
 def kinematic_case(seconds: float = 400.0) -> Case:
-    """Return the horizontal case with measured attitude and body rates, for ``seconds`` [s].
+    """Return the case of `horizontal_case` with measured attitude and body rates as inputs, for ``seconds`` [s].
 
     The boat rolls by 3 and pitches by 2 degrees (amplitudes).
     """
@@ -150,10 +162,16 @@ def kinematic_case(seconds: float = 400.0) -> Case:
 
 
 def heading_under_thrust(t: Array, n: Array) -> Array:
-    """Return the heading (n_rows,) [rad] of the boat of Table 5 from its start at heading 0 and at rest.
+    """Simulate the heading (n_rows,) [rad] of the boat of Table 5 under thrust, from heading 0 and rest.
 
-    It is the yaw equation without noise, integrated by Euler's method. ``t`` (n_rows,) are times [s], and ``n``
-    (n_rows, 2) are the shaft speeds of the left and the right thruster, -1 to 1.
+    It is the yaw equation without noise, integrated by Euler's method. It only provides a plausible measured heading.
+
+    Parameters
+    ----------
+    t : Array (n_rows,)
+        Times [s].
+    n : Array (n_rows, 2)
+        Normalised shaft speeds of the left and the right thruster, -1 to 1.
     """
     model = horizontal_model()
     force = model.values["c1"] * n * np.abs(n) + model.values["c2"] * n**2
@@ -168,8 +186,15 @@ def heading_under_thrust(t: Array, n: Array) -> Array:
 def simulated_attitude(t: Array, psi: Array) -> Array:
     """Return roll, pitch, heading [rad] and body rates p, q, r [rad/s] of a rolling boat, Array (n_rows, 6).
 
-    Roll is a sine of 0.052 rad and 2.3 s, pitch one of 0.035 rad and 3.1 s. ``t`` (n_rows,) are times [s], and ``psi``
-    (n_rows,) is the heading [rad]. The body rates follow from Fossen 2011, eq. 2.27.
+    Roll is a sine of amplitude 0.052 rad and period 2.3 s, pitch one of 0.035 rad and 3.1 s. The body rates follow from
+    the angles by Fossen 2011, eq. 2.27.
+
+    Parameters
+    ----------
+    t : Array (n_rows,)
+        Times [s].
+    psi : Array (n_rows,)
+        Heading [rad].
     """
     phi, theta = 0.052 * np.sin(2 * np.pi * t / 2.3), 0.035 * np.sin(2 * np.pi * t / 3.1)
     d_phi, d_theta, d_psi = (np.gradient(angle, t) for angle in (phi, theta, psi))
@@ -182,9 +207,9 @@ def simulated_attitude(t: Array, psi: Array) -> Array:
 
 
 def noise_case(seconds: float = 300.0) -> Case:
-    """Return the noise case: one sensor axis at rest at 20 Hz, for ``seconds`` [s].
+    """Return the case of a sensor at rest: one axis at 20 Hz for ``seconds`` [s], with white noise and a random walk.
 
-    It has white noise and a random walk, as `seatrial ident noise` fits them.
+    `seatrial ident noise` fits the same model. REML is not used.
     """
     t = _row_times(seconds, 0.05)
     model = noise_model(1e-3).with_values({"white": 1.0, "walk": 0.3})
@@ -194,7 +219,7 @@ def noise_case(seconds: float = 300.0) -> Case:
 
 
 def optimal_design_case(seconds: float = 300.0) -> Case:
-    """Return an optimal design of ``seconds`` [s] for the nine parameters of Table 1 as a case.
+    """Design an optimal mission of ``seconds`` [s] for the nine parameters of Table 1, and return it as a case.
 
     The case tests whether fits reach the standard errors that the design predicts.
     """
@@ -246,7 +271,7 @@ def make_case(
     reml: bool | None = None,
     mean_order: Literal[1, 2] | None = None,
 ) -> Case:
-    """Return a case of a study.
+    """Return a case of a Monte Carlo study (mission, and model at the true values) from the options of the command.
 
     Parameters
     ----------
@@ -259,11 +284,13 @@ def make_case(
     seconds
         Length of the mission [s], by default that of the case.
     bounded
-        Whether damping is bounded at zero. With False damping may be estimated below zero.
+        Whether parameters keep their bounds. With False, parameters that are not estimated as logarithms have none, so
+        that damping may be estimated below zero.
     reml
         Whether to use restricted maximum likelihood. None: as the commands do, or as the file was fitted.
     mean_order
-        Order of the filter mean, 1 or 2. None: as the commands use it, or as the file was fitted.
+        Order of the filter mean: 1, or 2 with the curvature of the model. None: as the commands use it, or as the file
+        was fitted.
 
     Returns
     -------
@@ -302,13 +329,14 @@ def is_file(source: str) -> bool:
 
 
 def case_from_file(source: str, seconds: float | None, seed: int) -> Case:
-    """Return a user-defined case from a file.
+    """Return a user-defined case from a file: a fitted model, or a ``Case`` object in a Python file.
 
     Parameters
     ----------
     source
         ``model.toml``: the inputs are random levels within the ranges that the data of the fit covered, and the case is
-        estimated as the model was fitted. ``FILE.py:NAME``: a ``Case``, which is estimated as `ident vehicle` does.
+        estimated as the model was fitted. ``FILE.py:NAME``: a ``Case``, which is estimated as `ident vehicle` does. The
+        Python file is run.
     seconds
         Length of the mission [s], only for a model.toml. None: 400 s.
     seed
@@ -354,10 +382,10 @@ def _with_file_hash(case: Case, path: Path) -> Case:
 
 
 def _case_of_fitted_model(saved: SavedModel, source: str, seconds: float, seed: int) -> Case:
-    """Return a case of a fitted model, with random levels of its inputs within the ranges of its data.
+    """Return a case of a fitted model, with a mission of random input levels within the ranges of its estimation data.
 
-    Inputs that are linear between rows are lagged as a shaft would be. Delayed input taps follow from their inputs. The
-    time input is the time since the start.
+    Inputs that are linear between rows are lagged as a shaft would be. Delayed copies of an input follow from this
+    input. The time input is the time since the start.
 
     Parameters
     ----------
@@ -409,7 +437,7 @@ def _case_of_fitted_model(saved: SavedModel, source: str, seconds: float, seed: 
 
 
 def _held_random_levels(t: Array, low: float, high: float, rng: np.random.Generator) -> Array:
-    """Return random levels (n_rows,) between ``low`` and ``high``, each held for a random time of 3 to 10 s (``HOLD``).
+    """Return one input (n_rows,) of random levels between ``low`` and ``high``, each held for 3 to 10 s.
 
     ``t`` (n_rows,) are the times of the rows [s].
     """
@@ -421,10 +449,10 @@ def _held_random_levels(t: Array, low: float, high: float, rng: np.random.Genera
 
 
 def _row_interval(model: Model, fastest: float) -> float:
-    """Return the spacing of the rows [s], which is at most 0.1 s.
+    """Return the time between the rows of a simulated mission [s], at most 0.1 s.
 
-    It is short enough for the model and for the fastest sensor, whose rate is ``fastest`` [Hz]. It divides the smallest
-    delay of the delayed input taps by a whole number; otherwise rounding would hide the delay.
+    It is short enough for the model and for the fastest sensor, whose rate is ``fastest`` [Hz]. A whole number of
+    intervals makes up the smallest delay of the model's delayed inputs; otherwise rounding would hide the delay.
     """
     return divided_spacing(copy_spacing(model, SENSOR_INTERVAL_S), min(model.max_step, 1.05 / fastest))
 
@@ -432,14 +460,14 @@ def _row_interval(model: Model, fastest: float) -> float:
 def _lagged_levels(levels: Array, step: float) -> Array:
     """Return shaft speeds or thrusts (n_rows,) that follow levels (n_rows,) with the first-order lag of a shaft.
 
-    They start in steady state at the first level. ``step`` is the spacing of the rows [s].
+    They start in steady state at the first level. ``step`` is the time between rows [s].
     """
     return first_order_lag(levels, 1.0 / SHAFT_POLE, step, start="steady")
 
 
 @dataclass(frozen=True)
 class RepeatStatistics:
-    """Errors of one parameter over the repeats of a designed mission.
+    """Errors of one parameter over simulated repeats of a designed mission, against those that the design predicted.
 
     Attributes
     ----------
@@ -452,10 +480,10 @@ class RepeatStatistics:
     ratio, interval
         Standard deviation of the estimates over the predicted one, and its 95 % interval under normality.
     coverage
-        Share of the estimates within 1.96 predicted standard errors.
+        Share of the estimates within 1.96 predicted standard errors of the truth.
     outliers
-        Number of estimates more than 8 predicted standard errors from the truth. They are left out of the ratio and
-        included in the coverage.
+        Number of estimates at least 8 predicted standard errors from the truth: those fits stopped at another maximum.
+        They are left out of the ratio and included in the coverage.
     """
 
     name: str
@@ -468,7 +496,7 @@ class RepeatStatistics:
 
 
 def designed_case(designed: Design, name: str = "designed") -> Case:
-    """Return a designed mission as a case with this name, estimated as `ident vehicle` does.
+    """Return a designed mission as a case of a Monte Carlo study with this name, estimated as `ident vehicle` does.
 
     The rows are as frequent as the samples of the fastest sensor. No parameter without a transform is bounded, because
     a bound, for example zero for damping, makes the errors one-sided.
@@ -483,10 +511,12 @@ def designed_case(designed: Design, name: str = "designed") -> Case:
 def repeat_design(made: Design, n: int, seed: int) -> list[RepeatStatistics]:
     """Simulate a designed mission with process and measurement noise and fit it, n times.
 
+    The result shows whether fits reach the standard errors that the design predicted.
+
     Parameters
     ----------
     made
-        The design; its inputs must be held linearly.
+        The design; its inputs must be linear between rows.
     n
         Number of repeats.
     seed
@@ -507,10 +537,17 @@ def repeat_design(made: Design, n: int, seed: int) -> list[RepeatStatistics]:
 
 
 def _repeat_statistics(made: Design, name: str, d: Array) -> RepeatStatistics:
-    """Return the statistics of the errors of one parameter over the repeats of a design.
+    """Compare the errors of one parameter over the repeats of a design with the error that the design predicted.
 
-    ``d`` (n,) are errors (estimate minus truth) in the coordinate of the estimator, for example the logarithm of a
-    positive parameter.
+    Parameters
+    ----------
+    made
+        The design.
+    name
+        Name of the parameter.
+    d : Array (n,)
+        Errors (estimate minus truth) in the coordinate of the estimator, for example the logarithm of a positive
+        parameter.
     """
     p, predicted = made.problem.model.parameter(name), made.predicted[name]
     z = d * p.slope(p.value) / predicted  # d is in the estimator's coordinate

@@ -70,7 +70,7 @@ HASHED_PACKAGES = (
 
 @dataclass(frozen=True)
 class Case:
-    """Case of a study: a model at the true values of its parameters, and the inputs of a mission.
+    """Case of a Monte Carlo study: a model at the true values of its parameters, and the inputs of a mission.
 
     Attributes
     ----------
@@ -79,9 +79,9 @@ class Case:
     model
         Model at the true values. The order of the filter mean is a property of the model.
     inputs
-        Inputs of the mission.
+        Inputs of the mission, which also define the rows (instants) of the simulated records.
     every
-        Rows between the samples of a sensor, by sensor (default 1).
+        Sample interval of each sensor, in rows, by name of the sensor (default 1: a sample in each row).
     about
         Description for reports.
     reml
@@ -101,7 +101,7 @@ class Case:
 
 
 def run_replicates(case: Case, numbers: Sequence[int], seed: int, method: Method = "prediction-error") -> list[Row]:
-    """Simulate and estimate independent replicates.
+    """Simulate and estimate independent replicates of a case: the same mission, each with its own noise.
 
     Parameters
     ----------
@@ -112,13 +112,13 @@ def run_replicates(case: Case, numbers: Sequence[int], seed: int, method: Method
     seed
         Seed of the study. Seed and number together determine a replicate.
     method
-        Method of the estimation.
+        Method of the estimation: ``prediction-error`` or ``output-error``.
 
     Returns
     -------
     list of Row
-        One row for each replicate: its number ``k``, the CPU time ``simulation`` [s] of its simulation, and the keys of
-        `estimate`. The row of a failed fit has the key ``error`` instead, with a message.
+        One row for each replicate, a dictionary: its number ``k``, the CPU time ``simulation`` [s] of its simulation,
+        and the keys of `estimate`. The row of a failed fit has the key ``error`` instead of these, with a message.
     """
     rngs = [np.random.default_rng([seed, k]) for k in numbers]
     truths = np.array([_draw_truth(case.model, rng) for rng in rngs])
@@ -138,7 +138,7 @@ def run_replicates(case: Case, numbers: Sequence[int], seed: int, method: Method
 
 
 def read_replicates(path: Path) -> list[Row]:
-    """Read the replicates of earlier runs of a study.
+    """Read the replicates that earlier runs of a study have stored, so that they need not be repeated.
 
     Parameters
     ----------
@@ -164,7 +164,7 @@ def read_replicates(path: Path) -> list[Row]:
 
 
 def make_record(case: Case, y: Array, name: str) -> Record:
-    """Return a record of a case with simulated measurements.
+    """Return a record of a case with simulated measurements, sampled at the rates of its sensors.
 
     Parameters
     ----------
@@ -203,15 +203,17 @@ def estimate(case: Case, record: Record, truth: Array, x0: Array, rng: np.random
     rng
         Random generator of the replicate.
     method
-        Method of the estimation.
+        Method of the estimation: ``prediction-error`` or ``output-error``.
 
     Returns
     -------
     Row
         ``converged``, ``iterations`` and CPU time ``cpu`` [s] of the fit. By parameter name, in the coordinate of the
-        estimator: errors ``d`` (estimate minus truth), standard errors ``se``, errors ``far`` of the far interval ends,
-        and Cramér-Rao ``bound``; None for a value that is not finite. ``flags``: problems of estimates, by parameter
-        name. The names are those of the free parameters and, for output error, ``x0_NAME`` of the initial states.
+        estimator (the logarithm of a positive parameter): errors ``d`` (estimate minus truth), standard errors ``se``,
+        Cramér-Rao ``bound`` of the standard error, and ``far`` for an estimate at its bound: far end of its 95 %
+        interval minus truth. Except in ``d``, a value that is not finite is None. ``flags``: problems of estimates, by
+        parameter name. The names are those of the free parameters and, for output error, ``x0_NAME`` of the initial
+        states.
     """
     model = replace(case.model, second_order=case.model.second_order and method == "prediction-error")
     true_values = dict(zip([p.name for p in model.parameters], truth.tolist(), strict=True))
@@ -248,6 +250,10 @@ def estimate(case: Case, record: Record, truth: Array, x0: Array, rng: np.random
 def cramer_rao_errors(truth: Model, record: Record, found: Fit, method: Method, rng: np.random.Generator) -> Array:
     """Return the standard deviations (n,) of an efficient estimator, in the coordinates of the estimator.
 
+    They are the Cramér-Rao bound, from the information at the truth and the priors, with the effect of parameter bounds
+    and of considered parameters (not estimated, with an uncertain prior). A study compares its errors with them. The
+    coordinates are the logarithms of positive parameters and the other parameters themselves.
+
     Parameters
     ----------
     truth
@@ -255,16 +261,11 @@ def cramer_rao_errors(truth: Model, record: Record, found: Fit, method: Method, 
     record
         The simulated record.
     found
-        Fit of the record, whose parameters are used.
+        Fit of the record; only the selection and order of its n parameters are used.
     method
         Method of the estimation.
     rng
         Random generator of the replicate.
-
-    Notes
-    -----
-    The result is the Cramér-Rao bound from the information at the truth and the priors, with the effect of parameter
-    bounds.
     """
     names = [p.name for p in found.parameters]
     problem = Problem(Likelihood(truth, process_noise=method == "prediction-error"), [record], names, 1)
@@ -279,22 +280,22 @@ def cramer_rao_errors(truth: Model, record: Record, found: Fit, method: Method, 
 def variance_change_by_bounds(
     information: Array, P: Array, z: Array, bounds: Bounds, rng: np.random.Generator
 ) -> Array:
-    """Return the change of the variances (n,) by parameter bounds.
+    """Return the change of the variances (n,) of an efficient estimator by parameter bounds; zero far from all bounds.
+
+    It is a Monte Carlo estimate: the variances of 400 draws of an unbounded efficient estimate are compared with those
+    of the same draws projected onto the bounds.
 
     Parameters
     ----------
     information, P : Array (n, n)
-        Information at the truth, and its inverse.
+        Fisher information at the truth, and the covariance of the unbounded estimate (its inverse, plus the effect of
+        considered parameters).
     z : Array (n,)
         True values in the coordinates of the estimator.
     bounds
         Bounds in these coordinates.
     rng
         Random generator.
-
-    Notes
-    -----
-    ``N_DRAWS`` samples of an efficient estimate are compared with and without projection onto the bounds.
     """
     free = z + rng.multivariate_normal(np.zeros(z.size), P, N_DRAWS, method="cholesky")
     kept = free.copy()
@@ -310,10 +311,10 @@ def _estimator_coordinates(parameters: Sequence[Parameter], values: Array) -> Ar
 
 
 def _draw_truth(model: Model, rng: np.random.Generator) -> Array:
-    """Draw the true values of all parameters (n_parameters,) of one replicate.
+    """Draw the true values of all parameters (n_parameters,) of one simulated replicate.
 
-    Free per-record parameters and considered parameters are drawn from their normal priors. All others, and those
-    without a prior, have their values in the model.
+    Free per-record parameters (such as the current) and considered parameters (not estimated, with an uncertain prior)
+    are drawn from their normal priors. All others, and those without a prior, have their values in the model.
     """
     drawn = {p.name for p in model.parameters if p.free and p.per_record} | {*model.considered}
     return np.array(
@@ -331,7 +332,7 @@ def _finite_by_name(names: Sequence[str], values: Array) -> dict[str, float | No
 
 @dataclass(frozen=True)
 class ParameterCoverage:
-    """Statistics of one parameter over all replicates; intervals are 95 %.
+    """Bias, variance and interval coverage of one parameter's estimates over all replicates; intervals are 95 %.
 
     Attributes
     ----------
@@ -342,15 +343,15 @@ class ParameterCoverage:
     at_bound
         Number of these replicates with the estimate at its bound.
     sd
-        Standard deviation of the errors, in the coordinate of the estimator.
+        Standard deviation of the errors, in the coordinate of the estimator (the logarithm of a positive parameter).
     bias, bias_error
         Bias and its standard error, in units of ``sd``.
     ratio, ratio_interval
-        Variance over mean reported variance, and its interval.
+        Variance of the errors over the mean variance that the fits reported, and its interval.
     bound_ratio, bound_interval
-        Variance over the Cramér-Rao bound, and its interval.
+        Variance of the errors over the Cramér-Rao bound, and its interval.
     coverage, coverage_interval
-        Empirical coverage of the 95 % intervals, and its interval.
+        Share of the 95 % intervals that contain the true value, and its interval.
     """
 
     name: str
@@ -389,7 +390,7 @@ class ParameterCoverage:
 
 
 def _missed_statistic(statistic: str, beyond: bool, significant: bool) -> str:
-    """Return the name of a statistic that is outside its aim (``beyond``); an empty text if it is inside.
+    """Return the name of a statistic, such as ``bias``, if it is outside its aim (``beyond``); otherwise an empty text.
 
     ``(chance?)`` follows the name unless the miss is ``significant``.
     """
@@ -397,7 +398,7 @@ def _missed_statistic(statistic: str, beyond: bool, significant: bool) -> str:
 
 
 def summarise(rows: Iterable[Row]) -> list[ParameterCoverage]:
-    """Return the statistics of each parameter over the rows of `run_replicates`.
+    """Return bias, variance and coverage of each parameter over the rows of `run_replicates`.
 
     Failed and unconverged replicates are left out, and so are parameters with fewer than three usable replicates.
     """
@@ -407,10 +408,10 @@ def summarise(rows: Iterable[Row]) -> list[ParameterCoverage]:
 
 
 def _parameter_coverage(name: str, rows: Sequence[Row]) -> ParameterCoverage | None:
-    """Return the statistics of the parameter ``name`` over rows of replicates.
+    """Return bias, variance and coverage of the parameter ``name`` over rows of replicates, all of which contain it.
 
-    A row is usable if it has a standard error or a far end of the interval, and a Cramér-Rao bound. The result is None
-    with fewer than three usable rows.
+    A row is usable if it has a Cramér-Rao bound, and either a standard error or, for an estimate at its bound, the far
+    end of its interval. The result is None with fewer than three usable rows.
     """
     usable = [r for r in rows if {r["se"][name], r["far"][name]} != {None} and r["bound"][name] is not None]
     n = len(usable)
@@ -474,7 +475,11 @@ def count_replicates(rows: Sequence[Row]) -> ReplicateCounts:
 
 @cache
 def estimator_code_hash() -> str:
-    """Return a hash (12 hexadecimal digits) of the code that the results of a study depend on. It is cached."""
+    """Return a hash (12 hexadecimal digits) of the source files that the results of a study depend on.
+
+    It is stored with each replicate, so that a study can warn about stored replicates of another version of the code.
+    The hash is computed once per process.
+    """
     digest = hashlib.sha256()
     for path in hashed_files():
         digest.update(path.read_bytes())
@@ -482,6 +487,9 @@ def estimator_code_hash() -> str:
 
 
 def hashed_files() -> list[Path]:
-    """Return the Python files whose change may change the results of a study, in order of their paths."""
+    """Return the Python files whose change may change the results of a study, in order of their paths.
+
+    They are all files of ten packages of ``seatrial.ident``, such as the models and the estimation.
+    """
     root = Path(__file__).parents[1]
     return sorted(path for package in HASHED_PACKAGES for path in (root / package).rglob("*.py"))
