@@ -18,10 +18,13 @@ def compare_sides(estimates: Mapping[str, tuple[float, float]]) -> str:
     """Return the thrust of the weaker side in per cent of the stronger side, with its standard error, as a clause."""
     eps, se = estimates["eps_LR"]
     weaker, stronger = ("left", "right") if eps < 0 else ("right", "left")
-    share = (1 - abs(eps)) / (1 + abs(eps))
-    error = 2 * se / (1 + abs(eps)) ** 2  # first-order error of the share
-    uncertainty = f" ± {100 * error:.2g}" if math.isfinite(error) else ""
-    return f"the {weaker} thruster gives {100 * share:.0f}{uncertainty} % of the thrust of the {stronger} one"
+    share = 100 * (1 - abs(eps)) / (1 + abs(eps))
+    error = 200 * se / (1 + abs(eps)) ** 2  # first-order error of the share
+    shown = f"{share:.0f}"
+    if math.isfinite(error) and error > 0:
+        digits = min(max(-math.floor(math.log10(error)), 0), 3)  # the error has one significant digit
+        shown = f"{share:.{digits}f} ± {error:.{digits}f}"
+    return f"the {weaker} thruster gives {shown} % of the thrust of the {stronger} one"
 
 
 EFFECT = Effect(

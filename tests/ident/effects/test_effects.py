@@ -238,8 +238,9 @@ def test_effect_whose_states_the_model_has_is_rejected() -> None:
 @pytest.mark.parametrize(
     ("eps", "se", "words"),
     [
-        (-0.08, 0.01, "the left thruster gives 85 ± 1.7 % of the thrust of the right one"),
-        (0.25, 0.05, "the right thruster gives 60 ± 6.4 % of the thrust of the left one"),
+        (-0.08, 0.01, "the left thruster gives 85 ± 2 % of the thrust of the right one"),
+        (0.25, 0.05, "the right thruster gives 60 ± 6 % of the thrust of the left one"),
+        (-0.058, 0.0022, "the left thruster gives 89.0 ± 0.4 % of the thrust of the right one"),
         (0.1, math.nan, "the right thruster gives 82 % of the thrust of the left one"),
     ],
 )
