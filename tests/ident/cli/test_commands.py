@@ -213,7 +213,7 @@ def test_fit_that_did_not_converge_has_status_1(fitted: Path, capsys: pytest.Cap
 @pytest.mark.study
 def test_swapped_thrusters_are_rejected_and_reported_first_if_fitted_anyway(tmp_path: Path, run: Run) -> None:
     boat = swapped_sides(tmp_path / "swapped.mcap")
-    fit = ("ident", "vehicle", tmp_path / "swapped.mcap", "--model", "horizontal:shaft:no-current")
+    fit = ("ident", "vehicle", tmp_path / "swapped.mcap", "--no-score-tests", "--model", "horizontal:shaft:no-current")
     status, _, err = run(*fit, "--out", tmp_path / "refused")
     assert status == 1
     assert "[thruster-sides-swapped]" in err
@@ -259,6 +259,7 @@ def test_fixed_and_initial_values_are_used(fitted: Path, tmp_path: Path, run: Ru
         5,
         "--model",
         "horizontal:shaft:no-current",
+        "--no-score-tests",
         "--out",
         tmp_path,
     )

@@ -151,7 +151,7 @@ def test_vehicle_command_fits_the_kinematic_model_and_its_file_is_read(
 ) -> None:
     boat = boat_with(None, 3)
     log = boat_log(tmp_path / "a.mcap", boat, 120.0, 7, 1)
-    words = ("ident", "vehicle", log, "--model", "kinematic:shaft:yaw", "--out", tmp_path)
+    words = ("ident", "vehicle", log, "--no-score-tests", "--model", "kinematic:shaft:yaw", "--out", tmp_path)
     assert run(capsys, *words) == (0, "")
     saved, truth = load_model(tmp_path / "model.toml"), boat.truth()
     assert [e.name for e in saved.model.effects] == ["disturbance", "sensor-bias"]

@@ -204,7 +204,7 @@ def test_user_effects_are_found_from_any_folder_and_stay_with_the_model(
         boat_log(Path(f"{name}.mcap"), boat, 60.0, 7 + k, k)
     Path("mine").mkdir()
     Path("mine/own.py").write_text(OWN)
-    assert run("ident", "vehicle", "a.mcap", "--out", "vehicle") == 0
+    assert run("ident", "vehicle", "a.mcap", "--no-score-tests", "--out", "vehicle") == 0
     first = diagnosed("vehicle/model.toml", "one/diagnosis", ["--effects", "mine/own.py"])
     assert first["effects_file"] == "own.py"
     again = diagnosed("one/diagnosis/model.toml", "two")
