@@ -73,6 +73,9 @@ class SearchPolicy:
         A t statistic of the validation data above the second is enough if the t statistic over the blocks of all data
         exceeds the first, at which a useless effect is ten times rarer than at ``min_t``. It is for gains in bursts,
         such as in turns, of which the validation data have few.
+    min_trial_criterion
+        Criterion of a refit above which it is tried together with another effect, if only the support by the validation
+        data is missing and no effect was accepted in its round.
     min_t_if_predicting
         Replaces ``min_t`` in the backward elimination for an effect that improves the prediction, which is further
         evidence.
@@ -151,6 +154,7 @@ class SearchPolicy:
     min_t: float = 2.0
     min_pooled_t: float = 3.0
     min_t_if_pooled: float = 1.0
+    min_trial_criterion: float = 50.0
     min_t_if_predicting: float = 1.0
     min_error_ratio: float = 1.015
     material_error_ratio: float = 1.005

@@ -689,11 +689,74 @@ class _Search:
                 f"round {len(self.rounds) + 1}: {len(passed)} of {len(scores)} candidates pass, best {tried[0].name}"
             )
             found = self._run_round(current, scores, tried)
-            self.rounds.append(found)
+            pair = self._look_ahead(current, found, max_effects) if found.chosen is None else None
+            if pair is not None:
+                self.rounds.extend(pair)
+                found = pair[1]
+            else:
+                self.rounds.append(found)
             if found.chosen is None:
                 return current, passed
             current, unknown = found.chosen.fitted, unknown or found.chosen.nonparametric
             self.candidates.pop(found.chosen.effect.name, None)
+
+    def _look_ahead(self, current: FittedModel, found: Round, max_effects: int) -> tuple[Round, Round] | None:
+        """Try to add two effects at once, after a round in which no effect was accepted.
+
+        Two effects can hide each other: each alone explains much of the estimation data, but the validation data
+        support neither, because the errors by the other effect dominate some of their blocks. The best parametric
+        refit that only lacks this support is therefore added for a trial, and a further round is run beside it. Both
+        effects are kept if that round adds an effect and the validation data support the pair. The backward
+        elimination later tests each of them beside the other.
+
+        Parameters
+        ----------
+        current
+            Model before the round.
+        found
+            Round without an added effect.
+        max_effects
+            Largest number of rounds.
+
+        Returns
+        -------
+        tuple of two Round, or None
+            The round with the effect of the trial as its choice, and the next round. None if there is no such effect,
+            or if the trial fails; ``candidates``, ``scores`` and ``equations`` are then as before.
+        """
+        trial = max(
+            (
+                r
+                for r in found.refits
+                if not r.nonparametric
+                and r.outcome is Outcome.NOT_VALIDATED
+                and r.validation_gain > 0
+                and r.criterion > self.policy.min_trial_criterion
+            ),
+            key=lambda r: r.criterion,
+            default=None,
+        )
+        if trial is None or len(self.rounds) + 2 > max_effects:
+            return None
+        self.reporter.progress(f"trying {trial.effect.title} together with another effect")
+        before = self.scores, self.equations, dict(self.candidates), self.rounds
+        try:
+            exact = replace(self._fit_exactly(current, trial), outcome=Outcome.ADDED)
+            first = replace(found, refits=tuple(exact if r is trial else r for r in found.refits), chosen=exact)
+            self.candidates.pop(trial.effect.name, None)
+            self.rounds = [*self.rounds, first]
+            scores, passed = self.scored(exact.fitted)
+            tried = [s for s in passed if not s.nonparametric]
+            second = self._run_round(exact.fitted, scores, tried) if tried else None
+            if second is not None and second.chosen is not None:
+                gain, t = Comparison(current, second.chosen.fitted, self.policy).gain
+                if gain > 0 and t > self.policy.min_t:
+                    self.rounds = before[3]
+                    return first, second
+        except (*FIT_ERRORS, ValueError) as problem:
+            self.reporter.progress(f"the trial failed: {problem}")
+        self.scores, self.equations, self.candidates, self.rounds = before
+        return None
 
     def add_common_errors(self, current: FittedModel, passed: Sequence[Score]) -> FittedModel | None:
         """Add the common errors to a model if they explain more than any single effect; return the fit with them.

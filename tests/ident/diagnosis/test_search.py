@@ -139,6 +139,49 @@ def test_parameter_difference_between_runs_is_chosen_only_if_it_explains_signifi
     assert [r.effect.name for r in judged] == [f"{BETWEEN}payload", "wind", "lift"]
 
 
+@pytest.mark.parametrize(
+    ("trial", "second", "pair_t", "tried", "kept"),
+    [
+        (refit("bias", 200.0, gain=8.0, t=0.4), True, 5.0, True, True),
+        (refit("bias", 200.0, gain=8.0, t=0.4), False, 5.0, True, False),  # No second effect is accepted.
+        (refit("bias", 200.0, gain=8.0, t=0.4), True, 1.5, True, False),  # The pair is not validated.
+        (refit("bias", 30.0, gain=8.0, t=0.4), True, 5.0, False, False),  # The effect explains too little.
+        (refit("bias", 200.0, gain=-8.0, t=-0.4), True, 5.0, False, False),  # The validation data are against it.
+    ],
+)
+def test_two_effects_that_hide_each_other_are_added_together(
+    monkeypatch: pytest.MonkeyPatch, trial: Refit, second: bool, pair_t: float, tried: bool, kept: bool
+) -> None:
+    wind = replace(refit("wind", 90.0), outcome=Outcome.ADDED)
+    asked: list[str] = []
+
+    def exact(_search: _Search, _current: FittedModel, rough: Refit) -> Refit:
+        asked.append(rough.effect.name)
+        return replace(rough, outcome=Outcome.NOT_VALIDATED)
+
+    score = Score("wind", 100.0, 1, 50.0, {}, {})
+    monkeypatch.setattr(_Search, "_fit_exactly", exact)
+    monkeypatch.setattr(_Search, "scored", lambda *_: ([score], [score]))
+    monkeypatch.setattr(_Search, "_run_round", lambda *_: Round((score,), ("wind",), (wind,), wind if second else None))
+    monkeypatch.setattr(search, "Comparison", lambda *_: blank(gain=(40.0, pair_t)))
+    mine = a_search(trial.effect, wind.effect)
+    trial = replace(trial, outcome=Outcome.NOT_VALIDATED)
+    other = replace(refit("lift", 90.0, gain=-1.0), outcome=Outcome.NOT_VALIDATED)
+    found = mine._look_ahead(blank(), Round((), ("bias",), (trial, other), None), 3)
+    assert asked == (["bias"] if tried else [])
+    assert (found is not None) is kept
+    assert ("bias" in mine.candidates) is not kept
+    assert mine.rounds == []
+    if found is not None:
+        first, last = found
+        assert first.chosen is not None
+        assert (first.chosen.effect.name, first.chosen.outcome) == ("bias", Outcome.ADDED)
+        assert first.chosen in first.refits
+        assert last.chosen is wind
+    # There has to be room for two effects.
+    assert mine._look_ahead(blank(), Round((), ("bias",), (trial, other), None), 1) is None
+
+
 def test_candidate_with_a_negative_score_criterion_is_still_refitted(monkeypatch: pytest.MonkeyPatch) -> None:
     tried: list[str] = []
     note = lambda _self, _current, pairs, *_: tried.extend(effect.name for effect, _ in pairs)  # noqa: E731
