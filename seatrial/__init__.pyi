@@ -16,3 +16,9 @@ from .api.logs import Signal as Signal
 from .api.logs import check as check
 from .api.logs import import_log as import_log
 from .api.logs import open_log as open_log
+from .api.runs import FittedThruster as FittedThruster
+from .api.runs import Navigated as Navigated
+from .api.runs import ThrustCurve as ThrustCurve
+from .api.runs import design as design
+from .api.runs import navigate as navigate
+from .api.runs import thruster as thruster

@@ -16,10 +16,10 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
 import seatrial  # noqa: E402
-from seatrial.api import fits  # noqa: E402
+from seatrial.api import fits, runs  # noqa: E402
 
 PAGE = ROOT / "docs/reference.md"
-OPTIONS = ("FitOptions", "DiagnosisOptions")
+OPTIONS = (fits.FitOptions, fits.DiagnosisOptions, runs.ThrusterOptions, runs.DesignOptions)
 HEAD = """# Reference of the Python interface
 
 <!-- written by python docs/site/reference.py -->
@@ -41,7 +41,7 @@ def page() -> str:
     """Return the text of the page: functions, then their options, then classes."""
     things = {name: getattr(seatrial, name) for name in sorted(seatrial.__all__)}
     functions = {n: x for n, x in things.items() if inspect.isfunction(x)}
-    options = {n: getattr(fits, n) for n in OPTIONS}
+    options = {x.__name__: x for x in OPTIONS}
     classes = {n: x for n, x in things.items() if inspect.isclass(x)}
     parts = [HEAD, "## Functions\n\n", *(entry(f"st.{n}", x) for n, x in functions.items())]
     parts += ["## Options\n\n", *(entry(n, x) for n, x in options.items())]

@@ -156,23 +156,20 @@ class Prediction(NamedTuple):
 
 
 @dataclass(frozen=True, repr=False)
-class FittedResult:
-    """Fitted model with its records, and the result that the command would write.
+class FitReport:
+    """Result of a fit as an object: estimates with their uncertainty, tables and the figure of its predictions.
 
     Attributes
     ----------
-    fitted : FittedModel
-        The fitted model (`seatrial.ident.estimation.FittedModel`).
     result : FitResult
         Content of result.json (`seatrial.ident.results`).
     """
 
-    fitted: FittedModel
     result: FitResult
 
     @property
     def answer(self) -> str:
-        """Answer of the fit in one or two sentences, with its prediction error."""
+        """Answer of the fit in one or two sentences."""
         return self.result.answer
 
     @property
@@ -202,26 +199,6 @@ class FittedResult:
             if row.free
         }
 
-    @property
-    def cov(self) -> NDArray[np.float64]:
-        """Covariance of the estimates (n, n), in the order of `free` and in the parameters' own units."""
-        return np.asarray(self.fitted.fit.covariance)
-
-    @property
-    def free(self) -> tuple[str, ...]:
-        """Names of the n estimated parameters, the order of `cov`. ``V_x@0`` is V_x in the first record."""
-        return self.fitted.fit.names
-
-    @property
-    def log_likelihood(self) -> float:
-        """Natural logarithm of the likelihood at the estimates, without the priors."""
-        return self.fitted.fit.log_likelihood
-
-    @property
-    def bic(self) -> float:
-        """Bayesian information criterion; smaller is better."""
-        return self.fitted.fit.bic
-
     def summary(self) -> str:
         """Return a table of the estimates as text, with the answer and the warnings.
 
@@ -241,6 +218,59 @@ class FittedResult:
         """
         rows = [tables.statistics(row) for row in self.result.fit.parameters]
         return pandas().DataFrame(rows, columns=list(tables.Statistics._fields)).set_index("name")
+
+    def plot(self, *channels: str) -> Figure:
+        """Return a figure of measured and predicted channels over the horizon, of all records of the result.
+
+        Parameters
+        ----------
+        *channels : str
+            Names of channels; none: all.
+        """
+        return plots.prediction_figure(self.result, channels)
+
+    def __repr__(self) -> str:
+        """Return the kind of result, the model and the answer, in a few lines."""
+        return f"<{type(self).__name__}: {self.result.fit.model}>\n{self.answer}\nsummary() has the estimates."
+
+    def _repr_html_(self) -> str:
+        """Return the summary for a notebook."""
+        return tables.as_html(self.result)
+
+
+@dataclass(frozen=True, repr=False)
+class FittedResult(FitReport):
+    """Fitted model with its records, and the result that the command would write.
+
+    Attributes
+    ----------
+    result : FitResult
+        Content of result.json (`seatrial.ident.results`).
+    fitted : FittedModel
+        The fitted model (`seatrial.ident.estimation.FittedModel`).
+    """
+
+    fitted: FittedModel
+
+    @property
+    def cov(self) -> NDArray[np.float64]:
+        """Covariance of the estimates (n, n), in the order of `free` and in the parameters' own units."""
+        return np.asarray(self.fitted.fit.covariance)
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """Names of the n estimated parameters, the order of `cov`. ``V_x@0`` is V_x in the first record."""
+        return self.fitted.fit.names
+
+    @property
+    def log_likelihood(self) -> float:
+        """Natural logarithm of the likelihood at the estimates, without the priors."""
+        return self.fitted.fit.log_likelihood
+
+    @property
+    def bic(self) -> float:
+        """Bayesian information criterion; smaller is better."""
+        return self.fitted.fit.bic
 
     def residuals(self, on: Role = "estimation") -> dict[str, dict[str, Series]]:
         """Return the standardised residuals (innovations), by record and channel.
@@ -312,16 +342,6 @@ class FittedResult:
             found[view.record.name] = {n: _prediction(view.record, n, e.t, e.e) for n, e in run.errors.items()}
         return found
 
-    def plot(self, *channels: str) -> Figure:
-        """Return a figure of measured and predicted channels over the horizon, of all records of the result.
-
-        Parameters
-        ----------
-        *channels : str
-            Names of channels; none: all.
-        """
-        return plots.prediction_figure(self.result, channels)
-
     def plot_residuals(self, *channels: str, on: Role = "estimation") -> Figure:
         """Return a figure of the standardised residuals over time.
 
@@ -345,14 +365,6 @@ class FittedResult:
         if on == "validation" and not self.fitted.validation:
             raise SeatrialError("this fit has no validation data; give logs to validate")
         return self.fitted.validation if on != "estimation" and self.fitted.validation else self.fitted.estimation
-
-    def __repr__(self) -> str:
-        """Return the kind of result, the model and the answer, in a few lines."""
-        return f"<{type(self).__name__}: {self.result.fit.model}>\n{self.answer}\nsummary() has the estimates."
-
-    def _repr_html_(self) -> str:
-        """Return the summary for a notebook."""
-        return tables.as_html(self.result)
 
 
 class FittedVehicle(FittedResult):
@@ -380,10 +392,10 @@ class FittedDiagnosis(FittedResult):
 
     Attributes
     ----------
-    fitted : FittedModel
-        The model with the effects.
     result : DiagnosisResult
         Content of result.json.
+    fitted : FittedModel
+        The model with the effects.
     found : Diagnosis
         All findings (`seatrial.ident.diagnosis.Diagnosis`).
     effects_file : Path or None
@@ -466,10 +478,10 @@ def fit(logs: Logs, model: str = "auto", validate: Logs = (), **options: Unpack[
             replace(EstimationOptions(reml=True, mean_order=2), **estimation),
             model,
             window=window_of(logs),
-            **_known(given, VehicleRequest),
+            **known_options(given, VehicleRequest),
         )
-        done: VehicleFit = fit_vehicle(request, _call("fit", request.logs, model=model), Messages(progress))
-    return FittedVehicle(done.fitted, done.result)
+        done: VehicleFit = fit_vehicle(request, python_call("fit", request.logs, model=model), Messages(progress))
+    return FittedVehicle(done.result, done.fitted)
 
 
 def diagnose(
@@ -521,10 +533,10 @@ def diagnose(
             Path(),
             EstimationOptions(**estimation),
             window=window_of(logs),
-            **_known(given, DiagnosisRequest),
+            **known_options(given, DiagnosisRequest),
         )
-        done: DiagnosedModel = diagnose_model(request, _call("diagnose", request.logs), Messages(progress))
-    return FittedDiagnosis(done.found.after, done.result, done.found, done.effects_file)
+        done: DiagnosedModel = diagnose_model(request, python_call("diagnose", request.logs), Messages(progress))
+    return FittedDiagnosis(done.result, done.found.after, done.found, done.effects_file)
 
 
 class Messages:
@@ -604,7 +616,7 @@ def _paths_or_none(logs: Logs) -> list[Path]:
     return as_paths(several) if several else []
 
 
-def _known(given: Mapping[str, Any], request: Callable[..., T]) -> Mapping[str, Any]:
+def known_options(given: Mapping[str, Any], request: Callable[..., T]) -> Mapping[str, Any]:
     """Return options for a request. SeatrialError names the first option that the request does not have."""
     fields = getattr(request, "__dataclass_fields__", {})
     for name in given:
@@ -613,7 +625,7 @@ def _known(given: Mapping[str, Any], request: Callable[..., T]) -> Mapping[str, 
     return given
 
 
-def _call(function: str, logs: Sequence[Path], **more: str) -> str:
+def python_call(function: str, logs: Sequence[Path], **more: str) -> str:
     """Return the Python call for the provenance of a result, such as ``seatrial.fit(['run1.mcap'], model='auto')``."""
     rest = "".join(f", {name}={value!r}" for name, value in more.items())
     return f"seatrial.{function}({[p.name for p in logs]}{rest})"

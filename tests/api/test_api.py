@@ -19,7 +19,8 @@ import pytest
 import seatrial as st
 from seatrial import command_line
 from seatrial.daq.errors import SeatrialError, SeatrialWarning
-from tests.missions import boat_log, boat_with
+from seatrial.mocks.plant.bench import draw_bench
+from tests.missions import bench_log, boat_log, boat_with
 
 ROOT = Path(__file__).resolve().parents[2]
 THRUST = {"priors": {"c1": (40.0, 2.0)}, "fixed": {"c2": 1.1}}
@@ -239,6 +240,7 @@ def test_the_page_runs_as_written(
 ) -> None:
     for log in logs:
         shutil.copy(log, tmp_path)
+    bench_log(tmp_path / "bench.mcap", draw_bench(4), chirp_s=5.0, count=4)
     t = np.arange(0.0, 60.0, 0.1)
     columns = {
         "t": t,
@@ -257,6 +259,9 @@ def test_the_page_runs_as_written(
     printed = capsys.readouterr().out
     assert "better: with effects" in printed or "better: nominal" in printed
     assert "<Log other.mcap: 59.9 s, 4 signals" in printed
+    assert "scale: measured" in printed
+    assert (tmp_path / "next.toml").exists()
+    assert {p.name for p in (tmp_path / "thruster").iterdir()} == {"model.toml", "result.json", "report.html"}
     assert {p.name for p in (tmp_path / "vehicle").iterdir()} == {"model.toml", "result.json", "report.html"}
 
 
@@ -271,6 +276,21 @@ def test_the_reference_is_up_to_date() -> None:
     assert all(re.search(rf"^### (st\.)?{name}$", page, re.MULTILINE) for name in st.__all__)
 
 
+def test_navigated_states_are_those_of_the_files(logs: list[Path], fit: st.FittedVehicle, tmp_path: Path) -> None:
+    done = st.navigate(fit, logs[2], gnss_outages=[(30.0, 50.0)])
+    states = done.states["run3"]
+    assert set(states) > {"t", "x", "y", "psi", "u", "v", "r", "sd_x", "gnss"}
+    inside = (states["t"] > 40.0) & (states["t"] < 50.0)
+    assert states["sd_x"][inside].max() > 2 * np.median(states["sd_x"])
+    frame = done.to_pandas()
+    assert set(frame["log"]) == {"run3"}
+    assert len(frame) == states["t"].size
+    done.save(tmp_path / "out")
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {"run3.csv", "result.json", "report.html"}
+    assert "30" in done.answer or "20" in done.answer
+    assert repr(done).startswith("<Navigated: run3>")
+
+
 @pytest.mark.parametrize(
     ("call", "message"),
     [
@@ -283,6 +303,8 @@ def test_the_reference_is_up_to_date() -> None:
         (lambda logs, fit: st.diagnose("nowhere", logs[0]), "nowhere: no such file"),
         (lambda logs, fit: st.compare([fit], logs[2]), "a comparison needs two models or more"),
         (lambda logs, fit: st.load(logs[0].parent), "contains neither model.toml nor result.json"),
+        (lambda logs, fit: st.thruster(logs[0], stroke=2), "there is no option 'stroke'"),
+        (lambda logs, fit: st.design("boat", "x.toml"), "boat"),
         (lambda logs, fit: st.open_log(logs[0], 500.0), "no data are left from 500 s on"),
     ],
 )
