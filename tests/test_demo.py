@@ -165,7 +165,7 @@ def test_ctrl_c_stops_everything(tmp_path: Path, after: str) -> None:
     assert not any(alive(pid) for pid in running)
 
 
-# The installed demo with a bench run of steps and missions of 70 and 50 s; `make study` runs it at full length. At ten
+# The installed demo with a bench run of steps, missions of 70 and 50 s and one effect (`make study`: the whole). At ten
 # times real time a busy machine keeps up, and no recording is repeated.
 SHORT_DEMO = """
 import sys
@@ -174,6 +174,8 @@ from seatrial.bench import demo
 demo.ESTIMATION_S, demo.VALIDATION_S = 70.0, 50.0
 whole = demo._record_with_mock
 demo._record_with_mock = lambda *words: whole(*("steps" if word == "all" else word for word in words))
+fitted, shorter = demo._run_ident, {"vehicle": ("--no-score-tests",), "diagnose": ("--max-effects", "1")}
+demo._run_ident = lambda *words: fitted(*words, *shorter.get(words[4], ()))
 command_line.main(sys.argv[1:])
 """
 
