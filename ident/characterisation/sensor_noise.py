@@ -18,7 +18,6 @@ from functools import cache
 from itertools import pairwise
 
 import numpy as np
-from scipy import signal, special
 
 from seatrial.ident.data import Channel, Record, silent_times
 from seatrial.ident.estimation import Likelihood, fit
@@ -369,6 +368,8 @@ def band_spectrum(frequency: Array, density: Array, n_segments: int = N_SEGMENTS
     psd = np.add.reduceat(density, first) / size
     segments = n_segments / (1 + 2 * (1 - 1 / n_segments) / 36)
     freedom = 2 * segments * size / (1 + 2 * (1 - 1 / size) * 4 / 9 + 2 * np.maximum(1 - 2 / size, 0.0) / 36)
+    from scipy import special
+
     low, high = (freedom * psd / special.chdtri(freedom, p) for p in (0.025, 0.975))
     middle = np.exp(np.add.reduceat(np.log(frequency), first) / size)
     return BandSpectrum(middle, psd, low, high)
@@ -393,5 +394,7 @@ def welch(channel: Channel, n_segments: int = N_SEGMENTS) -> tuple[Array, Array]
     t, value = channel.t[longest], channel.value[longest]
     dt = float(np.median(np.diff(t)))
     length = max(16, int(2 * value.size / (n_segments + 1)))
+    from scipy import signal  # imported here: it takes more than a second
+
     frequency, density = signal.welch(value, 1.0 / dt, nperseg=min(length, value.size), detrend="linear")
     return frequency[1:], density[1:]

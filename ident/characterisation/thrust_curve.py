@@ -19,14 +19,13 @@ from typing import Any
 import numpy as np
 import tomlkit
 from numpy.typing import NDArray
-from scipy import interpolate, optimize, stats
 
 from seatrial.daq.config import parse_toml, read_text
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.files import write_output
 from seatrial.ident.data import Channel, sample_and_hold
 from seatrial.ident.model import command_of, shaft_speed_of, thrust_of
-from seatrial.ident.numerics import Array, mean_error, steady_segments
+from seatrial.ident.numerics import Array, chi2_sf, fisher_sf, mean_error, steady_segments
 
 LEVEL_TOLERANCE = 1e-3  # of full command: closer commands are one level
 MIN_SAMPLES = 20  # of the force at one level
@@ -246,12 +245,12 @@ class Curve:
 
     def __call__(self, n: Array) -> Array:
         """Return the force [N] at commands n (n_samples,)."""
-        return np.asarray(interpolate.PchipInterpolator(self.n, self.force)(np.clip(n, self.n[0], self.n[-1])))
+        return np.asarray(_interpolator(self.n, self.force)(np.clip(n, self.n[0], self.n[-1])))
 
     def slope(self, n: Array) -> Array:
         """Return d force / d n [N] at commands n (n_samples,), zero beyond the ends."""
         inside = (n > self.n[0]) & (n < self.n[-1])
-        return np.where(inside, interpolate.PchipInterpolator(self.n, self.force).derivative()(n), 0.0)
+        return np.where(inside, _interpolator(self.n, self.force).derivative()(n), 0.0)
 
     def error(self, n: Array) -> Array:
         """Return the standard error [N] of the force at commands n (n_samples,).
@@ -269,6 +268,8 @@ def fit_curve(levels: Levels) -> Curve:
     """
     weights = levels.se**-2
     weights[levels.at_rest] = AT_REST * weights.max()
+    from scipy import optimize  # imported here: only a fit of a curve needs it
+
     force = np.asarray(optimize.isotonic_regression(levels.force, weights=weights).x)
     force[np.abs(force) < 1e-9] = 0.0  # the large weight of the level at rest leaves rounding errors
     return Curve(levels.n, force, np.hypot(levels.error, force - levels.force))
@@ -351,7 +352,7 @@ def fit_quadratic(levels: Levels) -> Quadratic:
         float(np.sqrt(np.mean(misfit**2))),
         float(misfit[worst]),
         float(n[worst]),
-        float(stats.f.sf(square / df, df, levels.dof) if levels.dof else stats.chi2.sf(square, df)),
+        float(fisher_sf(square / df, df, levels.dof) if levels.dof else chi2_sf(square, df)),
         df,
         _left_out_error(
             levels, lambda n, f, at: _quadratic_basis(at, both) @ np.linalg.pinv(_quadratic_basis(n, both)) @ f
@@ -378,9 +379,11 @@ def _left_out_error(levels: Levels, predict: Callable[[Array, Array, Array], Arr
     return float(np.sqrt(np.mean(np.square(missed)))) if missed else float("nan")
 
 
-def _monotone_curve(n: Array, force: Array) -> interpolate.PchipInterpolator:
+def _monotone_curve(n: Array, force: Array) -> Any:
     """Return the monotone cubic (Fritsch and Carlson) through the isotonic regression of forces [N] at commands n."""
-    return interpolate.PchipInterpolator(n, optimize.isotonic_regression(force).x)
+    from scipy import optimize
+
+    return _interpolator(n, optimize.isotonic_regression(force).x)
 
 
 def _quadratic_basis(n: Array, both: bool) -> Array:
@@ -562,3 +565,10 @@ def load_curve(path: Path) -> ThrustCurve | None:
             f"{path}: calibration is {calibration:g}, but a relative standard uncertainty is between 0 and 1"
         )
     return ThrustCurve(Curve(n, force, se), thrusters, calibration)
+
+
+def _interpolator(n: Array, force: Array) -> Any:
+    """Return SciPy's monotone interpolator of the forces (n,) at the commands ``n`` (n,), which increase."""
+    from scipy.interpolate import PchipInterpolator  # imported here: it takes half a second, and only curves need it
+
+    return PchipInterpolator(n, force)

@@ -15,9 +15,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
-from scipy.interpolate import BSpline
-from scipy.linalg import solve_banded
 
 from seatrial.ident.data import TIME_INPUT, Record
 from seatrial.ident.diagnosis.policy import DEFAULT_POLICY, SearchPolicy
@@ -37,7 +34,7 @@ from seatrial.ident.engine import VectorisedModel
 from seatrial.ident.estimation import FittedModel, RecordEvaluation
 from seatrial.ident.model import DisturbanceChannel, Effect, EffectKind, ForceCurve, Model, Parameter, curve_name
 from seatrial.ident.models import products_of, residuals_of, sensor_errors_of, size_of, thrust_losses_of, variables_of
-from seatrial.ident.numerics import Array, wrap
+from seatrial.ident.numerics import Array, chi2_isf, wrap
 from seatrial.ident.validation import SpectralPeak, spectral_peak
 
 SMALLEST_P = 1e-300  # smaller p values have no finite chi-squared quantile
@@ -304,6 +301,8 @@ def _solved_recursion(transition: Array, drive: Array, begin: Array) -> Array:
     ``transition`` is (n, m, m) and ``drive`` is (n, m). The recursion is solved as a banded system with ones on its
     diagonal.
     """
+    from scipy.linalg import solve_banded  # imported here, as it takes 0.3 s
+
     n, m = drive.shape
     band = np.zeros((2 * m, (n + 1) * m))
     band[0] = 1.0
@@ -411,6 +410,8 @@ class SplineBasis:
         Values of z outside the interval are moved to its ends.
         """
         within = np.clip((z - self.low) / (self.high - self.low), 0, 1 - 1e-9)
+        from scipy.interpolate import BSpline  # imported here, as it takes half a second
+
         return BSpline.design_matrix(within, self.knots, 3)[:, 1:]
 
 
@@ -559,7 +560,7 @@ def wave_peak_score(fitted: FittedModel, policy: SearchPolicy = DEFAULT_POLICY) 
     if best is None or best.p * len(peaks) > policy.max_peak_p:
         return None
     df = len(EFFECT.parameters)
-    lm = float(stats.chi2.isf(max(best.p * len(peaks), SMALLEST_P), df))
+    lm = float(chi2_isf(max(best.p * len(peaks), SMALLEST_P), df))
     size = size_of(fitted.model)
     step = {f"A_{force}": INITIAL_WAVE_SIZE * usual * size.of(unit) for force, (unit, usual) in FORCES.items()}
     return Score(EFFECT.name, lm, df, lm, step, {"f_wave": best.frequency})

@@ -19,14 +19,13 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
 from seatrial.ident.data import Record
 from seatrial.ident.diagnosis.policy import DEFAULT_POLICY, SearchPolicy
 from seatrial.ident.engine import NOWHERE, apply_rows, padded
 from seatrial.ident.estimation import FilterResult
 from seatrial.ident.model import EffectKind, ForceCurve, Model, Parameter, segment_name
-from seatrial.ident.numerics import Array, scaled_eigen
+from seatrial.ident.numerics import Array, chi2_isf, chi2_sf, scaled_eigen
 
 ROBUST_BLOCK_S = 5.0  # s, block length of the block-robust version
 N_COLUMNS = 96  # columns propagated at once; they fit the cache of the processor
@@ -179,7 +178,7 @@ class Score:
         The block-robust statistic cannot exceed the number of blocks. It has to exceed the quantile of chi-squared with
         ``df`` degrees of freedom at the significance level ``policy.block_level``.
         """
-        return int(np.ceil(stats.chi2.isf(policy.block_level, self.df)))
+        return int(np.ceil(chi2_isf(policy.block_level, self.df)))
 
     @property
     def nonparametric(self) -> bool:
@@ -189,12 +188,12 @@ class Score:
     @property
     def p(self) -> float:
         """Probability of a statistic of at least ``lm`` without the effect (p value)."""
-        return float(stats.chi2.sf(self.lm, self.df))
+        return float(chi2_sf(self.lm, self.df))
 
     @property
     def p_block(self) -> float:
         """Probability of a block-robust statistic of at least ``lm_block`` without the effect (p value)."""
-        return float(stats.chi2.sf(self.lm_block, self.df))
+        return float(chi2_sf(self.lm_block, self.df))
 
     def criterion(self, n: int) -> float:
         """Return the BIC criterion ``lm - df ln n`` for n rows of estimation data; larger is better."""
@@ -653,7 +652,7 @@ def score_threshold(score: Score, among: Sequence[Score], policy: SearchPolicy =
         Thresholds of the score tests.
     """
     n_tests = sum(s.nonparametric == score.nonparametric for s in among)
-    return float(stats.chi2.isf(policy.false_alarm_probability / 2 / n_tests, score.df))
+    return float(chi2_isf(policy.false_alarm_probability / 2 / n_tests, score.df))
 
 
 def score_test_passes(score: Score, among: Sequence[Score], policy: SearchPolicy = DEFAULT_POLICY) -> bool:

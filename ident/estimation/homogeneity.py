@@ -18,7 +18,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import optimize, stats
 
 from seatrial.daq.errors import SeatrialError
 from seatrial.ident.data import Record
@@ -36,7 +35,7 @@ from seatrial.ident.model import (
     Signals,
     segment_name,
 )
-from seatrial.ident.numerics import Array
+from seatrial.ident.numerics import Array, chi2_sf, student_ppf
 
 LEVEL = 0.01  # significance level of the homogeneity test
 BETWEEN, PAYLOAD, THRUST = "between-runs:", "payload", "thrust"  # name of an effect: BETWEEN + target
@@ -157,7 +156,7 @@ def homogeneity_test(common: Fit, records: Sequence[Record], name: str) -> Homog
     lr, df = max(lr, 0.0), max(df, 0)
     informed_at = [k for k, is_known in zip(at, known, strict=True) if is_known]
     scatter, mean, mean_error = between_log_variance(values[known], each.covariance[np.ix_(informed_at, informed_at)])
-    half = float(stats.t.ppf(0.975, max(int(known.sum()) - 1, 1))) * mean_error
+    half = float(student_ppf(0.975, max(int(known.sum()) - 1, 1))) * mean_error
     value, error = common.estimate(name)
     return HomogeneityTest(
         name,
@@ -170,7 +169,7 @@ def homogeneity_test(common: Fit, records: Sequence[Record], name: str) -> Homog
         errors,
         lr,
         df,
-        float(stats.chi2.sf(lr, df)) if df else 1.0,
+        float(chi2_sf(lr, df)) if df else 1.0,
         scatter,
         mean,
         mean_error,
@@ -255,6 +254,8 @@ def between_log_variance(values: Array, covariance: Array) -> tuple[float, float
 
     top = 10.0 * float(m.std() + np.sqrt(np.diag(V)).max())
     grid = np.append(0.0, np.geomspace(1e-4 * top, top, 200))
+    from scipy import optimize  # imported here: it takes half a second, and only this test needs it
+
     near = int(np.argmax([mean_of(float(tau))[2] for tau in grid]))
     low, high = grid[max(near - 1, 0)], grid[min(near + 1, grid.size - 1)]
     found = optimize.minimize_scalar(lambda tau: -mean_of(float(tau))[2], bounds=(low, high), method="bounded")

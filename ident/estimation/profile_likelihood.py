@@ -17,7 +17,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
 
 from seatrial.ident.data import Record
 from seatrial.ident.estimation.fisher_scoring import Bounds, Evaluation, Optimum, Problem, maximise
@@ -444,6 +443,8 @@ class ProfileBranch:
         line = [*self.points_inside, outer]
         root = np.sqrt(np.maximum([p.drop for p in line], 0.0))
         rising = np.maximum.accumulate(root) + 1e-12 * np.arange(len(line))
+        from scipy.interpolate import PchipInterpolator  # imported here: only profiles need it
+
         at = float(PchipInterpolator(rising, [p.s for p in line])(np.sqrt(DROP_95)))
         chord = inner.s + (outer.s - inner.s) * (np.sqrt(DROP_95) - root[-2]) / (root[-1] - root[-2])
         smooth = inner.drop > DROP_95 / 2 and outer.drop < DROP_95 * 2

@@ -11,7 +11,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy import signal
 
 from seatrial.daq.errors import SeatrialError
 from seatrial.ident.data import TIME_INPUT, WORK_INPUT, WORK_UNIT
@@ -404,6 +403,8 @@ def rgs(t: Array, corner: float, n_channels: int, sd: float, n_max: float, rng: 
     Array (n_rows, n_channels)
     """
     step = t[1] - t[0]
+    from scipy import signal  # imported here: it takes more than a second, and only baselines need it
+
     sos = signal.butter(2, min(corner * 2 * step, 0.99), output="sos")
     settle = round(min(3.0 / corner, 300.0) / step)
     raw = signal.sosfilt(sos, rng.standard_normal((t.size + settle, n_channels)), axis=0)[settle:]

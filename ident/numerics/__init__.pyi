@@ -1,6 +1,16 @@
 from .autocorrelation import correlation_length as correlation_length
 from .autocorrelation import effective_sample_size as effective_sample_size
 from .autocorrelation import mean_error as mean_error
+from .distributions import chi2_cdf as chi2_cdf
+from .distributions import chi2_isf as chi2_isf
+from .distributions import chi2_ppf as chi2_ppf
+from .distributions import chi2_sf as chi2_sf
+from .distributions import fisher_sf as fisher_sf
+from .distributions import kolmogorov_sf as kolmogorov_sf
+from .distributions import normal_cdf as normal_cdf
+from .distributions import normal_ppf as normal_ppf
+from .distributions import normality_p as normality_p
+from .distributions import student_ppf as student_ppf
 from .linear_algebra import Array as Array
 from .linear_algebra import covariance_root as covariance_root
 from .linear_algebra import scaled_eigen as scaled_eigen

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from scipy import stats
 
 from seatrial.daq.errors import SeatrialError
 from seatrial.ident.characterisation import noise_model
@@ -42,7 +41,7 @@ from seatrial.ident.models import (
     thruster_model,
     yaw_model,
 )
-from seatrial.ident.numerics import Array, first_order_lag
+from seatrial.ident.numerics import Array, chi2_ppf, first_order_lag, normal_ppf
 from seatrial.ident.studies.monte_carlo import Case, run_replicates
 
 MISSION_SEED = 20  # the mission is the same for all replicates
@@ -553,7 +552,7 @@ def _repeat_statistics(made: Design, name: str, d: Array) -> RepeatStatistics:
     z = d * p.slope(p.value) / predicted  # d is in the estimator's coordinate
     regular = np.abs(z) < MAX_ERROR
     n = int(regular.sum())
-    low, high = np.sqrt(stats.chi2.ppf([0.025, 0.975], n - 1) / (n - 1))
+    low, high = np.sqrt(chi2_ppf([0.025, 0.975], n - 1) / (n - 1))
     ratio = float(np.std(z[regular], ddof=1))
     return RepeatStatistics(
         name,
@@ -561,6 +560,6 @@ def _repeat_statistics(made: Design, name: str, d: Array) -> RepeatStatistics:
         len(z),
         ratio,
         (ratio / float(high), ratio / float(low)),
-        float(np.mean(np.abs(z) < stats.norm.ppf(0.975))),
+        float(np.mean(np.abs(z) < normal_ppf(0.975))),
         int((~regular).sum()),
     )

@@ -23,7 +23,7 @@ from seatrial.ident.data import Record
 from seatrial.ident.engine import VectorisedModel
 from seatrial.ident.estimation import FilterResult, Likelihood
 from seatrial.ident.model import Model
-from seatrial.ident.numerics import Array, effective_sample_size, wrap
+from seatrial.ident.numerics import Array, chi2_ppf, effective_sample_size, normal_cdf, wrap
 from seatrial.ident.validation.prediction_errors import WARM_UP, SimulationRun
 
 STRIDE = 0.2  # of the horizon, between the starts of predictions
@@ -94,16 +94,14 @@ def calibration_test(series: Sequence[Array], effective: float | None = None) ->
     Calibration or None
         None if no series has an error.
     """
-    from scipy import stats
-
     kept = [z[~np.isnan(z)] for z in series]
     if not sum(z.size for z in kept):
         return None
     z = np.concatenate(kept)
     effective = sum(_independent_errors(errors) for errors in kept if errors.size) if effective is None else effective
     square = float(np.mean(z**2))
-    low, high = (np.sqrt(square * effective / stats.chi2.ppf(q, effective)) for q in (0.975, 0.025))
-    pit = np.histogram(stats.norm.cdf(z), BINS, (0.0, 1.0))[0] / z.size
+    low, high = (np.sqrt(square * effective / chi2_ppf(q, effective)) for q in (0.975, 0.025))
+    pit = np.histogram(normal_cdf(z), BINS, (0.0, 1.0))[0] / z.size
     return Calibration(
         z.size,
         effective,

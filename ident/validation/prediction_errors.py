@@ -18,7 +18,7 @@ from seatrial.ident.data import Record
 from seatrial.ident.engine import VectorisedModel
 from seatrial.ident.estimation import FilterResult, Likelihood, ParameterUncertainty, predict_ahead, prediction_variance
 from seatrial.ident.model import Model
-from seatrial.ident.numerics import Array, wrap
+from seatrial.ident.numerics import Array, student_ppf, wrap
 
 MIN_STRIDE = 2  # rows between the starts of predictions over the horizon
 MAX_STARTS = 4000  # approximate largest number of starts in a record; longer records get a larger stride
@@ -470,12 +470,10 @@ def _ratio_with_interval(logs: Array) -> tuple[float, float, float]:
     ``logs`` (1 + n_blocks,) has the logarithm of the ratio of all blocks of time, then those without each block. The
     limits are NaN with fewer than four blocks.
     """
-    from scipy import stats
-
     n, reach = logs.size - 1, float("nan")
     if n >= FEWEST_BLOCKS:
         spread = np.sqrt((n - 1) / n * np.sum((logs[1:] - logs[1:].mean()) ** 2))
-        reach = float(stats.t.ppf(0.975, n - 1) * spread)
+        reach = float(student_ppf(0.975, n - 1) * spread)
     return float(np.exp(logs[0])), float(np.exp(logs[0] - reach)), float(np.exp(logs[0] + reach))
 
 

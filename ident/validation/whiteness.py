@@ -17,9 +17,17 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy import signal, special, stats
 
-from seatrial.ident.numerics import NORMAL_MAD, Array
+from seatrial.ident.numerics import (
+    NORMAL_MAD,
+    Array,
+    chi2_cdf,
+    chi2_isf,
+    chi2_sf,
+    kolmogorov_sf,
+    normal_cdf,
+    normality_p,
+)
 
 SEGMENT = 256  # samples of a segment in Welch's method
 FIRST_BIN = 3  # first bin of the periodogram that is tested: a mean and a slow drift leak into lower bins
@@ -105,7 +113,8 @@ def whiteness_test(channel: str, t: Array, e: Array, n_lags: int = N_LAGS) -> Wh
     n, x = e.size, e - e.mean()
     acf = autocorrelation(e, n_lags)
     rate = 1.0 / float(np.median(np.diff(t)))
-    frequency, power = signal.periodogram(x, rate)
+    frequency, power = np.fft.rfftfreq(n, 1.0 / rate), np.abs(np.fft.rfft(x)) ** 2
+    power[1 : (n + 1) // 2] *= 2.0  # one-sided: the frequency of half the rate has no negative counterpart
     cumulative = np.cumsum(power[1:]) / power[1:].sum()
     m = cumulative.size
     distance = np.max(np.abs(cumulative - np.arange(1, m + 1) / m))
@@ -117,10 +126,10 @@ def whiteness_test(channel: str, t: Array, e: Array, n_lags: int = N_LAGS) -> Wh
         acf,
         1.96 / np.sqrt(n),
         ljung_box(acf[: max(1, min(n_lags, n // SAMPLES_PER_LAG))], n, finite_sample=True),
-        float(stats.kstwobign.sf(distance * np.sqrt(m))),
-        frequency[1:],
+        kolmogorov_sf(distance * np.sqrt(m)),
+        np.asarray(frequency[1:], dtype=np.float64),
         cumulative,
-        float(stats.normaltest(e).pvalue) if n >= 20 else float("nan"),
+        normality_p(e) if n >= 20 else float("nan"),
         int(np.sum(np.abs(e) > OUTLIER_SDS)),
         float(np.abs(e).max()),
     )
@@ -158,7 +167,7 @@ def ljung_box(acf: Array, n: int, *, n_fitted: int = 0, finite_sample: bool = Fa
     n_lags = acf.size
     q = n * (n + 2) * float(np.sum(acf**2 / (n - np.arange(1, n_lags + 1))))
     spread = 1 + 2 * n_lags / n if finite_sample else 1.0
-    return float(stats.chi2.sf(q / spread, (n_lags - n_fitted) / spread))
+    return float(chi2_sf(q / spread, (n_lags - n_fitted) / spread))
 
 
 @dataclass(frozen=True)
@@ -266,8 +275,10 @@ def _largest_z_bound(highest: float, neighbours: Array) -> float:
     ``4 T(highest, sqrt((1 - r) / (1 + r)))`` with Owen's T, which also counts z_k-1 below ``-highest``.
     """
     rho = np.minimum(neighbours, 1.0)
+    from scipy import special  # imported here: only correlations with inputs need it
+
     each = 4 * special.owens_t(highest, np.sqrt((1 - rho) / (1 + rho)))
-    return min(1.0, float(2 * stats.norm.sf(highest) + each.sum()))
+    return min(1.0, float(2 * normal_cdf(-highest) + each.sum()))
 
 
 class SpectralPeak(NamedTuple):
@@ -312,6 +323,8 @@ def spectral_peak(innovations: Mapping[str, Array], dt: float) -> SpectralPeak |
     corrected for the number of bins and channels (Bonferroni). Of 2000 simulations of coloured noise without a peak,
     1 % have a p value below 0.001, and none below 1e-6. Use the latter as the limit.
     """
+    from scipy import signal  # imported here: it takes more than a second, and only this test needs it
+
     found: list[SpectralPeak] = []
     seen = {name: _gaps_as_zeros(e) for name, e in innovations.items()}
     long_enough = {name: e for name, e in seen.items() if e.size >= 5 * SEGMENT // 2}
@@ -322,9 +335,9 @@ def spectral_peak(innovations: Mapping[str, Array], dt: float) -> SpectralPeak |
         frequency, power = frequency[FIRST_BIN:-1], power[FIRST_BIN:-1]
         segments = 2 * x.size // SEGMENT - 1
         dof = 36 * segments**2 / (19 * segments - 1)
-        over = power / _smooth_spectrum(power) * (stats.chi2.median(dof) / dof)
+        over = power / _smooth_spectrum(power) * (chi2_isf(0.5, dof) / dof)
         at = int(np.argmax(over))
-        p = float(stats.chi2.sf(over[at] * dof, dof)) * power.size * len(long_enough)
+        p = float(chi2_sf(over[at] * dof, dof)) * power.size * len(long_enough)
         found.append(SpectralPeak(float(frequency[at]), min(1.0, p), name))
     return min(found, key=lambda peak: peak.p, default=None)
 
@@ -488,7 +501,7 @@ def predictable_share(e: Array, most_lags: int = MAX_LAGS) -> Predictable:
     n, rest, order, total = found.n, found.left, found.chosen, found.left[0]
     if order == 0:
         return Predictable(0.0, 0, 1.0)
-    p = float(stats.chi2.sf(n * np.log(total / rest[order]), order)) * (rest.size - 1)
+    p = float(chi2_sf(n * np.log(total / rest[order]), order)) * (rest.size - 1)
     return Predictable(float(1 - (rest[order] / (n - order)) / (total / n)), order, min(1.0, p))
 
 
@@ -594,5 +607,5 @@ def _test_band(power: Array, freedom: Array, first: int, end: int, n_bands: int,
     """
     dof = float(freedom[first:end].sum())
     square = float(power[first:end] @ freedom[first:end])
-    p = 2 * n_bands * min(float(stats.chi2.sf(square, dof)), float(stats.chi2.cdf(square, dof)))
+    p = 2 * n_bands * min(float(chi2_sf(square, dof)), float(chi2_cdf(square, dof)))
     return FrequencyBand(first / n, (end - 1) / n, square / dof, min(1.0, p))

@@ -14,6 +14,7 @@ from seatrial.daq.errors import SeatrialError
 from seatrial.ident.checks import device_faults
 from seatrial.ident.data import WHOLE, TimeWindow, load_all, make_record
 from seatrial.ident.estimation import RecordEvaluation, SavedModel, evaluate_records, load_model
+from seatrial.ident.numerics import student_ppf
 from seatrial.ident.reporter import Reporter
 from seatrial.ident.validation import PredictionChange, PredictionErrors, horizon_errors, prediction_change_by_record
 from seatrial.ident.workflows.check import check_first
@@ -207,8 +208,6 @@ def _log_score(before: Sequence[RecordEvaluation], after: Sequence[RecordEvaluat
 
     None if the models do not predict the same samples: then the likelihoods are not comparable.
     """
-    from scipy.special import stdtrit
-
     gains: list[float] = []
     for a, b in zip(before, after, strict=True):
         measured = [
@@ -226,7 +225,7 @@ def _log_score(before: Sequence[RecordEvaluation], after: Sequence[RecordEvaluat
     gain, n = float(np.sum(gains)), len(gains)
     if n < FEWEST_BLOCKS:
         return LogScore(gain, float("nan"), float("nan"), n)
-    reach = float(stdtrit(n - 1, 0.975) * np.std(gains, ddof=1) * np.sqrt(n))
+    reach = float(student_ppf(0.975, n - 1) * np.std(gains, ddof=1) * np.sqrt(n))
     return LogScore(gain, gain - reach, gain + reach, n)
 
 
