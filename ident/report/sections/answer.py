@@ -155,14 +155,13 @@ def _importance_in_words(change: PredictionChangeRow | None, horizon: float) -> 
         return "", ""
     error = f"prediction error {horizon:g} s ahead without this effect"
     factor = 1.0 / change.ratio
-    within = ""
-    if change.low is not None and change.high is not None:
-        low, high = (format_number(1.0 / end) for end in (change.high, change.low))
-        within = f" (95 %: {low} to {high} times)"
+    ends = None if change.low is None or change.high is None else (1.0 / change.high, 1.0 / change.low)
+    if change.verdict != "unchanged" and factor >= 2.0:
+        within = "" if ends is None else " (95 %: {} to {} times)".format(*map(format_number, ends))
+        return f"{format_number(factor)} times", f"as large a {error}{within}"
+    within = "" if ends is None else f" (95 %: {100 * ends[0] - 100:+.0f} to {100 * ends[1] - 100:+.0f} %)"
     if change.verdict == "unchanged":
         return "no significant change", f"of the {error}{within}"
-    if factor >= 2.0:
-        return f"{format_number(factor)} times", f"as large a {error}{within}"
     larger = "larger" if factor >= 1.0 else "smaller"
     return formatting.percent(abs(factor - 1.0)), f"{larger} {error}{within}"
 

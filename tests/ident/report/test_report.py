@@ -96,7 +96,7 @@ def test_answer_and_its_figures_come_first(diagnosis: dict[str, Any], page: Page
     assert f"{np.degrees(row['before']):.2f} → {np.degrees(row['after']):.2f} deg" in first
     assert "f_i -= k_J |n_i| (u - y_i r)" in first
     assert "6.08 ± 0.27 kg/s" in first
-    assert "72 % larger prediction error 10 s ahead without this effect (95 %: 1.5 to 2.0 times)" in first
+    assert "72 % larger prediction error 10 s ahead without this effect (95 %: +52 to +100 %)" in first
     assert "In wordsthe thrust falls by 6.1 N" in first
 
 
