@@ -140,6 +140,10 @@ class Result(Provenance, frozen=True, kw_only=True):
         ),
     ] = ()
 
+    def __repr__(self) -> str:
+        """Return the type and the answer. All fields of a result with its traces would be megabytes of text."""
+        return f"<{type(self).__name__}: {self.answer}>"
+
 
 ORIGINS = (
     "`estimated` from these logs, `measured` on the bench, `given` by the user as a value, `prior`: given by the user "

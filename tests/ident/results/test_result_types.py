@@ -25,6 +25,12 @@ EXAMPLES: dict[str, Callable[[], Result]] = {
 
 
 @pytest.mark.parametrize("kind", EXAMPLES)
+def test_a_printed_result_is_its_answer(kind: str) -> None:
+    result = EXAMPLES[kind]()
+    assert repr(result) == f"<{type(result).__name__}: {result.answer}>"
+
+
+@pytest.mark.parametrize("kind", EXAMPLES)
 def test_result_is_read_as_written(kind: str) -> None:
     written = to_json(EXAMPLES[kind]())
     assert json.loads(written)["kind"] == kind
