@@ -22,9 +22,23 @@ if TYPE_CHECKING:
     from seatrial.ident.results import Result
 
 LOG = click.Path(exists=True, dir_okay=False, path_type=Path)
-MODEL = click.Path(exists=True, path_type=Path)  # a folder is accepted here: reading the model raises a clearer error
 FOLDER = click.Path(file_okay=False, path_type=Path)
 FILE = click.Path(dir_okay=False, path_type=Path)
+
+
+class ModelPath(click.Path):
+    """Type of a fitted model in a command line: a model.toml, or a folder that contains one.
+
+    Another folder is returned as it is, because the error of the reader is clearer.
+    """
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
+        """Return the path of the model.toml."""
+        path = Path(str(super().convert(value, param, ctx)))
+        return path / "model.toml" if (path / "model.toml").is_file() else path
+
+
+MODEL = ModelPath(exists=True, path_type=Path)
 
 
 def _parse_finite(text: str) -> float:

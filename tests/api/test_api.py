@@ -229,7 +229,7 @@ def test_comparison_prefers_the_model_with_the_effect(
     own = st.compare([fit, found], logs[0])
     assert "(a) was fitted to run1" in own.summary()
     assert own.found.models[0].rms["r"] == pytest.approx(fit.predict(on="estimation")["run1"]["r"].rms, rel=0.05)
-    paths = [x.save(tmp_path / name) / "model.toml" for x, name in ((fit, "a"), (found, "b"))]
+    paths = [x.save(tmp_path / name) for x, name in ((fit, "a"), (found, "b"))]  # The command finds model.toml there.
     run("ident", "compare", *paths, "--on", logs[2])
     printed = capsys.readouterr().out.splitlines()
     assert printed[2:] == compared.summary().splitlines()[2:]
