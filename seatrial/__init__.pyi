@@ -8,6 +8,7 @@ from .api.fits import Series as Series
 from .api.fits import diagnose as diagnose
 from .api.fits import fit as fit
 from .api.loading import Saved as Saved
+from .api.loading import linearise as linearise
 from .api.loading import load as load
 from .api.loading import simulate as simulate
 from .api.logs import Findings as Findings
@@ -22,3 +23,4 @@ from .api.runs import ThrustCurve as ThrustCurve
 from .api.runs import design as design
 from .api.runs import navigate as navigate
 from .api.runs import thruster as thruster
+from .ident.export.linearisation import Linearisation as Linearisation

@@ -57,7 +57,7 @@ def entry(name: str, thing: Any) -> str:
     text += docstring(inspect.getdoc(thing) or "")
     if inspect.isclass(thing):
         for base in reversed(thing.__mro__):
-            if base.__module__.startswith("seatrial.api"):
+            if base.__module__.startswith("seatrial."):
                 for member, value in vars(base).items():
                     if not member.startswith("_") and vars(thing).get(member, value) is value:
                         text += member_entry(member, value)
@@ -74,11 +74,12 @@ def member_entry(name: str, value: Any) -> str:
 
 
 def signature(name: str, function: Any) -> str:
-    """Return name and parameters of a function, without types, and at most 100 characters wide."""
+    """Return name and parameters of a function, without types."""
     parameters = [
         p.replace(annotation=inspect.Parameter.empty) for p in inspect.signature(function).parameters.values()
     ]
-    shown = [str(p) for p in parameters if p.name != "self"]
+    # With the quotes of the formatter, which also formats the code blocks of pages.
+    shown = [str(p).replace("'", '"') for p in parameters if p.name != "self"]
     return f"{name}({', '.join(shown)})"
 
 

@@ -11,12 +11,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from seatrial.api import tables
-from seatrial.api.fits import FittedDiagnosis, FittedVehicle, Series, errors_of_users
+from seatrial.api.fits import FittedDiagnosis, FittedVehicle, Series, errors_of_users, model_path
 from seatrial.api.logs import PathLike
 from seatrial.daq.errors import SeatrialError
 
 if TYPE_CHECKING:
     from seatrial.ident.estimation import SavedModel
+    from seatrial.ident.export import Linearisation
     from seatrial.ident.model import Model
 
 MODEL, RESULT = "model.toml", "result.json"
@@ -190,6 +191,41 @@ def simulate(
         run = integrate(structure, record, x0=first)
     found = {o.name: Series(run.t, run.y[:, j]) for j, o in enumerate(structure.outputs)}
     return found | {name: Series(run.t, run.x[:, j]) for j, name in enumerate(states)}
+
+
+def linearise(model: PathLike | Saved | FittedVehicle | FittedDiagnosis, speed: float) -> Linearisation:
+    """Linearise a fitted model about straight motion at a forward speed in still water.
+
+    Parameters
+    ----------
+    model : path, `Saved`, `FittedVehicle` or `FittedDiagnosis`
+        The model.
+    speed : float
+        Forward speed through the water [m/s], not zero.
+
+    Returns
+    -------
+    Linearisation
+        Matrices A and B with their states and inputs, the operating point, poles, time constants and step responses.
+
+    Raises
+    ------
+    SeatrialError
+        If the model has no forward speed, or if the boat does not reach this speed.
+
+    Examples
+    --------
+    >>> at_half_a_metre = st.linearise("vehicle", 0.5)
+    >>> at_half_a_metre.time_constants
+    """
+    from seatrial.ident.estimation import load_model
+    from seatrial.ident.export import linearise as about_speed
+
+    with errors_of_users():
+        if isinstance(model, Saved):
+            return about_speed(model._saved_model(), speed)
+        with model_path(model) as path:
+            return about_speed(load_model(path), speed)
 
 
 def _structure(model: PathLike | Saved | FittedVehicle | FittedDiagnosis) -> Model:

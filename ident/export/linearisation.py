@@ -1,0 +1,225 @@
+"""Linearisation of a fitted model about straight motion at a speed: matrices, poles, time constants, step responses."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seatrial.daq.errors import SeatrialError
+from seatrial.ident.engine import VectorisedModel
+from seatrial.ident.estimation import SavedModel
+from seatrial.ident.export.codegen import collect_content
+from seatrial.ident.model import Model
+from seatrial.ident.numerics import Array
+
+POSE = ("x", "y", "psi")  # integrals of the velocities, on which the dynamics in still water do not depend
+CURRENT = ("V_x", "V_y")
+STEP = 1e-5  # step of the central differences, in the unit of each state and input
+BALANCED = 1e-6  # largest rate at the operating point, in the unit of each state per second
+TRIALS = (0.1, 0.4, 0.8)  # initial values of the inputs: at zero the thrust has no slope
+
+
+@dataclass(frozen=True)
+class Linearisation:
+    """Linear model ``dx/dt = A (x - x0) + B (u - u0)`` about straight motion in still water.
+
+    Attributes
+    ----------
+    speed : float
+        Forward speed through the water [m/s].
+    states, inputs : tuple of str
+        Names of the n states (velocities and shafts) and m inputs.
+    A : Array (n, n)
+        Derivatives of the rates by the states [1/s, if both have the same unit].
+    B : Array (n, m)
+        Derivatives of the rates by the inputs.
+    x0 : Array (n,)
+        States of the operating point.
+    u0 : Array (m,)
+        Inputs that keep the operating point.
+    delays : dict of str to float
+        Dead time [s] of each input that the model delays. The matrices do not contain it.
+    """
+
+    speed: float
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    A: Array
+    B: Array
+    x0: Array
+    u0: Array
+    delays: Mapping[str, float]
+
+    @property
+    def poles(self) -> NDArray[np.complex128]:
+        """Eigenvalues (n,) of A [1/s], the slowest first."""
+        found = np.linalg.eigvals(self.A).astype(np.complex128)
+        return found[np.argsort(np.abs(found.real), kind="stable")]
+
+    @property
+    def time_constants(self) -> Array:
+        """Time constants (n,) [s] of the poles in their order: ``-1 / Re``; infinite for an integrator.
+
+        A negative time constant belongs to an unstable pole.
+        """
+        with np.errstate(divide="ignore"):
+            return np.asarray(-1.0 / self.poles.real)
+
+    @property
+    def stable(self) -> bool:
+        """Whether all poles have a negative real part."""
+        return bool((self.poles.real < 0.0).all())
+
+    def step_response(self, name: str, t: Array) -> dict[str, Array]:
+        """Return the response of each state to a unit step of an input at t = 0, without its dead time.
+
+        Parameters
+        ----------
+        name : str
+            Name of the input.
+        t : Array (n_times,)
+            Times [s], at least 0.
+
+        Returns
+        -------
+        dict of str to Array (n_times,)
+            Change of each state from the operating point, for a step of one unit of the input.
+
+        Raises
+        ------
+        KeyError
+            If the model has no such input.
+        """
+        from scipy.linalg import expm  # imported here, as it takes 0.3 s
+
+        if name not in self.inputs:
+            raise KeyError(f"the model has no input {name!r}; its inputs are {', '.join(self.inputs)}")
+        n = len(self.states)
+        # The exponential of the system with the constant input as a further state; A may be singular.
+        whole = np.zeros((n + 1, n + 1))
+        whole[:n, :n], whole[:n, n] = self.A, self.B[:, self.inputs.index(name)]
+        found = np.array([expm(whole * moment)[:n, n] for moment in np.asarray(t, dtype=float)]).reshape(-1, n)
+        return {state: found[:, k] for k, state in enumerate(self.states)}
+
+
+def linearise(saved: SavedModel, speed: float) -> Linearisation:
+    """Linearise a fitted model about straight motion at a forward speed in still water.
+
+    The operating point is found first: the inputs, the sway speed and the shafts for which speed and yaw rate (zero)
+    stay. If one thruster is weaker, the inputs differ. Disturbance forces and sensor errors are left out. Delayed
+    copies of an input count as the input itself.
+
+    Parameters
+    ----------
+    saved : SavedModel
+        The fitted model.
+    speed : float
+        Forward speed through the water [m/s], not zero: at rest the quadratic terms have no slope.
+
+    Raises
+    ------
+    SeatrialError
+        If the model has no forward speed, or if no operating point is found within the limits of the inputs.
+    """
+    model = collect_content(saved).model
+    names = [s.name for s in model.states if s.name not in POSE]
+    if "u" not in names:
+        raise SeatrialError(
+            f"model {model.name} has no forward speed u among its states, so it has no such operating point"
+        )
+    if not np.isfinite(speed) or speed == 0.0:
+        raise SeatrialError(f"speed {speed:g} m/s: give a speed other than zero, at which the model has a slope")
+    rates = _Rates(model, names)
+    x0, u0 = _operating_point(rates, speed)
+    for name, value in zip(rates.inputs, u0, strict=True):
+        if name.startswith("n_") and abs(value) > 1.0:
+            raise SeatrialError(
+                f"{speed:g} m/s needs {name} = {value:.2f}, more than full; choose a speed that the boat reaches"
+            )
+    A = np.column_stack([rates.slope(x0, u0, j, None) for j in range(len(names))])
+    B = np.column_stack([rates.slope(x0, u0, None, j) for j in range(len(rates.inputs))])
+    values = model.values
+    delays = {i: float(values["tau_n"]) for i in rates.inputs if "tau_n" in values and i in rates.delayed}
+    return Linearisation(speed, tuple(names), rates.inputs, A, B, x0, u0, delays)
+
+
+class _Rates:
+    """Rates of the dynamic states of a model as a function of these states and of its inputs, in still water.
+
+    Attributes
+    ----------
+    names : list of str
+        Names of the n dynamic states.
+    inputs : tuple of str
+        Names of the m inputs, without their delayed copies.
+    delayed : frozenset of str
+        Inputs that have delayed copies.
+    """
+
+    def __init__(self, model: Model, names: list[str]) -> None:
+        """Set up the rates of the states ``names`` of a model."""
+        self.names = names
+        self.inputs = tuple(i.name for i in model.inputs if not i.tap)
+        self.delayed = frozenset(i.tap_of for i in model.inputs if i.tap)
+        self._own = [self.inputs.index(i.tap_of if i.tap else i.name) for i in model.inputs]
+        self._at = [k for k, s in enumerate(model.states) if s.name in names]
+        self._n = len(model.states)
+        self._rowwise = VectorisedModel(model)
+        self._values = np.array([0.0 if n in CURRENT else v for n, v in model.values.items()])
+
+    def __call__(self, x: Array, u: Array) -> Array:
+        """Return the rates (n,) at dynamic states x (n,) and inputs u (m,), with position and heading zero."""
+        whole = np.zeros((1, self._n))
+        whole[0, self._at] = x
+        found: Array = self._rowwise(whole, u[self._own][None, :], self._values)[0]
+        return found[self._at]
+
+    def slope(self, x: Array, u: Array, state: int | None, entry: int | None) -> Array:
+        """Return the derivatives (n,) of the rates by the state or the input with this index (central difference)."""
+        dx, du = np.zeros(x.size), np.zeros(u.size)
+        if state is not None:
+            dx[state] = STEP
+        if entry is not None:
+            du[entry] = STEP
+        return (self(x + dx, u + du) - self(x - dx, u - du)) / (2.0 * STEP)
+
+
+def _operating_point(rates: _Rates, speed: float) -> tuple[Array, Array]:
+    """Return the states (n,) and inputs (m,) that keep straight motion at a forward speed [m/s] through the water.
+
+    Raises
+    ------
+    SeatrialError
+        If there is no such point.
+    """
+    from scipy.optimize import least_squares  # imported here, as it takes half a second
+
+    n, m = len(rates.names), len(rates.inputs)
+    held = {"u": speed, "r": 0.0}
+    free = [k for k, name in enumerate(rates.names) if name not in held]
+
+    def unpacked(z: Array) -> tuple[Array, Array]:
+        """Return the states and the inputs of the unknowns: the states that are not held, then the inputs."""
+        x = np.array([held.get(name, 0.0) for name in rates.names])
+        x[free] = z[: len(free)]
+        return x, z[len(free) :]
+
+    best: Array | None = None
+    smallest = np.inf
+    for size in TRIALS:
+        start = np.concatenate([np.zeros(len(free)), np.full(m, np.copysign(size, speed))])
+        start[: len(free)] += [start[-1] if rates.names[k].startswith("n_") else 0.0 for k in free]
+        found = least_squares(lambda z: rates(*unpacked(z)), start, xtol=1e-14, ftol=1e-14, gtol=1e-14)
+        if np.abs(found.fun).max(initial=0.0) < smallest:
+            smallest, best = float(np.abs(found.fun).max(initial=0.0)), found.x
+    if best is None or smallest > BALANCED:
+        raise SeatrialError(
+            f"no inputs keep straight motion at {speed:g} m/s: a rate of {smallest:.2g} per second remains; "
+            "choose another speed"
+        )
+    x, u = unpacked(best)
+    assert x.size == n
+    return x, u
