@@ -167,7 +167,7 @@ class Navigation:
 
 
 def navigator(model: Model) -> Model:
-    """Return the model with states in place of the per-record parameters of the current.
+    """Return the model that estimates the current along a record: states replace its per-record parameters.
 
     The initial standard deviation of a state is that of the parameter's prior. A model without per-record current is
     returned unchanged. Each parameter is fixed at the mean of its prior, and the state is the deviation from it. The
@@ -218,7 +218,8 @@ def navigate(
     Raises
     ------
     ValueError
-        If the model has no position, an interval contains no fix, no fix is left, or the filter diverges.
+        If the model has no position, if an interval contains no fix, if no fix remains outside the intervals, or if the
+        filter diverges.
     """
     missing = [
         n for n in POSITION if n not in {o.name for o in model.outputs} or n not in {s.name for s in model.states}
@@ -269,15 +270,16 @@ def _best_states(run: FilterResult, smoothed: bool) -> tuple[Array, Array]:
 def _without_gnss_samples(
     model: Model, record: Record, intervals: Sequence[tuple[float, float]]
 ) -> tuple[Record, NDArray[np.bool_]]:
-    """Return the record without GNSS samples in the intervals, and a mask (n_rows,) of the withheld positions.
+    """Return a copy of the record without GNSS samples in the intervals, and the rows whose position was withheld.
 
-    An interval is a pair of times of the record [s]; its end does not belong to it. Positions, velocities and speeds of
-    sensors that have only these outputs are replaced by NaN. The given record is not changed.
+    An interval is a pair of times of the record [s]; its end does not belong to it. The outputs of each sensor that
+    measures only positions, velocities and speed over ground (`GNSS`) are replaced by NaN there. The second result
+    (n_rows,) is true for rows that had a fix in an interval.
 
     Raises
     ------
     ValueError
-        If an interval contains no fix, or no fix is left.
+        If an interval contains no fix, or if no fix remains outside the intervals.
     """
     names = [o.name for o in model.outputs]
     columns = [names.index(o.name) for s in model.sensors if {o.name for o in s.outputs} <= GNSS for o in s.outputs]
