@@ -83,9 +83,10 @@ class Outage:
         Distance of the predicted position from the fix at the end [m], or from the last withheld fix if no fix
         follows. None without either.
     allowed : float or None
-        95 % radius of this distance [m], with the measurement noise of the fix.
+        95 % radius of this distance [m], with the measurement noise of the fix. None without a fix.
     inside : bool or None
-        Whether the fix is inside the 95 % ellipse that includes its measurement noise.
+        Whether that fix is inside the 95 % ellipse of the prediction, which includes the measurement noise of the fix.
+        None without a fix.
     widest : float
         Largest 95 % radius of the best estimate within the outage [m].
     predicted, best : OutageErrors or None
@@ -192,9 +193,10 @@ class _OutageEvaluator:
         self.predicted, self.best = (navigation.position(e) for e in (navigation.predicted, navigation.best))
 
     def outage(self, first: int, last: int, is_open: bool) -> Outage:
-        """Return the outage from the row ``first`` to the row ``last``, with its errors.
+        """Return the outage from the row index ``first`` to the row index ``last``, with its errors.
 
-        ``is_open`` means that the last row has no used fix, so that no fix follows the outage.
+        ``is_open``: whether the last row has no used fix, so that no fix follows the outage. The prediction is compared
+        with the fix at the end, or with the last withheld fix if the outage is open. Errors are None without a fix.
         """
         n, t = self.navigation, self.navigation.t
         withheld = first + np.flatnonzero(n.withheld[first : last + 1])
