@@ -131,6 +131,7 @@ class Experiments:
         q, k = len(self.free), len(self.extremes)
 
         def work(lanes: slice) -> tuple[Array, Array, Array]:
+            """Return information (upper triangles), minima and maxima of a slice of the experiments, by rows."""
             arguments = self._arguments(u, values, lanes)
             if self._batch.covariance:
                 arguments["s"] = with_covariance(self.model, arguments["s"], arguments["p"])
@@ -151,6 +152,7 @@ class Experiments:
         kernel = self._batch.tracks[u.ndim == 3]
 
         def work(lanes: slice) -> tuple[Array, Array]:
+            """Return minima and maxima (m, k) of a slice of the experiments; m includes the copies at the end."""
             results = self._run(kernel, self._arguments(u, values, lanes), len(self.extremes))
             return _from_lanes(results["low"]), _from_lanes(results["high"])
 
@@ -184,6 +186,7 @@ class Experiments:
         start = start_in_lanes(self.model, p)
 
         def work(missions: slice) -> list[tuple[Array, Array]]:
+            """Return minima and maxima (n_values, k) of each mission of a slice."""
             found = []
             for j in range(missions.start, missions.stop):
                 shared = np.ascontiguousarray(u[:, :, j])
