@@ -143,6 +143,7 @@ class HypothesisPair:
         size = kernel.plan.sizes["low"]
 
         def work(lanes: slice) -> tuple[Array, Array, Array]:
+            """Return the three sums of a slice of the experiments, one row per experiment; matrices as triangles."""
             groups = -(-(lanes.stop - lanes.start) // width)
             p = in_lanes(values[lanes].T[None], groups, width)[0]
             p_true = in_lanes(np.repeat(truth, lanes.stop - lanes.start, axis=0).T[None], groups, width)[0]
