@@ -74,7 +74,7 @@ class Course(NamedTuple):
 
 
 class HypothesisFit(NamedTuple):
-    """Fit of one hypothesis about the axes.
+    """Least-squares fit of one hypothesis about the axes of two signals.
 
     Attributes
     ----------
@@ -83,7 +83,8 @@ class HypothesisFit(NamedTuple):
     misfit
         Squared error over the sum of squares of the signal, 0 to 1.
     blocks
-        Contributions (n_blocks,) of the blocks of time (at least 10 s) to the misfit.
+        Contributions (n_blocks,) to the misfit by consecutive intervals of at least 10 s (blocks); their sum is the
+        misfit.
     """
 
     scale: float
@@ -492,8 +493,9 @@ def _body_frame_comparison(c: Channels, forward: str, starboard: str, track: Win
     Returns
     -------
     tuple or None
-        The displacements in the windows that the channels cover (n,); the block of each window (n,); a function that
-        integrates a signal of the fine grid over each window; exp(i psi) and forward + i starboard on that grid. None
+        Five elements. The displacements in the windows that the channels cover (n,). The number of the block of time of
+        each window (n,), from 0. A function that integrates a signal of the common grid over each window (n,). The
+        rotation exp(i psi) from body to NED frame, and the channels as forward + i starboard, both on that grid. None
         if the channels and the track overlap too little.
     """
     t = common_grid(c[forward], c[starboard], c["psi"])
@@ -505,6 +507,7 @@ def _body_frame_comparison(c: Channels, forward: str, starboard: str, track: Win
         return None
 
     def moved(rate: Complex) -> Complex:
+        """Return the integral (n,) of a signal on the grid over each window."""
         integral = cumulative_integral(t, rate)
         ends = [np.interp(at + s * track.width / 2, t, integral) for s in (1, -1)]
         return np.asarray(ends[0] - ends[1])
@@ -517,9 +520,10 @@ def _body_frame_comparison(c: Channels, forward: str, starboard: str, track: Win
 def _reversed_column(target: Complex, block: NDArray[np.intp], columns: tuple[Complex, ...]) -> str | None:
     """Return which of the first two columns has the wrong sign in a regression of the target (n,) on all columns.
 
-    The factor of that column must be clearly negative and of about the right size. None if neither has, or if the
-    values are too large for a regression. The columns have the shape (n,). ``block`` (n,): block of time of each
-    sample.
+    The factor of that column must be -2 to -0.5 and significantly negative (t below -6, with a standard error that is
+    robust to correlation within blocks). The result is ``the first sign is reversed`` or ``the second sign is
+    reversed``. It is None if neither factor is so, or if the values are too large for a regression. The columns have
+    the shape (n,). ``block`` (n,): number of the block of time of each sample, from 0.
     """
     X = np.column_stack([np.concatenate([z.real, z.imag]) for z in columns])
     y = np.concatenate([target.real, target.imag])
@@ -539,18 +543,19 @@ def _reversed_column(target: Complex, block: NDArray[np.intp], columns: tuple[Co
 
 
 def fit_hypothesis(target: Complex, z: Complex, block: NDArray[np.intp], others: tuple[Complex, ...]) -> HypothesisFit:
-    """Fit a target by a hypothesis.
+    """Fit a measured signal by the signal that a hypothesis about the axes predicts, by least squares.
 
     Parameters
     ----------
     target
         Displacements or changes of velocity (n,), north + i east.
     z
-        The same by the hypothesis (n,). Its factor is real and not negative.
+        The same quantity as the hypothesis predicts it (n,). Its factor is real and not negative.
     block
-        Block of time of each sample (n,), counted from 0.
+        Number of the block of time of each sample (n,), from 0.
     others
-        Further regressors (n,) with any real factors.
+        Further regressors (n,) with any real factors, for example a constant current. They are projected out first, and
+        the misfit refers to what remains of the target.
     """
     Y, Z = (np.concatenate([s.real, s.imag]) for s in (target, z))
     if others:
@@ -582,8 +587,8 @@ def preferred_hypothesis(found: Mapping[str, HypothesisFit]) -> str | None:
 def _is_significantly_better(old: Array, new: Array) -> bool:
     """Return whether the new hypothesis fits significantly better than the old one.
 
-    ``old``, ``new``: contributions (n_blocks,) of the blocks of time to the misfit of each hypothesis. False for fewer
-    than 6 blocks.
+    The three conditions of the module docstring must hold. ``old``, ``new``: contributions (n_blocks,) of the blocks of
+    time to the misfit of each hypothesis. False for fewer than 6 blocks.
     """
     gain = old - new
     total = float(gain.sum())

@@ -189,7 +189,7 @@ def _stuck_against_command(shaft: Channel, command: Channel) -> tuple[float, flo
 
 
 def _longest_run(mask: Array) -> int:
-    """Return the largest number of consecutive true values of a mask (n,); 0 if there is none."""
+    """Return the largest number of consecutive true values of a logical array (n,); 0 if all are false."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
     return int(np.max(edges[1::2] - edges[::2], initial=0))
 

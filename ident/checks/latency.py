@@ -175,9 +175,22 @@ def _motion_thrust_delay(
 
 
 def _level_of_delay(lag: float, half: float, fault_from: float = DELAY_FAULT) -> str:
-    """Return the level of a delay [s] with its half 95 % interval [s]: ``ok`` if it is small or not clear of zero.
+    """Return the severity of a delay for its finding: ``ok``, ``warning`` or ``fault``.
 
-    Else ``fault`` from ``fault_from`` [s] on or if the whole interval is large, and ``warning`` otherwise.
+    Parameters
+    ----------
+    lag
+        Delay [s], not negative.
+    half
+        Half width of its 95 % interval [s].
+    fault_from
+        Delay [s] from which it is a fault, however wide its interval is.
+
+    Returns
+    -------
+    str
+        ``ok`` if the delay is below the limit of a warning, or if its interval comes near zero. Else ``fault`` or
+        ``warning`` by `delay_level`.
     """
     if lag < DELAY_WARNING - SENSOR_GRID_S / 2 or lag - half < MIN_DISTANCE:
         return OK
@@ -291,9 +304,9 @@ def _motion_on_grid(c: Channels, thrusts: Sequence[Channel], half_r: float = HEA
 
 
 def _mean_rate(s: Array, half: float) -> Array:
-    """Return the derivative (n,) of a signal on the grid: its mean rate from ``half`` [s] before to ``half`` after.
+    """Return the mean rate of change (n,) of a signal on the grid, from ``half`` [s] before to ``half`` after each row.
 
-    Near both ends the signal is continued with its end value.
+    It is a central difference. Near both ends the signal is continued with its end value.
     """
     k = round(half / SENSOR_GRID_S)
     return (np.pad(s, k, mode="edge")[2 * k :] - np.pad(s, k, mode="edge")[: -2 * k]) / (2.0 * k * SENSOR_GRID_S)
@@ -372,7 +385,7 @@ def _lag_behind_thrust(
     Returns
     -------
     LagEstimate or None
-        None without thrust, for a constant motion, or if too little time is left without pauses.
+        None without thrust, for a constant motion, or if less than 60 s of the log are without pauses.
     """
     if not pushes or np.std(y) < 1e-9:
         return None
@@ -395,7 +408,9 @@ def _lag_behind_thrust(
 
 
 def _increments_without_pause(c: Channels, t: Array, at: NDArray[np.intp], width: int) -> NDArray[np.bool_]:
-    """Return a mask (n_rows,) of the increments that do not overlap a pause of a sensor.
+    """Return which increments (n_rows,) do not overlap a pause of a sensor: true for those that can be used.
+
+    A pause is longer than 1 s and than five sample intervals.
 
     ``at``: first index of each increment on the grid t (n,) [s]. ``width``: its number of steps.
     """

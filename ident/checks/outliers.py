@@ -21,7 +21,7 @@ def check_outliers(c: Channels) -> Iterator[Finding]:
     Parameters
     ----------
     c
-        Channels of a log by name, with the samples that were left out when the log was read.
+        Channels of a log by name, with the outliers that were left out when the log was read.
 
     Yields
     ------

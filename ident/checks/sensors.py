@@ -55,9 +55,10 @@ class LagEstimate(NamedTuple):
 
 
 class LagErrors:
-    """Squared errors of one regression at each lag of a search, kept separately for 10 blocks of time.
+    """Search for the lag of a regression with the least squared error, with a jackknife standard error.
 
-    The errors of all blocks give the best lag. Those without one block each give its standard error (jackknife).
+    The rows are divided into 10 blocks of time. The errors of all blocks give the best lag. The errors without one
+    block, for each block in turn, give its standard error (jackknife). Call `add` for each lag, and then `estimate`.
 
     Parameters
     ----------
@@ -411,7 +412,7 @@ def position_and_velocity(c: Channels, found: Match | None) -> Iterator[Finding]
 
 
 def delay_level(lag: float, half: float, fault_from: float = DELAY_FAULT) -> str:
-    """Return the level of the finding on a delay: ``fault`` or ``warning``.
+    """Return the severity of the finding on a delay: ``fault`` or ``warning``.
 
     Parameters
     ----------

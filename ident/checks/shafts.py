@@ -242,6 +242,7 @@ def response(commands: Channel, shaft: Channel) -> Response | NoResponse:
         answering[k:] |= commanded[:-k]
 
     def quiet(speed: Array) -> bool:
+        """Return whether the shaft stands still: 99 % of its speeds are near zero for the size of the commands."""
         return bool(np.quantile(np.abs(speed), 0.99) < MIN_SPEED * min(1.0, np.abs(commands.value).max()))
 
     # A dead shaft needs no fit, so the first seconds count too. The second part finds a shaft that dies after them.
@@ -257,6 +258,7 @@ def response(commands: Channel, shaft: Channel) -> Response | NoResponse:
     n = turned[longest:] if used.all() else np.where(used, turned[longest:], 0.0)
 
     def delayed(lagged: Array, delay: float, seen: NDArray[np.bool_]) -> Array:
+        """Return the lagged command after a delay [s], with zero at times without telemetry (``seen`` false)."""
         late = longest - round(delay / SHAFT_GRID_S)
         x = lagged[late : late + seen.size]
         return x if seen.all() else np.where(seen, x, 0.0)
@@ -267,7 +269,10 @@ def response(commands: Channel, shaft: Channel) -> Response | NoResponse:
     total_part = float(n_part @ n_part)
 
     def fitted(at: slice, band: float) -> LagFit:
+        """Fit time constant and delay, for a dead band and the delays ``DELAYS[at]``."""
+
         def misfit(lagged: Array, delay: float) -> float:
+            """Return the squared error of the delayed command, times its best factor, against the shaft speed."""
             return _scaled_misfit(delayed(lagged, delay, used_part), n_part, total_part)[0]
 
         data = LagData(_zero_in_dead_band(command_part, band), misfit)
@@ -294,14 +299,15 @@ def response(commands: Channel, shaft: Channel) -> Response | NoResponse:
 
 
 def _zero_in_dead_band(command: Array, band: float) -> Array:
-    """Return the commands (n,), with zero for each command whose size is below ``band`` (dead band)."""
+    """Return the commands (n,), with zero for each command whose absolute value is below ``band`` (dead band)."""
     return np.where(np.abs(command) < band, 0.0, command)
 
 
 def _scaled_misfit(x: Array, n: Array, total: float) -> tuple[float, float]:
     """Fit the shaft speed n (n,) by a multiple of the lagged command x (n,).
 
-    Return the squared error and the factor of x. ``total`` is n @ n. If x is zero, they are ``total`` and 0.
+    Return the squared error and the least-squares factor of x. ``total`` is the sum of squares of n. If x is zero, they
+    are ``total`` and 0.
     """
     square, product = float(x @ x), float(x @ n)
     if square == 0.0:
@@ -317,7 +323,7 @@ class HeldCommand(NamedTuple):
     t
         Start [s].
     level
-        Command, -1 to 1.
+        Value of the held command, -1 to 1.
     settled
         Median of the shaft speed in the second half, over full speed.
     times

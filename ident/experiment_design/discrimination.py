@@ -39,17 +39,18 @@ from seatrial.ident.experiment_design.problem import DesignProblem
 from seatrial.ident.model import Model
 from seatrial.ident.numerics import Array, SearchResult
 
-CHUNK = 2  # groups of vector lanes per call; few, since delayed input taps make them large
+# Experiments are simulated in vector lanes: the processor computes one group of experiments at once, one per lane.
+CHUNK = 2  # such groups per call; few, since delayed input taps make them large
 REFITS = 6  # Gauss-Newton steps for the reported T
 RELIABLE_T = 30.0  # with a larger T a fit hardly ever prefers the wrong model
 
 
 @dataclass(frozen=True)
 class HypothesisPair:
-    """T statistic of commands: how badly one model explains the data of another.
+    """T statistic of commands: the misfit of one model to the data of another, for a pair of models.
 
-    A call returns T: the least sum of squared normalised innovations of the filter of the model ``fitted`` on
-    undisturbed data of the model ``truth``, over the parameters of ``fitted``.
+    A call returns T: the sum of squared normalised innovations of the filter of the model ``fitted`` on noise-free data
+    of the model ``truth``, minimised over the parameters of ``fitted``. T is large if the command separates the models.
 
     Attributes
     ----------
@@ -115,7 +116,7 @@ class HypothesisPair:
         raise AssertionError("unreachable")
 
     def _innovation_sums(self, u: Array, u_true: Array, values: Array) -> tuple[Array, Array, Array]:
-        """Run the filter of the fitted model on data of the true model, and return the sums of its innovations.
+        """Run the filter of the fitted model on data of the true model, and return the sums for a Gauss-Newton step.
 
         Parameters
         ----------
@@ -142,6 +143,7 @@ class HypothesisPair:
         size = kernel.plan.sizes["low"]
 
         def work(lanes: slice) -> tuple[Array, Array, Array]:
+            """Return the three sums of a slice of the experiments, one row per experiment; matrices as triangles."""
             groups = -(-(lanes.stop - lanes.start) // width)
             p = in_lanes(values[lanes].T[None], groups, width)[0]
             p_true = in_lanes(np.repeat(truth, lanes.stop - lanes.start, axis=0).T[None], groups, width)[0]

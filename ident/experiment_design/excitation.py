@@ -112,10 +112,10 @@ class ThrusterResponse:
         return SIDES if self.channels in (*COMMON_MODE, *DIFFERENTIAL_MODE) else self.channels
 
     def for_thrusters(self, levels: Array) -> Array:
-        """Convert levels of the channels (n_rows, n_channels) to levels of the thrusters (n_rows, n_thrusters).
+        """Convert commands of the channels (n_rows, n_channels) to commands of the thrusters (n_rows, n_thrusters).
 
-        For a model of surge alone, both thrusters have the level of the channel. For a model of yaw alone, the left
-        thruster has the level and the right one has its negative. Otherwise the levels are returned unchanged.
+        A level is a command, -1 to 1. For a model of surge alone, both thrusters have the command of the channel. For a
+        model of yaw alone, the left thruster has it and the right one its negative. Else they are returned unchanged.
         """
         if self.channels in COMMON_MODE:
             return np.hstack([levels, levels])
@@ -256,8 +256,9 @@ class ThrusterResponse:
 class StepInput:
     """Input class of the search: steps with free levels and durations in a fixed total time (thesis chapter 5).
 
-    A search point z (n_steps (n_channels + 1),) contains the levels of all steps and then their relative durations
-    between 0.02 and 1. Each step has the least duration, and the remaining time is divided by the relative durations.
+    A search point z (n_steps (n_channels + 1),) contains the levels (commands, -1 to 1) of all steps and then their
+    relative durations between 0.02 and 1. Each step has the least duration. The remaining time is shared in proportion
+    to the relative durations.
 
     Attributes
     ----------

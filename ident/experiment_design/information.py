@@ -28,7 +28,8 @@ Mask = NDArray[np.uint32]
 T = TypeVar("T")
 SINGULAR_EIGENVALUE = 1e-13  # of the information scaled to a unit diagonal; smaller eigenvalues are rounding errors
 NULL_PART = 0.1  # largest part of a parameter's unit vector in the null space for a finite standard error
-CHUNK = 4  # groups of vector lanes per call; so many fit into the cache of the processor
+# Experiments are simulated in vector lanes: the processor computes one group of experiments at once, one per lane.
+CHUNK = 4  # such groups per call; so many fit into the cache of the processor
 MISSIONS = 4  # missions per task of a thread
 
 
@@ -80,7 +81,7 @@ class Experiments:
     h : Array (n_rows,)
         Interval from each row to the next [s]; 0 for the last row.
     mask : Array (n_rows,)
-        Bits of the sensors that have a sample in each row.
+        Sensors that have a sample in each row, as an integer: bit k is 1 if sensor k of the model has one.
     values : Array (n_parameters,)
         Parameter values of the model.
 
@@ -130,6 +131,7 @@ class Experiments:
         q, k = len(self.free), len(self.extremes)
 
         def work(lanes: slice) -> tuple[Array, Array, Array]:
+            """Return information (upper triangles), minima and maxima of a slice of the experiments, by rows."""
             arguments = self._arguments(u, values, lanes)
             if self._batch.covariance:
                 arguments["s"] = with_covariance(self.model, arguments["s"], arguments["p"])
@@ -150,6 +152,7 @@ class Experiments:
         kernel = self._batch.tracks[u.ndim == 3]
 
         def work(lanes: slice) -> tuple[Array, Array]:
+            """Return minima and maxima (m, k) of a slice of the experiments; m includes the copies at the end."""
             results = self._run(kernel, self._arguments(u, values, lanes), len(self.extremes))
             return _from_lanes(results["low"]), _from_lanes(results["high"])
 
@@ -183,6 +186,7 @@ class Experiments:
         start = start_in_lanes(self.model, p)
 
         def work(missions: slice) -> list[tuple[Array, Array]]:
+            """Return minima and maxima (n_values, k) of each mission of a slice."""
             found = []
             for j in range(missions.start, missions.stop):
                 shared = np.ascontiguousarray(u[:, :, j])
@@ -198,7 +202,10 @@ class Experiments:
         return np.array(low), np.array(high)
 
     def _chunks(self, u: Array, values: Array | None) -> tuple[int, list[slice]]:
-        """Return the number of experiments, and the slices of experiments for one call of the kernel each.
+        """Return the number of experiments, and slices of their indices.
+
+        One call of the compiled simulation (kernel) computes the experiments of one slice. ``u`` and ``values`` are
+        those of a call of the class.
 
         Raises
         ------
@@ -213,9 +220,17 @@ class Experiments:
         return n, [slice(first, min(first + width, n)) for first in range(0, n, width)]
 
     def _arguments(self, u: Array, values: Array | None, lanes: slice) -> dict[str, Array]:
-        """Return the arguments of a kernel by name for the slice ``lanes`` of the experiments.
+        """Return the arguments of the compiled simulation (kernel) by name, for a slice of the experiments.
 
-        Arrays that differ between experiments are arranged in vector lanes, as `in_lanes` does.
+        They are inputs at the start and at the end of each interval, parameters, initial state and intervals. Arrays
+        that differ between experiments are arranged for the vector unit of the processor, as `in_lanes` does.
+
+        Parameters
+        ----------
+        u, values
+            Inputs and parameter values, as in a call of the class.
+        lanes
+            Slice of the indices of the experiments.
         """
         width, n = self._batch.tracks[0].plan.width, lanes.stop - lanes.start
         groups = -(-n // width)
@@ -233,9 +248,10 @@ class Experiments:
         }
 
     def _run(self, kernel: Kernel, arguments: dict[str, Array], k: int) -> dict[str, Array]:
-        """Run a kernel on all rows and return its results by name.
+        """Run a compiled simulation (kernel) over all rows, and return its results by name.
 
-        The k minima and maxima start at plus and minus infinity.
+        ``arguments``: those of `_arguments`. ``k``: number of quantities whose minimum and maximum are found. Their
+        minima start at plus infinity and their maxima at minus infinity.
         """
         groups, _, width = arguments["p"].shape
         bounds = {"low": np.full((groups, k, width), np.inf), "high": np.full((groups, k, width), -np.inf)}
@@ -244,8 +260,8 @@ class Experiments:
     def _slopes(self, p: Array) -> Array:
         """Return the derivative of the initial state with respect to the free parameters.
 
-        ``p``: parameters in lanes (groups, n_parameters, width). The result (groups, q n_states, width) is 1 where a
-        free parameter is the initial value of a state, else 0.
+        ``p``: parameters (groups, n_parameters, width), arranged as `in_lanes` does. The result (groups, q n_states,
+        width) is 1 where a free parameter is the initial value of a state, else 0. It starts the sensitivity equations.
         """
         X = np.zeros((p.shape[0], len(self.free), len(self.model.states), p.shape[2]))
         for i, state in enumerate(self.model.states):
@@ -257,7 +273,7 @@ class Experiments:
 def start_in_lanes(model: Model, p: Array) -> Array:
     """Return the mean of the initial state (groups, n_states, width) at parameters p (groups, n_parameters, width).
 
-    The last axis has the vector lanes: one experiment in each.
+    The arrays are arranged as `in_lanes` does: ``groups`` of ``width`` experiments.
     """
     names = [q.name for q in model.parameters]
     s = np.zeros((p.shape[0], len(model.states), p.shape[2]))
@@ -267,7 +283,10 @@ def start_in_lanes(model: Model, p: Array) -> Array:
 
 
 def with_covariance(model: Model, mean: Array, p: Array) -> Array:
-    """Return the initial mean followed by the upper triangle of the initial covariance, by rows.
+    """Return the initial mean of the state, followed by the upper triangle of the initial covariance, row by row.
+
+    This is the initial value that a simulation with a Kalman filter needs. The arrays have ``groups`` of ``width``
+    experiments, as `in_lanes` arranges them.
 
     Parameters
     ----------
@@ -293,9 +312,10 @@ def with_covariance(model: Model, mean: Array, p: Array) -> Array:
 
 
 def sensor_mask(model: Model, n_rows: int, every: Mapping[str, int]) -> Mask:
-    """Return a mask (n_rows,) with one bit for each sensor that has a sample in the row.
+    """Return which sensors have a sample in each row, as integers (n_rows,).
 
-    Bit 0 is the first sensor of the model. Every sensor has a sample in the first row.
+    Bit k of an integer is 1 if sensor k of the model, counted from 0, has a sample in that row. Every sensor has a
+    sample in the first row.
 
     Parameters
     ----------
@@ -309,7 +329,7 @@ def sensor_mask(model: Model, n_rows: int, every: Mapping[str, int]) -> Mask:
     Raises
     ------
     ValueError
-        If the model has no such sensor.
+        If ``every`` names a sensor that the model lacks.
     """
     unknown = set(every) - {s.name for s in model.sensors}
     if unknown:
@@ -322,10 +342,10 @@ def sensor_mask(model: Model, n_rows: int, every: Mapping[str, int]) -> Mask:
 
 
 def in_lanes(a: Array, groups: int, width: int) -> Array:
-    """Arrange an array (n_rows, k, n) of n experiments in vector lanes (n_rows, groups, k, width).
+    """Rearrange an array (n_rows, k, n) of n experiments to (n_rows, groups, k, width), for the vector unit.
 
-    A group is the ``width`` experiments that the processor computes at once. The last group is filled up with copies of
-    the last experiment.
+    The processor computes the ``width`` experiments of a group at once, each in one lane of its vector registers. The
+    last group is filled up with copies of the last experiment. ``groups * width`` must be n or more.
     """
     missing = groups * width - a.shape[2]
     if missing:
@@ -385,7 +405,10 @@ def parallel(work: Callable[[slice], T], chunks: Sequence[slice], threads: int) 
 
 
 def _from_lanes(a: Array) -> Array:
-    """Convert vector lanes (groups, k, width) to one row for each experiment (groups * width, k)."""
+    """Convert results (groups, k, width) to one row for each experiment (groups * width, k).
+
+    This reverses the arrangement of `in_lanes`. The rows include the copies that filled up the last group.
+    """
     return np.asarray(a.transpose(0, 2, 1).reshape(-1, a.shape[1]))
 
 

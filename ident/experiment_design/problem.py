@@ -47,12 +47,12 @@ class DesignLimits:
 
     @property
     def bind(self) -> bool:
-        """Return whether there is a limit of area, speed or energy."""
+        """Return whether at least one limit (area, speed or energy) is set, so that commands must be checked."""
         return self.energy is not None or self.concern_the_track
 
     @property
     def concern_the_track(self) -> bool:
-        """Return whether there is a limit of area or speed."""
+        """Return whether there is a limit of area or speed, which only a simulation of the tracks can check."""
         return self.area is not None or self.speed is not None
 
 
@@ -155,13 +155,14 @@ class DesignProblem:
     def commands(self, z: Array) -> Array:
         """Return the commands (n_rows, n_channels, n) of search points z (n, size), with the slew limit.
 
-        A search point holds the levels and the relative durations of the steps, as `StepInput` describes.
+        A search point holds the levels (commands, -1 to 1) and the relative durations of the steps, as `StepInput`
+        describes.
         """
         return self.actuation.limited(*self.steps.unpack(z))
 
     @property
     def every(self) -> dict[str, int]:
-        """Number of rows from one sample to the next (1 or more), by sensor."""
+        """Number of rows from one sample of a sensor to its next sample (1 or more), by sensor name."""
         return {s.name: max(1, round(1.0 / (self.rate(s.name) * self.grid))) for s in self.model.sensors}
 
     def rate(self, sensor: str) -> float:

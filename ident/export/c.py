@@ -89,16 +89,17 @@ def _index_enumerations(content: Content) -> list[str]:
 def _array_lines(content: Content, name: str, rows: Sequence[tuple[float, str]], description: str) -> list[str]:
     """Return the lines of a C array NAME_``name`` of values, with a comment beside each.
 
-    ``rows`` are pairs of value and comment. ``description`` is the comment above the array. C has
-    no arrays without elements, so an empty array gets one zero.
+    ``rows`` are pairs of value and comment. ``description`` is the comment above the array. C has no arrays without
+    elements, so an empty array gets one zero.
     """
     values = [f"    {C.number(v)}, /* {text.replace('*/', '* /').replace('/*', '/ *')} */" for v, text in rows]
     return [f"/* {description} */", f"static const double {content.name}_{name}[] = {{", *(values or ["    0.0"]), "};"]
 
 
 def _function(content: Content, name: str, result: str, program: Program, description: str) -> str:
-    """Return the text of one C function of (x, u, p) that writes to the array argument ``result``.
+    """Return the text of one C function of states, inputs and parameters (x, u, p) that writes to an array argument.
 
+    ``result`` is the name of that argument, and ``program`` has the assignments that compute its elements.
     ``name`` is ``f`` for the rates of the states or ``h`` for the outputs. Arguments that the program does not use are
     cast to void, which avoids a compiler warning. ``description`` is the comment above the function.
     """

@@ -55,7 +55,7 @@ class Content:
         Integral time scale [s] of the noise that stands for removed states, by output. Outputs without such noise are
         left out.
     states_without_noise : tuple of str
-        Removed states that are in neither noise, because they have no effect at rest.
+        Removed states that are neither in ``state_noise`` nor in ``output_noise``, because they have no effect at rest.
     """
 
     name: str
@@ -81,7 +81,10 @@ class Content:
 
     @cached_property
     def symbols(self) -> tuple[list[str], list[str], list[str]]:
-        """Identifiers in the code: of the states, of the inputs, and of all parameters of the model."""
+        """Variable names in the exported code: of the states, of the inputs, and of all parameters of the model.
+
+        They have the prefixes ``x_``, ``u_`` and ``p_``. A parameter that is not exported has a name ``p_unused_...``.
+        """
         name_of = dict(zip([p.name for p in self.exported_parameters], self.parameters, strict=True))
         return (
             [f"x_{n}" for n in self.states],
@@ -575,7 +578,7 @@ class Program:
     results
         Index of the node of each result.
     used
-        Identifiers of the symbols that the results depend on.
+        Identifiers of the symbols (states, inputs, parameters) that the results depend on.
     """
 
     nodes: list[Node]
@@ -641,7 +644,7 @@ def _as_identifier(name: str) -> str:
 
 
 def _program(symbols: list[list[Any]], results: list[Any], labels: Mapping[str, Any], names: Sequence[str]) -> Program:
-    """Return the program that computes expressions of symbols.
+    """Convert CasADi expressions to a straight-line program, whose nodes are single operations.
 
     Parameters
     ----------
@@ -658,7 +661,7 @@ def _program(symbols: list[list[Any]], results: list[Any], labels: Mapping[str, 
     flat = [symbol for part in symbols for symbol in part]
     f = ca.Function("lines", flat, expressions, {"allow_free": False})
     nodes: list[Node] = []
-    slot: dict[int, int] = {}  # from CasADi's work vector to the node that it holds now
+    slot: dict[int, int] = {}  # index in CasADi's work vector -> index of the node whose value is there now
     ends = [0] * f.n_out()
     for k in range(f.n_instructions()):
         code, operands = f.instruction_id(k), f.instruction_input(k)
@@ -682,9 +685,10 @@ def _program(symbols: list[list[Any]], results: list[Any], labels: Mapping[str, 
 
 
 def _with_use_counts(nodes: list[Node], results: tuple[int, ...]) -> Program:
-    """Count the uses of each node, and return the program.
+    """Return the program of the nodes, with the number of uses of each node.
 
-    The nodes are changed in place. Nodes that no result needs have zero uses. ``results`` are indices of nodes.
+    A use is an operation that has the node as operand, or a result. Nodes that no result needs have zero uses. The
+    nodes are changed in place. ``results`` are the indices of the nodes of the results.
     """
     for end in results:
         nodes[end].uses += 1
@@ -786,9 +790,9 @@ class _Writer:
         return lines
 
     def _expression(self, node: Node) -> tuple[str, int]:
-        """Return the expression of a node and its precedence, with parentheses around operands as needed.
+        """Return the expression of a node as text, and the precedence of its operator.
 
-        The operands must have been written to ``text`` before.
+        Operands get parentheses as needed. They must have been written to ``text`` before.
         """
         if node.code == SYMBOL:
             return node.symbol, ATOM

@@ -55,14 +55,14 @@ def violates_constraint(merit: float) -> bool:
 
 @dataclass
 class SearchState:
-    """State of one running search.
+    """State of one running pattern search, from one start.
 
     Attributes
     ----------
     z : Array (size,)
         Best point so far.
     merit
-        Its merit.
+        Its merit by `penalised_objective`.
     mesh
         Mesh size, relative to the range of a coordinate.
     evaluations
@@ -70,11 +70,11 @@ class SearchState:
     history
         Evaluations and merit after each batch.
     order
-        Coordinates that are still to be polled.
+        Indices of the coordinates that are still to be polled (moved up and down) with this mesh, in random order.
     idle
-        Batches since the last improvement.
+        Number of batches since the last improvement or change of the mesh.
     ahead
-        Points (size,) that continue the last improvement.
+        Points (size,) to evaluate in the next batch, which continue the last improvement.
     """
 
     z: Array
@@ -133,7 +133,8 @@ class PatternSearch:
     seed
         Seed of the random order and moves. The same seed gives the same result.
     groups : Array (size,) of int, optional
-        Labels of coordinates that move together in a search; by default each coordinate moves alone.
+        Label of each coordinate. Coordinates with the same label are moved together in random moves, for example the
+        levels and the duration of one step. By default each coordinate has its own label.
     above
         ``above(z, least)``: a cheaper evaluation. For points whose merit does not exceed ``least`` it may return any
         value and violation with a merit that does not exceed it. The result of the search is the same. By default
@@ -244,8 +245,9 @@ class PatternSearch:
     def _random_moves(self, search: SearchState, n: int) -> Array:
         """Return n random points (n, size) near the best point.
 
-        In each fourth point one group of coordinates is drawn anew between the bounds. In the others one to three
-        groups are moved at random by about the mesh size; these points may be outside the bounds.
+        A group is the coordinates with one label of ``groups``. In each fourth point the coordinates of one group are
+        drawn anew between the bounds. In the others the coordinates of one to three groups are moved at random by about
+        the mesh size; these points may be outside the bounds.
         """
         trials, labels = np.repeat(search.z[None], n, axis=0), np.unique(self.groups)
         for k in range(n):

@@ -43,16 +43,17 @@ class Calibration:
     Attributes
     ----------
     n, n_effective
-        Number of errors, and of independent errors.
+        Number of errors, and number of independent errors with the same information (effective sample size).
     inside_50, inside_95
         Shares of the errors inside the 50 % and 95 % intervals.
     scale
-        Root mean square of error over claimed standard deviation; 1 if calibrated.
+        Root mean square of the standardised errors (error over predicted standard deviation). It is 1 if calibrated,
+        above 1 if the intervals are too narrow, and infinite if a prediction diverged.
     low, high
         95 % interval of the scale.
     pit : Array (10,)
-        Shares of the errors in each tenth of the predicted distribution, from its lowest tenth on; all 0.1 if
-        calibrated.
+        Histogram of the probability integral transform: shares of the errors in each tenth of the predicted
+        distribution, from its lowest tenth on. All are 0.1 if calibrated.
     """
 
     n: int
@@ -66,7 +67,7 @@ class Calibration:
 
     @property
     def verdict(self) -> Verdict:
-        """Verdict by the 95 % interval of the scale, the ratio of actual to claimed errors.
+        """Verdict by the 95 % interval of the scale, the ratio of actual to predicted errors.
 
         ``overconfident`` if the whole interval is above 1.1, ``underconfident`` if it is below 1 / 1.1, otherwise
         ``right``. With fewer than eight independent errors it is ``overconfident`` or ``insufficient_data``.
@@ -87,7 +88,8 @@ def calibration_test(series: Sequence[Array], effective: float | None = None) ->
         Standardised errors in time order, one series per record. NaN (no measurement) is left out. Infinite errors
         (diverged predictions) count, and make the scale infinite.
     effective
-        Number of independent errors, by default from the autocorrelation of each series.
+        Number of independent errors of all series together. None: it is computed from the autocorrelation of each
+        series.
 
     Returns
     -------
@@ -219,8 +221,8 @@ def horizon_calibration(forecasts: Mapping[str, Forecast]) -> dict[str, Array]:
 def _standardised_errors(e: Array, sd: Array, measured: NDArray[np.bool_]) -> Array:
     """Return the errors e (n,) over their standard deviations (n,).
 
-    The result is infinite if a sample was measured (mask ``measured``) and its prediction or standard deviation is not
-    finite. It is NaN for a sample that was not measured.
+    ``measured`` (n,) is true for the samples that were measured. The result is infinite for such a sample if its error
+    is not finite or its standard deviation is NaN (a diverged prediction). It is NaN for a sample without measurement.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         z = e / sd
@@ -229,9 +231,9 @@ def _standardised_errors(e: Array, sd: Array, measured: NDArray[np.bool_]) -> Ar
 
 
 def _first_measured_row(measured: NDArray[np.bool_], due: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the first measured row at or after each row of ``due`` (n,); n_rows where no such row follows.
+    """Return the index of the first measured row at or after each row index of ``due`` (n,).
 
-    ``measured`` (n_rows,) is true for rows with a sample.
+    It is n_rows where no measured row follows. ``measured`` (n_rows,) is true for rows with a sample.
     """
     rows = np.append(np.flatnonzero(measured), measured.size)
     return np.asarray(rows[np.searchsorted(rows, due)])

@@ -315,7 +315,7 @@ def residual_tests(model: Model, record: Record, eps: Array) -> list[ChannelResi
 
 
 def shown_inputs(model: Model) -> list[tuple[int, str, str]]:
-    """Return the column in the inputs, the name and the unit of each input that reports show.
+    """Return the inputs that reports show, as tuples of column in ``record.u``, name and unit.
 
     Time, the work input and inputs with an empty label are left out. An input with a label is shown under its label: of
     the delayed copies of a thruster's command, only the command itself is shown.
@@ -339,8 +339,8 @@ def prediction_changes(before: PredictionEvaluation, after: PredictionEvaluation
     Returns
     -------
     dict of str to PredictionChange
-        Change for each role of the data (``estimation``, ``validation``) in ``before``, on the records that both models
-        could be evaluated on.
+        Change for each role of the data (``estimation``, ``validation``) that ``before`` has. It uses the records that
+        both models were evaluated on. All ratios are NaN if there are no such records.
     """
     old, new = (
         {role: {r.record.name: r.errors for r in part.records} for role, part in evaluation.sets.items()}
@@ -384,7 +384,8 @@ def smoothed_forces(fitted: FittedModel, forces: Sequence[DisturbanceChannel]) -
     Returns
     -------
     tuple of SmoothedForce
-        One entry for each record and force, record by record.
+        One entry for each record and force, record by record. Mean and standard deviation come from the smoother, which
+        uses all samples of the record.
     """
     states = [s.name for s in fitted.model.states]
     return tuple(

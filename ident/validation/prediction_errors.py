@@ -295,7 +295,10 @@ class PredictionChange(ErrorRatio):
     channels: Mapping[str, ChannelChange]
 
     def named(self, verdict: Literal["fell", "rose"]) -> list[str]:
-        """Return the names of the channels whose error has this verdict, the largest relative change first."""
+        """Return the names of the channels whose RMS error fell or rose (``verdict``), the largest ratio change first.
+
+        The list is empty if no channel has this verdict.
+        """
         found = [n for n, c in self.channels.items() if c.verdict == verdict]
         return sorted(found, key=lambda n: -abs(np.log(self.channels[n].ratio)))
 
@@ -440,7 +443,7 @@ class _BlockSums(NamedTuple):
     n
         Number of common errors.
     block : Array (n_blocks,)
-        Indices of the blocks of time that contain errors; block 0 starts at time 0.
+        Indices of the blocks (intervals of equal length) that contain errors; block 0 starts at time 0.
     before, after : Array (n_blocks,)
         Sums of squared errors of each model, in the squared unit of the channel.
     """
@@ -452,10 +455,10 @@ class _BlockSums(NamedTuple):
 
 
 def _block_sums(before: PredictionErrors, after: PredictionErrors, seconds: float) -> _BlockSums:
-    """Sum the squared errors of both models by block of time of ``seconds`` [s].
+    """Sum the squared errors of one channel of both models over each block (interval of ``seconds`` [s]).
 
-    Only times that both models have count. Errors are limited to 1e9 in the unit of the channel (`DIVERGED`), also
-    infinite ones.
+    Only the times that both models have are used. Errors above 1e9 in the unit of the channel (`DIVERGED`), also
+    infinite ones, count as 1e9.
     """
     t, i, j = np.intersect1d(before.t, after.t, return_indices=True)
     block, index = np.unique(np.floor(t / seconds), return_inverse=True)
@@ -467,8 +470,8 @@ def _block_sums(before: PredictionErrors, after: PredictionErrors, seconds: floa
 def _ratio_with_interval(logs: Array) -> tuple[float, float, float]:
     """Return the error ratio and the limits of its 95 % interval by the jackknife, as (ratio, low, high).
 
-    ``logs`` (1 + n_blocks,) has the logarithm of the ratio of all blocks of time, then those without each block. The
-    limits are NaN with fewer than four blocks.
+    ``logs`` (1 + n_blocks,) has the logarithm of the ratio from all blocks of time. Then it has, for each block, the
+    logarithm of the ratio from all other blocks. The limits are NaN with fewer than four blocks.
     """
     n, reach = logs.size - 1, float("nan")
     if n >= FEWEST_BLOCKS:

@@ -183,7 +183,7 @@ class CrossCorrelation:
     z : Array (n_lags,)
         Correlation in units of its standard deviation under independence.
     p
-        p value of the largest correlation over all lags.
+        Upper bound of the p value of the largest absolute z over all lags.
     largest
         Largest absolute correlation coefficient over all lags.
     """
@@ -410,11 +410,12 @@ class Predictable(NamedTuple):
     Attributes
     ----------
     share
-        Share that a constant and ``order - 1`` lags predict, adjusted for the number of coefficients.
+        Share of the mean square that a constant and ``order - 1`` past values predict, adjusted for the number of
+        coefficients (adjusted R^2).
     order
-        Number of coefficients.
+        Number of coefficients; 0 if no regressor improves the BIC.
     p
-        p value of the likelihood ratio.
+        p value of the likelihood ratio against white noise, corrected for the number of orders (Bonferroni).
     """
 
     share: float
@@ -451,16 +452,18 @@ class SpectralLine(NamedTuple):
 
 
 class FrequencyBand(NamedTuple):
-    """Octave of a spectrum: a band of frequencies whose upper edge is twice the lower one.
+    """Octave of a spectrum: a band of frequencies whose upper edge is about twice the lower one.
+
+    The lowest band of a spectrum begins at frequency zero.
 
     Attributes
     ----------
     low, high
         Edges of the octave [cycles per sample].
     ratio
-        Mean spectral density over that of white noise.
+        Mean spectral density in the band over that of white noise of the same mean square; 1 for white innovations.
     p
-        p value of the ratio.
+        Two-sided p value of the ratio for white noise, corrected for the number of bands (Bonferroni).
     """
 
     low: float
@@ -526,11 +529,11 @@ class _Regression(NamedTuple):
     n
         Number of rows of the regression.
     left : Array (n_orders,)
-        Residual sums of squares with the first 0, 1, ... regressors: the constant, then lag 1, 2, ...
+        Residual sum of squares with the first 0, 1, ... regressors: the constant, then lag 1, 2, ...
     chosen
-        Number of regressors with the least BIC.
+        Number of regressors with the least BIC; 0 if none is useful.
     factor : Array (n_orders, n_orders)
-        Lower Cholesky factor of the matrix of products of all regressors and, in the last row, the regressed variable.
+        Lower Cholesky factor of Z'Z. The columns of Z are all regressors and, as the last one, the regressed variable.
     """
 
     n: int
