@@ -1,0 +1,36 @@
+"""Tests of the page of realistic mock boats: it is made of its data, and its counts are right."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from tests.recovery.realistic_page import DATA, PAGE, attribution_of, document
+from tests.recovery.resumable import read
+
+
+def row(effect: str, found: list[str], attribution: list[str], dominance: float) -> dict[str, Any]:
+    one = {"horizon": {"x": 1.0, "psi": 1.0}}
+    return {
+        "key": effect, "kind": "realistic", "effect": effect, "seed": 3, "found": found, "attribution": attribution,
+        "dominance": dominance, "before": one, "after": {"horizon": {"x": 0.5, "psi": 0.5}},
+        "z": {"m_u": 0.5, "m_v": -4.0}, "cpu": 61.0,
+    }  # fmt: skip
+
+
+def test_the_page_is_made_of_its_data() -> None:
+    assert PAGE.read_text(encoding="utf-8") == document([r for r in read(DATA).values() if "error" not in r])
+
+
+def test_counts_of_the_page() -> None:
+    rows = [
+        row("mismatch", ["wind", "mismatch"], ["identified", "identified"], 1.6),
+        row("yaw-bias", ["yaw-bias"], ["ambiguous"], 1.4),
+        row("cg-offset", ["cubic-drag"], ["identified"], 1.0),
+    ]
+    assert [attribution_of(r) for r in rows] == ["identified", "ambiguous", ""]
+    text = " ".join(document(rows).split())
+    assert "identified on 1 of 3 boats, found but ambiguous on 1, and not found on 1." in text
+    assert "2 of the effects raise the error by 30 % or more; 1 of these are identified." in text
+    assert "Of the 3 effects that are called identified, 1 are not in the boat" in text
+    assert "3 of 6 masses and inertias are within three standard errors." in text
+    assert "| 0.50 |" in document(rows)
