@@ -22,15 +22,19 @@ def test_the_page_is_made_of_its_data() -> None:
 
 
 def test_counts_of_the_page() -> None:
+    clean = row("none", ["wind", "mooring"], ["identified", "identified"], 1.0) | {"kind": "realistic-clean"}
     rows = [
+        clean,
         row("mismatch", ["wind", "mismatch"], ["identified", "identified"], 1.6),
         row("yaw-bias", ["yaw-bias"], ["ambiguous"], 1.4),
         row("cg-offset", ["cubic-drag"], ["identified"], 1.0),
     ]
-    assert [attribution_of(r) for r in rows] == ["identified", "ambiguous", ""]
+    assert [attribution_of(r) for r in rows[1:]] == ["identified", "ambiguous", ""]
     text = " ".join(document(rows).split())
     assert "identified on 1 of 3 boats, found but ambiguous on 1, and not found on 1." in text
     assert "2 of the effects raise the error by 30 % or more; 1 of these are identified." in text
     assert "Of the 3 effects that are called identified, 1 are not in the boat" in text
     assert "3 of 6 masses and inertias are within three standard errors." in text
+    assert "On 1 boats with the small imperfections alone, 2 effects are called identified (mooring, wind)" in text
+    assert "of which 1 are not in the boat." in text
     assert "| 0.50 |" in document(rows)
