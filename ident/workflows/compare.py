@@ -12,9 +12,9 @@ import numpy as np
 
 from seatrial.daq.errors import SeatrialError
 from seatrial.ident.checks import device_faults
-from seatrial.ident.data import WHOLE, TimeWindow, load_all, make_record
+from seatrial.ident.data import WHOLE, LoadedLog, TimeWindow, load_all, make_record
 from seatrial.ident.estimation import RecordEvaluation, SavedModel, evaluate_records, load_model
-from seatrial.ident.numerics import student_ppf
+from seatrial.ident.numerics import chi2_sf, student_ppf
 from seatrial.ident.reporter import Reporter
 from seatrial.ident.validation import PredictionChange, PredictionErrors, horizon_errors, prediction_change_by_record
 from seatrial.ident.workflows.check import check_first
@@ -83,6 +83,30 @@ class LogScore:
 
 
 @dataclass(frozen=True)
+class InformationCriteria:
+    """Criteria of two maximum likelihood fits to the same logs, the second model against the first.
+
+    Attributes
+    ----------
+    gain
+        Log-likelihood of the second model less that of the first.
+    parameters
+        Number of estimated parameters of the second model less that of the first.
+    aic, bic
+        Change of Akaike's and of the Bayesian information criterion; negative if the second model is better.
+    p
+        p value of the likelihood-ratio test of the first model inside the second one. None if the first model is not
+        the second one with fewer parameters.
+    """
+
+    gain: float
+    parameters: int
+    aic: float
+    bic: float
+    p: float | None
+
+
+@dataclass(frozen=True)
 class ComparedModel:
     """One model of a comparison.
 
@@ -101,6 +125,10 @@ class ComparedModel:
     score
         Difference to the first model in log score. None for the first model, and if the models do not predict the same
         measured channels.
+    criteria
+        Information criteria against the first model. None for the first model, and if ``no_criteria`` has a reason.
+    no_criteria
+        Reason why there are no information criteria; empty for the first model and if there are some.
     """
 
     name: str
@@ -109,6 +137,8 @@ class ComparedModel:
     fitted_to_logs: tuple[str, ...]
     change: PredictionChange | None = None
     score: LogScore | None = None
+    criteria: InformationCriteria | None = None
+    no_criteria: str = ""
 
     @property
     def n_free(self) -> int:
@@ -178,22 +208,72 @@ def compare_models(request: CompareRequest, reporter: Reporter) -> ModelComparis
             raise SeatrialError(f"{path}: {failed[0].record} cannot be predicted: {failed[0].reason}")
         errors = {v.record.name: horizon_errors(v.model, v.record, v.values, v.run.x_filt, horizon) for v in views}
         compared.append((known, views, errors))
-    first, digests = compared[0], [str(x.about.get("sha256", "-"))[:16] for x in loaded]
-    rows = []
+    first, rows = compared[0], list[ComparedModel]()
     for k, (path, (known, views, errors)) in enumerate(zip(request.models, compared, strict=True)):
-        used = " ".join(str(line) for line in known.provenance.get("logs", ()))
-        rows.append(
-            ComparedModel(
-                str(path),
-                known,
-                _rms_by_channel(errors),
-                tuple(x.run.name for x, digest in zip(loaded, digests, strict=True) if digest in used),
-                prediction_change_by_record(first[2], errors, horizon) if k else None,
-                _log_score(first[1], views) if k else None,
+        row = ComparedModel(str(path), known, _rms_by_channel(errors), _logs_of_fit(known, loaded))
+        if k:
+            score = _log_score(first[1], views)
+            reason = _why_not_comparable(rows[0], row, loaded, score)
+            row = replace(
+                row,
+                change=prediction_change_by_record(first[2], errors, horizon),
+                score=score,
+                criteria=None if reason or score is None else _criteria(first, (known, views), score.gain),
+                no_criteria=reason,
             )
-        )
+        rows.append(row)
     units = {o.name: o.unit for known, _, _ in compared for o in known.model.outputs}
     return ModelComparison(horizon, units, tuple(rows))
+
+
+def _logs_of_fit(saved: SavedModel, logs: Sequence[LoadedLog]) -> tuple[str, ...]:
+    """Return the names of the logs that a model was fitted to, by their hashes, or by their names without a hash.
+
+    A log of which only a window is read has no hash.
+    """
+    used = [str(line) for line in saved.provenance.get("logs", ())]
+    found = []
+    for log in logs:
+        digest, name = str(log.about.get("sha256") or "")[:16], Path(str(log.about["path"])).name.partition("[")[0]
+        if any(digest in line if digest else Path(line.partition(" sha256:")[0]).name == name for line in used):
+            found.append(log.run.name)
+    return tuple(found)
+
+
+def _why_not_comparable(
+    first: ComparedModel, second: ComparedModel, logs: Sequence[LoadedLog], score: LogScore | None
+) -> str:
+    """Return why the likelihoods of two fits are no basis for information criteria; empty if they are."""
+    if score is None:
+        return "the models do not predict the same channels"
+    for m in (first, second):
+        used = len(m.saved.provenance.get("logs", ()))
+        if len(m.fitted_to_logs) != len(logs) or used != len(logs):
+            return "not all models were fitted to exactly these logs"
+    if any(m.saved.reml for m in (first, second)):
+        return "a model was fitted with REML, whose noise is not that of the largest likelihood (fit with --no-reml)"
+    if any(m.saved.model.second_order for m in (first, second)):
+        return "a model was fitted with a second-order filter (fit with --mean-order 1)"
+    return ""
+
+
+def _criteria(
+    first: tuple[SavedModel, Sequence[RecordEvaluation], object],
+    second: tuple[SavedModel, Sequence[RecordEvaluation]],
+    gain: float,
+) -> InformationCriteria:
+    """Return the information criteria of two fits from their log-likelihoods. ``gain``: that of the second one."""
+    free = [{p.name for p in known.model.parameters if p.free} for known in (first[0], second[0])]
+    counts = []
+    for known, views in (first[:2], second):
+        own = [p for p in known.model.parameters if p.free]
+        counts.append(sum(len(views) if p.per_record else 1 for p in own))
+    more = counts[1] - counts[0]
+    n = sum(int(np.isfinite(v.record.y).sum()) for v in first[1])
+    structure = [known.model.source for known in (first[0], second[0])]
+    nested = free[0] < free[1] and structure[0] == structure[1]
+    p = float(chi2_sf(2.0 * max(gain, 0.0), more)) if nested else None
+    return InformationCriteria(gain, more, 2.0 * (more - gain), more * float(np.log(n)) - 2.0 * gain, p)
 
 
 def _rms_by_channel(errors: Mapping[str, Mapping[str, PredictionErrors]]) -> dict[str, float]:
@@ -255,6 +335,7 @@ def comparison_lines(found: ModelComparison, names: Sequence[str] | None = None)
     for k, m in enumerate(found.models):
         if m.change is not None:
             lines += ["", f"({chr(ord('a') + k)}) against (a): {_change_text(m.change)}", _score_text(m.score)]
+            lines.append(_criteria_text(m))
     for k, m in enumerate(found.models):
         if m.fitted_to_logs:
             lines.append(
@@ -285,3 +366,12 @@ def _score_text(score: LogScore | None) -> str:
     interval = f" (95 %: {score.low:.1f} to {score.high:.1f})" if np.isfinite(score.low) else ""
     verdict = {"better": "better", "worse": "worse", "unchanged": "not significantly different"}[score.verdict]
     return f"One step ahead it is {verdict}: log-likelihood {score.gain:+.1f}{interval}, {score.blocks} blocks of time."
+
+
+def _criteria_text(m: ComparedModel) -> str:
+    """Return the information criteria of a model in words, or the reason why there are none."""
+    c = m.criteria
+    if c is None:
+        return f"AIC, BIC and likelihood ratio are not given: {m.no_criteria}."
+    ratio = "" if c.p is None else f"; likelihood ratio {2 * c.gain:.1f} for {c.parameters} parameters, p = {c.p:.2g}"
+    return f"On the data of both fits: Delta AIC {c.aic:+.1f}, Delta BIC {c.bic:+.1f}{ratio}."

@@ -225,14 +225,34 @@ def test_comparison_prefers_the_model_with_the_effect(
     assert better.score.verdict == "better"
     assert (nominal.change, nominal.score) == (None, None)
     assert list(compared.to_pandas().columns) == ["nominal", "mismatch"]
+    assert better.no_criteria == "not all models were fitted to exactly these logs"
     # On the log of the fit the summary says that the errors are too small.
     own = st.compare([fit, found], logs[0])
     assert "(a) was fitted to run1" in own.summary()
+    assert "AIC, BIC and likelihood ratio are not given: a model was fitted with REML" in own.summary()
     assert own.found.models[0].rms["r"] == pytest.approx(fit.predict(on="estimation")["run1"]["r"].rms, rel=0.05)
     paths = [x.save(tmp_path / name) for x, name in ((fit, "a"), (found, "b"))]  # The command finds model.toml there.
     run("ident", "compare", *paths, "--on", logs[2])
     printed = capsys.readouterr().out.splitlines()
     assert printed[2:] == compared.summary().splitlines()[2:]
+
+
+def test_nested_fits_to_the_same_log_have_information_criteria(logs: list[Path], found: st.FittedDiagnosis) -> None:
+    plain = st.fit(logs[0], score_tests=False, reml=False, mean_order=1, **THRUST)
+    with_effect = st.fit(logs[0], score_tests=False, reml=False, mean_order=1, effects=["mismatch"], **THRUST)
+    (_, row) = st.compare([plain, with_effect], logs[0]).found.models
+    assert row.criteria is not None
+    gain = with_effect.log_likelihood - plain.log_likelihood
+    assert row.criteria.gain == pytest.approx(gain, abs=0.5)
+    assert row.criteria.parameters == 1
+    assert row.criteria.aic == pytest.approx(2 - 2 * row.criteria.gain)
+    assert row.criteria.bic < row.criteria.aic + 10.0
+    assert row.criteria.p is not None
+    assert row.criteria.p < 1e-6
+    (_, back) = st.compare([with_effect, plain], logs[0]).found.models
+    assert back.criteria is not None
+    assert back.criteria.aic == pytest.approx(-row.criteria.aic)
+    assert back.criteria.p is None  # The larger model is not nested in the smaller one.
 
 
 def test_the_page_runs_as_written(
