@@ -33,7 +33,9 @@ vehicle` and `seatrial ident diagnose` run on them as a user would run them, wit
     python -m tests.recovery.study --kinds realistic --seeds 1 --seed {seed} --out docs/data/realistic-boats.jsonl
     python -m tests.recovery.realistic_page
 
-{n} of the effects were run so far; `--effects a,b` selects some.
+{n} of the 23 effects were run, with `--effects`: those that were expected to change the motion most. So the shares
+below are not those of all effects. An interrupted run of all effects with the same seed had finished two more, which
+are not in the table: reverse-thrust was found beside wind, and advance-ratio was not found.
 
 The column *matters* is known only to the study: the error ten seconds ahead of a model with everything but this effect,
 over that of the model with it. The smaller the ratio, the less a trial of this length can show.
