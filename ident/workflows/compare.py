@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
-from math import inf
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from seatrial.daq.errors import SeatrialError
 from seatrial.ident.checks import device_faults
-from seatrial.ident.data import WHOLE, LoadedLog, TimeWindow, load_all, make_record
+from seatrial.ident.data import WHOLE, LoadedLog, Record, TimeWindow, load_all, make_record
 from seatrial.ident.estimation import RecordEvaluation, SavedModel, evaluate_records, load_model
+from seatrial.ident.model import Model
 from seatrial.ident.numerics import chi2_sf, student_ppf
 from seatrial.ident.reporter import Reporter
 from seatrial.ident.validation import PredictionChange, PredictionErrors, horizon_errors, prediction_change_by_record
@@ -124,7 +124,7 @@ class ComparedModel:
         Change of the prediction errors from the first model to this one; None for the first model.
     score
         Difference to the first model in log score. None for the first model, and if the models do not predict the same
-        measured channels.
+        samples.
     criteria
         Information criteria against the first model. None for the first model, and if ``no_criteria`` has a reason.
     no_criteria
@@ -209,18 +209,16 @@ def compare_models(request: CompareRequest, reporter: Reporter) -> ModelComparis
         errors = {v.record.name: horizon_errors(v.model, v.record, v.values, v.run.x_filt, horizon) for v in views}
         compared.append((known, views, errors))
     first, rows = compared[0], list[ComparedModel]()
-    for k, (path, (known, views, errors)) in enumerate(zip(request.models, compared, strict=True)):
+    for path, (known, views, errors) in zip(request.models, compared, strict=True):
         row = ComparedModel(str(path), known, _rms_by_channel(errors), _logs_of_fit(known, loaded))
-        if k:
+        if rows:
             score = _log_score(first[1], views)
             reason = _why_not_comparable(rows[0], row, loaded, score)
-            row = replace(
-                row,
-                change=prediction_change_by_record(first[2], errors, horizon),
-                score=score,
-                criteria=None if reason or score is None else _criteria(first, (known, views), score.gain),
-                no_criteria=reason,
-            )
+            criteria = None
+            if score is not None and not reason:
+                criteria = _criteria(first[0].model, known.model, first[1], score.gain)
+            change = prediction_change_by_record(first[2], errors, horizon)
+            row = replace(row, change=change, score=score, criteria=criteria, no_criteria=reason)
         rows.append(row)
     units = {o.name: o.unit for known, _, _ in compared for o in known.model.outputs}
     return ModelComparison(horizon, units, tuple(rows))
@@ -245,35 +243,56 @@ def _why_not_comparable(
 ) -> str:
     """Return why the likelihoods of two fits are no basis for information criteria; empty if they are."""
     if score is None:
-        return "the models do not predict the same channels"
-    for m in (first, second):
-        used = len(m.saved.provenance.get("logs", ()))
-        if len(m.fitted_to_logs) != len(logs) or used != len(logs):
-            return "not all models were fitted to exactly these logs"
-    if any(m.saved.reml for m in (first, second)):
+        return "the models do not predict the same samples"
+    if any(not log.about.get("sha256") for log in logs):
+        return "only a part of a log is used, and a model file does not say which part it was fitted to"
+    both = (first, second)
+    if any(len(m.fitted_to_logs) != len(logs) or len(m.saved.provenance["logs"]) != len(logs) for m in both):
+        return "not all models were fitted to exactly these logs"
+    if any(m.saved.reml for m in both):
         return "a model was fitted with REML, whose noise is not that of the largest likelihood (fit with --no-reml)"
-    if any(m.saved.model.second_order for m in (first, second)):
-        return "a model was fitted with a second-order filter (fit with --mean-order 1)"
+    if any(m.saved.model.second_order for m in both):
+        return "a model was fitted with a second-order filter (fit with --no-second-order)"
     return ""
 
 
-def _criteria(
-    first: tuple[SavedModel, Sequence[RecordEvaluation], object],
-    second: tuple[SavedModel, Sequence[RecordEvaluation]],
-    gain: float,
-) -> InformationCriteria:
-    """Return the information criteria of two fits from their log-likelihoods. ``gain``: that of the second one."""
-    free = [{p.name for p in known.model.parameters if p.free} for known in (first[0], second[0])]
-    counts = []
-    for known, views in (first[:2], second):
-        own = [p for p in known.model.parameters if p.free]
-        counts.append(sum(len(views) if p.per_record else 1 for p in own))
-    more = counts[1] - counts[0]
-    n = sum(int(np.isfinite(v.record.y).sum()) for v in first[1])
-    structure = [known.model.source for known in (first[0], second[0])]
-    nested = free[0] < free[1] and structure[0] == structure[1]
-    p = float(chi2_sf(2.0 * max(gain, 0.0), more)) if nested else None
+def _criteria(first: Model, second: Model, first_views: Sequence[RecordEvaluation], gain: float) -> InformationCriteria:
+    """Return the information criteria of two models with their estimates.
+
+    Parameters
+    ----------
+    first, second : Model
+        The models.
+    first_views : sequence of RecordEvaluation
+        Evaluation of the first model on each record; the second one has the same samples.
+    gain : float
+        Log-likelihood of the second model less that of the first.
+    """
+    more = _n_estimates(second, len(first_views)) - _n_estimates(first, len(first_views))
+    n = sum(int(np.isfinite(v.record.y).sum()) for v in first_views)
+    p = float(chi2_sf(2.0 * max(gain, 0.0), more)) if more > 0 and _is_nested(first, second) else None
     return InformationCriteria(gain, more, 2.0 * (more - gain), more * float(np.log(n)) - 2.0 * gain, p)
+
+
+def _n_estimates(model: Model, n_records: int) -> int:
+    """Return the number of estimates of a fit to ``n_records`` records; a per-record parameter counts in each."""
+    return sum(n_records if p.per_record else 1 for p in model.parameters if p.free)
+
+
+def _is_nested(first: Model, second: Model) -> bool:
+    """Return whether the first model is the second one with some free parameters fixed.
+
+    Both have the same structure, the second one has all free parameters of the first, and a parameter that is fixed in
+    the second one has the same value in the first.
+    """
+    free = [{p.name for p in m.parameters if p.free} for m in (first, second)]
+    fixed = [p for p in second.parameters if not p.free and p.name in first.values]
+    return (
+        first.source == second.source
+        and set(first.values) <= set(second.values)
+        and free[0] <= free[1]
+        and all(np.isclose(first.values[p.name], p.value, rtol=1e-9) for p in fixed)
+    )
 
 
 def _rms_by_channel(errors: Mapping[str, Mapping[str, PredictionErrors]]) -> dict[str, float]:
@@ -290,23 +309,30 @@ def _log_score(before: Sequence[RecordEvaluation], after: Sequence[RecordEvaluat
     """
     gains: list[float] = []
     for a, b in zip(before, after, strict=True):
-        measured = [
-            {n for n, y in zip(v.record.outputs, v.record.y.T, strict=True) if np.isfinite(y).any()} for v in (a, b)
-        ]
-        if measured[0] != measured[1]:
+        # Only the time that both records cover: the inputs of the models may begin and end at different times.
+        begin, end = max(a.record.t[0], b.record.t[0]), min(a.record.t[-1], b.record.t[-1])
+        inside = [(v.record.t >= begin) & (v.record.t <= end) for v in (a, b)]
+        if _samples_by_channel(a.record, inside[0]) != _samples_by_channel(b.record, inside[1]):
             return None
         # Blocks of twice the time over which residuals may be correlated; the last one is the longest.
         length = 2.0 * a.model.block
-        begin, end = max(a.record.t[0], b.record.t[0]), min(a.record.t[-1], b.record.t[-1])
-        edges = [*np.arange(begin, end - length, length), inf]
-        for low, high in pairwise(edges):
-            sums = [float(v.ll[(v.record.t >= low) & (v.record.t < high)].sum()) for v in (a, b)]
-            gains.append(sums[1] - sums[0])
+        last = max(int((end - begin) / length) - 1, 0)
+        sums = []
+        for v, rows in zip((a, b), inside, strict=True):
+            block = np.minimum((v.record.t[rows] - begin) // length, last).astype(int)
+            sums.append(np.bincount(block, v.ll[rows], last + 1))
+        gains += (sums[1] - sums[0]).tolist()
     gain, n = float(np.sum(gains)), len(gains)
     if n < FEWEST_BLOCKS:
         return LogScore(gain, float("nan"), float("nan"), n)
     reach = float(student_ppf(0.975, n - 1) * np.std(gains, ddof=1) * np.sqrt(n))
     return LogScore(gain, gain - reach, gain + reach, n)
+
+
+def _samples_by_channel(record: Record, rows: NDArray[np.bool_]) -> dict[str, int]:
+    """Return the number of samples of each channel in some rows of a record, without channels that have none."""
+    counts = np.isfinite(record.y[rows]).sum(axis=0).tolist()
+    return {name: n for name, n in zip(record.outputs, counts, strict=True) if n}
 
 
 def comparison_lines(found: ModelComparison, names: Sequence[str] | None = None) -> list[str]:
@@ -362,7 +388,7 @@ def _change_text(change: PredictionChange) -> str:
 def _score_text(score: LogScore | None) -> str:
     """Return the difference in log score in words."""
     if score is None:
-        return "The models do not predict the same channels, so their likelihoods are not compared."
+        return "The models do not predict the same samples, so their likelihoods are not compared."
     interval = f" (95 %: {score.low:.1f} to {score.high:.1f})" if np.isfinite(score.low) else ""
     verdict = {"better": "better", "worse": "worse", "unchanged": "not significantly different"}[score.verdict]
     return f"One step ahead it is {verdict}: log-likelihood {score.gain:+.1f}{interval}, {score.blocks} blocks of time."
