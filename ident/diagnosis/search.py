@@ -753,7 +753,7 @@ class _Search:
                 if gain > 0 and t > self.policy.min_t:
                     self.rounds = before[3]
                     return first, second
-        except (*FIT_ERRORS, ValueError) as problem:
+        except FIT_ERRORS as problem:
             self.reporter.progress(f"the trial failed: {problem}")
         self.scores, self.equations, self.candidates, self.rounds = before
         return None

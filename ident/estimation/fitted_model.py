@@ -87,7 +87,7 @@ class FittedModel:
 
     @property
     def outlier_notes(self) -> list[str]:
-        """Sentences for a report about outliers in the estimation data; empty if there is nothing to say."""
+        """Sentences that count the outliers in the estimation data; empty for a model without the outlier model."""
         runs, measured = [v.run.outliers for v in self.estimation], [np.isfinite(r.y) for r in self.records]
         return outlier_notes(self.model, runs, measured)
 

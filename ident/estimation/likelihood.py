@@ -199,7 +199,7 @@ class Likelihood:
     """
 
     def __init__(self, model: Model, *, joseph: bool = False, process_noise: bool = True) -> None:
-        """Create the likelihood of a model. Nothing is compiled yet."""
+        """Create the likelihood of a model. Each of its functions is compiled at the first call."""
         self.model = model
         self.process_noise = process_noise
         self._joseph = joseph

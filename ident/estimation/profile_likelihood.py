@@ -390,7 +390,7 @@ class ProfileBranch:
 
     @property
     def first_outside(self) -> ProfilePoint | None:
-        """First point at which the log-likelihood has dropped by 1.92 or more; None if there is none yet."""
+        """First point at which the log-likelihood has dropped by 1.92 or more; None if no point has."""
         return next((p for p in self.points if p.drop >= DROP_95), None)
 
     @property

@@ -23,7 +23,7 @@ from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
 PROGRAM = os.environ.get("SEATRIAL_ARDUROVER", "")
-MISSING = "SEATRIAL_ARDUROVER does not say where ArduPilot's simulator is"
+MISSING = "SEATRIAL_ARDUROVER is not set to the path of ArduPilot's simulator"
 PARAMETERS = {
     "FRAME_CLASS": 2, "SERVO1_FUNCTION": 73, "SERVO3_FUNCTION": 74, "PILOT_STEER_TYPE": 1, "RC_OVERRIDE_TIME": 1,
     "FS_GCS_ENABLE": 1, "FS_THR_ENABLE": 1, "FS_ACTION": 2, "MOT_SLEWRATE": 0,

@@ -63,7 +63,7 @@ def main() -> int:
     """Print both tables and the totals."""
     folder = os.environ.get("SEATRIAL_DATA")
     if not folder:
-        print("SEATRIAL_DATA does not say where the captures are", file=sys.stderr)
+        print("SEATRIAL_DATA is not set to the folder of the captures", file=sys.stderr)
         return 2
     console = Console(width=160, highlight=False)
     gpsd = [compare(path) for path in sorted((Path(folder) / "gpsd/daemon").glob("*.log"))]

@@ -14,7 +14,7 @@ def measured(name: str = "") -> Path:
     """Return a file or folder of the measured data sets. Skip the test if it is absent."""
     folder = os.environ.get("SEATRIAL_DATA")
     if not folder:
-        pytest.skip("SEATRIAL_DATA does not say where the measured data sets are")
+        pytest.skip("SEATRIAL_DATA is not set to the folder of the measured data sets")
     path = Path(folder, name)
     if not path.exists():
         pytest.skip(f"SEATRIAL_DATA has no {name}")

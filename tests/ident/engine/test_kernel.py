@@ -146,7 +146,7 @@ def test_kernel_accepts_any_number_of_groups_and_sums_or_keeps_rows() -> None:
 
 
 @needs_llvm
-@pytest.mark.skipif(FlushToZero() == FLUSH_TO_ZERO, reason="nothing is known of this processor's control register")
+@pytest.mark.skipif(FlushToZero() == FLUSH_TO_ZERO, reason="the control register of this processor is unknown")
 def test_subnormal_numbers_are_zero_only_within_a_kernel() -> None:
     """A processor is a hundred times slower with subnormal numbers."""
     p = ca.SX.sym("p")
