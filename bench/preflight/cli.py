@@ -107,7 +107,7 @@ def check(
         else:
             from seatrial.bench.preflight.log_findings import log_findings
 
-            found = log_findings(motion, paths)
+            found = log_findings(motion.check_log, paths)
             done = CheckReport(", ".join(path.name for path in paths), tuple(worst_first(found)), paths)
         faults = _print_findings(found, as_json)
         if report is not None:
@@ -344,7 +344,7 @@ def _findings_of_test(
         result = run_mission(test.plan, rig, test.out, display, metadata, test.arm)
         from seatrial.bench.preflight.log_findings import log_findings
 
-        found = log_findings(motion, [test.out])
+        found = log_findings(motion.check_log, [test.out])
         return [*found, *(armed_finding(name) for name in result.still_armed)]
 
 

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from seatrial.bench.preflight.report import MotionChecks
 from seatrial.daq.checks import FAULT, OK, WARNING, Finding, check_devices
 from seatrial.daq.errors import SeatrialError
 from seatrial.daq.log import open_log
 from seatrial.daq.samples import MEASURED
 
 
-def log_findings(motion: MotionChecks, paths: Sequence[Path]) -> list[Finding]:
+def log_findings(check_motion: Callable[[Path], list[Finding]], paths: Sequence[Path]) -> list[Finding]:
     """Return the findings of all logs: on their devices, and on the motion if the package ident is installed.
 
     A log without samples gives a fault. A log to which no check applies gives one finding without fault. With several
@@ -20,8 +19,8 @@ def log_findings(motion: MotionChecks, paths: Sequence[Path]) -> list[Finding]:
 
     Parameters
     ----------
-    motion
-        Checks of the package ident.
+    check_motion
+        Function that returns the findings on the motion in a log. It raises SeatrialError if ident is not installed.
     paths
         The logs.
 
@@ -36,7 +35,7 @@ def log_findings(motion: MotionChecks, paths: Sequence[Path]) -> list[Finding]:
             here, counts = list(check_devices(log)), log.counts
             samples = any(log.sources(kind) for kind in MEASURED)
         if samples:
-            here += _motion_findings(motion, path)
+            here += _motion_findings(check_motion, path)
         else:
             advice = "`seatrial info` shows what is in it"
             here.append(Finding(FAULT, "log-empty", "log", "all of it", "it contains no sample of any device", advice))
@@ -55,13 +54,13 @@ def log_findings(motion: MotionChecks, paths: Sequence[Path]) -> list[Finding]:
     return found
 
 
-def _motion_findings(motion: MotionChecks, path: Path) -> list[Finding]:
+def _motion_findings(check_motion: Callable[[Path], list[Finding]], path: Path) -> list[Finding]:
     """Return the findings on the motion in a log.
 
     If the check fails, or the package ident is not installed, return one warning with the reason.
     """
     try:
-        return motion.check_log(path)
+        return check_motion(path)
     except SeatrialError as error:
         text = f"sensors and thrusters were not compared: {error}"
         advice = "check the log where all of seatrial is installed"

@@ -5,6 +5,7 @@ from .cdr import full_definition as full_definition
 from .mcap_writer import LogWriter as LogWriter
 from .provenance import collect_provenance as collect_provenance
 from .reader import Log as Log
+from .reader import import_library as import_library
 from .reader import open_log as open_log
 from .recorder import LOG_FORMAT as LOG_FORMAT
 from .recorder import Recorder as Recorder

@@ -69,10 +69,18 @@ def open_log(path: Path | str) -> Log:
     return Log(Path(path))
 
 
-def _import_library(name: str) -> Any:
-    """Import an optional library, for example "pandas", and return its module.
+def import_library(name: str) -> Any:
+    """Import an optional library and return its module.
 
-    Raise SeatrialError if the library is missing. The message contains the command that installs it.
+    Parameters
+    ----------
+    name
+        Name of the library, for example "pandas". It belongs to the extra ``tables``.
+
+    Raises
+    ------
+    SeatrialError
+        If the library is missing. The message contains the command that installs it.
     """
     try:
         return importlib.import_module(name)
@@ -282,7 +290,7 @@ class Log:
         SeatrialError
             If pandas is not installed, or if the log has no samples.
         """
-        pandas = _import_library("pandas")
+        pandas = import_library("pandas")
         table = resample(self, rate)
         index = pandas.to_datetime(np.rint(table.t * NANO).astype(np.int64), unit="ns", utc=True).rename("time")
         frame = pandas.DataFrame(table.columns, index=index)
@@ -309,7 +317,7 @@ class Log:
         SeatrialError
             If xarray is not installed, or if the log has no samples.
         """
-        xarray = _import_library("xarray")
+        xarray = import_library("xarray")
         table = resample(self, rate)
         time = np.rint(table.t * NANO).astype(np.int64).astype("datetime64[ns]")
         variables = {name: ("time", values, {"units": table.units[name]}) for name, values in table.columns.items()}

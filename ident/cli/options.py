@@ -34,8 +34,9 @@ class ModelPath(click.Path):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
         """Return the path of the model.toml."""
-        path = Path(str(super().convert(value, param, ctx)))
-        return path / "model.toml" if (path / "model.toml").is_file() else path
+        from seatrial.ident.estimation import model_file
+
+        return model_file(Path(str(super().convert(value, param, ctx))))
 
 
 MODEL = ModelPath(exists=True, path_type=Path)
@@ -251,7 +252,10 @@ def rate_option(f: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def horizon_option(f: Callable[..., Any]) -> Callable[..., Any]:
-    """Add ``--horizon`` [s] to a command. Without it the command receives None: the default of the model."""
+    """Add the option ``--horizon`` [s] to a command.
+
+    A command without the option receives None and uses the horizon of the model.
+    """
     return click.option(
         "--horizon",
         "horizon",
@@ -273,7 +277,7 @@ def reml_option(default: bool | None = True) -> Callable[..., Any]:
     Parameters
     ----------
     default : bool or None
-        Value without the option. None: as the studied model was fitted.
+        Value if the option is not given. None: the command uses the setting of the fit that it studies.
     """
     return click.option(
         "--reml/--no-reml",
@@ -286,12 +290,13 @@ def reml_option(default: bool | None = True) -> Callable[..., Any]:
 def mean_order_option(default: bool | None = True) -> Callable[..., Any]:
     """Return the option ``--second-order/--no-second-order`` as a decorator.
 
-    The command receives ``mean_order`` 2 or 1.
+    The command receives ``mean_order``: 2 for a second-order filter, 1 for a first-order filter.
 
     Parameters
     ----------
     default : bool or None
-        Value without the option. None stays None: as the studied model was fitted.
+        Value if the option is not given. With None the command receives None, and uses the setting of the fit that it
+        studies.
     """
     return click.option(
         "--second-order/--no-second-order",
@@ -306,7 +311,10 @@ def mean_order_option(default: bool | None = True) -> Callable[..., Any]:
 def _parse_mean_order(
     _context: click.Context, _parameter: click.Parameter, second: bool | None
 ) -> Literal[1, 2] | None:
-    """Convert the flag to the order of the filter's mean: 2 if it is set, 1 if not, None for None (click callback)."""
+    """Convert the flag ``--second-order`` to the order of the filter, 2 or 1 (click callback).
+
+    If the flag was not given and has no default, ``second`` is None, and the function returns None.
+    """
     return None if second is None else 2 if second else 1
 
 

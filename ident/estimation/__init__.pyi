@@ -38,6 +38,7 @@ from .maximum_likelihood import considered_information as considered_information
 from .maximum_likelihood import fit as fit
 from .model_file import SavedModel as SavedModel
 from .model_file import load_model as load_model
+from .model_file import model_file as model_file
 from .model_file import save_model as save_model
 from .output_error import predict_ahead as predict_ahead
 from .output_error import simulate as simulate

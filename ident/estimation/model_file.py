@@ -308,6 +308,12 @@ def _parameter_table(p: Parameter, fit: Fit, *, with_prior: bool) -> dict[str, A
     return row if flag is None else row | {"flag": flag}
 
 
+def model_file(path: Path) -> Path:
+    """Return the model.toml in a folder; any other path, also of a folder without one, is returned unchanged."""
+    inside = path / "model.toml"
+    return inside if inside.is_file() else path
+
+
 def load_model(path: Path) -> SavedModel:
     """Read a fitted model from a model.toml.
 

@@ -197,7 +197,7 @@ def _operating_point(rates: _Rates, speed: float) -> tuple[Array, Array]:
     """
     from scipy.optimize import least_squares  # imported here, as it takes half a second
 
-    n, m = len(rates.names), len(rates.inputs)
+    m = len(rates.inputs)
     held = {"u": speed, "r": 0.0}
     free = [k for k, name in enumerate(rates.names) if name not in held]
 
@@ -220,6 +220,4 @@ def _operating_point(rates: _Rates, speed: float) -> tuple[Array, Array]:
             f"no inputs keep straight motion at {speed:g} m/s: a rate of {smallest:.2g} per second remains; "
             "choose another speed"
         )
-    x, u = unpacked(best)
-    assert x.size == n
-    return x, u
+    return unpacked(best)

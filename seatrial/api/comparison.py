@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from seatrial.api.fits import FittedDiagnosis, FittedVehicle, Logs, Messages, errors_of_users, model_path, window_of
-from seatrial.api.logs import PathLike, as_paths, pandas
+from seatrial.api.logs import PathLike, as_paths
+from seatrial.daq.log import import_library
 
 if TYPE_CHECKING:
     from seatrial.ident.workflows.compare import ModelComparison
@@ -57,7 +58,7 @@ class Comparison:
             If pandas is not installed.
         """
         columns = {name: dict(m.rms) for name, m in zip(self.names, self.found.models, strict=True)}
-        return pandas().DataFrame(columns)
+        return import_library("pandas").DataFrame(columns)
 
     def __repr__(self) -> str:
         """Return the summary."""

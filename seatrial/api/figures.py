@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -40,8 +39,7 @@ class Figure:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the figure as a dictionary with ``data`` and ``layout``, whose values JSON can represent."""
-        found: dict[str, Any] = json.loads(json.dumps({"data": self.data, "layout": self.layout}, default=_as_list))
-        return found
+        return {"data": self.data, "layout": self.layout}
 
     def _repr_mimebundle_(self, **_: Any) -> dict[str, Any]:
         """Return the figure for a notebook, with its title as the text for other displays."""
@@ -85,12 +83,3 @@ class Figure:
         from seatrial.ident.report import figure_page
 
         write_output(Path(path), figure_page(self.title, self.to_dict()).encode())
-
-
-def _as_list(value: Any) -> Any:
-    """Return a numpy array as a list, in which values that are not finite are None, for JSON."""
-    import numpy as np
-
-    if isinstance(value, np.ndarray):
-        return [None if isinstance(v, float) and not np.isfinite(v) else v for v in value.tolist()]
-    return value.item()

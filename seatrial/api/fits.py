@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from seatrial.api import plots, tables
 from seatrial.api.figures import Figure
-from seatrial.api.logs import Log, PathLike, as_paths, pandas
+from seatrial.api.logs import Log, PathLike, as_paths
 from seatrial.daq.errors import SeatrialError, SeatrialWarning
+from seatrial.daq.log import import_library
 
 if TYPE_CHECKING:
     from seatrial.ident.diagnosis import Diagnosis
@@ -151,7 +152,7 @@ class Prediction(NamedTuple):
 
     @property
     def rms(self) -> float:
-        """Root mean square of the prediction error. Angles have to be unwrapped by the caller for large errors."""
+        """Root mean square of the prediction error. Errors of angles are within half a turn."""
         return float(np.sqrt(np.mean((self.measured - self.predicted) ** 2)))
 
 
@@ -217,7 +218,7 @@ class FitReport:
             If pandas is not installed.
         """
         rows = [tables.statistics(row) for row in self.result.fit.parameters]
-        return pandas().DataFrame(rows, columns=list(tables.Statistics._fields)).set_index("name")
+        return import_library("pandas").DataFrame(rows, columns=list(tables.Statistics._fields)).set_index("name")
 
     def plot(self, *channels: str) -> Figure:
         """Return a figure of measured and predicted channels over the horizon, of all records of the result.
@@ -413,7 +414,7 @@ class FittedDiagnosis(FittedResult):
 
     @property
     def recommended_experiment(self) -> str | None:
-        """Command of the experiment that would tell the competing effects apart; None if there is none."""
+        """Command line of an experiment that distinguishes the competing effects; None without competing effects."""
         return self.result.recommended_experiment
 
     def save(self, folder: PathLike) -> Path:
@@ -578,8 +579,9 @@ def model_path(model: PathLike | FittedResult) -> Iterator[Path]:
         with TemporaryDirectory() as folder:
             yield model.save(folder) / "model.toml"
         return
-    path = Path(str(model))
-    path = path / "model.toml" if path.is_dir() else path
+    from seatrial.ident.estimation import model_file
+
+    path = model_file(Path(str(model)))
     if not path.exists():
         raise SeatrialError(f"{path}: no such file; give a model.toml, a folder with one, or a fitted model")
     yield path

@@ -25,16 +25,16 @@ MODEL, RESULT = "model.toml", "result.json"
 
 @dataclass(frozen=True, repr=False)
 class Saved:
-    """Model and result that a command or ``save`` has written.
+    """Files of a fit that were read from disk. `load` returns it.
 
     Attributes
     ----------
     path : Path
         File or folder that was loaded.
     model : SavedModel or None
-        Content of model.toml (`seatrial.ident.estimation.SavedModel`); None if there is none.
+        Content of model.toml (`seatrial.ident.estimation.SavedModel`); None without that file.
     result : Result or None
-        Content of result.json (`seatrial.ident.results`); None if there is none.
+        Content of result.json (`seatrial.ident.results`); None without that file.
     """
 
     path: Path

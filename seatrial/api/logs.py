@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seatrial.api.figures import Figure
-from seatrial.daq.checks import FAULT, WARNING, CheckReport, Finding, findings_lines, findings_summary, worst_first
+from seatrial.daq.checks import FAULT, WARNING, Finding, findings_lines, findings_summary, worst_first
 from seatrial.daq.errors import SeatrialError
+from seatrial.daq.log import import_library
 
 if TYPE_CHECKING:
     from seatrial.ident.data import LoadedLog, TimeWindow
@@ -55,7 +56,8 @@ class Signal:
         SeatrialError
             If pandas is not installed.
         """
-        return pandas().Series(self.value, index=pandas().Index(self.t, name="t"), name=self.name)
+        pandas = import_library("pandas")
+        return pandas.Series(self.value, index=pandas.Index(self.t, name="t"), name=self.name)
 
 
 @dataclass(frozen=True, repr=False)
@@ -106,7 +108,7 @@ class Log:
         SeatrialError
             If pandas is not installed.
         """
-        return pandas().concat([s.to_pandas() for s in self.signals.values()], axis=1).sort_index()
+        return import_library("pandas").concat([s.to_pandas() for s in self.signals.values()], axis=1).sort_index()
 
     def plot(self, *names: str) -> Figure:
         """Return a figure of the signals with these names, or of all signals.
@@ -245,7 +247,7 @@ class Findings(tuple[Finding, ...]):
         SeatrialError
             If pandas is not installed.
         """
-        return pandas().DataFrame(list(self), columns=list(Finding._fields))
+        return import_library("pandas").DataFrame(list(self), columns=list(Finding._fields))
 
 
 def check(logs: PathLike | Sequence[PathLike]) -> Findings:
@@ -272,24 +274,9 @@ def check(logs: PathLike | Sequence[PathLike]) -> Findings:
     []
     """
     from seatrial.bench.preflight.log_findings import log_findings
+    from seatrial.ident.checks import check_log
 
-    return Findings(worst_first(log_findings(_MotionChecks(), as_paths(logs))))
-
-
-class _MotionChecks:
-    """Checks of ident for the checks of bench, which must not import ident."""
-
-    def check_log(self, path: Path) -> list[Finding]:
-        """Return the findings on the motion in a log."""
-        from seatrial.ident.checks import check_log
-
-        return check_log(path)
-
-    def write_check_page(self, report: CheckReport, out: Path) -> None:
-        """Write the HTML page of a check to ``out``."""
-        from seatrial.ident.workflows.check import write_check
-
-        write_check(report, "seatrial.check", out)
+    return Findings(worst_first(log_findings(check_log, as_paths(logs))))
 
 
 def as_paths(logs: PathLike | Log | Sequence[PathLike | Log]) -> list[Path]:
@@ -308,20 +295,3 @@ def as_paths(logs: PathLike | Log | Sequence[PathLike | Log]) -> list[Path]:
         if not path.exists():
             raise SeatrialError(f"{path}: no such file or folder; give the path of a log")
     return paths
-
-
-def pandas() -> Any:
-    """Return the package pandas.
-
-    Raises
-    ------
-    SeatrialError
-        If it is not installed.
-    """
-    try:
-        import pandas as package  # type: ignore[import-untyped]
-    except ModuleNotFoundError as problem:
-        raise SeatrialError(
-            "the Python package pandas is not installed, and this conversion needs it: pip install pandas"
-        ) from problem
-    return package

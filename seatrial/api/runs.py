@@ -24,8 +24,9 @@ from seatrial.api.fits import (
     python_call,
     window_of,
 )
-from seatrial.api.logs import PathLike, as_paths, pandas
+from seatrial.api.logs import PathLike, as_paths
 from seatrial.daq.files import write_output
+from seatrial.daq.log import import_library
 
 if TYPE_CHECKING:
     from seatrial.ident.results import DesignResult, NavigationResult, ThrustCurveResult, ThrusterResult
@@ -113,7 +114,47 @@ class DesignOptions(TypedDict, total=False):
 
 
 @dataclass(frozen=True, repr=False)
-class FittedThruster(FitReport):
+class WrittenResult:
+    """Result of a command with the files that the command writes.
+
+    Attributes
+    ----------
+    result : Result
+        Content of result.json.
+    files : dict of str to bytes
+        Files that ``save`` writes, by name.
+    """
+
+    result: Any
+    files: Files = field(repr=False, default_factory=dict)
+
+    @property
+    def answer(self) -> str:
+        """Answer in one or two sentences."""
+        return str(self.result.answer)
+
+    @property
+    def warnings(self) -> list[str]:
+        """Warnings, as sentences."""
+        return [w.text for w in self.result.warnings]
+
+    def save(self, folder: PathLike) -> Path:
+        """Write the files of the command to a folder, which is created, and return its path.
+
+        Parameters
+        ----------
+        folder : path
+            Folder. Existing files of the same names are replaced.
+        """
+        out = Path(folder)
+        out.mkdir(parents=True, exist_ok=True)
+        for name, content in self.files.items():
+            write_output(out / name, content)
+        return out
+
+
+@dataclass(frozen=True, repr=False)
+class FittedThruster(FitReport, WrittenResult):
     """Model of a thruster that was fitted to bench logs. `thruster` returns it.
 
     Attributes
@@ -121,25 +162,14 @@ class FittedThruster(FitReport):
     result : ThrusterResult
         Content of result.json.
     files : dict of str to bytes
-        Files that ``save`` writes, by name.
+        Files that ``save`` writes: model.toml, result.json and report.html.
     """
 
     result: ThrusterResult
-    files: Files = field(repr=False, default_factory=dict)
-
-    def save(self, folder: PathLike) -> Path:
-        """Write model.toml, result.json and report.html, as ``seatrial ident thruster``. Return the folder.
-
-        Parameters
-        ----------
-        folder : path
-            Folder. Existing files of these names are replaced.
-        """
-        return _write(self.files, folder)
 
 
 @dataclass(frozen=True, repr=False)
-class ThrustCurve:
+class ThrustCurve(WrittenResult):
     """Static thrust curve of a thruster whose shaft speed was not logged. `thruster` returns it.
 
     Attributes
@@ -147,21 +177,10 @@ class ThrustCurve:
     result : ThrustCurveResult
         Content of result.json.
     files : dict of str to bytes
-        Files that ``save`` writes, by name.
+        Files that ``save`` writes: model.toml, result.json and report.html.
     """
 
     result: ThrustCurveResult
-    files: Files = field(repr=False, default_factory=dict)
-
-    @property
-    def answer(self) -> str:
-        """Answer in a sentence."""
-        return self.result.answer
-
-    @property
-    def warnings(self) -> list[str]:
-        """Warnings, as sentences."""
-        return [w.text for w in self.result.warnings]
 
     def to_pandas(self) -> Any:
         """Return the measured points as a ``pandas.DataFrame``: command or shaft speed, force [N], standard error [N].
@@ -172,19 +191,15 @@ class ThrustCurve:
             If pandas is not installed.
         """
         static = self.result.static
-        return pandas().DataFrame({"n": static.n, "force": static.force, "se": static.sd})
-
-    def save(self, folder: PathLike) -> Path:
-        """Write model.toml, result.json and report.html, as ``seatrial ident thruster``. Return the folder."""
-        return _write(self.files, folder)
+        return import_library("pandas").DataFrame({"n": static.n, "force": static.force, "se": static.sd})
 
     def __repr__(self) -> str:
-        """Return the answer."""
+        """Return the number of points and the answer."""
         return f"<ThrustCurve: {self.result.static.n.size} points>\n{self.answer}"
 
 
 @dataclass(frozen=True, repr=False)
-class Navigated:
+class Navigated(WrittenResult):
     """States of logs that a model has estimated. `navigate` returns it.
 
     Attributes
@@ -192,16 +207,10 @@ class Navigated:
     result : NavigationResult
         Content of result.json.
     files : dict of str to bytes
-        Files that ``save`` writes, by name.
+        Files that ``save`` writes: a CSV file for each log, result.json and report.html.
     """
 
     result: NavigationResult
-    files: Files = field(repr=False, default_factory=dict)
-
-    @property
-    def answer(self) -> str:
-        """Answer in one or two sentences."""
-        return self.result.answer
 
     @property
     def states(self) -> dict[str, dict[str, NDArray[np.float64]]]:
@@ -221,12 +230,9 @@ class Navigated:
         SeatrialError
             If pandas is not installed.
         """
-        frames = [pandas().DataFrame({"log": name, **columns}) for name, columns in self.states.items()]
-        return pandas().concat(frames, ignore_index=True)
-
-    def save(self, folder: PathLike) -> Path:
-        """Write a CSV file for each log, result.json and report.html, as ``seatrial ident navigate``."""
-        return _write(self.files, folder)
+        pandas = import_library("pandas")
+        frames = [pandas.DataFrame({"log": name, **columns}) for name, columns in self.states.items()]
+        return pandas.concat(frames, ignore_index=True)
 
     def __repr__(self) -> str:
         """Return the names of the logs and the answer."""
@@ -376,12 +382,3 @@ def _with_files(work: Callable[[Path], T]) -> tuple[T, Files]:
     with errors_of_users(), TemporaryDirectory() as folder:
         result = work(Path(folder))
         return result, {path.name: path.read_bytes() for path in sorted(Path(folder).iterdir())}
-
-
-def _write(files: Files, folder: PathLike) -> Path:
-    """Write files to a folder, which is created, and return its path. Existing files of these names are replaced."""
-    out = Path(folder)
-    out.mkdir(parents=True, exist_ok=True)
-    for name, content in files.items():
-        write_output(out / name, content)
-    return out
