@@ -91,7 +91,7 @@ def mock() -> None:
 
 
 @mock.command(short_help="A simulated boat with two thrusters.")
-@_shared_options([*catalogue.EFFECTS, *catalogue.OUTSIDE])
+@_shared_options([*catalogue.EFFECTS, *catalogue.SITE, *catalogue.OUTSIDE])
 @click.option(
     "--realistic",
     is_flag=True,

@@ -7,7 +7,7 @@ get a random sign.
 
 from __future__ import annotations
 
-from seatrial.mocks.hidden_effects import disturbed, environment, equipment, hull, outside, propulsion, sensing
+from seatrial.mocks.hidden_effects import disturbed, environment, equipment, hull, outside, propulsion, sensing, site
 from seatrial.mocks.plant import ENERGY_UNIT, HiddenEffect, Maker
 from seatrial.mocks.random_streams import EFFECT_NAME, EFFECT_SIZE, random_stream
 
@@ -18,6 +18,7 @@ __all__ = [
     "EQUIPMENT",
     "NOISE",
     "OUTSIDE",
+    "SITE",
     "SMALL",
     "HiddenEffect",
     "draw_name",
@@ -37,6 +38,7 @@ _ORDER = [
 EFFECTS: dict[str, Maker] = {name: _ALL[name] for name in _ORDER}
 OUTSIDE: dict[str, Maker] = outside.MAKERS  # effects that no analysis can be expected to list
 NOISE: dict[str, Maker] = disturbed.MAKERS  # noise that differs from the assumed noise, on a boat without an effect
+SITE: dict[str, Maker] = site.MAKERS  # effects of place and mounting, which an analysis can be expected to list
 EQUIPMENT: dict[str, Maker] = equipment.MAKERS  # late and rounded signals, for the realistic boat
 
 # Effects that `--effect draw` chooses from. Each can be detected in a mixed mission of five minutes, and no two of
@@ -57,7 +59,7 @@ DEMO = (
 
 SMALL = 0.05  # fraction of the full size that the minor effects of a mixture have
 # Each table with the index of its first stream of random numbers.
-_TABLES = ((0, EFFECTS), (200, OUTSIDE), (300, NOISE), (400, EQUIPMENT))
+_TABLES = ((0, EFFECTS), (200, OUTSIDE), (300, NOISE), (400, EQUIPMENT), (600, SITE))
 
 
 def make_effect(name: str, seed: int, scale: float = 1.0) -> HiddenEffect:
@@ -66,7 +68,7 @@ def make_effect(name: str, seed: int, scale: float = 1.0) -> HiddenEffect:
     Parameters
     ----------
     name : str
-        A key of EFFECTS, OUTSIDE, NOISE or EQUIPMENT.
+        A key of EFFECTS, OUTSIDE, NOISE, EQUIPMENT or SITE.
     seed : int
         Seed of the size, the sign and the direction of the effect. The same seed gives the same effect.
     scale : float
@@ -89,7 +91,7 @@ def mixture(name: str, seed: int, scale: float = 1.0, small: float = SMALL) -> t
     Parameters
     ----------
     name : str
-        Name of the large effect: a key of EFFECTS, OUTSIDE, NOISE or EQUIPMENT.
+        Name of the large effect: a key of EFFECTS, OUTSIDE, NOISE, EQUIPMENT or SITE.
     seed : int
         Seed of the sizes, signs and directions of all effects.
     scale : float

@@ -139,9 +139,9 @@ def _jet_on_hull(rng: np.random.Generator, scale: float) -> HiddenEffect:
         """Return the sway force [N] at a difference of the shaft speeds, left minus right."""
         return y * math.exp(-0.5 * ((difference - 0.35) / 0.15) ** 2)
 
-    def jet(n_l: float, n_r: float) -> float:
-        """Return the sway force [N] at the shaft speeds of the left and the right thruster."""
-        return curve(n_l - n_r)
+    def jet(n_l: float, n_r: float) -> tuple[float, float]:
+        """Return the sway force [N] and the yaw moment [N m], zero, at the shaft speeds of both thrusters."""
+        return curve(n_l - n_r), 0.0
 
     sentence = "at one difference of the shaft speeds a jet strikes the keel and shoves the boat sideways"
     return HiddenEffect("jet-on-hull", sentence, {"y": y}, jet=jet, answer=Answer("Y", "n_diff", curve))

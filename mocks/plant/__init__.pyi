@@ -17,6 +17,7 @@ from .effect import HeadingFilter as HeadingFilter
 from .effect import HiddenEffect as HiddenEffect
 from .effect import Maker as Maker
 from .effect import Noise as Noise
+from .effect import Payload as Payload
 from .effect import Telemetry as Telemetry
 from .effect import Wave as Wave
 from .effect import effect_size as effect_size

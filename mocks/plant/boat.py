@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import NamedTuple
 
-from seatrial.mocks.plant.effect import ENERGY_UNIT, HiddenEffect
+from seatrial.mocks.plant.effect import ENERGY_UNIT, HiddenEffect, Payload
 from seatrial.mocks.plant.hull import ARM, AT_REST, Hull, State, draw_current, draw_hull, make_rhs, rk4
 from seatrial.mocks.plant.thruster import Inflow, Shaft, ThrusterTruth, thrust
 from seatrial.mocks.plant.weather import Weather
@@ -177,6 +177,9 @@ class BoatPlant:
         self._n = (n, n)  # shaft speeds that act on the water, behind the delays of hidden effects
         self._inflows = self._make_inflows(n)
         self._drifts = [e.current for e in boat.effects if e.current is not None]
+        self._streams = [e.stream for e in boat.effects if e.stream is not None]
+        self._payloads = sorted((e.payload for e in boat.effects if e.payload is not None), key=lambda load: load.at)
+        self._slid: tuple[HiddenEffect, ...] = ()  # payloads that have slid
         self._weather = Weather(boat.effects, boat.seed, run, DISTURBANCE_EVERY * step)
         self.state = self._first_state(run) if state is None else state
         self._forces = (0.0, 0.0, 0.0)
@@ -247,9 +250,18 @@ class BoatPlant:
             weather = self._weather.forces(self.t, self.state[2])
             x, y, n = x + weather[0], y + weather[1], n + weather[2]
         self._forces = (x, y, n)
-        if self._drifts:
+        if self._payloads and self.t >= self._payloads[0].at:
+            self._slide(self._payloads.pop(0))
+        if self._drifts or self._streams:
             changes = [drift(self.t) for drift in self._drifts]
+            changes += [stream(self.state[0], self.state[1]) for stream in self._streams]
             self._water[:] = (v + sum(c[k] for c in changes) for k, v in enumerate(self.boat.current))
+
+    def _slide(self, load: Payload) -> None:
+        """Move the centre of gravity of the boat by the slide of a payload."""
+        self._slid = (*self._slid, HiddenEffect("payload in its new place", "", x_g=load.x_g))
+        effects = (*self.boat.effects, *self._slid)
+        self._rhs = make_rhs(self.boat.hull, self.boat.thruster, self._water, effects)
 
     def motion(self) -> RigidBodyState:
         """Return the true motion at the present time, as the input of the sensors. The plant does not change."""

@@ -17,10 +17,15 @@ Thrust = Callable[[float, float, float, float, float, float, float], tuple[float
 # force(cos psi, sin psi, u_w, v_w, r, v_north, v_east) -> (X, Y, N) in N, N, N m
 #   Arguments: velocity through the water in body axes (m/s), yaw rate (rad/s), velocity over ground in NED (m/s).
 Force = Callable[[float, float, float, float, float, float, float], tuple[float, float, float]]
-# jet(n_left, n_right) -> Y: sway force (N) of the jets at these shaft speeds
-Jet = Callable[[float, float], float]
+# jet(n_left, n_right) -> (Y, N): sway force (N) and yaw moment (N m) of the jets at these shaft speeds
+Jet = Callable[[float, float], tuple[float, float]]
 # current(t) -> (north, east): change of the boat's constant current (m/s) at t seconds after the start
 Current = Callable[[float], tuple[float, float]]
+# stream(x, y) -> (north, east): change of the boat's constant current (m/s) at a position (m from the start)
+Stream = Callable[[float, float], tuple[float, float]]
+# shore(x, y, cos psi, sin psi, u_w, v_w) -> (X, Y, N) in N, N, N m, in body axes
+#   Arguments: position (m from the start), heading, velocity through the water in body axes (m/s).
+Shore = Callable[[float, float, float, float, float, float], tuple[float, float, float]]
 # tether(x, y, v_north, v_east) -> (north, east): force (N) at a position (m from the start) and velocity over ground
 Tether = Callable[[float, float, float, float], tuple[float, float]]
 # accelerometer(a_x, a_y, thrust, u, r) -> (a_x, a_y): measured acceleration (m/s2) from the true one
@@ -154,6 +159,22 @@ class Telemetry:
 
 
 @dataclass(frozen=True)
+class Payload:
+    """Payload that slides in the boat at one time. The mass of the boat does not change.
+
+    Attributes
+    ----------
+    at : float
+        Time of the change after the start [s].
+    x_g : float
+        Change of the position of the centre of gravity of the boat, forward [m].
+    """
+
+    at: float
+    x_g: float
+
+
+@dataclass(frozen=True)
 class HiddenEffect:
     """Hidden effect of the mock boat: its name, its true parameters and its hooks.
 
@@ -175,11 +196,17 @@ class HiddenEffect:
     force : callable, optional
         Returns an additional force and moment (X, Y, N) [N, N, N m] as a function of the motion.
     jet : callable, optional
-        Returns an additional sway force [N] as a function of both shaft speeds.
+        Returns an additional sway force [N] and yaw moment [N m] as a function of both shaft speeds.
     tether : callable, optional
         Returns an additional force [N], north and east, as a function of the position.
     current : callable, optional
         Returns the change of the ocean current [m/s], north and east, as a function of time.
+    stream : callable, optional
+        Returns the change of the ocean current [m/s], north and east, as a function of the position.
+    shore : callable, optional
+        Returns an additional force and moment (X, Y, N) [N, N, N m] as a function of position, heading and velocity.
+    payload : Payload, optional
+        Payload that slides at one time.
     wave : Wave, optional
         Waves that act on the boat.
     gust : Gust, optional
@@ -225,6 +252,9 @@ class HiddenEffect:
     jet: Jet | None = None
     tether: Tether | None = None
     current: Current | None = None
+    stream: Stream | None = None
+    shore: Shore | None = None
+    payload: Payload | None = None
     wave: Wave | None = None
     gust: Gust | None = None
     x_g: float = 0.0

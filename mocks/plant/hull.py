@@ -119,6 +119,7 @@ def _make_forces(hull: Hull, thruster: ThrusterTruth, effects: Sequence[HiddenEf
     force_hooks = [e.force for e in effects if e.force is not None]
     jets = [e.jet for e in effects if e.jet is not None]
     tethers = [e.tether for e in effects if e.tether is not None]
+    shores = [e.shore for e in effects if e.shore is not None]
 
     def forces(s: State, water: Pair, ground: Pair, turn: Pair, n: Pair, energy: float, external: Triple) -> Triple:
         """Return the sum of all forces on the boat: X, Y [N] and the yaw moment N [N m].
@@ -140,10 +141,14 @@ def _make_forces(hull: Hull, thruster: ThrusterTruth, effects: Sequence[HiddenEf
             x_extra, y_extra, n_extra = extra(c, si, u_w, v_w, r, vel_n, vel_e)
             x_force, y_force, n_moment = x_force + x_extra, y_force + y_extra, n_moment + n_extra
         for jet in jets:
-            y_force += jet(n_l, n_r)
+            sway, yaw = jet(n_l, n_r)
+            y_force, n_moment = y_force + sway, n_moment + yaw
         for tether in tethers:
             pull_n, pull_e = tether(s[0], s[1], vel_n, vel_e)
             x_force, y_force = x_force + c * pull_n + si * pull_e, y_force + c * pull_e - si * pull_n
+        for shore in shores:
+            x_extra, y_extra, n_extra = shore(s[0], s[1], c, si, u_w, v_w)
+            x_force, y_force, n_moment = x_force + x_extra, y_force + y_extra, n_moment + n_extra
         return x_force, y_force, n_moment
 
     return forces

@@ -10,7 +10,7 @@ import numpy as np
 from seatrial.ident.data.record import Channel
 from seatrial.ident.model.structure import Model
 from seatrial.ident.models.horizontal import horizontal_model
-from seatrial.mocks.hidden_effects.catalogue import EFFECTS, NOISE, OUTSIDE, SMALL, make_effect
+from seatrial.mocks.hidden_effects.catalogue import EFFECTS, NOISE, OUTSIDE, SITE, SMALL, make_effect
 from seatrial.mocks.hidden_effects.realistic import IMPERFECTIONS, realistic_with
 from seatrial.mocks.plant.boat import Boat, draw_boat
 
@@ -27,7 +27,13 @@ def all_effects(seed: int) -> list[str]:
 
 def all_large(seed: int) -> list[str]:
     """Return the effects that are no imperfection of every realistic boat, or that are small in it."""
-    return [name for name in EFFECTS if name not in IMPERFECTIONS or name in ("wind", "mismatch", "waves", "dead-band")]
+    large = [name for name in EFFECTS if name not in IMPERFECTIONS or name in ("wind", "mismatch", "waves", "dead-band")]
+    return [*large, *SITE]
+
+
+def all_of_site(seed: int) -> list[str]:
+    """Return the effects of place and mounting."""
+    return list(SITE)
 
 
 def all_pairs(seed: int) -> list[str]:
@@ -78,6 +84,7 @@ TIMID, SHORT = 0.35, (120.0, 80.0)
 
 KINDS: dict[str, Kind] = {
     "single": Kind("one effect at full size", all_effects, 10, logged=True),
+    "site": Kind("one effect of place or mounting at full size", all_of_site, 2),
     "half": Kind("one effect at half its size", all_effects, 5, scale=0.5, logged=True),
     "quarter": Kind("one effect at a quarter of its size", all_effects, 3, scale=0.25),
     "mixture": Kind("one effect, and every other one at 5 % of its size", all_effects, 5, others=SMALL, logged=True),

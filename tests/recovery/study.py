@@ -16,7 +16,7 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from seatrial.mocks.hidden_effects.catalogue import EFFECTS, OUTSIDE
+from seatrial.mocks.hidden_effects.catalogue import EFFECTS, OUTSIDE, SITE
 from tests.recovery import tables, targets
 from tests.recovery.cases import Row, run_case
 from tests.recovery.kinds import KINDS, NONE, Case
@@ -25,7 +25,7 @@ from tests.recovery.verdict import all_right, first_right, likened, wrong_as_sur
 
 OUT = Path("build/recovery.jsonl")
 DOCS = Path(__file__).parents[2] / "docs" / "recovery.md"
-NAMES = (NONE, *EFFECTS, *OUTSIDE)
+NAMES = (NONE, *EFFECTS, *SITE, *OUTSIDE)
 Form = Callable[[tables.Lines], str]
 
 

@@ -23,6 +23,7 @@ from seatrial.ident.models.scaling import scale_priors, size_of
 from tests.ident.carriers import carrier
 
 RNG = np.random.default_rng(7)
+RECORD_S = 240.0  # Times are within a record of this duration; a change of the payload has a time.
 
 
 def points(model: Model, n: int = 40) -> tuple[np.ndarray, np.ndarray]:
@@ -96,6 +97,7 @@ def test_effect_changes_the_model_and_is_described(name: str) -> None:
     model = carrier(effect) + effect
     x, u = points(model)
     u = RNG.uniform(-1, 1, size=u.shape)  # The delayed inputs differ from the inputs.
+    u[:, [i.name == "t" for i in model.inputs]] = np.linspace(0.0, RECORD_S, len(u))[:, None]
     first = effect.parameters[0]
     stepped = model.replace_parameters(first.at(first.value + first.step))
     assert first.step > 0

@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from seatrial.mocks.hidden_effects.catalogue import DEMO, EFFECTS, OUTSIDE, draw_name, make_effect
+from seatrial.mocks.hidden_effects.catalogue import DEMO, EFFECTS, OUTSIDE, SITE, draw_name, make_effect
 from seatrial.mocks.plant.boat import PLANT_STEP_S, Boat, BoatPlant
 from seatrial.mocks.plant.effect import HiddenEffect
 from seatrial.mocks.plant.hull import Hull
@@ -28,6 +28,9 @@ SIGNED = {
     "mount": "psi_0",
     "gyro-scale": "k",
     "current-drift": "change_n",
+    "thrust-angle": "angle",
+    "propeller-walk": "walk",
+    "payload-shift": "x_g",
 }
 ON_SENSORS = {
     *("compass", "lever-arm", "gnss-latency", "mount", "gyro-scale", "accelerometer-tilt", "accelerometer-scale")
@@ -57,7 +60,7 @@ def plain_track() -> list[tuple[float, float]]:
     return list(sailed(""))
 
 
-@pytest.mark.parametrize("name", sorted({*EFFECTS, *OUTSIDE} - ON_SENSORS - {"pendulum"}))
+@pytest.mark.parametrize("name", sorted({*EFFECTS, *SITE, *OUTSIDE} - ON_SENSORS - {"pendulum", "payload-shift"}))
 def test_every_effect_bends_the_track(name: str) -> None:
     """The deviation exceeds the GNSS noise, so that an analysis can resolve it."""
     both = zip(sailed(name), plain_track(), strict=False)  # until the deviation shows
@@ -84,7 +87,7 @@ def test_the_pendulum_shakes_the_boat() -> None:
 
 def test_scale_zero_is_no_effect() -> None:
     plain = run((), (0.7, 0.4), 8.0).motion()
-    for name in (*EFFECTS, *OUTSIDE):
+    for name in (*EFFECTS, *SITE, *OUTSIDE):
         assert run((make_effect(name, 2, scale=0.0),), (0.7, 0.4), 8.0).motion() == pytest.approx(plain, abs=1e-9), name
 
 
@@ -244,6 +247,84 @@ def test_a_line_pulls_more_at_a_larger_distance() -> None:
     near, far = (effect.tether(x, 0.0, 1.0, 0.0) for x in (5.0, 80.0))
     assert far[0] < 10.0 * near[0] < 0.0
     assert run((effect,), (0.7, 0.7), 120.0).state[3] < 0.9 * run((), (0.7, 0.7), 120.0).state[3]
+
+
+def test_a_turned_thruster_pushes_to_the_side_of_its_angle() -> None:
+    for seed in range(4):
+        effect = make_effect("thrust-angle", seed)
+        assert effect.jet is not None
+        angle, right = effect.parameters["angle"], bool(effect.parameters["right"])
+        left_only, right_only = effect.jet(0.6, 0.0), effect.jet(0.0, 0.6)
+        alone, other = (right_only, left_only) if right else (left_only, right_only)
+        assert alone[0] * angle > 0.0 > alone[0] * alone[1]  # the thruster is at the stern
+        assert other == (0.0, 0.0)
+        assert run((effect,), (0.6, 0.6), 2.0).state[5] * angle < -0.001
+
+
+def test_the_propellers_walk_the_stern_to_the_other_side_astern_and_farther() -> None:
+    jet = make_effect("propeller-walk", 1).jet
+    assert jet is not None
+    ahead, astern = jet(0.5, 0.5), jet(-0.5, -0.5)
+    assert astern[0] == pytest.approx(-3.0 * ahead[0])
+    assert astern[0] * astern[1] < 0.0
+
+
+def test_a_sheared_current_flows_in_one_direction_and_changes_across_it() -> None:
+    effect = make_effect("current-shear", 1)
+    assert effect.stream is not None
+    along = effect.parameters["along"]
+    c, s = math.cos(along), math.sin(along)
+    assert effect.stream(70.0 * c, 70.0 * s) == pytest.approx((0.0, 0.0), abs=1e-9)
+    near, far = effect.stream(-5.0 * s, 5.0 * c), effect.stream(-80.0 * s, 80.0 * c)
+    assert near[0] * s == pytest.approx(near[1] * c)  # along the stream
+    assert math.hypot(*far) > 5.0 * math.hypot(*near)
+    carried = run((effect,), (0.0, 0.0), 120.0, state=(-60.0 * s, 60.0 * c, *REST[2:])).motion()
+    assert carried.vel_n * c + carried.vel_e * s == pytest.approx(effect.parameters["jump"], rel=0.2)
+
+
+def test_a_bank_draws_boats_of_both_directions_towards_it_and_turns_the_bow_away() -> None:
+    effect = make_effect("bank", 2)
+    assert effect.shore is not None
+    bearing = effect.parameters["bearing"]
+    forces = []
+    for side in (1.0, -1.0):  # bank to starboard, bank to port
+        psi = bearing - side * 0.5 * math.pi
+        near, far = (
+            effect.shore(d * math.cos(bearing), d * math.sin(bearing), math.cos(psi), math.sin(psi), 1.0, 0.0)
+            for d in (8.0, -40.0)
+        )
+        assert side * near[1] > 0.0 > side * near[2]
+        assert abs(far[1]) < 0.05 * abs(near[1])
+        forces.append(near)
+    assert forces[0] == pytest.approx((forces[1][0], -forces[1][1], -forces[1][2]))
+
+
+def test_drag_is_larger_over_the_shoal() -> None:
+    effect = make_effect("shallow-water", 3)
+    assert effect.shore is not None
+    bearing = effect.parameters["bearing"]
+    over, beside = (
+        effect.shore(d * math.cos(bearing), d * math.sin(bearing), 1.0, 0.0, 1.0, 0.0)[0] for d in (50.0, -50.0)
+    )
+    assert over == pytest.approx(-effect.parameters["k"], rel=0.01)
+    assert abs(beside) < 0.01 * abs(over)
+
+
+def test_the_payload_slides_once_and_the_centre_of_gravity_stays_there() -> None:
+    effect = make_effect("payload-shift", 4)
+    assert effect.payload is not None
+    at, plain, moved = effect.payload.at, list[float](), list[float]()
+    plant = run((effect,), (0.9, 0.5), at + 30.0, each=lambda p: moved.append(p.state[5]))
+    run((), (0.9, 0.5), at + 30.0, each=lambda p: plain.append(p.state[5]))
+    before = round(at / PLANT_STEP_S)
+    assert moved[:before] == plain[:before]
+    assert abs(moved[-1] - plain[-1]) > 1e-3
+    fixed = (HiddenEffect("fixed", "", x_g=effect.payload.x_g),)
+    rates = [BoatPlant(Boat(Hull(), ThrusterTruth(), (0.0, 0.0), e, 0), state=plant.state) for e in (fixed, ())]
+    assert plant._rhs(plant.state, 0.9, 0.5, 0.0, 0.0, 0.0, 0.0) == rates[0]._rhs(
+        plant.state, 0.9, 0.5, 0.0, 0.0, 0.0, 0.0
+    )
+    assert plant.boat.effects == (effect,)
 
 
 def test_waves_have_the_specified_peak_and_size() -> None:

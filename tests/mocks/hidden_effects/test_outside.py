@@ -26,7 +26,7 @@ def test_effects_outside_the_catalogue_report_their_curve(name: str) -> None:
             left, right = effect.thrust(z, z, 0.0, 0.0, rest, rest, 0.0)
             got = left + right - 2.0 * rest
         elif effect.jet is not None:
-            got = effect.jet(0.5 + z / 2.0, 0.5 - z / 2.0)
+            got = effect.jet(0.5 + z / 2.0, 0.5 - z / 2.0)[0]
         else:
             assert effect.force is not None
             forces = effect.force(math.cos(z), math.sin(z), z, 0.0, 0.0, 0.0, 0.0)

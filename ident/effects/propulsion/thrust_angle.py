@@ -1,0 +1,48 @@
+"""Thrusters whose line of thrust is turned from the fore-and-aft direction, by design (toe-in) or by a bent mount."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from seatrial.ident.model import Effect, Parameter, Signals
+
+
+def turn(s: Signals) -> None:
+    """Add the sideways force [N] of both thrusters, and its yaw moment [N m], for small angles of the thrust lines."""
+    sideways = s.p.delta_L * s.f["left"] + s.p.delta_R * s.f["right"]
+    s.Y = s.Y + sideways
+    s.N = s.N + s.p.x_delta * sideways
+
+
+def angles(estimates: Mapping[str, tuple[float, float]]) -> str:
+    """Return the angles of both thrust lines in degrees, with their standard errors, as a clause."""
+    parts = []
+    for name, side in (("delta_L", "left"), ("delta_R", "right")):
+        angle, se = (math.degrees(z) for z in estimates[name])
+        where = "starboard" if angle > 0 else "port"
+        error = f" ± {se:.1f}" if math.isfinite(se) else ""
+        parts.append(f"the {side} thruster pushes {abs(angle):.1f}{error} deg to {where}")
+    return " and ".join(parts)
+
+
+EFFECT = Effect(
+    name="thrust-angle",
+    title="thrusters that do not push straight ahead (toe-in or a bent mount)",
+    place="actuator",
+    hooks={"force": turn},
+    parameters=(
+        Parameter("delta_L", 0.0, "rad", "angle of the left thrust line to starboard", prior=(0.0, 0.15), step=0.01),
+        Parameter("delta_R", 0.0, "rad", "angle of the right thrust line to starboard", prior=(0.0, 0.15), step=0.01),
+        Parameter(
+            "x_delta", -0.5, "m", "position of the thrusters forward of the origin", prior=(-0.5, 0.3), step=0.05
+        ),
+    ),
+    scan={"x_delta": (-0.9, -0.5, -0.1)},
+    formula="Y += delta_L f_L + delta_R f_R, N += x_delta (delta_L f_L + delta_R f_R)",
+    source="thrust allocation of fixed thrusters at an angle: Fossen 2011, section 12.3",
+    experiment="each thruster alone, ahead and astern; steps of equal thrust: the boat moves sideways",
+    requires=("f", "hull"),
+    alternatives=("propeller-walk", "mismatch", "yaw-bias", "cg-offset"),
+    in_words=angles,
+)

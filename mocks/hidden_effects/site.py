@@ -1,0 +1,138 @@
+"""Hidden effects of place and mounting: shores, shoals, sheared currents, turned thrusters, a sliding payload."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from seatrial.mocks.plant import HiddenEffect, Maker, Payload, ThrusterTruth, effect_size
+from seatrial.mocks.plant import thrust as thrust_at_rest
+
+STERN_M = -0.55  # position of the propellers forward of the origin
+
+
+def _thrust_angle(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    """Return the hidden effect "thrust-angle": one thruster is turned in its mount.
+
+    The thrust ``f`` of the left or the right thruster, drawn at random, gets the side force ``f sin(angle)`` at the
+    stern. ``angle`` is drawn within 15 % of ``0.1 scale`` [rad] with a random sign, positive to starboard.
+    """
+    angle = scale * effect_size(rng, 0.10, signed=True)  # rad
+    side = int(rng.integers(2))
+
+    def jet(n_l: float, n_r: float) -> tuple[float, float]:
+        """Return the sway force [N] and the yaw moment [N m] at the shaft speeds of both thrusters (-1 to 1)."""
+        sway = math.sin(angle) * thrust_at_rest(ThrusterTruth(), (n_l, n_r)[side])
+        return sway, STERN_M * sway
+
+    which = ("left", "right")[side]
+    sentence = f"the {which} thruster is turned by {math.degrees(angle):.1f} deg in its mount"
+    return HiddenEffect("thrust-angle", sentence, {"angle": angle, "right": float(side)}, jet=jet)
+
+
+def _propeller_walk(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    """Return the hidden effect "propeller-walk": both propellers turn the same way and push the stern sideways.
+
+    Each propeller with the shaft speed ``n`` pushes with ``walk 41 N n^2``, to port astern, and to starboard ahead with
+    a third of that. ``walk`` is drawn within 15 % of ``0.2 scale`` with a random sign.
+    """
+    walk = scale * effect_size(rng, 0.2, signed=True)
+
+    def of_one(n: float) -> float:
+        """Return the sway force [N] of one propeller at the shaft speed ``n``."""
+        return walk * 41.0 * n * n * (-1.0 if n < 0.0 else 1.0 / 3.0)
+
+    def jet(n_l: float, n_r: float) -> tuple[float, float]:
+        """Return the sway force [N] and the yaw moment [N m] at the shaft speeds of both thrusters (-1 to 1)."""
+        sway = of_one(n_l) + of_one(n_r)
+        return sway, STERN_M * sway
+
+    sentence = "both propellers turn the same way, and astern they walk the stern sideways"
+    return HiddenEffect("propeller-walk", sentence, {"walk": walk}, jet=jet)
+
+
+def _current_shear(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    """Return the hidden effect "current-shear": the current is stronger away from the shore.
+
+    With the distance ``d`` [m] from the origin across the stream, a velocity of ``jump tanh(d / 40 m)`` along the
+    stream is added to the current. ``jump`` is drawn within 15 % of ``0.4 scale`` [m/s], the direction uniformly.
+    """
+    jump, along = scale * effect_size(rng, 0.4), 2.0 * math.pi * rng.uniform()  # m/s, rad
+    c, s = math.cos(along), math.sin(along)
+
+    def stream(x: float, y: float) -> tuple[float, float]:
+        """Return the change of the current [m/s], north and east, at a position [m]."""
+        change = jump * math.tanh((c * y - s * x) / 40.0)
+        return change * c, change * s
+
+    sentence = f"the current changes by {jump / 40.0:.3f} m/s per metre across the stream"
+    return HiddenEffect("current-shear", sentence, {"jump": jump, "along": along}, stream=stream)
+
+
+def _bank(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    """Return the hidden effect "bank": a quay draws the boat towards it and turns the bow away.
+
+    The quay is ``away`` = 12 m from the origin. At the distance ``d`` [m] from it and the surge velocity ``u``, a boat
+    that moves along the quay is drawn with ``pull u^2 exp(-d / 10 m)`` and turned away with a moment of
+    0.35 m times this force. ``pull`` is drawn within 15 % of ``35 scale`` [kg/m], the direction uniformly.
+    """
+    pull, bearing = scale * effect_size(rng, 35.0), 2.0 * math.pi * rng.uniform()  # kg/m, rad
+    away = 12.0  # m
+    c_b, s_b = math.cos(bearing), math.sin(bearing)
+
+    def shore(x: float, y: float, c: float, s: float, u: float, v: float) -> tuple[float, float, float]:
+        """Return the force X, Y [N] and moment N [N m] of the effect, in body axes.
+
+        ``x`` and ``y`` are the position [m], ``c`` and ``s`` cosine and sine of the heading, and ``u`` and ``v`` [m/s]
+        the velocity through the water in body axes.
+        """
+        distance = max(away - c_b * x - s_b * y, 0.5)
+        draw = pull * u * u * math.exp(-distance / 10.0) * (s_b * c - c_b * s)
+        return 0.0, draw, -0.35 * draw
+
+    sentence = f"a quay at {math.degrees(bearing):.0f} deg draws the boat and turns its bow away"
+    return HiddenEffect("bank", sentence, {"pull": pull, "bearing": bearing, "away": away}, shore=shore)
+
+
+def _shallow_water(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    """Return the hidden effect "shallow-water": drag grows over a shoal at one side of the area.
+
+    Beyond the origin in the direction of the shoal, the boat has the additional drag ``k h u |u|``, where ``h`` rises
+    from 0 to 1 as ``(1 + tanh(d / 15 m)) / 2`` with the distance ``d`` [m]. ``k`` is drawn within 15 % of ``22 scale``
+    [kg/m], the direction uniformly.
+    """
+    k, bearing = scale * effect_size(rng, 22.0), 2.0 * math.pi * rng.uniform()  # kg/m, rad
+    c_b, s_b = math.cos(bearing), math.sin(bearing)
+
+    def shore(x: float, y: float, c: float, s: float, u: float, v: float) -> tuple[float, float, float]:
+        """Return the force X, Y [N] and moment N [N m] of the effect, in body axes.
+
+        ``x`` and ``y`` are the position [m], ``c`` and ``s`` cosine and sine of the heading, and ``u`` and ``v`` [m/s]
+        the velocity through the water in body axes.
+        """
+        return -k * 0.5 * (1.0 + math.tanh((c_b * x + s_b * y) / 15.0)) * u * abs(u), 0.0, 0.0
+
+    sentence = f"over a shoal at {math.degrees(bearing):.0f} deg the boat drags more"
+    return HiddenEffect("shallow-water", sentence, {"k": k, "bearing": bearing}, shore=shore)
+
+
+def _payload_shift(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    """Return the hidden effect "payload-shift": a load slides fore or aft in every run.
+
+    At ``at`` seconds after the start, the centre of gravity moves by ``x_g`` [m]. ``x_g`` is drawn within 15 % of
+    ``0.12 scale`` with a random sign, and ``at`` within 15 % of 110 s.
+    """
+    x_g, at = scale * effect_size(rng, 0.12, signed=True), effect_size(rng, 110.0)  # m, s
+    sentence = f"after {at:.0f} s the payload slides {'forward' if x_g > 0 else 'aft'}"
+    return HiddenEffect("payload-shift", sentence, {"x_g": x_g, "at": at}, payload=Payload(at, x_g))
+
+
+MAKERS: dict[str, Maker] = {
+    "thrust-angle": _thrust_angle,
+    "propeller-walk": _propeller_walk,
+    "current-shear": _current_shear,
+    "bank": _bank,
+    "shallow-water": _shallow_water,
+    "payload-shift": _payload_shift,
+}
