@@ -27,7 +27,9 @@ def all_effects(seed: int) -> list[str]:
 
 def all_large(seed: int) -> list[str]:
     """Return the effects that are no imperfection of every realistic boat, or that are small in it."""
-    large = [name for name in EFFECTS if name not in IMPERFECTIONS or name in ("wind", "mismatch", "waves", "dead-band")]
+    large = [
+        name for name in EFFECTS if name not in IMPERFECTIONS or name in ("wind", "mismatch", "waves", "dead-band")
+    ]
     return [*large, *SITE]
 
 

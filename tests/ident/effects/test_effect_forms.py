@@ -62,6 +62,70 @@ def test_tether_drag_grows_with_its_length_and_opposes_the_motion_over_ground() 
     assert against == pytest.approx(0.0, abs=1e-4)  # The boat is at rest over ground.
 
 
+def test_thrust_at_an_angle_pushes_the_stern_to_the_side() -> None:
+    model = model_with("thrust-angle", delta_L=0.1, delta_R=-0.05, x_delta=-0.6)
+    added = pushed(model, 0.5, 0.8) - pushed(model_with("thrust-angle"), 0.5, 0.8)
+    p = model.values
+    left, right = (p["c1"] * n * abs(n) + p["c2"] * n * n for n in (0.5, 0.8))
+    side = 0.1 * left - 0.05 * right
+    np.testing.assert_allclose(added, [0.0, side / p["m_v"], -0.6 * side / p["m_r"]], atol=1e-9)
+
+
+def test_propellers_walk_to_the_other_side_astern() -> None:
+    model = model_with("propeller-walk", k_ahead=0.05, k_astern=0.2, x_walk=-0.6)
+    p = model.values
+    for n, k in ((0.6, 0.05), (-0.6, 0.2)):
+        side = 2 * k * (p["c1"] * n * abs(n) + p["c2"] * n * n)
+        added = pushed(model, n, n) - pushed(model_with("propeller-walk"), n, n)
+        np.testing.assert_allclose(added, [0.0, side / p["m_v"], -0.6 * side / p["m_r"]], atol=1e-9)
+
+
+def pushed(model: Model, left: float, right: float) -> np.ndarray:
+    """Return the rates of surge, sway and yaw of a boat at rest at these shaft speeds."""
+    u = np.array([[{"n_left": left, "n_right": right}.get(i.tap_of or i.name, 0.0) for i in model.inputs]])
+    row = VectorisedModel(model)(np.zeros((1, len(model.states))), u, np.array(list(model.values.values())))[0]
+    return row[[[s.name for s in model.states].index(name) for name in "uvr"]]
+
+
+def test_bank_draws_both_ways_and_turns_the_bow_away() -> None:
+    def on(psi: float, x: float) -> tuple[float, float]:
+        """Return the rates of sway and yaw that a bank in the north adds."""
+        at = {"u": 1.0, "psi": psi, "x": x}
+        with_it = rates(model_with("bank", Y_bank=4.0, Y_slope=0.2, N_bank=1.0, N_slope=0.05), **at)
+        return tuple(with_it[k] - rates(model_with("bank"), **at)[k] for k in "vr")  # type: ignore[return-value]
+
+    east, west = on(np.pi / 2, 10.0), on(-np.pi / 2, 10.0)
+    assert east[0] == pytest.approx(-6.0 / model_with("bank").values["m_v"])  # to port, to the north
+    assert east == pytest.approx((-west[0], -west[1]))
+    assert east[1] > 0.0  # to starboard, away from the bank
+    assert on(np.pi / 2, -20.0) == pytest.approx((0.0, 0.0), abs=1e-9)
+    assert on(0.0, 10.0) == pytest.approx((0.0, 0.0), abs=1e-9)
+
+
+def test_current_and_drag_change_with_the_place() -> None:
+    moved = rates(model_with("current-shear", V_xy=0.01, V_yx=-0.02), x=10.0, y=30.0)
+    assert (moved["x"], moved["y"]) == pytest.approx((0.3, -0.2))
+    assert force("shallow-water", {"x": 10.0, "y": -5.0, "u": 2.0}, d_north=0.3, d_east=0.2) == pytest.approx(-8.0)
+    assert force("shallow-water", {"x": 10.0, "u": -2.0}, d_north=0.3) == pytest.approx(12.0)
+
+
+def test_payload_that_shifts_equals_a_boat_with_its_new_mass_and_centre_of_gravity() -> None:
+    at = {"u": 1.0, "v": -0.2, "r": 0.3, "psi": 0.4}
+    shift = {"x_shift": 0.1, "y_shift": -0.03, "m_shift": 5.0, "t_shift": 100.0}
+    nominal = horizontal_model()
+    heavy = nominal.with_values({n: nominal.values[n] + 5.0 for n in ("m_u", "m_v")}) + catalogue()["cg-offset"]
+    heavy = heavy.with_values({"x_g": 0.1, "y_g": -0.03})
+    model = (nominal + catalogue()["payload-shift"]).with_values(shift)
+
+    def motion(model: Model, t: float) -> np.ndarray:
+        x = np.array([[at.get(s.name, 0.0) for s in model.states]])
+        u = np.array([[t if i.name == "t" else 0.5 for i in model.inputs]])
+        return VectorisedModel(model)(x, u, np.array(list(model.values.values())))[0, : len(model.states)]
+
+    np.testing.assert_allclose(motion(model, 60.0), motion(nominal, 0.0), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(motion(model, 130.0), motion(heavy, 0.0), rtol=1e-9, atol=1e-12)
+
+
 def test_accelerometer_scale_acts_on_the_specific_force() -> None:
     x = {"u": 1.0, "r": 0.3, "v": 0.1}
     plain = rates(model_with("accelerometer-scale"), **x)

@@ -115,6 +115,42 @@ def rudder(k: float) -> Force:
     return lambda now: (0.0, 0.0, k * abs(now.u) * now.u * (now.n["left"] - now.n["right"]) / 2)
 
 
+def turned(left: float, right: float, stern: float) -> Force:
+    """Return the side force of thrusters at these angles [rad], this far [m] forward of the origin."""
+
+    def force(now: Moment) -> tuple[float, float, float]:
+        side = sum(a * 34.0 * now.n[s] * abs(now.n[s]) for s, a in (("left", left), ("right", right)))
+        return 0.0, side, stern * side
+
+    return force
+
+
+def walking(ahead: float, astern: float, stern: float) -> Force:
+    """Return the side force of propellers that turn the same way, over their thrust ahead and astern."""
+
+    def force(now: Moment) -> tuple[float, float, float]:
+        thrust = sum(34.0 * n * abs(n) * (ahead if n > 0 else astern) for n in now.n.values())
+        return 0.0, thrust, stern * thrust
+
+    return force
+
+
+def quay(bearing: float, force_0: float, per_metre: float, lever: float) -> Force:
+    """Return the suction of a quay, which grows linearly towards it, and its moment away from the quay."""
+
+    def force(now: Moment) -> tuple[float, float, float]:
+        towards = now.north * math.cos(bearing) + now.east * math.sin(bearing)
+        suction = (force_0 + per_metre * towards) * now.u * now.u * math.sin(bearing - now.psi)
+        return 0.0, suction, -lever * suction
+
+    return force
+
+
+def shoal(north: float, east: float) -> Force:
+    """Return a quadratic drag that grows with the distance to the north and to the east."""
+    return lambda now: (-(north * now.north + east * now.east) * now.u * abs(now.u), 0.0, 0.0)
+
+
 SMALL = 0.6  # Factor of the length, for a boat of 9 kg.
 FOUND: dict[str, tuple[IndependentBoat, bool, str, dict[str, float]]] = {
     "spring": (
@@ -143,6 +179,25 @@ FOUND: dict[str, tuple[IndependentBoat, bool, str, dict[str, float]]] = {
     "speed": (IndependentBoat(receiver_error=(1.05, 0.0)), True, "velocity-scale", {"k_V": 0.05}),
     "course": (IndependentBoat(receiver_error=(1.0, 0.07)), True, "velocity-course", {"chi_0": 0.07}),
     "rudder": (IndependentBoat(force=rudder(12.0)), True, "steering", {"N_delta": 12.0}),
+    "angle": (
+        IndependentBoat(force=turned(0.0, 0.09, -0.6)),
+        True,
+        "thrust-angle",
+        {"delta_L": 0.0, "delta_R": 0.09, "x_delta": -0.6},
+    ),
+    "walk": (
+        IndependentBoat(force=walking(0.06, 0.2, -0.6)),
+        True,
+        "propeller-walk",
+        {"k_ahead": 0.06, "k_astern": 0.2, "x_walk": -0.6},
+    ),
+    "quay": (
+        IndependentBoat(force=quay(1.0, 6.0, 0.3, 0.4)),
+        True,
+        "bank",
+        {"Y_bank": 6.0, "Y_slope": 0.3, "N_bank": 2.4, "N_slope": 0.12, "psi_bank": 1.0},
+    ),
+    "shoal": (IndependentBoat(force=shoal(0.2, -0.3)), True, "shallow-water", {"d_north": 0.2, "d_east": -0.3}),
     "stall": (IndependentBoat(loss=stalled("left")), True, "unknown T_left(r)", {}),
     "both": (IndependentBoat(loss=stalled("left", "right")), True, "unknown T(r)", {}),
 }
