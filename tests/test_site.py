@@ -97,6 +97,14 @@ def test_the_page_of_results_is_up_to_date() -> None:
     assert text == results.page(text), "run `python docs/site/results.py`"
 
 
+def test_the_page_of_effects_is_up_to_date_and_has_every_effect() -> None:
+    effects = script("effects")
+    text = effects.PAGE.read_text(encoding="utf-8")
+    assert text == effects.page(), "run `python docs/site/effects.py`"
+    assert text.count("\n### ") == len(effects.built_in())
+    assert len(effects.built_in()) > 70
+
+
 def test_the_architecture_page_is_up_to_date(architecture: ModuleType) -> None:
     advice = "run `python docs/site/architecture.py`"
     assert architecture.PICTURE.read_text(encoding="utf-8") == architecture.svg(), advice
