@@ -1,4 +1,4 @@
-"""Payload that shifts or is taken on during a run: mass and centre of gravity change at one time."""
+"""Payload that shifts: the centre of gravity is at another place in each run, and moves at one time in a run."""
 
 from __future__ import annotations
 
@@ -7,40 +7,32 @@ import numpy as np
 from seatrial.ident.effects.hull.cg_offset import couple
 from seatrial.ident.model import INF, PARAMETERS, Effect, Input, Parameter, Signals
 
-WIDTH_S = 1.0  # time in which the change happens [s]; the likelihood needs a derivative by the time of the change
+WIDTH_S = 1.0  # time in which the payload moves [s]; the likelihood needs a derivative by the time of the move
 
 
 def shift(s: Signals) -> None:
-    """Change the masses and the centre of gravity to their values at the time of the row."""
+    """Set the centre of gravity to its place at the time of the row."""
     p = s.p
-    done = (1 + np.tanh((s.u.t - p.t_shift) / WIDTH_S)) / 2
-    p.m_u, p.m_v = p.m_u + done * p.m_shift, p.m_v + done * p.m_shift
-    p.x_g, p.y_g = getattr(p, "x_g", 0.0) + done * p.x_shift, getattr(p, "y_g", 0.0) + done * p.y_shift
+    moved = (1 + np.tanh((s.u.t - p.t_shift) / WIDTH_S)) / 2
+    p.x_g = getattr(p, "x_g", 0.0) + p.x_before + moved * p.x_shift
+    p.y_g = getattr(p, "y_g", 0.0) + p.y_before + moved * p.y_shift
 
 
 EFFECT = Effect(
     name="payload-shift",
-    title="a payload that shifts or is taken on during a run",
+    title="a payload that shifts between the runs and during a run",
     hooks={PARAMETERS: shift, "rate": couple},
     parameters=(
-        Parameter(
-            "x_shift", 0.0, "m", "shift of the centre of gravity forward", prior=(0.0, 0.15), step=0.01, per_record=True
+        *(
+            Parameter(f"{axis}_{when}", 0.0, "m", f"{meaning} {to}", prior=(0.0, sd), step=sd / 15, per_record=True)
+            for axis, to, sd in (("x", "forward", 0.15), ("y", "to starboard", 0.05))
+            for when, meaning in (("shift", "shift of the centre of gravity"), ("before", "position before the shift"))
         ),
-        Parameter(
-            "y_shift",
-            0.0,
-            "m",
-            "shift of the centre of gravity to starboard",
-            prior=(0.0, 0.05),
-            step=5e-3,
-            per_record=True,
-        ),
-        Parameter("m_shift", 0.0, "kg", "added mass of the payload", prior=(0.0, 8.0), step=0.5, per_record=True),
         Parameter(
             "t_shift",
             120.0,
             "s",
-            "time of the change after the start of a record",
+            "time of the shift after the start of a record",
             prior=(120.0, 120.0),
             bounds=(0.0, INF),
             step=1.0,
@@ -49,9 +41,10 @@ EFFECT = Effect(
     ),
     inputs=(Input("t", "s", "linear"),),
     scan={"t_shift": (30.0, 60.0, 90.0, 120.0, 160.0, 210.0, 280.0)},
-    formula="m_u += m, m_v += m and (x_g, y_g) += (x, y) from t_shift on; the motion as for cg-offset",
+    formula="x_g = x_before + x_shift (t > t_shift), and y_g likewise; the motion as for cg-offset",
     source="change of the mass matrix: Fossen 2011, section 3.3",
     experiment="the same run with the payload lashed down",
     requires=("hull",),
+    nests=("cg-offset",),
     alternatives=("cg-offset", "mismatch", "yaw-bias", "current-drift"),
 )
