@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from seatrial.daq.samples import NAN, Ahrs, Esc, Gnss, LoadCell
-from seatrial.mocks.plant import GRAVITY, HeadingFilter, HiddenEffect, RigidBodyState
+from seatrial.mocks.plant import GRAVITY, HeadingFilter, HiddenEffect, RigidBodyState, Telemetry
 from seatrial.mocks.random_streams import (
     AHRS,
     COLOUR,
@@ -302,16 +302,18 @@ class EscSensor:
     the current and on the used energy.
     """
 
-    def __init__(self, seed: int, run: int, node: int, rpm_max: float, resolution: float = 0.0) -> None:
+    def __init__(self, seed: int, run: int, node: int, rpm_max: float, telemetry: Telemetry | None = None) -> None:
         """Set up the telemetry of controller ``node`` in one run.
 
-        ``rpm_max`` is its full shaft speed [rev/min]. The reported shaft speed is rounded to whole multiples of
-        ``resolution``, a fraction of the full shaft speed; 0 means that it is not rounded.
+        ``rpm_max`` is its full shaft speed [rev/min]. The resolution and the limit of ``telemetry`` apply to the
+        reported shaft speed. Without it the shaft speed is neither rounded nor limited.
         """
+        telemetry = telemetry or Telemetry()
         self._draw = normals(random_stream(seed, ESC, run, node))
         self._node = node
         self._rpm_max = rpm_max
-        self._resolution = resolution * rpm_max  # rev/min
+        self._resolution = telemetry.resolution * rpm_max  # rev/min
+        self._ceiling = telemetry.ceiling * rpm_max  # rev/min
         self._heat = 0.0
 
     def read(self, n: float, force: float, duty: float, energy: float, dt: float) -> Esc:
@@ -336,9 +338,10 @@ class EscSensor:
         n = n if abs(n) > STOPPED else 0.0
         current = 0.4 * (n != 0.0) + 0.55 * abs(force) * (0.3 + 0.7 * abs(n))
         self._heat += dt / 60.0 * (0.02 * current**2 - self._heat)
+        rpm = n * self._rpm_max + (5.0 * draw() if n else 0.0)
         return Esc(
             self._node,
-            _rounded(n * self._rpm_max + (5.0 * draw() if n else 0.0), self._resolution),
+            _rounded(min(max(rpm, -self._ceiling), self._ceiling), self._resolution),
             current + 0.1 * draw(),  # positive in both directions of rotation, since the motor drives
             duty,
             16.4 - 0.008 * energy - 0.02 * current + 0.02 * draw(),

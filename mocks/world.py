@@ -327,13 +327,17 @@ class World:
 
         ``seed`` and ``run`` select the noise of the telemetry. The status frames of the controllers are spread evenly
         over one period. ``effects`` are the hidden effects of the boat; those of the telemetry are applied. The ages of
-        several effects add up, and the coarsest resolution counts.
+        several effects add up, and the coarsest resolution and the lowest limit count.
         """
         errors = [e.telemetry for e in effects if e.telemetry is not None]
-        telemetry = Telemetry(sum(e.age for e in errors), max((e.resolution for e in errors), default=0.0))
+        telemetry = Telemetry(
+            sum(e.age for e in errors),
+            max((e.resolution for e in errors), default=0.0),
+            min((e.ceiling for e in errors), default=math.inf),
+        )
         for thruster, spec in enumerate(specs):
             controller = EscController(spec, self.plant, thruster)
-            sensor = EscSensor(seed, run, spec.node, spec.rpm_max, telemetry.resolution)
+            sensor = EscSensor(seed, run, spec.node, spec.rpm_max, telemetry)
             self.controllers.append(controller)
             read = self._esc_reader(controller, sensor, thruster, round(telemetry.age / self.plant.step_s))
             self.add(spec.device, spec.rate_hz, read, thruster / len(specs))

@@ -1,4 +1,4 @@
-"""Hidden effects of the sensors: systematic errors of AHRS and GNSS."""
+"""Hidden effects of the sensors: systematic errors of AHRS, GNSS and the telemetry of the shafts."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from seatrial.mocks.plant import HiddenEffect, Maker, effect_size
+from seatrial.mocks.plant import HiddenEffect, Maker, Telemetry, effect_size
 
 GRAVITY = 9.81  # m/s2
 
@@ -116,6 +116,18 @@ def _accelerometer_scale(rng: np.random.Generator, scale: float) -> HiddenEffect
     return HiddenEffect("accelerometer-scale", sentence, {"k": k}, accelerometer=accelerometer)
 
 
+def _shaft_clip(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    """Return the hidden effect "shaft-clip": telemetry that cannot report large shaft speeds.
+
+    Both controllers report at most ``ceiling = 1 - cut`` times the full shaft speed. ``cut`` is drawn within 15 % of
+    ``0.35 scale``.
+    """
+    cut = scale * effect_size(rng, 0.35)
+    ceiling = 1.0 - cut if cut else math.inf
+    sentence = f"the telemetry reports at most {100.0 * (1.0 - cut):.0f} % of the full shaft speed"
+    return HiddenEffect("shaft-clip", sentence, {"ceiling": ceiling}, telemetry=Telemetry(ceiling=ceiling))
+
+
 MAKERS: dict[str, Maker] = {
     "compass": _compass,
     "lever-arm": _lever_arm,
@@ -124,4 +136,5 @@ MAKERS: dict[str, Maker] = {
     "gyro-scale": _gyro_scale,
     "accelerometer-tilt": _accelerometer_tilt,
     "accelerometer-scale": _accelerometer_scale,
+    "shaft-clip": _shaft_clip,
 }

@@ -5,6 +5,7 @@ A hook is a function or a number of the effect that the plant or a sensor model 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -143,7 +144,7 @@ class HeadingFilter:
 
 @dataclass(frozen=True)
 class Telemetry:
-    """Age and resolution of the telemetry of the speed controllers.
+    """Age, resolution and limit of the telemetry of the speed controllers.
 
     Attributes
     ----------
@@ -152,10 +153,14 @@ class Telemetry:
     resolution : float
         The reported shaft speed is a whole multiple of this value, which is a fraction of the full shaft speed. 0 means
         that the shaft speed is not rounded.
+    ceiling : float
+        Largest magnitude of the reported shaft speed, as a fraction of the full shaft speed. Larger speeds are reported
+        with this magnitude.
     """
 
     age: float = 0.0
     resolution: float = 0.0
+    ceiling: float = math.inf
 
 
 @dataclass(frozen=True)
@@ -234,7 +239,7 @@ class HiddenEffect:
     heading_filter : HeadingFilter, optional
         Filter and lag of the reported heading.
     telemetry : Telemetry, optional
-        Age and resolution of the telemetry of both speed controllers.
+        Age, resolution and limit of the telemetry of both speed controllers.
     velocity_resolution : float
         Resolution of each component of the GNSS velocity [m/s]. 0 means that the velocity is not rounded.
     braking : float

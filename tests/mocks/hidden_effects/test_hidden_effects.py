@@ -15,7 +15,7 @@ from seatrial.mocks.plant.effect import HiddenEffect
 from seatrial.mocks.plant.hull import Hull
 from seatrial.mocks.plant.thruster import ThrusterTruth
 from seatrial.mocks.plant.weather import Sea
-from seatrial.mocks.sensors import AhrsSensor
+from seatrial.mocks.sensors import AhrsSensor, EscSensor
 from tests.mocks.sailing import REST, run
 
 SIGNED = {
@@ -33,7 +33,8 @@ SIGNED = {
     "payload-shift": "x_g",
 }
 ON_SENSORS = {
-    *("compass", "lever-arm", "gnss-latency", "mount", "gyro-scale", "accelerometer-tilt", "accelerometer-scale")
+    *("compass", "lever-arm", "gnss-latency", "mount", "gyro-scale", "accelerometer-tilt", "accelerometer-scale"),
+    "shaft-clip",
 }
 
 
@@ -362,6 +363,16 @@ def test_the_inertial_sensors_have_the_specified_errors() -> None:
     leaked = AhrsSensor(1, 0, 50.0, (tilt,)).read(m)
     assert leaked.ax - true.ax == pytest.approx(9.81 * tilt.parameters["pitch"] * m.thrust, rel=0.2)
     assert leaked.ay - true.ay > 0.0
+
+
+def test_saturated_telemetry_reports_its_limit_in_both_directions() -> None:
+    effect = make_effect("shaft-clip", 1)
+    ceiling = effect.parameters["ceiling"]
+    assert 0.55 < ceiling < 0.75
+    clipped, plain = EscSensor(1, 0, 1, 4500.0, effect.telemetry), EscSensor(1, 0, 1, 4500.0)
+    for n in (0.9, -0.9, 0.4):
+        rpm, free = (sensor.read(n, 10.0, n, 0.0, 0.02).rpm for sensor in (clipped, plain))
+        assert rpm == (math.copysign(ceiling, n) * 4500.0 if abs(n) > ceiling else free)
 
 
 def test_the_demo_draws_each_effect_of_its_list() -> None:
