@@ -927,11 +927,12 @@ def _hold_in_log(log: Log, name: str) -> str:
 
 
 def _mission_name(log: Log) -> str | None:
-    """Return the name of the mission in the log; None if the log has no readable mission."""
+    """Return the name of the mission in the log; None if the log has no readable mission, or one without a name."""
     text = log.attachments.get("mission.toml")
     if text is None:
         return None
     try:  # parse only the lines before the first table: the samples of a long mission take seconds to parse
-        return str(parse_toml(text.partition(b"\n[")[0].decode(), "mission.toml").values.get("name"))
+        name = parse_toml(text.partition(b"\n[")[0].decode(), "mission.toml").values.get("name")
     except (SeatrialError, UnicodeDecodeError):
         return None
+    return None if name is None else str(name)

@@ -34,7 +34,7 @@ def all_large(seed: int) -> list[str]:
 
 
 def all_of_site(seed: int) -> list[str]:
-    """Return the effects of place and mounting."""
+    """Return the effects of place, mounting and telemetry."""
     return list(SITE)
 
 
@@ -86,7 +86,7 @@ TIMID, SHORT = 0.35, (120.0, 80.0)
 
 KINDS: dict[str, Kind] = {
     "single": Kind("one effect at full size", all_effects, 10, logged=True),
-    "site": Kind("one effect of place or mounting at full size", all_of_site, 2),
+    "site": Kind("one effect of place, mounting or telemetry at full size", all_of_site, 2),
     "half": Kind("one effect at half its size", all_effects, 5, scale=0.5, logged=True),
     "quarter": Kind("one effect at a quarter of its size", all_effects, 3, scale=0.25),
     "mixture": Kind("one effect, and every other one at 5 % of its size", all_effects, 5, others=SMALL, logged=True),
