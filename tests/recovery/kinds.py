@@ -101,6 +101,9 @@ KINDS: dict[str, Kind] = {
     "dropout": Kind("gaps in every device, and lost samples", _all_and_none, 3, gaps=True),
     **{name: Kind(f"no effect; {make_effect(name, 1).sentence}", _none, 25, noise=name) for name in NOISE},
     "realistic": Kind("a realistic boat, one effect at full size", all_large, 2, realistic=True, logged=True),
+    "realistic-double": Kind(
+        "a realistic boat, one effect at twice its full size", all_large, 1, scale=2.0, realistic=True, logged=True
+    ),
     "realistic-clean": Kind("a realistic boat without a large effect", _none, 20, realistic=True, logged=True),
     "leave-one-out": Kind("one effect at full size, taken out of the catalogue", all_effects, 3, left_out=True),
 }
