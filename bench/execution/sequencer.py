@@ -86,6 +86,7 @@ class MissionSequencer:
         self._acquisition, self._lead, self._patience, self._say = acquisition, lead, patience, say
         self._retries = retries
         self._step: ScheduledSegment | None = None
+        self._restarted: ScheduledSegment | None = None  # the step of the last restart; None before the first one
         self._counts_at_start: tuple[int, ...] = ()
         self._silence = ""
         self._marks = 0
@@ -147,7 +148,8 @@ class MissionSequencer:
         Space and `p` pause the mission at zero thrust, or resume it with the beginning of the step. `r` repeats the
         step, unless the mission is paused. `m` marks the log.
         """
-        name = "" if self._step is None else self._step.name
+        step = self._step or self._restarted
+        name = "" if step is None else step.name
         if key in " p" and not self.paused:
             self._paused_at = now
             self._acquisition.zero("pause")
@@ -169,9 +171,13 @@ class MissionSequencer:
             self._say(f"mark {self._marks}")
 
     def _restart_step(self, now: float) -> None:
-        """Schedule the present step again from its beginning, ``lead`` seconds after run time ``now`` [s]."""
-        segment = 0 if self._step is None else self._step.segment
-        self.timeline.restart(segment, now + self._lead)
+        """Schedule the present step again from its beginning, ``lead`` seconds after run time ``now`` [s].
+
+        Until then there is no present step. A second restart in this time is of the same step.
+        """
+        if self._step is not None:
+            self._restarted = self._step
+        self.timeline.restart(0 if self._restarted is None else self._restarted.segment, now + self._lead)
         self._step = None
 
     def _note_silent_device(self, status: Status) -> None:

@@ -7,7 +7,7 @@ import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
-from seatrial.bench.execution import LOAD_CELLS, SafetyGuard, silent_devices
+from seatrial.bench.execution import LOAD_CELLS, TELEMETRY, SafetyGuard, silent_devices
 from seatrial.daq.acquisition import Acquisition, PortStatus, Status
 from seatrial.daq.checks import FAULT, OK, WARNING, Finding
 from seatrial.daq.clock import RunClock
@@ -257,8 +257,13 @@ def check_limits(rig: Rig, guard: SafetyGuard, status: Status) -> Iterator[Findi
         text, _, remedy = limit.refusal(status.t).partition("; ")
         yield Finding(FAULT, "limit-without-source", "limits", rig.name, text, remedy)
     for key in rig.limits.unwatched:
-        text = f"limits.{key} = {getattr(rig.limits, key):g} is not watched, as [limits] says"
-        yield Finding(WARNING, "limit-unwatched", "limits", rig.name, text, "add a device that reports the quantity")
+        if key == TELEMETRY:
+            text = "the telemetry of the speed controllers is not compared with their commands, as [limits] says"
+            advice = "remove the word once the telemetry follows the commands: a stuck controller is not noticed"
+        else:
+            text = f"limits.{key} = {getattr(rig.limits, key):g} is not watched, as [limits] says"
+            advice = "add a device that reports the quantity"
+        yield Finding(WARNING, "limit-unwatched", "limits", rig.name, text, advice)
     missing = [key for key in _wanted_limits(rig) if getattr(rig.limits, key) is None]
     if missing:
         text = f"[limits] has no {', '.join(missing)}: a run does not end because of these quantities"

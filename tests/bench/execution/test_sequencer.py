@@ -111,6 +111,20 @@ def test_a_pause_commands_zero_and_resumes_at_the_beginning_of_the_step() -> Non
     assert [kind for kind, text in drive.acquisition.events if kind == "zero"] == ["zero"]
 
 
+@pytest.mark.parametrize("key", [" ", "r"])
+def test_keys_before_the_first_set_point_of_a_restart_do_not_restart_the_mission(key: str) -> None:
+    drive = Drive()
+    drive.until(104.5)
+    drive.until(110.0, " ")
+    drive.until(110.1, " ")  # The step starts 0.2 s after the key.
+    drive.until(110.15, key)
+    if key == " ":
+        drive.until(120.0, " ")
+    drive.until(200.0)
+    assert drive.names("segment") == ["static", "one", "two", "two", "static"]
+    assert drive.names("pause", "resume", "repeat") == {" ": ["two"] * 4, "r": ["two"] * 3}[key]
+
+
 def test_a_step_is_repeated_and_a_moment_is_marked() -> None:
     drive = Drive()
     drive.until(104.5)

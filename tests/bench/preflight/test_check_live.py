@@ -73,7 +73,7 @@ def test_a_limit_without_a_source_is_a_fault_and_the_others_name_their_source(tm
         standin.temperature = math.nan
         done = check(tmp_path, "bench-rig.toml", "--seconds", "1", "--json")
         with standin.rig.open("a", encoding="utf-8") as file:
-            file.write('unwatched = ["temperature_c"]\n')
+            file.write('unwatched = ["temperature_c", "telemetry"]\n')
         without = check(tmp_path, "bench-rig.toml", "--seconds", "1", "--json")
     assert done.returncode == 1
     reported = [f for f in json.loads(done.stdout)["findings"] if f["check"] == "limits"]
@@ -83,7 +83,8 @@ def test_a_limit_without_a_source_is_a_fault_and_the_others_name_their_source(tm
     assert "force_n 60 by loadcell" in reported[1]["text"]
     assert "temperature_c" not in reported[1]["text"]
     reported = [f for f in json.loads(without.stdout)["findings"] if f["check"] == "limits"]
-    assert [f["level"] for f in reported] == ["warning", "ok"]
+    assert [f["level"] for f in reported] == ["warning", "warning", "ok"]
+    assert "telemetry of the speed controllers is not compared" in reported[1]["text"]
 
 
 def test_a_log_without_samples_does_not_pass(tmp_path: Path) -> None:
