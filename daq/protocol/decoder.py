@@ -50,7 +50,7 @@ class Decoder(Protocol):
         ...
 
     def reset(self) -> None:
-        """Discard an incomplete frame, because the port was reopened. The counters of the stream stay."""
+        """Discard an incomplete frame, because the port was reopened. The counters of the stream are kept."""
         ...
 
 
@@ -61,7 +61,8 @@ class DatagramDecoder(Decoder, Protocol):
     Attributes
     ----------
     accepted
-        Frames of the device itself; if a key is given, only frames with a correct signature.
+        Number of received frames that the device itself sent. If the decoder has a signing key, only frames with a
+        correct signature count.
     """
 
     accepted: int  # frames of the device itself; if a key is given, only frames with a correct signature
