@@ -20,8 +20,8 @@ def actuator_plan(rig: Rig, n: float = N_ACTUATOR_TEST) -> Mission:
     """Return the mission of an actuator test for all thrusters of a rig.
 
     The thrusters run one after the other: forward for 3 s, in reverse for 3 s, and forward in a staircase of six levels
-    up to ``n``. Then all thrusters run together, forward for 3 s and in reverse for 3 s. The commands are zero for 1.5 s
-    between these, and for 4 s at the start and at the end.
+    up to ``n``. Then all thrusters run together, forward for 3 s and in reverse for 3 s. The commands are zero for
+    1.5 s between these, and for 4 s at the start and at the end.
 
     Parameters
     ----------
