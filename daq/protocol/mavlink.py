@@ -552,10 +552,10 @@ class SampleConverter:
         return samples
 
     def _esc_status(self, m: Any) -> TimedSamples:
-        """Return an `Esc` sample for each speed controller in ESC_STATUS that has a voltage or belongs to a thruster of the rig.
+        """Return an `Esc` sample for each speed controller in an ESC_STATUS message that exists.
 
-        The others do not exist. The rpm of a reversed thruster changes its sign. The newest command of the output
-        becomes the duty.
+        A controller exists if it has a voltage or belongs to a thruster of the rig. The rpm of a reversed thruster
+        changes its sign. The newest command of the output becomes the duty.
         """
         samples: TimedSamples = []
         for k in range(4):
