@@ -200,8 +200,8 @@ class MissionSequencer:
     def _enter_step(self, now: float, status: Status) -> None:
         """At run time ``now`` [s], if a segment has started or the mission has ended, check the previous segment.
 
-        If data were lost in the previous segment and repetitions are left, it is scheduled again. If none is left, the
-        log gets an event "invalid". The new segment gets an event "segment". Otherwise nothing is done.
+        If its data are invalid (losses, or a silent device) and repetitions are left, it is scheduled again. Without a
+        repetition the log gets an event "invalid". For a segment that has started the log gets an event "segment".
         """
         started, ended = self.timeline.started(now), now >= self.timeline.end
         if self._step is not None and (ended or started[-1] != self._step):
