@@ -110,8 +110,8 @@ def _importance(
 def left_out_with(effect: Effect, chosen: Sequence[Refit]) -> set[str]:
     """Return the names of the effects that are left out of the model to measure the importance of one effect.
 
-    A chosen nonparametric curve of the same force and variable is left out too, because the curve would take the place
-    of the effect.
+    They are the effect itself, and a chosen nonparametric curve of the same force and variable. The curve would take
+    the place of the effect.
 
     Parameters
     ----------
