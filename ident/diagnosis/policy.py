@@ -43,9 +43,9 @@ class SearchPolicy:
         refit can gain up to ten times as much as its score test predicts, but not twenty times.
     nonparametric_score_share, nonparametric_score_distance
         A nonparametric candidate is refitted if the criterion of its score exceeds two limits: the share of the largest
-        criterion of the accepted parametric refits, and that criterion less the distance. A curve without a formula has
-        to explain about as much as the best formula. The limits do not hold for the curve of which the best accepted
-        parametric effect is one form.
+        criterion of the accepted parametric refits, and that criterion less the distance. Without such a refit there is
+        no limit. A curve without a formula has to explain about as much as the best formula. The limits do not hold for
+        the curve of which the best accepted parametric effect is one form.
     min_common_errors
         The common errors of every craft (sensor timing, mounting, hull form) are added together only if at least so
         many of them are needed at once. Fewer are found one by one, each as an effect of its own.
