@@ -431,9 +431,9 @@ class SplineBasis:
         return np.asarray(self._raw(z).toarray() - self.mean)
 
     def _raw(self, z: Array) -> Any:
-        """Return the B-splines at z (n,), with their means and without the first: a sparse matrix (n, n_functions - 1).
+        """Return the B-splines at z (n,), without the first, before their means are subtracted.
 
-        Values of z outside the interval are moved to its ends.
+        The result is a sparse matrix (n, n_functions - 1). Values of z outside the interval are moved to its ends.
         """
         within = np.clip((z - self.low) / (self.high - self.low), 0, 1 - 1e-9)
         from scipy.interpolate import BSpline  # imported here, as it takes half a second

@@ -460,7 +460,10 @@ class ScoreEquations:
 
     @cached_property
     def projected(self) -> tuple[Array, Array]:
-        """Information (n_columns, n_columns) and score (n_columns,), with the fitted parameters projected out."""
+        """Information (n_columns, n_columns) and score (n_columns,), with the fitted parameters projected out.
+
+        The part of each column that the fitted parameters explain is thus removed.
+        """
         n_fitted, gain = self.prior.gradient.size, self.coefficients_on_fitted
         information = self.normal.information - self.normal.information[:n_fitted].T @ gain
         return information, self.normal.score - gain.T @ (self.normal.score[:n_fitted] + self.prior.gradient)

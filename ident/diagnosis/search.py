@@ -1137,9 +1137,9 @@ class _Search:
         """Refit the current model with one effect by a rough search.
 
         If every fit fails, the result is an ``UntestedCandidate`` with the reason of the first failure. The initial
-        values of `_with_initial_values`, which use the score of the effect, are tried in turn until a fit does not lose
-        likelihood. If all lose, the best fit is returned: a larger model cannot be worse than the model that it
-        contains, so such a fit has stopped early.
+        values of `_with_initial_values`, which use the score of the effect, are tried in turn until a fit loses less
+        than ``policy.max_loss`` in 2 ln L. If all lose more, the best fit is returned: a larger model cannot be worse
+        than the model that it contains, so such a fit has stopped early.
         """
         self.reporter.progress(f"refitting with {effect.title}")
         best, reason = None, ""

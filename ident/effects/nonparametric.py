@@ -45,7 +45,7 @@ Signal = Callable[[Signals], Any]
 
 @dataclass(frozen=True)
 class NonparametricForce:
-    """Fitted nonparametric curve of a residual quantity: an unexplained force, change of thrust or sensor error.
+    """Fitted nonparametric curve of a residual quantity: a residual force, change of thrust or sensor error.
 
     Attributes
     ----------

@@ -22,8 +22,8 @@ def push(s: Signals) -> None:
     """Add the wave forces to the surge and sway forces [N] and the yaw moment [N m] of the signals, in place.
 
     Each wave force is the state of a second-order filter that unit white noise drives, times a gain. The variance of
-    the state is 1 / (4 zeta omega), so the gain makes the parameter ``A_X``, ``A_Y`` or ``A_N`` the standard deviation
-    of the force.
+    the state is 1 / (4 zeta omega), with the damping ratio zeta and the angular frequency omega of the filter. The gain
+    makes the parameter ``A_X``, ``A_Y`` or ``A_N`` the standard deviation of the force.
     """
     gain = np.sqrt(4 * s.p.zeta_wave * 2 * np.pi * s.p.f_wave)
     for force in FORCES:

@@ -8,7 +8,7 @@ from seatrial.ident.model import SPEED_WIDTH, Effect, Parameter, Signals, smooth
 def couple(s: Signals) -> None:
     """Subtract the coupling in damping from the sway force ``s.Y`` [N] and the yaw moment ``s.N`` [N m], in place.
 
-    It is ``(Y_r + Y_ur |u|) r`` in sway and ``(N_v + N_uv |u|) v`` in yaw, with a smooth modulus.
+    It is ``(Y_r + Y_ur |u|) r`` in sway and ``(N_v + N_uv |u|) v`` in yaw. The modulus is smoothed at zero.
     """
     speed = smooth_modulus(s.x.u, SPEED_WIDTH)
     s.Y = s.Y - (s.p.Y_r + s.p.Y_ur * speed) * s.x.r

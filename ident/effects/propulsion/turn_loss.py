@@ -16,9 +16,10 @@ from seatrial.ident.model import (
 
 
 def _thrust_reducer(parameter: str, variable: str) -> ModelFunction:
-    """Return the hook that divides the thrust of each thruster by ``1 + p |variable|``, with a smooth modulus.
+    """Return the hook that divides the thrust of each thruster by ``1 + p |variable|``.
 
     ``parameter`` is the name of the parameter p, and ``variable`` that of the state: ``r`` (yaw rate) or ``v`` (sway).
+    The modulus is smoothed at zero.
     """
 
     width = YAW_RATE_WIDTH if variable == "r" else SPEED_WIDTH
