@@ -410,7 +410,8 @@ class RawLog:
     def _read_records(self) -> None:
         """Build the index of an MCAP file without a summary: read all its records in order, and then the chunks.
 
-        After a damaged record the search continues at the next whole chunk.
+        After a damaged record the search continues at the next whole chunk. Damaged parts, and a missing end of the
+        file, cause warnings.
         """
         found, whole = _FoundChunks(), True
         at, size = len(MCAP0_MAGIC), self._size
@@ -623,7 +624,7 @@ class _FoundChunks:
     """
 
     def __init__(self) -> None:
-        """Begin with an empty list of chunks."""
+        """Begin with an empty list of chunks (groups of messages of an MCAP file)."""
         self.at, self._stop, self._index_bytes, self._size = (array("q") for _ in range(4))
         self._begin_ns, self._end_ns = array("Q"), array("Q")
         self.counts: list[dict[int, int]] = []  # for each chunk: messages by channel, from its message indexes
@@ -711,7 +712,7 @@ class _Summary:
     statistics
         Statistics record; None if there is none.
     chunks
-        Positions of the chunks, dtype _CHUNK, shape (n,).
+        Positions, sizes and log times of the chunks, with the columns of _CHUNK, shape (n,).
     chunk_channels
         Pairs of chunk and channel with messages, as two arrays of shape (n_pairs,).
     unindexed

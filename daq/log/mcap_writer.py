@@ -301,9 +301,9 @@ class LogWriter:
         self._close_and_raise(self._stream.failure, complete)
 
     def _close_and_raise(self, error: OSError, complete: bool) -> NoReturn:
-        """Close the log file and raise the error of a failed write.
+        """Close the log file and raise the error of a failed write: DiskFull if the disk is full, or SeatrialError.
 
-        `complete`: whether the file contains every message and its footer.
+        `complete` is whether the file contains every message and its footer.
         """
         self._close_file()
         self._failed = self._write_error(error, complete)
@@ -325,7 +325,7 @@ class LogWriter:
     def _write_error(self, error: OSError, complete: bool) -> SeatrialError:
         """Return the error for the user that a write to the log failed; `DiskFull` if the disk is full.
 
-        `complete`: whether the file contains every message and its footer.
+        `complete` is whether the file contains every message and its footer.
         """
         state = "closed and complete up to there" if complete else "whole up to its last record, but has no footer"
         text = (

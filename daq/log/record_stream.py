@@ -216,7 +216,7 @@ class FileSyncer(threading.Thread):
         self._wanted.set()
 
     def end(self) -> None:
-        """Stop the sync thread and wait until it has ended. A request that has not begun is dropped."""
+        """Stop the sync thread and wait until it has ended. A request that the thread has not taken up is dropped."""
         self._ending = True
         self._wanted.set()
         self.join()

@@ -452,7 +452,7 @@ def free_bytes(path: Path) -> int:
 
 
 def check_room(path: Path, megabytes: float) -> None:
-    """Raise SeatrialError if the disk of a new log has too little free space.
+    """Check that the disk of a new log has enough free space.
 
     Parameters
     ----------
@@ -475,6 +475,9 @@ def check_room(path: Path, megabytes: float) -> None:
 
 
 def _encode_text(text: str) -> bytes:
-    """Encode a text for a CDR message, as UTF-8 without NUL characters, which would end the text."""
+    """Encode a text for a CDR message, as UTF-8 without NUL characters, which would end the text.
+
+    A character that UTF-8 cannot encode becomes "?".
+    """
     # A NUL would end the string; a lone surrogate cannot be encoded in UTF-8.
     return text.replace("\0", "").encode("utf-8", errors="replace")

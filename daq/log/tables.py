@@ -35,10 +35,10 @@ class Log(Protocol):
     path: Path
 
     def sources(self, kind: type[Any]) -> list[str]:
-        """Return the names of the devices or signals that have samples of a kind."""
+        """Return the names of the devices (signals, for `Scalar`) of the log that have samples of the class `kind`."""
 
     def nodes(self, kind: type[Any], source: str) -> list[int]:
-        """Return the ids of the motor controllers of a device that have samples of a kind."""
+        """Return the ids of the motor controllers of the device `source` that have samples of the class `kind`."""
 
     def table(self, kind: type[Any], source: str, node: int | None = None) -> NDArray[np.void]:
         """Return the samples of a device or signal of the log as a structured array, shape (n,)."""
@@ -93,7 +93,11 @@ class Resampled(NamedTuple):
 
 
 def log_tables(log: Log) -> Iterator[LogTable]:
-    """Yield the table of samples of each device, controller and signal of a log, in the order of `KINDS`."""
+    """Yield the table of samples of each device, controller and signal of a log, in the order of `KINDS`.
+
+    `Esc`, `Command` and `Servo` have a table for each controller or servo output, other classes one for each device or
+    signal.
+    """
     for kind in KINDS:
         for source in log.sources(kind):
             for node in log.nodes(kind, source) if kind in NODE_TOPICS else [None]:

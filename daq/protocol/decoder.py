@@ -13,16 +13,16 @@ from seatrial.daq.samples import Frame
 
 
 class Decoder(Protocol):
-    """Interface of all decoders: counters of the stream, and the conversion of bytes to samples.
+    """Interface of all decoders of protocols: counters of the stream, and the conversion of bytes to samples.
 
     Attributes
     ----------
     frames
-        Complete frames with a correct checksum.
+        Number of complete frames with a correct checksum.
     checksum_errors
-        Complete frames with a wrong checksum.
+        Number of complete frames with a wrong checksum.
     unparsed_bytes
-        Bytes outside valid frames, without the line ends between frames.
+        Number of bytes outside valid frames, without the line ends between frames.
     remark
         Advice about the stream for the user, in one line; empty if there is none.
     """

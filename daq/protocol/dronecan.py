@@ -203,7 +203,8 @@ def encode_command(commands: Mapping[int, float], source: int, number: int) -> l
 def _command_bits(value: int) -> str:
     """Return the 14 bits of a command as text of "0" and "1", in the order of DroneCAN.
 
-    The low byte is first, and each byte begins with its highest bit. A negative value is in two's complement.
+    `value` is -8192..8191; a negative one is in two's complement. The low byte is first, and each byte begins with its
+    highest bit.
     """
     word = value & (1 << _BITS) - 1
     return f"{word & 0xFF:08b}{word >> 8:06b}"

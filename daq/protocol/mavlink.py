@@ -299,7 +299,7 @@ class SampleConverter:
         self.forget()
 
     def forget(self) -> None:
-        """Discard all values from earlier messages, because the autopilot may have restarted."""
+        """Discard all values from earlier MAVLink messages, because the autopilot may have restarted."""
         self._boot = math.nan  # s since boot, of the newest attitude
         self._utc_of_boot = math.nan  # s since 1970
         # An attitude that waits for its IMU message, and its time [s since boot].
@@ -380,7 +380,7 @@ class SampleConverter:
         return [(self._pilot, NAN)]
 
     def _system_time(self, m: Any) -> TimedSamples:
-        """Store the UTC at which the autopilot was started, from SYSTEM_TIME. Return no sample.
+        """Store the UTC at which the autopilot was started (boot), from a message SYSTEM_TIME. Return no sample.
 
         Nothing is stored if the autopilot does not have the UTC yet.
         """
@@ -605,7 +605,7 @@ class SampleConverter:
 
 
 def _since_boot(ms: int) -> float:
-    """Convert a time since boot in whole milliseconds to seconds.
+    """Convert a time since boot of an autopilot in whole milliseconds to seconds.
 
     Half a millisecond is added, because the autopilot truncates the time.
     """
@@ -631,5 +631,8 @@ def _with_imu(ahrs: Ahrs, imu: tuple[float, tuple[float, ...], tuple[float, ...]
 
 
 def _battery(voltage: float, centiampere: int, percent: int) -> Battery:
-    """Return the state of a battery from voltage [V], current [0.01 A] and charge [%]; negative values are unknown."""
+    """Return the state of a battery from its voltage [V], current [0.01 A] and remaining charge [%].
+
+    A negative current or charge means that it is unknown, and becomes NaN.
+    """
     return Battery(voltage, NAN if centiampere < 0 else centiampere * 0.01, NAN if percent < 0 else percent * 0.01)

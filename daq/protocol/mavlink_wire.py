@@ -66,7 +66,7 @@ class EscStatus(NamedTuple):
 
     @staticmethod
     def get_type() -> str:
-        """Return the name of the message, as messages of pymavlink do."""
+        """Return "ESC_STATUS", the name of the message. Messages of pymavlink have the same method."""
         return "ESC_STATUS"
 
 
@@ -198,7 +198,7 @@ class Codec:
         Parameters
         ----------
         system, component
-            Our ids.
+            Our system id and component id, which sent frames contain.
         key
             Signing key, 32 bytes; None for unsigned frames.
         now_unix

@@ -62,7 +62,7 @@ class Decoder(StreamDecoder[Frame]):
     sync = re.compile(rb"\x75")
 
     def __init__(self) -> None:
-        """Start without received packets."""
+        """Start the decoder of a MicroStrain sensor without received MIP packets."""
         super().__init__()
         self._filtered = -math.inf  # s, t_rx of the last attitude of the filter
         self._vectors: dict[str, tuple[tuple[float, ...], float]] = {}  # name -> newest values, t_rx [s]

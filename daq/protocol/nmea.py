@@ -84,7 +84,11 @@ class Decoder(StreamDecoder[Frame]):
 
     @property
     def two_receivers(self) -> str:
-        """Note for the user that two receivers send in the same stream, in one line; empty if there is only one."""
+        """Note for the user that two receivers send in the same stream, in one line.
+
+        It is empty as long as fewer than 5 positions differed from another position with the same time and kind of
+        sentence.
+        """
         return self._sentences.epochs.remark
 
     def flush(self) -> list[Frame]:
@@ -121,7 +125,7 @@ class Decoder(StreamDecoder[Frame]):
         return length
 
     def _filter_frames(self, frames: list[Frame]) -> list[Frame]:
-        """Return the samples to keep, here all of them. A subclass may drop some."""
+        """Return the samples of an NMEA sentence to keep, here all of them. A subclass may drop some."""
         return frames
 
 
@@ -257,7 +261,7 @@ class _Epoch:
 
     @property
     def timeless(self) -> bool:
-        """Whether the epoch has no time of the day."""
+        """Whether the NMEA sentences of the epoch have no time of the day."""
         return math.isnan(self.seconds)
 
 
@@ -282,7 +286,7 @@ class Epochs:
     """
 
     def __init__(self) -> None:
-        """Start without received sentences."""
+        """Start the collector of position sentences without received sentences."""
         self._out: list[Frame] = []
         self._epoch: _Epoch | None = None
         self._emitted = False  # whether the sample of the present epoch has been returned
@@ -355,7 +359,7 @@ class Epochs:
         return self._timed is not False
 
     def _pop_completed(self) -> list[Frame]:
-        """Return the GNSS samples that are complete, and remove them from the list of this collector."""
+        """Return the completed `Gnss` samples that no earlier call has returned."""
         out, self._out = self._out, []
         return out
 
@@ -434,9 +438,10 @@ class Epochs:
             self._vtg_leads, self._epochs_against_order = leads, 0
 
     def _begin_epoch(self, seconds: float, t_rx: float) -> None:
-        """Complete the present epoch, and begin the epoch with this time of the day [s].
+        """Complete the present epoch of NMEA sentences, and begin the next epoch.
 
-        `t_rx` is the run time of receipt [s] of its first sentence.
+        `seconds` is its time of the day [s], NaN without a time. `t_rx` is the run time of receipt [s] of its first
+        sentence.
         """
         if self._epoch is not None:
             self._emit_epoch()
@@ -834,9 +839,10 @@ class Headings:
 
 
 def _is_void(kind: str, words: list[bytes]) -> bool:
-    """Return whether a heading sentence of this kind reports by its flags that its heading is invalid.
+    """Return whether a heading sentence of NMEA 0183 reports by its flags that its heading is invalid.
 
-    `words` are the fields of the sentence as text.
+    `kind` is THS, PSTI or PASHR; sentences of other kinds have no such flag, and the result is False. `words` are the
+    fields of the sentence as text.
     """
     if kind == "THS":
         return words[-1] not in _THS_VALID
@@ -847,9 +853,9 @@ def _is_void(kind: str, words: list[bytes]) -> bool:
 
 
 def _signed_angle(words: list[bytes], index: int) -> float:
-    """Return an angle [rad] of an NMEA sentence: the word with this index, with the sign of the next word, E or W.
+    """Return an angle [rad] of an NMEA sentence: the word with this index in degrees, negative if the next word is W.
 
-    The result is NaN if the word is empty or invalid.
+    The result is NaN if the word is not a number, or if the next word is neither E nor W.
     """
     if len(words) < index + 2 or words[index + 1] not in (b"E", b"W") or not _NUMBER.match(words[index]):
         return NAN

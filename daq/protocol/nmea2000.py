@@ -93,12 +93,13 @@ class Decoder(FrameDecoder):
     """
 
     def __init__(self, declination: float | None = None, settle: float = SETTLE_S) -> None:
-        """Start without received state.
+        """Start the decoder of a ship's bus without received messages.
 
         Parameters
         ----------
         declination
-            True heading minus magnetic heading [rad], positive to the east. None if it is unknown.
+            True heading minus magnetic heading [rad], positive to the east, for magnetic headings without a variation.
+            None if it is unknown.
         settle
             Time [s] after the first message of a kind in which no sample is returned. It serves to find all senders.
         """

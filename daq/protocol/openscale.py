@@ -87,7 +87,7 @@ class Decoder(LineDecoder):
 
 
 def encode(reading: float, unit: str = "kg", milliseconds: int | None = None, raw: int | None = None) -> bytes:
-    """Encode one reading of a load cell as a line of the OpenScale board.
+    """Encode one reading of a load cell as a line of the OpenScale board, with CR LF.
 
     Parameters
     ----------

@@ -191,7 +191,10 @@ def _find_messages(buffer: bytearray, start: int, end: int) -> Iterator[tuple[in
 
 
 def checksum(body: bytes) -> bytes:
-    """Return the two bytes of Fletcher's checksum (RFC 1145) of a UBX message: class, id, length and payload."""
+    """Return the two bytes of Fletcher's checksum (RFC 1145) of a UBX message.
+
+    `body` are the bytes of class, id, length and payload.
+    """
     values = np.frombuffer(body, np.uint8).astype(float)  # the sums are whole numbers below 2^53, so they are exact
     return bytes((int(values.sum()) & 0xFF, int(values @ np.arange(len(body), 0.0, -1.0)) & 0xFF))
 
@@ -271,7 +274,7 @@ class Epochs:
     """
 
     def __init__(self) -> None:
-        """Start without received messages."""
+        """Start the collector of UBX navigation messages without received messages."""
         self.has_position = False  # whether a message with a position has been received
         self._epoch: _Epoch | None = None
         self._emitted = False  # whether the sample of the present epoch has been returned
