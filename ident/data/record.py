@@ -221,7 +221,7 @@ class Record:
 
     @property
     def n_rows(self) -> int:
-        """Number of rows."""
+        """Number of rows of the record."""
         return int(self.t.size)
 
     @property
@@ -764,7 +764,7 @@ def _cumulative_integral(t: Array, value: Array, after: Array) -> Array:
 
 
 def _integral_up_to(t: Array, value: Array, after: Array, whole: Array, at: Array) -> Array:
-    """Return the integral (m,) of a signal from its first time up to the times ``at`` (m,) [s].
+    """Return the integral (m,) of a signal from its first time to each of the times ``at`` (m,) [s].
 
     Parameters
     ----------
@@ -774,9 +774,9 @@ def _integral_up_to(t: Array, value: Array, after: Array, whole: Array, at: Arra
         The signal is linear from ``value`` (n,) at each time to ``after`` (n - 1,) just before the next time. It is
         constant before its first time and after its last time.
     whole
-        Integral (n,) up to each of its times (`_cumulative_integral`).
+        Integral (n,) of the signal from its first time to each of its times (`_cumulative_integral`).
     at
-        Times (m,) [s]. The integral up to a time before the first time of a positive signal is negative.
+        Times (m,) [s]. Before the first time, the integral of a positive signal is negative.
     """
     k = np.clip(np.searchsorted(t, at, side="right") - 1, 0, max(t.size - 2, 0))
     since, slope = np.clip(at, t[0], t[-1]) - t[k], np.zeros(k.size)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import NamedTuple
 
-COMMAND, SHAFT_SPEED, THRUSTER_FORCE = "n_cmd", "n", "f"  # -1..1, of full speed, N
+COMMAND, SHAFT_SPEED, THRUSTER_FORCE = "n_cmd", "n", "f"  # -1 to 1; relative to full speed; N
 # Quantities of one thruster. `n_cmd` comes before `n`: `n_cmd_left` is the command of `left`.
 THRUSTER_QUANTITIES = (COMMAND, SHAFT_SPEED, THRUSTER_FORCE, "voltage", "servo", "pwm")
 
@@ -25,7 +25,7 @@ class SignalId(NamedTuple):
         For a thruster one of `THRUSTER_QUANTITIES`, for example ``n_cmd``. For another signal its name, for example
         ``psi``.
     tap : int
-        Delay in steps of the model's input history. 0 for the signal itself.
+        Delay of a delayed copy of the signal in steps (0.1 s each; 0.05 s for commands). 0 for the signal itself.
     """
 
     source: str

@@ -485,7 +485,7 @@ class ThrusterPair:
 
 @dataclass(frozen=True)
 class Variable:
-    """Variable on which an unexplained force or sensor error may depend, such as the surge speed ``u``.
+    """Variable on which a force or sensor error that the model lacks may depend, for example the surge speed ``u``.
 
     Attributes
     ----------
@@ -611,7 +611,7 @@ class Model:
 
     @property
     def outputs(self) -> tuple[Output, ...]:
-        """Outputs of all sensors, in order."""
+        """Outputs of all sensors, in the order of the sensors."""
         return tuple(o for s in self.sensors for o in s.outputs)
 
     @property
@@ -935,18 +935,18 @@ def resolve_initial_states(states: Iterable[State], sensors: Iterable[Sensor]) -
 
 
 class States(Named):
-    """States by name."""
+    """States of a model by name, read as attributes."""
 
     _kind = "state"
 
 
 class Inputs(Named):
-    """Inputs by name."""
+    """Inputs of a model by name, read as attributes."""
 
     _kind = "input"
 
 
 class Parameters(Named):
-    """Values of the parameters by name."""
+    """Values of the parameters of a model by name, read as attributes."""
 
     _kind = "parameter"

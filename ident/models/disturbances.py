@@ -374,8 +374,8 @@ def with_disturbances(model: Model) -> Model:
 def residuals_of(model: Model) -> tuple[DisturbanceChannel, ...]:
     """Return the quantities of a model in which the diagnosis looks for missing effects, such as the surge force.
 
-    These are the quantities that the model declares, otherwise the forces X, Y and N of a model of a hull. Return ()
-    for any other model, which cannot be diagnosed.
+    These are the quantities that the model declares, otherwise the forces X, Y and N of a model of a hull
+    (`horizontal`). Return () for any other model, which cannot be diagnosed.
     """
     return model.residuals or (HULL if "hull" in model.provides else ())
 
@@ -383,7 +383,8 @@ def residuals_of(model: Model) -> tuple[DisturbanceChannel, ...]:
 def sensor_errors_of(model: Model) -> tuple[DisturbanceChannel, ...]:
     """Return the sensor outputs of a model in which the diagnosis looks for errors beyond the modelled biases.
 
-    These are the outputs of `SENSOR_ERRORS` for which the model has a bias state. Return () for a model without a hull.
+    These are the outputs psi, r, ax and ay, as far as the model has a bias state for them. Return () for a model
+    without a hull, that is, other than `horizontal`.
     """
     states = {s.name for s in model.states}
     return tuple(r for r in SENSOR_ERRORS if r.state in states) if "hull" in model.provides else ()
@@ -392,8 +393,8 @@ def sensor_errors_of(model: Model) -> tuple[DisturbanceChannel, ...]:
 def thrust_losses_of(model: Model) -> tuple[DisturbanceChannel, ...]:
     """Return the thrusts of a model in which the diagnosis looks for losses in turns.
 
-    They are the thrusts of both thrusters together and of each one alone. Return () for a model without a hull or
-    without thrusters.
+    They are the thrusts of both thrusters together and of each one alone. Return () for a model without a hull (other
+    than `horizontal`) or without thrusters.
     """
     return THRUST_LOSSES if {"hull", "f"} <= set(model.provides) else ()
 
@@ -401,9 +402,9 @@ def thrust_losses_of(model: Model) -> tuple[DisturbanceChannel, ...]:
 def variables_of(model: Model) -> tuple[Variable, ...]:
     """Return the variables on which a missing effect may depend, for the diagnosis of a model.
 
-    These are the variables that the model declares. A model of a hull that declares none has motion, time, and mean and
-    difference of the shaft speeds (of the thrusts, if it has no shaft speeds; neither, if it has no thrusters). Return
-    () for any other model.
+    These are the variables that the model declares. A model of a hull (`horizontal`) that declares none has velocities,
+    heading, time, and mean and difference of the shaft speeds (of the thrusts, if it has no shaft speeds; neither, if
+    it has no thrusters). Return () for any other model.
     """
     if model.variables or "hull" not in model.provides:
         return model.variables
@@ -416,6 +417,6 @@ def products_of(model: Model) -> tuple[tuple[str, str], ...]:
     """Return the pairs of variables whose product a missing effect may depend on, for the diagnosis of a model.
 
     Each pair has the names of two variables. These are the pairs that the model declares, otherwise (u, r), (u, v) and
-    (v, r) for a model of a hull. Return () for any other model.
+    (v, r) for a model of a hull (`horizontal`). Return () for any other model.
     """
     return model.products or (PRODUCTS if "hull" in model.provides else ())

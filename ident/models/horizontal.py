@@ -159,8 +159,8 @@ def horizontal_model(
     Parameters
     ----------
     propulsion : "shaft", "command", "force" or "general"
-        Inputs. ``shaft``: measured shaft speeds ``n_left``, ``n_right`` (normalised). ``command``: commands
-        ``n_cmd_left``, ``n_cmd_right`` (normalised); the shaft speeds are then states. ``force``: thrusts ``f_left``,
+        Inputs. ``shaft``: measured shaft speeds ``n_left``, ``n_right`` (-1 to 1). ``command``: commands
+        ``n_cmd_left``, ``n_cmd_right`` (-1 to 1); the shaft speeds are then states. ``force``: thrusts ``f_left``,
         ``f_right`` [N]. ``general``: surge force ``X`` [N] and yaw moment ``N`` [N m].
     sensors : Sequence[str]
         Names of the sensors whose outputs the model has; keys of `SENSORS`, for example ``gyro``.

@@ -78,7 +78,7 @@ def kinematic_model(
     Parameters
     ----------
     propulsion : "shaft" or "force"
-        Inputs of the thrusters. ``shaft``: measured shaft speeds ``n_left``, ``n_right`` (normalised). ``force``:
+        Inputs of the thrusters. ``shaft``: measured shaft speeds ``n_left``, ``n_right`` (-1 to 1). ``force``:
         thrusts ``f_left``, ``f_right`` [N].
     sensors : Sequence[str]
         Names of the sensors whose outputs the model has: ``accelerometer``, ``position``, ``ground_velocity``. Other
@@ -127,13 +127,11 @@ def kinematic_model(
 
 
 def attitude(s: Signals) -> None:
-    """Set the orientation, body rates and heave velocity of the boat from the measured attitude.
-
-    `set_orientation` sets them.
+    """Set the orientation, body rates and heave velocity of the boat from the measured attitude (`set_orientation`).
 
     The measurements are the inputs ``phi``, ``theta``, ``psi`` [rad] and ``p``, ``q``, ``r`` [rad/s]. The offsets of
-    heading and yaw gyro, which are states, are subtracted first. They are zero in an exported model, which lacks these
-    states.
+    heading and yaw gyro, which are states, are subtracted first. An exported model lacks these states, so that nothing
+    is subtracted.
     """
     u, x = s.u, s.x
     psi, r = u.psi - getattr(x, "bias_psi", 0.0), u.r - getattr(x, "bias_r", 0.0)

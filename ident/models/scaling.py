@@ -109,9 +109,9 @@ class VesselScale:
 
 
 def force_power(unit: str) -> int:
-    """Return the exponent of the common factor of all forces and masses by which a coefficient of this ``unit`` scales.
+    """Return the power of a factor on all forces and masses by which a coefficient of this ``unit`` is multiplied.
 
-    The exponent is that of kg in the unit, rounded to an integer: 1 for ``kg/m`` or ``N``, 0 for ``m``.
+    It is the exponent of kg in the unit, rounded to an integer: 1 for ``kg/m`` or ``N``, 0 for ``m``.
     """
     return round(dimension(unit).mass)
 

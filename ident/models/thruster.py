@@ -41,7 +41,7 @@ from seatrial.ident.models.disturbances import TIME, adder, shaft_disturbance
 from seatrial.ident.models.published_values import TABLE_2
 
 COMMAND = "n_cmd"
-DELAY_STEP = 0.0125  # s
+DELAY_STEP = 0.0125  # s, delay between copies of the command, unless the name of the model states another
 START_DELAY_SPACING_S = 0.2  # s between the initial values of the delay
 START_POLES = np.geomspace(0.2, 20.0, 14)  # 1/s, initial values of the pole
 SLOW_STEP = 0.1  # s, step of ``thruster:slow``, with delays up to 4.8 s, for links that poll

@@ -314,8 +314,8 @@ def error_message(problem: BaseException) -> str:
     """Return the message for an error in the user's code, in one line.
 
     If the error comes from the use of symbols, for example in an ``if``, the message is advice from `ADVICE`, or the
-    text of the error with a hint. Otherwise it is the text of the error. The name of the error's type is put before it
-    if the text is empty, or unless the text of such a type is usually clear alone, for example that of a ValueError.
+    text of the error with a hint. Otherwise it is the text of the error. The texts of ValueError, TypeError and similar
+    types are clear alone; for other types, and for an empty text, the name of the type is put before it.
     """
     message = " ".join(str(problem).split())
     for fragment, advice in ADVICE.items():
