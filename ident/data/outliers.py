@@ -32,10 +32,10 @@ from seatrial.ident.numerics import Array, wrap
 Mask = NDArray[np.bool_]
 LONGEST = 3  # samples of a burst that is searched at every sample; longer bursts are searched between two jumps
 MAX_JUMPS = 0.02  # share of the samples that jump; more jumps are noise, or another unit
-NEIGHBOURS = 6  # samples on each side
-FEWEST_STEPS = 4  # between regular neighbours, needed to know their size
-TIMES_STEP = 5.0  # least difference of an outlier over the largest step of its neighbours
-TIMES_SIDES = 3.0  # least difference of an outlier over the difference between both sides
+NEIGHBOURS = 6  # samples on each side of a burst, which show the usual step between samples
+FEWEST_STEPS = 4  # between neighbours that are no suspects; with fewer, their usual size is unknown
+TIMES_STEP = 5.0  # least ratio of an outlier's difference to the largest step of its neighbours
+TIMES_SIDES = 3.0  # least ratio of an outlier's difference to the difference between both sides
 # Least difference of an outlier, in the units of the signal, and the longest time [s] from the sample before a burst to
 # the one after it. Beyond that time the craft itself may have moved there and back.
 LEAST: dict[str, tuple[float, float]] = {
@@ -44,7 +44,7 @@ LEAST: dict[str, tuple[float, float]] = {
     "r": (1.0, 0.5), "ax": (30.0, 0.3), "ay": (30.0, 0.3), "az": (30.0, 0.3),
 }  # fmt: skip
 HEADING_SPAN = 5.0  # s, longest burst of headings that a gyro contradicts
-SHAFT = (0.1, 0.35)  # the same two limits for shaft speeds: of full speed, s
+SHAFT = (0.1, 0.35)  # the same two limits for shaft speeds: relative to full speed, and in s
 # Other signals, for example a force, have no physical scale. Their limit is a multiple of the range of the middle 98 %.
 TIMES_RANGE, OTHER_SPAN_S = 1.0, 0.35
 IMPOSSIBLE = 1e6  # SI units; no sensor of a small craft reports such a number in one of these signals

@@ -175,7 +175,7 @@ class Parameter:
     def from_free(self, coordinate: float) -> float:
         """Convert a coordinate of the search to a value in the unit of the parameter; the inverse of `to_free`.
 
-        With the transform "log", the coordinate is limited to 700, so that the value is finite.
+        With the transform "log", the coordinate is limited to at most 700, so that the value is finite.
         """
         return math.exp(min(coordinate, LARGEST)) if self.transform == "log" else coordinate
 
