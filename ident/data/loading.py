@@ -136,7 +136,7 @@ def propulsion_input(log: Log, found: Mapping[str, Channel], holds: Mapping[str,
 
 
 def channels(log: Log) -> dict[str, Channel]:
-    """Return all signals of a log by the names in the table at the top of this module, without outliers.
+    """Return all signals of a log by the names that models use, without outliers.
 
     Parameters
     ----------
@@ -146,9 +146,15 @@ def channels(log: Log) -> dict[str, Channel]:
     Returns
     -------
     dict
-        The signals with at least two samples. Times are in s since 1970. An imported signal takes precedence over an
-        AHRS, a receiver or a load cell with the same signal. A thruster of the rig takes precedence over an imported
-        signal. Of several devices of a kind, the first one is used for each signal.
+        The signals with at least two samples, by name: ``psi``, ``r``, ``ax``, ... of an AHRS, ``x``, ``y``, ``vx``,
+        ``vy`` of a GNSS receiver, ``n_NAME`` and ``n_cmd_NAME`` of a thruster, ``force`` of a load cell, ``speed``
+        along the track, and imported signals by their own names. Times are in s since 1970.
+
+    Notes
+    -----
+    The table at the top of this module has all names. An imported signal takes precedence over an AHRS, a receiver or a
+    load cell with the same signal. A thruster of the rig takes precedence over an imported signal. Of several devices
+    of a kind, the first one is used for each signal.
     """
     found: dict[str, Channel] = {}
     for source in log.sources(Scalar):
