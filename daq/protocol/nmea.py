@@ -180,7 +180,10 @@ class Sentences:
         return frames
 
     def forget(self) -> None:
-        """Discard all values from earlier NMEA sentences except the date, because the port was reopened."""
+        """Discard the incomplete epoch of NMEA sentences and the values for the next heading.
+
+        The decoder calls it because the port was reopened. The date is kept.
+        """
         self.epochs.forget()
         self.headings.forget()
 
@@ -345,7 +348,8 @@ class Epochs:
     def forget(self) -> None:
         """Discard the incomplete epoch and the learned place of VTG, because the port was reopened.
 
-        Whether there has been a fix is forgotten too. The UTC of the last epoch, and thus the date, is kept.
+        Whether there has been a fix is forgotten too. The date (by the UTC of the last epoch), the dimension of the fix
+        by GSA, and the kinds of sentence that are expected in an epoch are kept.
         """
         self._epoch = self._vtg = self._timed = None
         self._t_last, self._vtg_leads, self._epochs_against_order = -math.inf, False, ORDER_BY - 1
