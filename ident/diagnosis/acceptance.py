@@ -3,9 +3,9 @@
 This file has the whole rule by which an effect is accepted in a round or removed later. The thresholds are in
 ``seatrial.ident.diagnosis.policy``. Two models are compared on the same validation records by three measures:
 
-1. The log-likelihood. Its gain, summed in blocks of time, has to be positive and significant. 2. The prediction errors
-of all channels over the horizon (`prediction_change_by_record`). 3. The prediction errors over three seconds (1.2 s for
-a thruster) by inputs alone. That is about the time in which speed
+1. The log-likelihood. Its gain, summed in blocks of time, has to be positive and significant.
+2. The prediction errors of all channels over the horizon (`prediction_change_by_record`).
+3. The prediction errors over three seconds (1.2 s for a thruster) by inputs alone. That is about the time in which speed
    follows thrust. The disturbance forces are set to zero in it. Otherwise they would replace the missing effect and
    extrapolate it.
 
