@@ -55,7 +55,7 @@ def bench() -> None:
 
 @click.group(epilog="Example: seatrial mission run mission.toml rig.toml -o run.mcap")
 def mission() -> None:
-    """Generate, show and run missions."""
+    """Generate, show and run missions: sequences of thruster commands."""
 
 
 def _add_bench_command(kind: str, text: str) -> None:

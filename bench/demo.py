@@ -448,7 +448,7 @@ class DemoSteps:
     """
 
     def __init__(self, folder: Path) -> None:
-        """Store the folder in which the commands will run. No process is started."""
+        """Store the folder in which the commands of the demo will run. No process is started."""
         self.folder = folder
         self.seconds: list[tuple[str, float]] = []
         self.late_ms = 0.0
@@ -553,7 +553,7 @@ class DemoSteps:
         return process
 
     def _wait_for_end(self, process: subprocess.Popen[bytes]) -> int:
-        """Wait for the end of a process, and return its exit status.
+        """Wait for the end of the process of a command, and return its exit status.
 
         Raises DemoInterrupted if a signal arrives; the process is not ended here.
         """

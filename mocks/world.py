@@ -65,7 +65,7 @@ class Plant(Protocol):
 
     @property
     def shafts(self) -> Sequence[Shaft | BenchShaft]:
-        """Shafts of the thrusters of the simulated plant, in the order of the thrusters' indices."""
+        """Shafts of the thrusters of the simulated boat or bench, in the order of the thrusters' indices."""
         ...
 
     def command(self, thruster: int, t: float, n_cmd: float) -> None:
@@ -80,7 +80,7 @@ class Plant(Protocol):
         ...
 
     def advance(self) -> None:
-        """Integrate the simulated plant by one step of ``step_s`` seconds."""
+        """Integrate the simulated boat or bench by one step of ``step_s`` seconds."""
         ...
 
 
@@ -283,7 +283,10 @@ class TelemetryDelay:
         self._states.append(self._present())
 
     def state(self) -> ThrusterState:
-        """Return the state of the thruster one dead time ago; its initial state until one dead time has passed."""
+        """Return the state of the thruster one dead time ago, which its telemetry reports at present.
+
+        Until one dead time has passed it is the initial state.
+        """
         return self._states[0]
 
 

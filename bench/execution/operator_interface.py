@@ -92,7 +92,7 @@ class Display(Protocol):
     """Interface of a display that shows the state of a run. It is a context manager: live or plain display."""
 
     def __enter__(self) -> Self:
-        """Start the display and return it."""
+        """Start the display of a run and return it."""
         ...
 
     def __exit__(
@@ -165,12 +165,12 @@ class PlainDisplay:
     """Display for pipes and files: it prints the state of a run at each new segment, and every 2 s (wall) within it."""
 
     def __init__(self) -> None:
-        """Prepare the display. The first state of the run will be printed at once."""
+        """Prepare the plain display of a run. The first state of the run will be printed at once."""
         self._last = -math.inf
         self._segment = ""
 
     def __enter__(self) -> Self:
-        """Return the display. It needs no start."""
+        """Return the plain display of a run. It needs no start."""
         return self
 
     def __exit__(
@@ -209,7 +209,7 @@ class StopSignals:
     """
 
     def __init__(self) -> None:
-        """Prepare the context. The signal handlers are installed when it begins."""
+        """Prepare the handling of SIGINT, SIGTERM and SIGHUP. The handlers are installed when the context begins."""
         self.caught: signal.Signals | None = None
         self._read, self._write = -1, -1
         self._old: dict[signal.Signals, object] = {}
@@ -260,7 +260,7 @@ class Keys:
     """
 
     def __init__(self) -> None:
-        """Prepare the context. The mode of the terminal is changed when it begins."""
+        """Prepare the reading of keys. The mode of the terminal is changed when the context begins."""
         self._fd = -1
         self._before: list[Any] = []
         self._pressed: dict[str, float] = {}  # wall time, by key

@@ -57,7 +57,7 @@ class RunInterrupted(SeatrialError):
     """Error of a run that a signal has ended. The exit status is 128 plus the number of the signal."""
 
     def __init__(self, line: str, number: signal.Signals) -> None:
-        """Store the message ``line``, and the exit status 128 + ``number`` of the signal."""
+        """Store the message ``line`` of the error, and the exit status 128 plus the ``number`` of the signal."""
         super().__init__(line)
         self.exit_status = 128 + number
 

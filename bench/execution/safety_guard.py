@@ -255,7 +255,7 @@ class MovementWatch:
     """
 
     def __init__(self) -> None:
-        """Prepare the detector. It has no value yet, and the value is not taken as a position."""
+        """Prepare a detector of a frozen device. It has no value yet, and its values are not taken as positions."""
         self.is_position = False
         self._restart_counters(math.nan, (), {})
 
@@ -459,7 +459,10 @@ def _accepts_thruster(thruster: Thruster) -> Callable[[Source, Sample], bool]:
 
 
 def _accepts_device(name: str) -> Callable[[Source, Sample], bool]:
-    """Return a function that takes a source (device and node) and a sample, and returns if it is of device ``name``."""
+    """Return a function that decides whether a sample comes from the device ``name``.
+
+    It takes the source (device and node) and the sample.
+    """
     return lambda source, sample: source[0].partition("/")[0] == name
 
 
@@ -499,7 +502,10 @@ class OutputCheck:
     """
 
     def __init__(self, thruster: Thruster, speed: float) -> None:
-        """Prepare the comparison for ``thruster``. ``speed`` is the number of run seconds per wall second."""
+        """Prepare the comparison of the autopilot's output for ``thruster`` with its commands.
+
+        ``speed`` is the number of run seconds per wall second.
+        """
         self._thruster, self._window_s, self._tolerated_s = thruster, WINDOW_S * speed, LASTS_S * speed
         self._commands: deque[tuple[float, float]] = deque()  # run time, n_cmd
         self._wrong_since = math.nan
@@ -585,7 +591,10 @@ class ControllerCheck:
     """
 
     def __init__(self, thruster: Thruster, speed: float) -> None:
-        """Prepare the comparison for ``thruster``. ``speed`` is the number of run seconds per wall second."""
+        """Prepare the comparison of the speed controller of ``thruster`` with its commands.
+
+        ``speed`` is the number of run seconds per wall second.
+        """
         self._thruster = thruster
         delay = WINDOW_S * speed  # run s on the way to the controller and back
         self._window_s, self._tolerated_s, self._coast_s = (

@@ -34,7 +34,10 @@ class EventSink(Protocol):
     """
 
     def schedule(self, rows: Sequence[Row]) -> None:
-        """Append set-points to those that wait to be sent. They are pairs of run time [s] and n_cmd by thruster."""
+        """Append set-points to those that will be sent at their times.
+
+        ``rows`` are pairs of run time [s] and n_cmd by name of the thruster.
+        """
 
     def zero(self, reason: str) -> None:
         """Command zero to all thrusters at once, and discard set-points that are not yet due. Log the ``reason``."""
@@ -97,7 +100,10 @@ class MissionSequencer:
 
     @property
     def segment(self) -> str:
-        """Name of the present segment of the mission; empty before the first one, and while a restart is due."""
+        """Name of the present segment of the mission.
+
+        It is empty before the first segment, and from a restart of a segment to its new beginning.
+        """
         return "" if self._step is None else self._step.name
 
     @property
@@ -562,7 +568,7 @@ class Schedule:
         return rows
 
     def started(self, now: float) -> list[ScheduledSegment]:
-        """Return the segments, since the start or the last restart, that have begun by run time ``now`` [s].
+        """Return the segments, since the start or the last restart, that have started by run time ``now`` [s].
 
         They are in the order of time. The list is empty before the first one.
         """

@@ -198,7 +198,7 @@ def _autopilot_findings(rig: Rig, device: Device, status: Status, port: PortStat
 
 
 def armed_finding(name: str) -> Finding:
-    """Return the warning that the autopilot ``name`` is armed."""
+    """Return the finding, a warning, that the autopilot ``name`` is armed, with the advice to disarm it."""
     text = "it is armed: its outputs follow any command that it receives"
     return Finding(WARNING, ARMED, "link", name, text, "disarm it, unless a run follows")
 

@@ -104,7 +104,10 @@ class DeviceLoop(threading.Thread):
     ) -> None:
         """Prepare the thread that serves the port of one device. It is not started, and the port is not opened.
 
-        The parameters are those of the class.
+        `decoder` decodes the received bytes, and `sink` is the queue of the log. `setpoints` is the schedule of the
+        device's thrusters (None without one), and `driver` encodes the messages to the device (None if nothing is
+        sent). `on_lost` is called with a reason if the port is lost, or this thread or the computer was stopped, so
+        that an old command could have been repeated.
         """
         super().__init__(name=f"port {device.name}", daemon=True)
         self.device = device
@@ -141,7 +144,7 @@ class DeviceLoop(threading.Thread):
             os.write(self._wake_write, b"x")
 
     def end(self) -> None:
-        """Request the thread of the port to send zero, close the port and end. It does not wait; `join` does."""
+        """Request the thread of the port to send zero, close the port and end. The call does not wait; `join` does."""
         self._ending = True
         self.wake()
 

@@ -34,9 +34,9 @@ class HardwareWatchdog:
     """
 
     def __init__(self, path: Path) -> None:
-        """Open the timer, which arms it, and set its time-out to 10 s (TIMEOUT_S).
+        """Open the computer's watchdog timer `path`, which arms it, and set its time-out to 10 s (TIMEOUT_S).
 
-        Raise OSError if it cannot be opened.
+        A timer with a fixed time-out keeps its own. Raise OSError if the device file cannot be opened.
         """
         self._file = os.open(path, os.O_WRONLY | os.O_CLOEXEC | os.O_NONBLOCK)
         with contextlib.suppress(OSError):  # some drivers have a fixed time-out

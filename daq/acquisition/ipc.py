@@ -295,7 +295,7 @@ class AcquisitionChannel:
         self._buffer = bytearray()
 
     def fileno(self) -> int:
-        """Return the file descriptor of the channel's socket, for `select`."""
+        """Return the file descriptor of the socket, so that `select` can wait for messages of the other process."""
         return self._socket.fileno()
 
     def send(self, message: Message) -> None:
@@ -343,7 +343,7 @@ class AcquisitionChannel:
                 return
 
     def close(self) -> None:
-        """Close the socket of the channel. A `receive` that waits in another thread ends too."""
+        """Close the socket to the other process. A `receive` that waits in another thread ends with EOFError."""
         with contextlib.suppress(OSError):  # the other end may be closed already
             self._socket.shutdown(socket.SHUT_RDWR)
         self._socket.close()

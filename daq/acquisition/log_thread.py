@@ -62,14 +62,18 @@ class LogSink:
     """
 
     def __init__(self, limit: int = QUEUE_ITEMS) -> None:
-        """Make an empty queue for at most `limit` items with raw bytes."""
+        """Make an empty queue of data for the log.
+
+        `limit` is the largest number of reads and writes with raw bytes in it. Events are accepted up to twice this
+        number.
+        """
         self._items: deque[LogItem] = deque()
         self._limit = limit
 
     def put(self, item: LogItem) -> bool:
-        """Append the bytes and samples of one read or write to the queue of the log.
+        """Append the bytes and samples of one read or write, or an event, to the queue of the log.
 
-        Return False, without appending, if the queue is full.
+        Return True, or False without appending it if the queue is full.
         """
         if len(self._items) >= (self._limit if item.raw else 2 * self._limit):
             return False
@@ -105,7 +109,7 @@ class SampleStream:
     """
 
     def __init__(self, limit: int = STREAM_SAMPLES) -> None:
-        """Make an empty queue for at most `limit` samples."""
+        """Make an empty queue for at most `limit` samples that are to be sent to the parent process."""
         self._samples: deque[StreamedSample] = deque()
         self._limit = limit
         self.dropped = 0
@@ -158,7 +162,11 @@ class LogThread(threading.Thread):
     def __init__(
         self, recorder: Recorder, sink: LogSink, health: Callable[[], dict[str, PortHealth]], clock: RunClock
     ) -> None:
-        """Prepare the thread that writes the log. It is not started."""
+        """Prepare the thread that writes the log. It is not started.
+
+        `recorder` is the open log, which the thread closes at its end. `sink` is the queue of data to write. `health`
+        is a function that returns the counters of each port by name of the device. `clock` is the run clock.
+        """
         super().__init__(name="writer", daemon=True)
         self._recorder, self._sink, self._health_of, self._clock = recorder, sink, health, clock
         self._ending = threading.Event()

@@ -89,7 +89,12 @@ class Process:
         heartbeat: Heartbeat | None = None,
         terminal: int = -1,
     ) -> None:
-        """Prepare the threads of all ports and of the log. No thread is started, and no port is opened."""
+        """Prepare the threads of all ports and of the log. No thread is started, and no port is opened.
+
+        `link` is the socket to the parent, `recorder` the open log, and `clock` the run clock. `role` is whether
+        autopilots are only listened to, asked for data, or driven. `heartbeat` sends to the watchdog; None if no thrust
+        will be commanded. `terminal` is the file descriptor of the parent's standard error; -1 without one.
+        """
         self._role, self._terminal = role, terminal
         self._parent = os.getppid()
         self._path = recorder.path
@@ -314,7 +319,7 @@ class Process:
         self._log_event("stop", reason)
 
     def _log_event(self, kind: str, text: str) -> None:
-        """Put an event, with the present run time, into the queue of the log.
+        """Put an event, with the present run time, into the queue of the log, from which it is written.
 
         `kind` is a word such as "stop", and `text` describes the event in one line.
         """

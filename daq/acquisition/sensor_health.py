@@ -69,7 +69,7 @@ class SensorHealth:
     """
 
     def __init__(self) -> None:
-        """Start the checks of a device without samples and without a fault."""
+        """Start the plausibility checks of one device. It has no samples and no fault yet."""
         self._same: dict[_SampleForm, _RepeatedSample] = {}
         self._last = self._now = 0.0
         self._jumps, self._jumped = 0, -math.inf

@@ -98,7 +98,12 @@ class Acquisition:
         drive: bool = False,
         ask: bool = False,
     ) -> None:
-        """Prepare the acquisition. The process is started when the context begins."""
+        """Prepare the acquisition of all devices of a rig into the new log `path`.
+
+        The acquisition process is started when the context begins. `clock` is the run clock. `attachments` and
+        `metadata` of the log are bytes and texts by name. `drive` is whether thrust will be commanded; a watchdog
+        process is then started too. `ask` is whether data are requested from autopilots.
+        """
         self._drive = drive
         self._role = LinkRole.DRIVE if drive else LinkRole.ASK if ask else LinkRole.LISTEN
         self.rig, self.path, self.clock = rig, Path(path), clock

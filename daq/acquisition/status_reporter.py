@@ -51,7 +51,12 @@ class StatusReporter:
         writer: LogThread,
         event: Callable[[str, str], None],
     ) -> None:
-        """Store the objects whose state is reported. Nothing is sent."""
+        """Store the objects of the acquisition process whose state is reported. Nothing is sent.
+
+        `link` is the socket to the parent, and `path` the path of the log. `loops` are the threads of the ports, and
+        `setpoints` the schedules of thrusters, both by name of the device. `writer` is the log thread, and `event` a
+        function of a kind and a text that writes an event to the log.
+        """
         self._link, self._rig, self._path, self._clock = link, rig, path, clock
         self._loops, self._setpoints, self._writer, self._event = loops, setpoints, writer, event
         self._started = clock.now()

@@ -131,7 +131,7 @@ class Heartbeat:
             self.trouble = f"the watchdog has not answered for {ANSWER_S:g} s"
 
     def end(self) -> None:
-        """Report to the watchdog that the acquisition process ends and monitoring is over.
+        """Report to the watchdog that the acquisition process ends, so that it must not be monitored any more.
 
         The thrusters must be at zero.
         """
@@ -219,7 +219,10 @@ class FailsafeSender(threading.Thread):
     """
 
     def __init__(self, device: Device, rig: Rig) -> None:
-        """Prepare the thread for the port of one device. It is not started, and the port is not opened."""
+        """Prepare the thread that sends zero to the thrusters of one device in an emergency.
+
+        It is not started, and the port is not opened. All modules that it needs are loaded now.
+        """
         super().__init__(name=f"failsafe {device.name}")
         self._device, self._rig = device, rig
         self._thrusters = [thruster for thruster in rig.thrusters if thruster.device == device.name]
