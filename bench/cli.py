@@ -107,7 +107,9 @@ def _bench_thruster(rig: Rig, name: str | None) -> str:
         return rig.thruster(name).name
     if len(rig.thrusters) != 1:
         names = ", ".join(thruster.name for thruster in rig.thrusters) or "none"
-        raise SeatrialError(f"{rig.path}: which thruster? name one with --thruster; there is: {names}")
+        raise SeatrialError(
+            f"{rig.path}: a bench run drives one thruster, and the rig has: {names}; name one with --thruster"
+        )
     return rig.thrusters[0].name
 
 

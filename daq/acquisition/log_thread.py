@@ -20,7 +20,7 @@ QUEUE_ITEMS = 20_000  # reads and writes in the queue, at most
 WRITE_S = 0.01  # wall s between writes to the log
 HEALTH_S = 1.0  # wall s between writes of the counters
 STREAM_SAMPLES = 5_000  # samples that wait for the parent, at most
-DELETED = "the log was deleted while it is recorded: what comes now is lost"
+DELETED = "the log was deleted during the recording: further data are lost"
 
 
 class LogItem(NamedTuple):
