@@ -1,5 +1,7 @@
-"""Results of the commands as data: types and table rows of result.json, their writer, and the sentences about fits and
-diagnoses. Pages and terminal tables are in report.
+"""Results of the commands as data, and their file result.json.
+
+The modules have the types of results and tables, builders of the results, sentences about fits and diagnoses, and the
+reader and writer of the file. Report pages and tables for the terminal are in ``seatrial.ident.report``.
 """
 
 import lazy_loader

@@ -1,9 +1,9 @@
 """Reader and writer of result.json.
 
 A result is a frozen ``Result`` that a workflow fills once. ``read_result`` inverts ``write_result``, except for the
-rounding. Arrays become lists, and NaN and infinity become null. Numbers keep seven significant digits, except the origin
-of the NED frame, which keeps all. A required key that is missing, and a key that is misspelt or of a wrong type, is an
-error that contains the path of the key.
+rounding. Arrays become lists, and NaN and infinity become null. Numbers keep seven significant digits; the origin of
+the NED frame keeps all. A required key that is missing, and a key that is misspelt or of a wrong type, is an error that
+contains the path of the key.
 """
 
 from __future__ import annotations
