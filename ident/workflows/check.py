@@ -119,7 +119,7 @@ def with_findings(
     -------
     LoadedLog
         Copy of the log. Its findings are those on the devices, on the signals, and ``more``, each as a dictionary;
-        those of the level ``ok`` are left out. The key ``spoils`` tells whether a finding makes a fit meaningless.
+        those of the level ``ok`` are left out. Its key ``spoils`` is true if the finding makes a fit meaningless.
 
     Raises
     ------
