@@ -1,7 +1,5 @@
-"""Results of the commands as data, and their file result.json.
-
-The modules have the types of results and tables, builders of the results, sentences about fits and diagnoses, and the
-reader and writer of the file. Report pages and tables for the terminal are in ``seatrial.ident.report``.
+"""Results of the commands as data: the types of result.json and of its tables, their builders, the sentences about fits
+and diagnoses, and the reader and writer of the file. Report pages and tables for the terminal are in report.
 """
 
 import lazy_loader
