@@ -55,7 +55,7 @@ def bench() -> None:
 
 @click.group(epilog="Example: seatrial mission run mission.toml rig.toml -o run.mcap")
 def mission() -> None:
-    """Generate, show and run missions."""
+    """Generate, show and run missions: sequences of thruster commands."""
 
 
 def _add_bench_command(kind: str, text: str) -> None:
@@ -98,38 +98,48 @@ _add_bench_command("all", "Rest, steps, chirps of each sign, rest: about two min
 
 
 def _bench_thruster(rig: Rig, name: str | None) -> str:
-    """Return the name of the thruster of a bench run.
+    """Return the name of the thruster of a bench run: ``name``, or that of the only thruster of the rig if it is None.
 
-    ``name`` is the value of `--thruster`. If it is None, the rig must have exactly one thruster. Otherwise, or if the
-    rig lacks the thruster, SeatrialError is raised.
+    ``name`` is the value of the option `--thruster`. Raises SeatrialError if the rig has no thruster of this name, or
+    if ``name`` is None and the rig has no thruster or several.
     """
     if name is not None:
         return rig.thruster(name).name
     if len(rig.thrusters) != 1:
         names = ", ".join(thruster.name for thruster in rig.thrusters) or "none"
-        raise SeatrialError(f"{rig.path}: which thruster? name one with --thruster; there is: {names}")
+        raise SeatrialError(
+            f"{rig.path}: a bench run drives one thruster, and the rig has: {names}; name one with --thruster"
+        )
     return rig.thrusters[0].name
 
 
 def _run_plan(
     plan: Mission, rig: Rig, out: Path | None, arm: bool, retry: int, commands: Ros2Node | None = None
 ) -> None:
-    """Run a plan. Print its duration, the path of its log, the next command, and autopilots that are still armed.
+    """Run a plan on the devices of a rig, record it, and print a summary. THRUSTERS TURN.
+
+    The summary names the duration, the path of the log, the next command for the user, and the autopilots that are
+    still armed.
 
     Parameters
     ----------
     plan : Mission
-        The plan.
+        The set-points of the thrusters and their limits.
     rig : Rig
         The rig that is driven.
     out : Path or None
-        The new log; None for a name by date in the rig's log directory.
+        Path of the new log. If it is None, the log gets a name by date in the log directory of the rig.
     arm : bool
-        Whether to arm autopilots before the run and to disarm them after it.
+        Whether to put autopilots into MANUAL and arm them before the run, and to disarm them after it.
     retry : int
-        Number of invalid steps, in all, that are repeated.
+        Largest number of repetitions, in all, of segments in which set-points or samples were lost.
     commands : Ros2Node, optional
         Source of external commands, which replace the set-points of the plan.
+
+    Raises
+    ------
+    SeatrialError
+        If the run cannot start or has to end early, as in `run_mission`. No summary is printed then.
     """
     # Imported here, so that --help starts quickly.
     from seatrial.bench.execution import make_display, run_mission
@@ -145,21 +155,23 @@ def _run_plan(
 
 
 def next_command(plan: Mission, rig: Rig, log: Path) -> str:
-    """Return the line that names the next command for a finished log.
+    """Return the line that tells the user which command identifies a model from a finished log.
 
     Parameters
     ----------
     plan : Mission
         The plan that was run.
     rig : Rig
-        Its devices decide which identification suits the log.
+        The rig that was driven.
     log : Path
         The finished log.
 
     Returns
     -------
     str
-        "next: seatrial ident ...", with the log's path quoted for a shell.
+        "next: seatrial ident thruster LOG" for a plan of one thruster on a rig with a load cell. Otherwise "next:
+        seatrial ident vehicle LOG", with "--model nomoto" at the end if a thruster of the rig is connected to an
+        autopilot. LOG is the path of the log, quoted for a shell.
     """
     from seatrial.bench.execution import LOAD_CELLS
 
@@ -172,9 +184,9 @@ def next_command(plan: Mission, rig: Rig, log: Path) -> str:
 
 
 def warn_of_armed(names: Sequence[str]) -> None:
-    """Print a warning that the autopilots with these names are still armed. It is the last line of a command.
+    """Print to standard error that the autopilots ``names`` are still armed; print nothing if ``names`` is empty.
 
-    Nothing is printed without names.
+    A command calls this last, so that the warning is its last line.
     """
     if names:
         click.secho(f"{', '.join(names)} IS STILL ARMED: disarm it yourself", fg="red", bold=True, err=True)
@@ -234,10 +246,10 @@ def show(mission_path: Path) -> None:
 
 
 def _parse_thruster_names(_context: click.Context, _parameter: click.Parameter, text: str) -> tuple[str, str]:
-    """Split ``text``, the value of `--thrusters`, at its comma into the names of the left and the right thruster.
+    """Return the names of the left and the right thruster from ``text``, the value "LEFT,RIGHT" of `--thrusters`.
 
-    It is a callback of click, which passes the context and the parameter too. Raises click.BadParameter if there are
-    not exactly two names.
+    Spaces around a name are removed. Raises click.BadParameter if there are not exactly two names or one is empty. The
+    function is a callback of click, which also passes the context and the parameter; they are not used.
     """
     names = [name.strip() for name in text.split(",")]
     if len(names) != 2 or not all(names):

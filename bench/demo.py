@@ -45,11 +45,11 @@ EPILOG = "Example: seatrial demo --seed 3 --out /tmp/demo"
 
 
 class StepFailed(SeatrialError):
-    """Error raised when a command of the demo fails. The message names the command."""
+    """Error of a command of the demo that failed, or of a mock that did not start. The message names the cause."""
 
 
 class DemoInterrupted(SeatrialError):
-    """Error raised when the user interrupts the demo."""
+    """Error of a demo that SIGINT (Ctrl-C), SIGTERM or SIGHUP has ended. The exit status is 130."""
 
     exit_status = 130
 
@@ -85,14 +85,15 @@ def demo(seed: int | None, out: Path | None, speed: float, realistic: bool) -> N
 
 
 def fresh_folder(out: Path | None, seed: int) -> Path:
-    """Make the folder of the demo and return its path.
+    """Make the empty folder in which the demo will work, and return its path.
 
     Parameters
     ----------
     out : Path or None
-        The folder. By default it is named after the seed, with the date added if that name exists.
+        The folder, which may exist if it is empty. If it is None, the folder is "seatrial-demo-SEED" in the current
+        folder. If this exists, the date and time are appended to its name.
     seed : int
-        Seed of the demo.
+        Seed of the demo, for the name.
 
     Raises
     ------
@@ -136,11 +137,29 @@ def write_demo_rig(name: str, folder: Path, speed: float) -> None:
 
 
 def run_steps(steps: DemoSteps, seed: int, realistic: bool = False) -> list[str]:
-    """Run all steps of the demo, and return the commands that are missing in this installation.
+    """Run all commands of the demo on mock devices, from the bench run to the diagnosis.
 
-    Each missing command is a text such as "`seatrial ident thruster`". The list is empty if all steps were run.
-    ``seed`` is the seed of boat, bench and missions. If ``realistic`` is true, the boat has small imperfections beside
-    its hidden effect. Raises StepFailed if a command fails that is installed.
+    Parameters
+    ----------
+    steps : DemoSteps
+        Runner of the commands, in the folder of the demo.
+    seed : int
+        Seed of the mock boat, the mock bench and the missions.
+    realistic : bool
+        Whether the mock boat has small imperfections beside its hidden effect.
+
+    Returns
+    -------
+    list of str
+        Commands of `seatrial ident` that were left out, such as "`seatrial ident thruster`": the first one that this
+        installation lacks, and all later ones. It is empty if all commands were run.
+
+    Raises
+    ------
+    StepFailed
+        If an installed command fails, or a mock does not start.
+    DemoInterrupted
+        If a signal arrives.
     """
     missing: list[str] = []
     mock = ("mock", "bench", "bench-rig.toml", "--seed", str(seed))
@@ -156,9 +175,9 @@ def run_steps(steps: DemoSteps, seed: int, realistic: bool = False) -> list[str]
 
 
 def _run_mission(steps: DemoSteps, seed: int, run: int, seconds: float, name: str, realistic: bool) -> None:
-    """Generate the mission NAME.toml and run it on a newly started mock boat, into the log NAME.mcap.
+    """Generate a mission file NAME.toml, and run it on a newly started mock boat, into the log NAME.mcap.
 
-    Boat and hidden effect are the same in all runs; the noise differs.
+    The parameters of the boat and its hidden effect depend only on the seed; the noise differs from run to run.
 
     Parameters
     ----------
@@ -167,13 +186,18 @@ def _run_mission(steps: DemoSteps, seed: int, run: int, seconds: float, name: st
     seed : int
         Seed of the demo.
     run : int
-        Number of the run, from 1. It selects the mission and the noise.
+        Number of the run, from 1. The random mission and the noise depend on it.
     seconds : float
         Duration of the mission [run s].
     name : str
-        NAME of the mission and of its log.
+        NAME of the mission file and of the log.
     realistic : bool
         Whether the boat has small imperfections beside its hidden effect.
+
+    Raises
+    ------
+    StepFailed
+        If a command fails, or the mock does not start.
     """
     plan, mission_seed = f"{name}.toml", str(100 * seed + run)
     steps.run(
@@ -186,7 +210,10 @@ def _run_mission(steps: DemoSteps, seed: int, run: int, seconds: float, name: st
 
 
 def _record_with_mock(steps: DemoSteps, rig: str, mock: tuple[str, ...], name: str, *words: str) -> None:
-    """Record a log from a mock. If this machine is too slow, repeat the run at half the speed.
+    """Record a log from a mock. While this machine is too slow for the clock speed of the rig, repeat at half of it.
+
+    The machine is too slow if the mock sent samples more than 45 ms (wall) late, or if the run skipped more than 100
+    set-points. An attempt at 8 or fewer run seconds per wall second is not repeated.
 
     Parameters
     ----------
@@ -204,13 +231,14 @@ def _record_with_mock(steps: DemoSteps, rig: str, mock: tuple[str, ...], name: s
     Raises
     ------
     StepFailed
-        If the last attempt fails.
+        If the command or the mock of the last attempt fails. The failure of an earlier attempt is ignored.
 
     Notes
     -----
     At 20 times real time a pause of 50 ms lasts one second of the boat's time. Shaft speeds have no device clock, so
-    their stamps are late by the pause. A log with such a pause is kept under another name (NAME-late.mcap) and not
-    used. The rig file has its original speed again at the end.
+    their stamps are late by the pause. The log of a repeated attempt is kept under another name (NAME-late.mcap,
+    NAME-late2.mcap, ...) and not used. The clock speed in the rig file is changed for each repetition; after the last
+    attempt the file has its original speed again.
     """
     usual = speed = _clock_speed(steps.folder / f"{rig}-rig.toml")
     for attempt in count(1):
@@ -234,9 +262,10 @@ def _record_with_mock(steps: DemoSteps, rig: str, mock: tuple[str, ...], name: s
 
 
 def n_skipped(path: Path) -> int:
-    """Return the number of set-points that a run skipped, from the events of its log ``path``.
+    """Return the number of set-points that a run skipped, from the events "invalid" in its log, the file ``path``.
 
-    If the log does not exist or cannot be read, return 0.
+    A set-point is skipped if a later one of the same thruster replaces it before it could be sent. If the log does not
+    exist or cannot be read, return 0.
     """
     try:
         with open_log(path) as log:
@@ -247,15 +276,16 @@ def n_skipped(path: Path) -> int:
 
 
 def _clock_speed(rig: Path) -> float:
-    """Return the clock speed in a rig file; 1 if the file has none."""
+    """Return the number of run seconds per wall second that the rig file ``rig`` sets (`speed`); 1 if it sets none."""
     found = re.search(r"(?m)^speed\s*=\s*([0-9.]+)", rig.read_text(encoding="utf-8"))
     return float(found[1]) if found else 1.0
 
 
 def _run_ident(steps: DemoSteps, missing: list[str], name: str, *words: str) -> None:
-    """Run one command of `seatrial ident`. If it is not installed, append it to ``missing``.
+    """Run one command of `seatrial ident`, or leave it out and append it to ``missing``.
 
-    If ``missing`` is not empty, the command is left out and appended too, because it needs the result of a step before.
+    The command is left out if it is not installed. It is also left out if ``missing`` is not empty, because it needs
+    the result of an earlier command.
 
     Parameters
     ----------
@@ -285,14 +315,23 @@ def _run_ident(steps: DemoSteps, missing: list[str], name: str, *words: str) -> 
 
 
 def print_outcome(folder: Path) -> None:
-    """Print the answer, the prediction errors before and after, the path of the report, and the ground truth.
+    """Print the outcome of the demo: what the diagnosis found, and which effect the mock boat really had.
 
-    For a realistic boat, the names of its small imperfections are printed before the hidden effect.
+    The lines are the answer of the diagnosis with its caveat, the prediction errors before and after the diagnosis, the
+    path of the report, the found effects and whether the hidden effect is among them, and the ground truth. For a
+    realistic boat, the names of its small imperfections are printed before the hidden effect.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the demo, with the ground-truth file `truth.json` and the result of the diagnosis,
+        `diagnosis/result.json`.
 
     Raises
     ------
     SeatrialError
-        If a file in the folder is missing or lacks these values.
+        If one of the two files cannot be read, the result lacks the prediction errors, or the ground truth lacks the
+        name of the effect.
     """
     result = _read_json(folder / ANSWER)
     click.echo()
@@ -318,7 +357,10 @@ def print_outcome(folder: Path) -> None:
 
 
 def _effect_details(truth: dict[str, Any]) -> str:
-    """Return the description and the parameters of the hidden effect in brackets; empty if the truth has neither."""
+    """Return the description and the parameters of the hidden effect as a text in brackets, after a space.
+
+    ``truth`` is the content of the ground-truth file. The text is empty if it has neither description nor parameters.
+    """
     parameters = truth.get("parameters", {}).items()
     numbers = [f"{key} = {value:.4g}" if isinstance(value, float) else f"{key} = {value}" for key, value in parameters]
     texts = [text for text in (truth.get("sentence", ""), ", ".join(numbers)) if text]
@@ -326,18 +368,29 @@ def _effect_details(truth: dict[str, Any]) -> str:
 
 
 def found_effects(result: dict[str, Any]) -> list[str]:
-    """Return the names of the effects that a diagnosis has added to the model, in their order.
+    """Return the names of the effects that a diagnosis has added to the model, in their order there.
 
-    ``result`` is the content of its result.json; effects may be objects with a name, or names.
+    ``result`` is the content of the diagnosis' result.json. Its list "effects" has names, or objects with a name. If
+    there is no such list, no name is returned.
     """
     effects = result.get("effects", [])
     return [str(effect["name"] if isinstance(effect, dict) else effect) for effect in effects]
 
 
 def error_lines(result: dict[str, Any]) -> list[str]:
-    """Return a line for each channel with its RMS prediction error on validation data before and after the diagnosis.
+    """Return a line of text for each output of the model: its RMS prediction error before and after the diagnosis.
 
-    ``result`` is the content of the result.json of the diagnosis.
+    The errors are those on validation data.
+
+    Parameters
+    ----------
+    result : dict
+        Content of the diagnosis' result.json.
+
+    Returns
+    -------
+    list of str
+        Lines in the order of the outputs (channels) in the result.
 
     Raises
     ------
@@ -352,10 +405,10 @@ def error_lines(result: dict[str, Any]) -> list[str]:
 
 
 def _error_line(name: str, row: dict[str, Any], horizon: float) -> str:
-    """Return the line of the channel ``name``: its errors before and after the diagnosis, over ``horizon`` [s].
+    """Return a line of text with the prediction errors of the output ``name`` before and after the diagnosis.
 
-    ``row`` has the keys "unit", "before" and "after". Angles are printed in degrees. An error of None is printed as
-    "diverged".
+    ``row`` has these RMS errors under "before" and "after", and their unit under "unit". ``horizon`` [s] is the time
+    over which was predicted. Errors in rad are converted to degrees. An error of None is written as "diverged".
     """
     unit, scale = str(row["unit"]), 1.0
     if unit.startswith("rad"):
@@ -366,7 +419,10 @@ def _error_line(name: str, row: dict[str, Any], horizon: float) -> str:
 
 
 def _read_json(path: Path) -> dict[str, Any]:
-    """Return the JSON object in a file. Raises SeatrialError if the file cannot be read or is no JSON object."""
+    """Return the JSON object in the file ``path``.
+
+    Raises SeatrialError if the file cannot be read, or if its content is not a JSON object.
+    """
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -379,7 +435,7 @@ def _read_json(path: Path) -> dict[str, Any]:
 
 
 class DemoSteps:
-    """Runner of `seatrial` commands in one folder. The context `signals` ends all commands that still run.
+    """Runner of `seatrial` commands as processes in one folder. The context `signals` ends those that still run.
 
     Attributes
     ----------
@@ -388,11 +444,11 @@ class DemoSteps:
     seconds : list of tuple
         Name and wall time [s] of each finished command.
     late_ms : float
-        Largest delay [wall ms] with which the last mock sent its samples.
+        Largest delay [wall ms] with which the last mock sent its samples; 0 before a mock has ended.
     """
 
     def __init__(self, folder: Path) -> None:
-        """Store the folder in which the commands will run. No process is started."""
+        """Store the folder in which the commands of the demo will run. No process is started."""
         self.folder = folder
         self.seconds: list[tuple[str, float]] = []
         self.late_ms = 0.0
@@ -400,7 +456,7 @@ class DemoSteps:
         self._signalled = False
 
     def run(self, name: str, *words: str) -> None:
-        """Run one command to its end. Print the command before and its wall time after it.
+        """Run one command of `seatrial` to its end. Print the command before and its wall time after it.
 
         Parameters
         ----------
@@ -414,7 +470,7 @@ class DemoSteps:
         StepFailed
             If the exit status of the command is not 0.
         DemoInterrupted
-            If a signal arrives.
+            If a signal arrives inside the context `signals`. The command is then ended.
         """
         click.secho(f"$ seatrial {' '.join(words)}", bold=True)
         start = time.monotonic()
@@ -431,7 +487,7 @@ class DemoSteps:
             raise StepFailed(f"demo: `seatrial {command}` failed with exit status {status} (see above){slower}")
 
     def has(self, *words: str) -> bool:
-        """Return whether this installation has the command `seatrial WORDS`. It is tried with `--help`."""
+        """Return whether this installation has the command `seatrial WORDS`. It is run with `--help` to find out."""
         command, quiet = module_command("seatrial", *words, "--help"), subprocess.DEVNULL
         done = subprocess.run(
             command, cwd=self.folder, env=module_environment(), stdout=quiet, stderr=quiet, check=False
@@ -442,8 +498,20 @@ class DemoSteps:
     def mock(self, *words: str) -> Iterator[None]:
         """Run a mock in the background while the context lasts. The context begins when the mock prints `ready`.
 
-        ``words`` are the arguments of `seatrial`. At the end the mock is ended, and `late_ms` is set to the delay that
-        the mock reports, or to 0 if it reports none. Raises StepFailed if the mock ends or is not ready within 30 s.
+        At the end of the context the mock is ended and its standard error is printed. `late_ms` is then the largest
+        delay that the mock reports, or 0 if it reports none.
+
+        Parameters
+        ----------
+        words : str
+            Arguments of `seatrial` that start the mock.
+
+        Raises
+        ------
+        StepFailed
+            If the mock ends before it is ready, or is not ready within 30 s (wall).
+        DemoInterrupted
+            If a signal arrives before the mock is ready.
         """
         click.secho(f"$ seatrial {' '.join(words)} &", bold=True)
         start = time.monotonic()
@@ -464,9 +532,10 @@ class DemoSteps:
     def _start_command(
         self, words: Sequence[str], stdout: int | None, stderr: int | None = None
     ) -> subprocess.Popen[bytes]:
-        """Start `seatrial WORDS` in a new process session, and return the process.
+        """Start `seatrial WORDS` in the folder of the demo and in a new process session, and return the process.
 
-        ``stdout`` and ``stderr`` are those of `subprocess.Popen`; None is the stream of this process.
+        ``stdout`` and ``stderr`` are parameters of `subprocess.Popen`: with None the process writes to the stream of
+        this process, with `subprocess.PIPE` to a pipe.
         """
         # Ctrl-C at the terminal then reaches only the demo. The demo ends the runner before the mock, so that the
         # runner can still command zero.
@@ -484,7 +553,10 @@ class DemoSteps:
         return process
 
     def _wait_for_end(self, process: subprocess.Popen[bytes]) -> int:
-        """Wait for the end of a process, and return its exit status. Raises DemoInterrupted on a signal."""
+        """Wait for the end of the process of a command, and return its exit status.
+
+        Raises DemoInterrupted if a signal arrives; the process is not ended here.
+        """
         while True:
             try:
                 return process.wait(timeout=0.1)
@@ -492,10 +564,10 @@ class DemoSteps:
                 self._check_signal()
 
     def _await_ready(self, process: subprocess.Popen[bytes], deadline: float) -> None:
-        """Wait until a mock prints the line `ready`.
+        """Wait until a mock prints the line "ready" to its standard output, which must be a pipe.
 
-        Raises StepFailed after the monotonic time ``deadline`` [s] or if the mock ends, and DemoInterrupted on a
-        signal.
+        Raises StepFailed at the monotonic time ``deadline`` [s] or if the mock ends, and DemoInterrupted if a signal
+        arrives.
         """
         assert process.stdout is not None
         output = b""
@@ -513,14 +585,15 @@ class DemoSteps:
                 output += data
 
     def _check_signal(self) -> None:
-        """Raise DemoInterrupted if a signal has arrived."""
+        """Raise DemoInterrupted if SIGINT, SIGTERM or SIGHUP has arrived since the context `signals` began."""
         if self._signalled:
             raise DemoInterrupted("demo: interrupted; thrusters at zero, mock devices stopped")
 
     def _end_process(self, process: subprocess.Popen[bytes]) -> None:
-        """End a process and its group by SIGTERM, and by SIGKILL if it still runs after 10 s. Close its output.
+        """End a process and its group by SIGTERM, and by SIGKILL if it still runs after 10 s (wall).
 
-        A process that has ended already is only removed from the list of running ones.
+        A process that has ended already gets no signal. In both cases its standard output is closed if it is a pipe,
+        and the process is removed from the list of running processes.
         """
         # SIGTERM and not SIGINT: it ends a Python process that is still importing without a traceback.
         for number in (signal.SIGTERM, signal.SIGKILL):
@@ -537,16 +610,20 @@ class DemoSteps:
             self._running.remove(process)
 
     def _note_time(self, name: str, seconds: float) -> None:
-        """Store the wall time [s] of the step ``name``, and print it."""
+        """Append the wall time [s] of the finished step ``name`` of the demo to `seconds`, and print it."""
         self.seconds.append((name, seconds))
         click.secho(f"  {name}: {seconds:.1f} s", dim=True)
 
     @contextmanager
     def signals(self) -> Iterator[None]:
-        """Handle SIGINT, SIGTERM and SIGHUP while the context lasts. At its end all running commands are ended."""
+        """Handle SIGINT, SIGTERM and SIGHUP while the context lasts: a signal ends the demo by DemoInterrupted.
+
+        At the end of the context all commands that still run are ended, the newest first, and the earlier signal
+        handlers are restored.
+        """
 
         def note_signal(number: int, frame: FrameType | None) -> None:
-            """Note that a signal has arrived. The wait for a command then raises DemoInterrupted."""
+            """Store that a signal has arrived. The wait for a command then raises DemoInterrupted."""
             self._signalled = True
 
         old = {number: signal.signal(number, note_signal) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}

@@ -24,7 +24,7 @@ BENCH_KINDS = ("static", "steps", "chirp", "all")
 
 
 class SegmentBuilder:
-    """Builder of the segments of a plan.
+    """Builder of the segments of a mission, one after the other.
 
     Attributes
     ----------
@@ -35,22 +35,22 @@ class SegmentBuilder:
     """
 
     def __init__(self, n_thrusters: int) -> None:
-        """Start at time 0 without segments. ``n_thrusters`` is the number of commands in each row."""
+        """Start at time 0 without segments. ``n_thrusters`` is the number of thrusters of the mission."""
         self.t = 0.0
         self.segments: list[Segment] = []
         self._n_thrusters = n_thrusters
 
     def add(self, name: str, durations: list[float], rows: list[list[float]]) -> None:
-        """Append a segment of commands, each of which holds for a given time, and advance `t` to its end.
+        """Append a segment of commands, each of which holds for a given time, and advance `t` to the segment's end.
 
         Parameters
         ----------
         name : str
             Name of the segment.
         durations : list of float
-            Time [s] for which each row holds. The edges between rows are rounded to ms.
+            Time [s] for which each row of commands holds. Times of changes are rounded to ms.
         rows : list of list of float
-            Command of each thruster in each row. Without rows no segment is appended.
+            Rows of commands: one command for each thruster in each row. If it is empty, no segment is appended.
         """
         if not rows:
             return
@@ -59,28 +59,32 @@ class SegmentBuilder:
         self.t = float(edges[-1])
 
     def rest(self, name: str, seconds: float) -> None:
-        """Append a segment of ``seconds`` [s] with zero commands, under the given name."""
+        """Append a segment named ``name`` of ``seconds`` [s], in which all commands are zero, and advance `t`."""
         self.add(name, [seconds], [[0.0] * self._n_thrusters])
 
     def wave(self, name: str, seconds: float, n: FloatArray) -> None:
-        """Append a segment of sampled commands ``n`` (n_samples, n_thrusters), evenly spread over ``seconds`` [s]."""
+        """Append a segment named ``name`` of sampled commands that last ``seconds`` [s] in all, and advance `t`.
+
+        ``n`` has the commands (n_samples, n_thrusters). All samples hold for the same time.
+        """
         self.add(name, [seconds / len(n)] * len(n), n.tolist())
 
 
 def step_levels(n_max: float, count: int) -> list[float]:
-    """Return the levels of a staircase that rises to `n_max` and falls again, without zero.
+    """Return the commands of a staircase that rises in steps to ``n_max`` and falls again, without zero.
 
     Parameters
     ----------
     n_max : float
-        Highest level, as a fraction of full command.
+        Largest command, as a fraction of full command.
     count : int
-        Number of equal steps from zero to `n_max`.
+        Number of equal steps from zero to ``n_max``.
 
     Returns
     -------
     list of float
-        ``2 count + 3`` levels. The first step is divided into three, because the edge of the dead zone lies there.
+        ``2 count + 3`` commands. The first step is divided into three smaller ones, because the edge of the thruster's
+        dead zone lies there. ``n_max`` occurs once.
     """
     first = n_max / count
     up = [first / 3, 2 * first / 3, *(first * k for k in range(1, count + 1))]
@@ -88,7 +92,7 @@ def step_levels(n_max: float, count: int) -> list[float]:
 
 
 def sweep_phase(seconds: float, f0: float, f1: float) -> tuple[FloatArray, FloatArray]:
-    """Return the times and the phase of a linear frequency sweep.
+    """Return the times and the phase of a sweep whose frequency changes linearly with time.
 
     Parameters
     ----------
@@ -100,14 +104,14 @@ def sweep_phase(seconds: float, f0: float, f1: float) -> tuple[FloatArray, Float
     Returns
     -------
     tuple of Array (n_samples,)
-        Times [s], `RAMP_DT` apart, and phase [rad].
+        Times [s] from 0, 40 ms apart (`RAMP_DT`), and phase [rad] from 0. There is at least one sample.
     """
     t = np.arange(max(1, round(seconds / RAMP_DT)), dtype=np.float64) * RAMP_DT
     return t, 2 * np.pi * (f0 * t + (f1 - f0) * t**2 / (2 * seconds))
 
 
 def chirp_rows(sign: float, n_max: float, seconds: float, f0: float = 0.05, f1: float = 1.5) -> FloatArray:
-    """Return the commands of a frequency sweep (chirp) of one sign, `RAMP_DT` apart.
+    """Return the commands of a frequency sweep (chirp) of one thruster and of one sign, 40 ms apart (`RAMP_DT`).
 
     Parameters
     ----------
@@ -123,7 +127,8 @@ def chirp_rows(sign: float, n_max: float, seconds: float, f0: float = 0.05, f1: 
     Returns
     -------
     Array (n_samples, 1)
-        Commands between 0 and `sign * n_max`. The sweep starts at zero and crosses the dead zone slowly at first.
+        Commands between 0 and ``sign * n_max``. The sweep starts at zero, and crosses the thruster's dead zone slowly
+        at first.
     """
     _, phase = sweep_phase(seconds, f0, f1)
     return (sign * n_max * (0.5 - 0.5 * np.cos(phase)))[:, None]
@@ -137,23 +142,23 @@ def bench_plan(
     Parameters
     ----------
     kind : str
-        "static" (only 10 s at rest), "steps" (staircases forward and in reverse), "chirp" (sweeps forward and in
-        reverse) or "all" (steps, then chirps: about two minutes).
+        "static" (only 10 s at rest), "steps" (staircases forward and in reverse), "chirp" (frequency sweeps forward and
+        in reverse) or "all" (steps, then chirps: about two minutes).
     thruster : str
         Name of the thruster.
     n_max : float
         Largest command, as a fraction of full command.
     hold_s : float
-        Time [s] for which each step is held.
+        Time [s] for which each step of a staircase is held.
     chirp_s : float
         Length [s] of each chirp.
     count : int
-        Number of equal steps up to `n_max`.
+        Number of equal steps of a staircase up to ``n_max``.
 
     Raises
     ------
     ValueError
-        If there is no such kind.
+        If ``kind`` is none of these.
     """
     if kind not in BENCH_KINDS:
         raise ValueError(f"no bench plan {kind!r}")
@@ -193,18 +198,18 @@ def make_mission(
         "steps" (surge steps, then random steps of both thrusters), "zigzag", "chirp", or "mixed" (four equal parts:
         surge steps, zigzag, random steps, chirps).
     seconds : float
-        Duration [s], zero thrust at the start and at the end included.
+        Duration [s]. It includes 5 s of zero thrust at the start and 5 s at the end.
     seed : int
         Seed of the random generator.
     thrusters : tuple of str
-        Names of the left and the right thruster, in the order of the columns.
+        Names of the left and the right thruster.
     n_max : float
-        Largest command, as a fraction of full command. Larger commands are clipped.
+        Largest command, as a fraction of full command. The random commands scale with it, and are clipped to it.
 
     Raises
     ------
     ValueError
-        If there is no such kind.
+        If ``kind`` is none of these.
     """
     if kind not in MISSION_KINDS:
         raise ValueError(f"no mission kind {kind!r}")
@@ -237,23 +242,24 @@ def make_mission(
 
 
 def _left_right_commands(common: float, difference: float, n_max: float) -> list[float]:
-    """Return the commands of the left and the right thruster, both clipped to [-n_max, n_max].
+    """Return the commands of the left and the right thruster: ``common + difference`` and ``common - difference``.
 
-    The left one is ``common + difference``, and the right one is ``common - difference``.
+    Both are clipped to [-n_max, n_max].
     """
     return [float(np.clip(common + side * difference, -n_max, n_max)) for side in (1.0, -1.0)]
 
 
 def _cut_to_duration(durations: list[float], until: float) -> list[float]:
-    """Return the durations [s] with a changed last one, so that their sum is ``until`` [s]."""
+    """Return the durations [s] with the last one changed so that their sum is ``until`` [s]. The list is not empty."""
     return [*durations[:-1], durations[-1] - (sum(durations) - until)]
 
 
 def _surge_steps(builder: SegmentBuilder, rng: np.random.Generator, stop: float, n_max: float) -> None:
     """Append a segment of surge steps up to time ``stop`` [s]: steady commands of 5 to 12 s, forward and in reverse.
 
-    The segment is appended to ``builder``, which is changed in place. ``rng`` draws the commands, up to ``n_max``. Both
-    thrusters have nearly the same command. The steps inform the surge damping.
+    The segment is appended to ``builder``, which is changed in place. ``rng`` draws the order of the commands, up to
+    ``n_max``, and their durations. The commands of both thrusters differ by at most 0.3. The steps contain information
+    about the surge damping.
     """
     levels = np.array([0.2, 0.35, 0.5, 0.65, 0.8, 1.0, -0.5, 0.0, -0.3]) * n_max
     durations: list[float] = []
@@ -268,10 +274,10 @@ def _surge_steps(builder: SegmentBuilder, rng: np.random.Generator, stop: float,
 
 
 def _zigzag(builder: SegmentBuilder, rng: np.random.Generator, stop: float, n_max: float) -> None:
-    """Append a zigzag segment up to time ``stop`` [s]: turns to both sides of 4 to 9 s at several speeds.
+    """Append a zigzag segment up to time ``stop`` [s]: turns of 4 to 9 s to alternate sides, at several speeds.
 
-    The segment is appended to ``builder``, which is changed in place. ``rng`` draws the commands, up to ``n_max``.
-    Turns inform sway and yaw damping and their coupling.
+    The segment is appended to ``builder``, which is changed in place. ``rng`` draws the commands, up to ``n_max``, and
+    the durations. Turns contain information about sway damping, yaw damping and their coupling.
     """
     durations: list[float] = []
     rows: list[list[float]] = []
@@ -289,8 +295,9 @@ def _zigzag(builder: SegmentBuilder, rng: np.random.Generator, stop: float, n_ma
 def _random_steps(builder: SegmentBuilder, rng: np.random.Generator, stop: float, n_max: float) -> None:
     """Append a segment of independent random steps of both thrusters, of 1 to 5 s, up to time ``stop`` [s].
 
-    The segment is appended to ``builder``, which is changed in place. ``rng`` draws the commands, up to ``n_max``.
-    Steps inform differences and interaction of the thrusters, reverse thrust and the dead zone.
+    The segment is appended to ``builder``, which is changed in place. ``rng`` draws the commands, from -0.7 to 1 times
+    ``n_max``, and the durations. The steps contain information about differences and interaction of the thrusters,
+    reverse thrust and the dead zone.
     """
     durations: list[float] = []
     rows: list[list[float]] = []
@@ -303,9 +310,10 @@ def _random_steps(builder: SegmentBuilder, rng: np.random.Generator, stop: float
 def _chirps(builder: SegmentBuilder, rng: np.random.Generator, stop: float, n_max: float) -> None:
     """Append chirp segments of 15 to 30 s up to time ``stop`` [s]: oscillations about rest or about forward speed.
 
-    The segments are appended to ``builder``, which is changed in place. ``rng`` draws the commands, up to ``n_max``.
-    Each chirp oscillates the difference of the commands ("yaw"), their mean ("surge"), or both, from 0.05 to 0.5 Hz.
-    Chirps inform lags, delays and added masses.
+    The segments are appended to ``builder``, which is changed in place. ``rng`` draws mean, amplitude, duration and
+    kind; the commands are clipped to ``n_max``. In a chirp the difference of the commands ("yaw"), their mean
+    ("surge"), or both oscillate with a frequency that rises from 0.05 to 0.5 Hz. Chirps contain information about
+    lags, delays and added masses.
     """
     number = 0
     while stop - builder.t > RAMP_DT:

@@ -12,12 +12,13 @@ from seatrial.daq.rig import Rig
 def dry_run(mission: Mission, rig: Rig) -> None:
     """Check every set-point of a mission against `limits.n_max` of the rig. No thruster is commanded.
 
-    The slew limit of the mission is applied before the check.
+    The slew limit of the mission is applied to the set-points before the check.
 
     Raises
     ------
     SeatrialError
-        If the rig lacks a thruster of the mission, or if a set-point is NaN or its absolute value exceeds the limit.
+        If the rig has no thruster of a name in the mission, or if a set-point is NaN or its absolute value exceeds the
+        limit. The message names the first such set-point of the thruster.
     """
     t, n = mission.setpoints()
     for column, name in enumerate(mission.thrusters):

@@ -10,10 +10,10 @@ from seatrial.daq.config import FloatArray, Mission, Prediction
 
 
 def describe_mission(mission: Mission) -> str:
-    """Return the text that `seatrial mission show` prints.
+    """Return the description of a mission that `seatrial mission show` prints, as lines in one text.
 
-    The text contains name, limits and origin of the mission and a line for each segment. For a designed mission it
-    also contains the predicted standard errors and the predicted track.
+    It contains name, duration, limits and origin of the mission, and a line for each segment. For a mission of an
+    experiment design it also contains the predicted standard errors of parameters and the predicted track.
     """
     slew = f", slew at most {mission.slew_per_s:g} 1/s" if np.isfinite(mission.slew_per_s) else ""
     lines = [
@@ -28,10 +28,9 @@ def describe_mission(mission: Mission) -> str:
 
 
 def describe_segments(mission: Mission) -> list[str]:
-    """Return a table as lines of text, with one line for each segment of the mission.
+    """Return the table of a mission's segments as lines of text, one for each segment after an empty line and a head.
 
-    The columns are begin and end [s], name, and range of each thruster's command. The first line is empty, and the
-    second one is the head of the table.
+    The columns are begin and end [s] of the segment, its name, and the smallest and largest command of each thruster.
     """
     t, n = mission.setpoints()
     names = max(len("segment"), *(len(name) for _, _, name in mission.segment_times()))
@@ -44,17 +43,21 @@ def describe_segments(mission: Mission) -> list[str]:
 
 
 def _format_range(low: float, high: float) -> str:
-    """Return a range of commands as text, such as "-0.50 to +0.50", or one number if both ends are equal."""
+    """Return the range of commands from ``low`` to ``high`` as text, such as "-0.50 to +0.50".
+
+    If both are equal, the text is one number.
+    """
     return f"{low:+.2f}" if low == high else f"{low:+.2f} to {high:+.2f}"
 
 
 def command_range(t: FloatArray, n: FloatArray, begin: float, end: float) -> tuple[float, float]:
-    """Return the smallest and the largest value of a held command in an interval.
+    """Return the smallest and the largest command of one thruster in an interval of time.
 
     Parameters
     ----------
     t : Array (n_rows,)
-        Times [s] from which the commands hold. Before the first time the command is zero.
+        Times [s], ascending, from which each command holds until the next one. Before the first time the command is
+        zero.
     n : Array (n_rows,)
         Commands.
     begin, end : float
@@ -63,7 +66,7 @@ def command_range(t: FloatArray, n: FloatArray, begin: float, end: float) -> tup
     Returns
     -------
     tuple of two floats
-        Smallest and largest command in the interval. The command that holds at its begin counts too.
+        Smallest and largest command in the interval. The command that already holds at ``begin`` counts too.
     """
     first, last = np.searchsorted(t, begin, side="right") - 1, np.searchsorted(t, end, side="left")
     held = n[max(first, 0) : max(last, 1)]
@@ -73,14 +76,16 @@ def command_range(t: FloatArray, n: FloatArray, begin: float, end: float) -> tup
 
 
 def describe_errors(after: Mapping[str, float], before: Mapping[str, float]) -> list[str]:
-    """Return lines of text with the predicted standard error of each parameter, under a heading.
+    """Return lines of text with the standard error of each model parameter that is predicted for a mission.
+
+    An empty line and a heading come first.
 
     Parameters
     ----------
     after : Mapping
-        Predicted standard error after the mission, by parameter. No lines are returned if it is empty.
+        Predicted standard error after the mission, by name of the parameter. If it is empty, no lines are returned.
     before : Mapping
-        Standard error before the mission, by parameter. It is shown in brackets; a parameter may be missing.
+        Standard error before the mission, by name of the parameter. It is added in brackets; parameters may be missing.
     """
     if not after:
         return []
@@ -92,10 +97,10 @@ def describe_errors(after: Mapping[str, float], before: Mapping[str, float]) -> 
 
 
 def describe_track(predicted: Prediction) -> list[str]:
-    """Return lines of text with the area that the predicted track needs, including its 95 % band.
+    """Return lines of text with the area that the predicted track of a mission needs, including its 95 % band.
 
-    The area is given as its extent [m] to the north and to the east, and as the largest distance [m] from the start. An
-    empty track gives an empty list.
+    The area is given as its extent [m] in the direction north and in the direction east, and as the largest distance
+    [m] from the start. An empty line comes first. A track without points gives an empty list.
     """
     if len(predicted.t) == 0:
         return []

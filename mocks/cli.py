@@ -47,9 +47,9 @@ def _open_unless_link(path: str, flags: int) -> int:
 
 
 def _shared_options(effects: Sequence[str]) -> Callable[[Command], Command]:
-    """Return the decorator that adds the argument RIG and the options that both commands share.
+    """Return a decorator that adds the argument RIG and the common options to `mock boat` or `mock bench`.
 
-    ``effects`` are the names that --effect accepts besides "none" and "draw".
+    ``effects`` are the names of hidden effects that --effect accepts besides "none" and "draw".
     """
     choice = click.Choice(["none", "draw", *effects])
 
@@ -140,17 +140,18 @@ def bench(rig: Path, seed: int, run: int, effect: str, truth_file: Path | None, 
 
 
 def _device_specs(rig: Rig, thrusters: Sequence[Thruster]) -> DeviceSpecs:
-    """Return the specifications of the simulated devices of a rig.
+    """Return the specifications from which the devices of a rig are simulated: names, rates and calibrations.
 
-    The controllers of one bus share its rate. An autopilot has an AHRS, a GNSS receiver and speed controllers. A load
-    cell without calibration has 0.001 N per count. A thruster without ``rpm_max`` has 4500 rev/min.
+    The speed controllers on one bus share the rate of the bus. An autopilot has an AHRS (50 Hz), a GNSS receiver (5 Hz)
+    and speed controllers (10 Hz). A load cell without calibration has 0.001 N per count. A thruster without ``rpm_max``
+    has a full shaft speed of 4500 rev/min. Devices of other kinds are left out.
 
     Parameters
     ----------
     rig : Rig
         The rig.
     thrusters : sequence of Thruster
-        Its thrusters in the order of the plant's thrusters.
+        Thrusters of the rig, in the order in which the simulated boat or bench numbers them.
     """
     rates: dict[str, dict[str, float]] = {"vectornav": {}, "nmea": {}}
     cells, escs = [], []
@@ -182,26 +183,33 @@ def _serve(
     faults: Sequence[str],
     ascii_: bool,
 ) -> None:
-    """Open the ports of a rig, print `ready`, serve until Ctrl-C or SIGTERM, and print a line with the timing.
+    """Open the ports of a rig, print `ready`, and serve its simulated devices there until Ctrl-C or SIGTERM.
+
+    At the end one line with the largest delay of a sample is printed to standard error.
 
     Parameters
     ----------
     rig : Rig
         The rig whose devices are simulated.
     plant : Boat or Bench
-        Parameters of the plant, for the ground truth.
+        Parameters of the simulated boat or bench, for the ground truth.
     world : World
-        The simulated plant with its devices.
+        The simulated boat or bench with its devices.
     run : int
-        Number of the run.
+        Number of the run. The random numbers of faults depend on it.
     truth_file : Path or None
         Ground-truth file, which is written before `ready`; None for no file.
     trace : Path or None
-        File for the changes of effective commands; None for no file.
+        File that gets a line for each change of a thruster's effective command; None for no file.
     faults : sequence of str
-        Faults as on the command line.
+        Faults as on the command line: NAME[/TARGET]@T[:SECONDS].
     ascii_ : bool
-        Whether an AHRS sends $VNYMR sentences.
+        Whether an AHRS sends $VNYMR sentences instead of binary messages.
+
+    Raises
+    ------
+    SeatrialError
+        If a fault is invalid, a device cannot be simulated, or a port cannot be opened.
     """
     names, thrusters = [d.name for d in rig.devices], [t.name for t in rig.thrusters]
     schedule = Faults([parse_fault(text, names, thrusters) for text in faults], random_stream(plant.seed, FAULT, run))
@@ -230,9 +238,10 @@ def _serve(
 
 
 def _open_port(port: str) -> PtyPort | NetPort:
-    """Open the mock's end of a port of the rig: a socket for `udp:` and `tcp:` addresses, else a pty.
+    """Open the mock's end of ``port``, the text in the rig file: a socket for `udp:`, `udpin:`, `udpout:` and `tcp:`.
 
-    The prefix `slcan:` is left out of the path of the pty.
+    For any other text it is a pty, whose link gets this path without the prefix `slcan:`. Raises SeatrialError if the
+    port cannot be opened.
     """
     if port.partition(":")[0] in ("udp", "udpin", "udpout", "tcp"):
         return NetPort(port)
@@ -241,9 +250,9 @@ def _open_port(port: str) -> PtyPort | NetPort:
 
 @contextlib.contextmanager
 def _signal_handlers(server: Server) -> Iterator[None]:
-    """Handle signals while the context lasts; at its end the earlier handlers are restored.
+    """Handle signals for a ``server`` of simulated devices while the context lasts; then restore the earlier handlers.
 
-    Ctrl-C and SIGTERM stop the server. SIGUSR1 starts the faults whose time is `usr1`.
+    Ctrl-C and SIGTERM stop the server. SIGUSR1 starts the faults whose start time on the command line is `usr1`.
     """
 
     def stop(number: int, frame: object) -> None:
@@ -264,9 +273,9 @@ def _signal_handlers(server: Server) -> Iterator[None]:
 
 
 def _print_timing(server: Server) -> None:
-    """Print one line to standard error: the run time, and the largest delay of a sample against the wall clock.
+    """Print one line to standard error: the run time of a mock, and the largest delay with which it sent a sample.
 
-    A delay above LAG_WARNING_S (0.1 s) is a warning.
+    The delay is that against the wall clock. Above 0.1 s (LAG_WARNING_S) the line is a warning.
     """
     lag = f"{1e3 * server.max_lag:.1f} ms"
     if server.max_lag > LAG_WARNING_S:

@@ -31,14 +31,16 @@ Truth = dict[str, NDArray[np.float64]]
 
 
 class Recording(NamedTuple):
-    """Result of a simulation: the readings of the devices and the true states.
+    """Result of a simulation of the mock boat or bench: the samples of its devices and the true states.
 
     Attributes
     ----------
     readings : list of Reading
-        Samples and commands in the order of time. The default devices are "ahrs", "gnss", "esc" and "loadcell".
+        Samples of the devices and commands, in the order of time. The default devices are "ahrs", "gnss" and "esc" on a
+        boat, "loadcell" and "esc" on a bench.
     truth : dict of arrays (n_samples,)
-        True states at TRUTH_HZ (SI). Boat: t, x, y, psi, u, v, r, n_left, n_right. Bench: t, n, thrust.
+        True states by name, at 10 Hz (TRUTH_HZ) and in SI units. Boat: t, x, y, psi, u, v, r, n_left, n_right. Bench:
+        t, n, thrust.
     """
 
     readings: list[Reading]
@@ -56,7 +58,7 @@ def simulate(
     gear: DeviceSpecs = BOAT,
     faults: Faults | None = None,
 ) -> Recording:
-    """Simulate a boat under given commands. The GNSS time starts at 0.
+    """Simulate a boat and its devices under given commands, as fast as possible. The GNSS time starts at 0.
 
     Parameters
     ----------
@@ -73,14 +75,14 @@ def simulate(
     disturbed : bool
         Whether random disturbance forces act.
     gear : DeviceSpecs
-        Devices of the boat.
+        Specifications of the devices of the boat; by default an AHRS, a GNSS receiver and two speed controllers.
     faults : Faults, optional
-        Faults of devices and speed controllers.
+        Faults. Those that change samples act, and `esc-dead`. Faults of bytes, clocks and ports have no effect.
 
     Returns
     -------
     Recording
-        Readings and true states.
+        Samples and commands, and true states.
 
     Raises
     ------
@@ -99,7 +101,7 @@ def simulate(
 def simulate_bench(
     bench: Bench, t: ArrayLike, n: ArrayLike, duration: float, run: int = 0, *, disturbed: bool = True
 ) -> Recording:
-    """Simulate a bench with one thruster and one load cell under given commands.
+    """Simulate a bench with one thruster and one load cell under given commands, as fast as possible.
 
     Parameters
     ----------
@@ -119,7 +121,7 @@ def simulate_bench(
     Returns
     -------
     Recording
-        Readings of the devices "loadcell" and "esc", and true states t [s], n and thrust [N].
+        Samples of the devices "loadcell" and "esc" with the commands, and true states t [s], n and thrust [N].
 
     Raises
     ------
@@ -141,18 +143,20 @@ def _simulate(
     truth: Callable[[], tuple[float, ...]],
     faults: Faults | None = None,
 ) -> tuple[list[Reading], list[tuple[float, ...]]]:
-    """Simulate a world under given commands, from its present time on.
+    """Simulate a boat or bench with its devices under given commands.
 
     Parameters
     ----------
     world : World
-        Plant and devices at time 0. It is advanced to the end of the simulation.
-    t, n : array_like
-        Times [s] and values of the commands, as in `simulate`.
+        The simulated boat or bench with its devices, at time 0. It is advanced to the end of the simulation.
+    t : array_like (n_commands,)
+        Times of the commands [s], which must not decrease. Each command holds until the next one.
+    n : array_like (n_commands, n_thrusters)
+        Commands of the thrusters (-1 to 1); for one thruster also (n_commands,).
     duration : float
         Duration of the simulation [s].
     truth : callable
-        Function that returns the present true states. It is called at TRUTH_HZ.
+        Function without arguments that returns the present true states. It is called 10 times per second (TRUTH_HZ).
     faults : Faults, optional
         Faults of devices and speed controllers.
 
@@ -161,7 +165,12 @@ def _simulate(
     list of Reading
         Commands and samples in the order of time. A command to a dead controller is listed too.
     list of tuple
-        The results of ``truth``.
+        The results of ``truth``, oldest first.
+
+    Raises
+    ------
+    ValueError
+        If the commands have the wrong shape or their times decrease.
     """
     schedule = _command_rows(t, n, len(world.controllers))
     step = world.plant.step_s
@@ -187,22 +196,29 @@ def _simulate(
 
 
 def _apply_controller_faults(world: World, faults: Faults) -> None:
-    """Let the controllers fail, for good, for which a fault `esc-dead` is active. The fault `esc-stuck` is ignored."""
+    """Let each speed controller fail for which a fault `esc-dead` is active at the present time of ``world``.
+
+    It stays dead, also when the fault ends. The fault `esc-stuck` is ignored.
+    """
     for controller in world.controllers:
         if not controller.dead and faults.active("esc-dead", controller.spec.name, world.t):
             controller.die(world.t)
 
 
 def _readings_after_faults(readings: Sequence[Reading], faults: Faults) -> list[Reading]:
-    """Return the readings as changed by the active faults, without readings that a fault suppresses."""
+    """Return samples of devices as changed by the faults that are active at their times.
+
+    Samples that a fault suppresses are left out.
+    """
     sent = [(r, faults.reading(r.device, r.sample, r.t)) for r in readings]
     return [Reading(r.device, sample, r.t) for r, sample in sent if sample is not None]
 
 
 def _command_rows(t: ArrayLike, n: ArrayLike, thrusters: int) -> list[tuple[float, list[float]]]:
-    """Check the shapes and times of commands, and return them as (time [s], value for each thruster).
+    """Check commands, and return them as a list of (time [s], list with the command of each thruster).
 
-    For one thruster ``n`` may have the shape (k,). Raises ValueError for other shapes and for decreasing times.
+    ``t`` must have the shape (k,), and ``n`` the shape (k, ``thrusters``), or also (k,) for one thruster. Raises
+    ValueError for other shapes and for decreasing times.
     """
     times, values = np.asarray(t, dtype=float), np.asarray(n, dtype=float)
     if values.ndim == 1 and thrusters == 1:
@@ -223,7 +239,7 @@ def _columns_by_name(names: Sequence[str], rows: Sequence[Sequence[float]]) -> T
 
 
 def tables(readings: Sequence[Reading]) -> dict[str, NDArray[np.void]]:
-    """Convert readings to structured arrays.
+    """Convert samples and commands of a simulation to structured arrays.
 
     Parameters
     ----------
@@ -233,8 +249,9 @@ def tables(readings: Sequence[Reading]) -> dict[str, NDArray[np.void]]:
     Returns
     -------
     dict of structured arrays (n_samples,)
-        One array for each device with readings. Its fields are ``t`` [s] and the fields of the sample. The key is
-        the device's name; speed controllers have the keys ``esc/NODE/state`` and ``esc/NODE/command``.
+        One array for each device with samples. Its fields are ``t`` [s] and the fields of the sample. The key is the
+        name of the device. Telemetry and commands of a speed controller have the keys ``DEVICE/NODE/state`` and
+        ``DEVICE/NODE/command``.
     """
     rows: dict[str, list[tuple[float, ...]]] = {}
     names: dict[str, list[str]] = {}

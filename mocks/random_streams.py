@@ -19,24 +19,24 @@ START, DISTURBANCE, AHRS, GNSS, ESC, LOADCELL, FAULT, WAVES, GUSTS, COLOUR, OUTL
 
 
 def random_stream(seed: int, name: int, run: int | None = None, index: int = 0) -> np.random.Generator:
-    """Return the generator of one stream of random numbers. The same arguments give the same numbers.
+    """Return a generator of random numbers that belongs to these arguments. The same arguments give the same numbers.
 
     Parameters
     ----------
     seed : int
         Seed of the boat or bench.
     name : int
-        Purpose of the stream: one of the constants of this module, for example `WAVES`.
+        Purpose of the numbers: one of the constants of this module, for example `WAVES`.
     run : int, optional
-        Number of the run. None for streams that are the same in all runs of a boat.
+        Number of the run; None for numbers that are the same in all runs of a boat.
     index : int
-        Number of the stream if several have the same name, for example of the second GNSS receiver.
+        Number that distinguishes generators of the same purpose, for example those of two GNSS receivers.
     """
     return np.random.default_rng([seed, name, 0 if run is None else run + 1, index])
 
 
 def normals(rng: np.random.Generator) -> Draw:
-    """Return a function without arguments that returns the next standard normal number of ``rng`` at each call."""
+    """Return a function without arguments that returns a new standard normal number at each call, drawn by ``rng``."""
 
     # Numbers are drawn in blocks, since single draws are slow.
     def blocks() -> Iterator[float]:
@@ -64,7 +64,7 @@ class WhiteWalk:
         walk : float
             Diffusion of the random walk [unit/sqrt(s)].
         bias : float
-            Standard deviation of the initial value of the random walk.
+            Standard deviation of the initial value of the random walk, in the unit of the sensor.
         """
         self._draw = draw
         self._white = white

@@ -39,9 +39,10 @@ def wrap(angle: float) -> float:
 
 
 def geodetic(north: float, east: float) -> tuple[float, float]:
-    """Return latitude and longitude [deg] of a point that lies ``north`` and ``east`` [m] of the plant's origin.
+    """Return latitude and longitude [deg] of a point that lies ``north`` and ``east`` [m] of the start of the boat.
 
-    The distances are divided by the WGS 84 radii of curvature at the origin (tangent plane), which is near Lisbon.
+    The start is a fixed place near Lisbon. The distances are divided by the WGS 84 radii of curvature at this place
+    (tangent plane).
     """
     w2 = 1.0 - _E2 * math.sin(LATITUDE * DEG) ** 2
     meridian, prime = _A * (1.0 - _E2) / w2**1.5, _A / math.sqrt(w2)
@@ -49,13 +50,13 @@ def geodetic(north: float, east: float) -> tuple[float, float]:
 
 
 class AhrsSensor:
-    """AHRS: attitude, angular rates, specific force and magnetic field.
+    """Model of an AHRS: it measures attitude, angular rates, specific force and magnetic field with noise and errors.
 
-    The simulated boat is always level, so roll and pitch are noise around zero.
+    The simulated boat is always level, so that roll and pitch are noise around zero.
     """
 
     def __init__(self, seed: int, run: int, rate: float, effects: Sequence[HiddenEffect] = (), index: int = 0) -> None:
-        """Set up an AHRS with its noise and its hidden effects.
+        """Set up a simulated AHRS with its noise and its hidden effects.
 
         Parameters
         ----------
@@ -81,7 +82,7 @@ class AhrsSensor:
         self._field = WhiteWalk(draw, dt, 0.15e-6)
 
     def read(self, m: RigidBodyState) -> Ahrs:
-        """Return the next sample, for the true motion ``m``. Each call advances the noise by one sample.
+        """Return the next AHRS sample, for the true motion ``m``. Each call advances the noise by one sample.
 
         The hidden effects of the sensor and the noise are added to the motion. The heading is in [-pi, pi) [rad].
         """
@@ -107,13 +108,13 @@ class AhrsSensor:
 
 
 class AhrsErrors:
-    """Systematic errors of an AHRS by hidden effects, without noise.
+    """Systematic errors of a simulated AHRS that hidden effects cause. They do not include noise.
 
     The errors are those of compass, mounting, gyro, accelerometers and heading filter.
     """
 
     def __init__(self, effects: Sequence[HiddenEffect], dt: float) -> None:
-        """Collect the hooks that concern an AHRS. Effects without such hooks are ignored.
+        """Take from the hidden ``effects`` those errors that concern an AHRS. Other effects are ignored.
 
         ``dt`` is the time between two samples [s].
         """
@@ -125,9 +126,9 @@ class AhrsErrors:
         self._filter = FilteredHeading(filters, dt) if filters else None
 
     def step(self, m: RigidBodyState) -> tuple[float, float, float, float, float]:
-        """Return the measured motion without noise, for the true motion ``m``.
+        """Return the motion that the AHRS measures, without noise, for the true motion ``m``.
 
-        Each call advances the heading filter by one sample.
+        Each call advances the filter of the heading by one sample.
 
         Returns
         -------
@@ -153,7 +154,7 @@ class AhrsErrors:
 
 
 class FilteredHeading:
-    """Heading behind a complementary filter of gyro and compass, and a dead time.
+    """Heading that a simulated AHRS reports behind a complementary filter of gyro and compass, and a dead time.
 
     With the true heading ``psi``, the compass deviation ``d`` and the gyro error ``g``, the filter computes
     ``h' = psi' + g + (psi + d - h) / T``. Its error ``e = h - psi`` is therefore a first-order lag of ``d + T g``:
@@ -162,7 +163,10 @@ class FilteredHeading:
     """
 
     def __init__(self, filters: Sequence[HeadingFilter], dt: float) -> None:
-        """Set up the filter. Time constants and lags of several ``filters`` add up. ``dt`` is the sample time [s]."""
+        """Set up the filter of the heading. ``dt`` is the time between two samples [s].
+
+        Time constants and dead times of several ``filters`` add up.
+        """
         self._time_constant = sum(f.time_constant for f in filters)
         self._keep = math.exp(-dt / self._time_constant) if self._time_constant else 0.0
         lag = sum(f.lag for f in filters) / dt
@@ -171,7 +175,7 @@ class FilteredHeading:
         self._headings: deque[float] = deque(maxlen=self._whole + 2)  # from the oldest to the newest
 
     def step(self, psi: float, deviation: float, gyro_error: float) -> float:
-        """Advance by one sample and return the reported heading [rad], not limited to a turn.
+        """Advance the filter by one sample, and return the reported heading [rad], not limited to a turn.
 
         Parameters
         ----------
@@ -202,12 +206,12 @@ def _rounded(value: float, resolution: float) -> float:
 
 
 def _noise_gain(effects: Sequence[HiddenEffect]) -> float:
-    """Return the product of the factors by which ``effects`` multiply the sensors' white noise; 1 without any."""
+    """Return the factor by which ``effects`` together multiply the white noise of AHRS and GNSS; 1 without any."""
     return math.prod(e.noise.gain for e in effects if e.noise is not None)
 
 
 class GnssSensor:
-    """GNSS receiver: position and velocity of its antenna."""
+    """Model of a GNSS receiver: it measures position and velocity of its antenna with noise and errors."""
 
     def __init__(
         self,
@@ -218,7 +222,7 @@ class GnssSensor:
         sigma: float = 0.15,
         index: int = 0,
     ) -> None:
-        """Set up a GNSS receiver with its noise and its hidden effects.
+        """Set up a simulated GNSS receiver with its noise and its hidden effects.
 
         Parameters
         ----------
@@ -229,7 +233,7 @@ class GnssSensor:
         rate : float
             Rate of the fixes [Hz].
         effects : sequence of HiddenEffect
-            All hidden effects of the boat. The receiver applies those that concern the noise.
+            All hidden effects of the boat. The receiver applies those of the noise and of the resolution of velocity.
         sigma : float
             Standard deviation of the white noise of each horizontal axis [m].
         index : int
@@ -245,10 +249,11 @@ class GnssSensor:
         self._resolution = max((e.velocity_resolution for e in effects), default=0.0)
 
     def read(self, m: RigidBodyState, utc: float) -> Gnss:
-        """Return the next fix, for the true motion ``m``, with the time stamp ``utc`` [s since 1970].
+        """Return the next GNSS sample, for the true motion ``m``, with the time stamp ``utc`` [s since 1970].
 
-        Each call advances the noise by one fix. Lever arm and latency are already in ``m`` (`RigidBodyState.fix_x`).
-        The velocity is rounded to the coarsest resolution of the effects. The type of fix is 6, an RTK float solution.
+        Each call advances the noise by one sample. Lever arm and latency are already in ``m`` (`RigidBodyState.fix_x`).
+        The velocity is rounded to the coarsest resolution of the hidden effects. The type of fix is 6, an RTK float
+        solution.
         """
         north, east = self._position
         vel_n, vel_e = self._velocity
@@ -270,10 +275,14 @@ class GnssSensor:
 
 
 class GnssErrors:
-    """Errors of a GNSS position by hidden effects: a time-correlated error and outliers."""
+    """Errors of the position of a simulated GNSS receiver that hidden effects cause: correlated error and outliers."""
 
     def __init__(self, effects: Sequence[HiddenEffect], seed: int, run: int, dt: float, index: int) -> None:
-        """Set up the errors of receiver ``index`` in one run. ``dt`` is the time between two fixes [s]."""
+        """Set up the position errors of one GNSS receiver in one run, from the noise of the hidden ``effects``.
+
+        ``seed``, ``run`` and ``index`` (the number of the receiver on the boat) select the random numbers. ``dt`` is
+        the time between two samples [s].
+        """
         noises = [e.noise for e in effects if e.noise is not None]
         draw = normals(random_stream(seed, COLOUR, run, index))
         self._correlated = [
@@ -285,7 +294,10 @@ class GnssErrors:
         self._rng = random_stream(seed, OUTLIERS, run, index)
 
     def step(self) -> tuple[float, float]:
-        """Return the error [m] that hidden effects add to the next GNSS fix, north and east; zeros without any."""
+        """Return the error [m], north and east, that hidden effects add to the next GNSS position; zeros without any.
+
+        Each call advances the random numbers by one sample.
+        """
         north = sum(pair[0].step() for pair in self._correlated)
         east = sum(pair[1].step() for pair in self._correlated)
         for share, sigma in self._outliers:
@@ -296,17 +308,17 @@ class GnssErrors:
 
 
 class EscSensor:
-    """Telemetry of a speed controller.
+    """Model of the telemetry of a speed controller: shaft speed, current, duty, voltage and temperature.
 
     The noise of the shaft speed is 5 rev/min. Current and temperature depend on the thrust. The voltage depends on
     the current and on the used energy.
     """
 
     def __init__(self, seed: int, run: int, node: int, rpm_max: float, telemetry: Telemetry | None = None) -> None:
-        """Set up the telemetry of controller ``node`` in one run.
+        """Set up the simulated telemetry of the speed controller with the number ``node`` in one run.
 
-        ``rpm_max`` is its full shaft speed [rev/min]. The resolution and the limit of ``telemetry`` apply to the
-        reported shaft speed. Without it the shaft speed is neither rounded nor limited.
+        ``seed`` and ``run`` select the noise. ``rpm_max`` is the full shaft speed [rev/min]. The resolution and the
+        limit of ``telemetry`` apply to the reported shaft speed. None: it is neither rounded nor limited.
         """
         telemetry = telemetry or Telemetry()
         self._draw = normals(random_stream(seed, ESC, run, node))
@@ -317,9 +329,10 @@ class EscSensor:
         self._heat = 0.0
 
     def read(self, n: float, force: float, duty: float, energy: float, dt: float) -> Esc:
-        """Return the next telemetry sample, with its node, and advance the temperature.
+        """Return the next telemetry sample of the speed controller, for the present state of its thruster.
 
-        Below a normalised shaft speed of 0.005 the reported shaft speed is 0 without noise.
+        Each call advances noise and temperature. At normalised shaft speeds up to 0.005 the reported shaft speed is 0
+        without noise.
 
         Parameters
         ----------
@@ -351,20 +364,20 @@ class EscSensor:
 
 @dataclass(frozen=True)
 class CellSpec:
-    """Specification of a load cell.
+    """Specification of a simulated load cell.
 
     Attributes
     ----------
     name : str
         Name of the device.
     rate_hz : float
-        Rate of the readings [Hz].
+        Rate of the samples [Hz].
     newton_per_count : float
         Force at the thruster per count [N].
     zero_counts : float
-        Reading without force [counts].
+        Counts of a sample without force.
     saturation : float
-        Largest reading [counts]. The smallest one is ``-saturation - 1``.
+        Largest counts of a sample. The smallest ones are ``-saturation - 1``.
     """
 
     name: str
@@ -375,10 +388,10 @@ class CellSpec:
 
 
 class LoadCellSensor:
-    """Load cell with white noise, a slow drift and an error of its zero (standard deviation 0.3 N)."""
+    """Model of a load cell with white noise, a slow drift and an error of its zero (standard deviation 0.3 N)."""
 
     def __init__(self, seed: int, run: int, spec: CellSpec, index: int = 0) -> None:
-        """Set up a load cell.
+        """Set up a simulated load cell.
 
         Parameters
         ----------
@@ -396,9 +409,9 @@ class LoadCellSensor:
         self._spec = spec
 
     def read(self, force: float) -> LoadCell:
-        """Return the next reading [whole counts] for a true ``force`` [N], with noise.
+        """Return the next sample of the load cell, in whole counts, for a true ``force`` [N].
 
-        The counts are clipped to the range of the converter.
+        Noise is added. The counts are clipped to the range of the converter.
         """
         spec = self._spec
         counts = round(spec.zero_counts + (force + self._noise()) / spec.newton_per_count)

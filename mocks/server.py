@@ -23,16 +23,16 @@ STEPS_MAX = 400  # steps of the plant between two looks at the ports if the simu
 
 
 class Server:
-    """Loop that keeps a world on time and serves its ports.
+    """Server of a simulated boat or bench: a loop that simulates it in real time and exchanges bytes at its ports.
 
-    Run time is the wall time since the start, times ``speed``.
+    Run time is the wall time since the start of the server, times ``speed``.
 
     Attributes
     ----------
     stopping : bool
         Set it to True to end `run`.
     triggered : bool
-        Set it to True to start the faults that wait for the signal SIGUSR1 (time `usr1`).
+        Set it to True to start the faults whose start on the command line is `usr1` (the signal SIGUSR1).
     max_lag : float
         Largest delay of a sample so far [wall s].
     """
@@ -51,7 +51,7 @@ class Server:
         Parameters
         ----------
         world : World
-            Plant with its devices.
+            The simulated boat or bench with its devices.
         emulators : mapping of str to DeviceEmulator
             Emulator of each device, by its name.
         ports : mapping of str to port
@@ -61,7 +61,7 @@ class Server:
         faults : Faults
             Schedule of the faults.
         trace : text file, optional
-            File for one line of JSON for each change of an effective command.
+            File that gets one line of JSON for each change of a thruster's effective command.
         """
         self.stopping = False
         self.triggered = False
@@ -80,7 +80,7 @@ class Server:
             controller.on_change = self._write_trace
 
     def run(self) -> None:
-        """Serve the ports in real time until `stopping` is set.
+        """Simulate the boat or bench and serve the ports of its devices in real time, until `stopping` is set.
 
         The priority of this process is raised first, as far as the system allows. Run time 0 is the time of this call.
         """
@@ -102,13 +102,14 @@ class Server:
 
     @property
     def t(self) -> float:
-        """Simulated time of the server's world since the start of the run [s]."""
+        """Simulated time of the boat or bench since the start of the run [s]."""
         return self._world.t
 
     def _extend_deadlines(self, wall: float) -> None:
-        """Extend the time-outs of the controllers by a pause of this process, in which it could receive no command.
+        """Extend the time-outs of the speed controllers if this process was paused, so that it received no command.
 
-        ``wall`` is the present monotonic time [s]. A pause is a gap of more than 5 ms beyond the intended wait.
+        ``wall`` is the present monotonic time [s]. A pause is a time of more than 5 ms (wall) since the last round of
+        the loop, beyond the intended wait.
         """
         gap = wall - self._last_round - self._wait_s
         self._last_round = wall
@@ -118,10 +119,10 @@ class Server:
                 controller.deadline += gap * self._speed
 
     def _apply_faults(self, t: float) -> None:
-        """Start and end the faults of ports and controllers that are due at run time ``t`` [s].
+        """Start and end the faults of ports and speed controllers that are due at run time ``t`` [s].
 
-        The faults are "pull", "esc-dead" and "esc-stuck". Faults that wait for
-        the signal SIGUSR1 (time `usr1`) start if `triggered` is set.
+        They are "pull" (the port is closed), "esc-dead" and "esc-stuck". If `triggered` is set, all faults whose start
+        on the command line is `usr1` start.
         """
         if self.triggered:
             self.triggered = False
@@ -141,9 +142,9 @@ class Server:
             controller.stuck = self._faults.active("esc-stuck", controller.spec.name, t)
 
     def _answer_hosts(self, t: float) -> None:
-        """Pass the bytes of the hosts to the devices, and send their answers. ``t`` is the run time [s].
+        """Pass the bytes that hosts have sent to the emulated devices, and send their answers, at run time ``t`` [s].
 
-        During a fault "refuse" each line is answered with BELL.
+        During a fault "refuse" the device gets no bytes, and each line of the host is answered with the character BELL.
         """
         for name, port in self._ports.items():
             if not port.plugged or not (data := port.read()):
@@ -154,10 +155,10 @@ class Server:
                 port.write(self._emulators[name].receive(data, t), time.monotonic())
 
     def _advance_world(self, t: float) -> None:
-        """Advance the world to run time ``t`` [s], and send the samples that become due.
+        """Advance the simulated boat or bench to run time ``t`` [s], and send the samples that become due.
 
-        At most STEPS_MAX steps are made, so that the ports are served if the simulation is late. Waiting bytes of all
-        ports are then sent.
+        At most STEPS_MAX steps are made, so that the ports are served even if the simulation is late. Then the bytes
+        that wait at the ports are sent.
         """
         world = self._world
         for _ in range(STEPS_MAX):
@@ -171,7 +172,7 @@ class Server:
             port.flush(wall)
 
     def _send_due_samples(self) -> None:
-        """Send the samples that are due, with the effects of active faults, and update `max_lag`."""
+        """Send the samples of the devices that are due, as active faults change them, and update `max_lag`."""
         t = self._world.t
         for device, true_sample, _ in self._world.readings():
             sample = self._faults.reading(device, true_sample, t)

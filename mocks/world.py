@@ -29,7 +29,7 @@ Sample = Ahrs | Gnss | Esc | LoadCell | Command
 
 
 class Reading(NamedTuple):
-    """One sample of one device.
+    """Sample or command of one simulated device, with its time.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class Reading(NamedTuple):
 
 
 class Plant(Protocol):
-    """Interface of `BoatPlant` and `BenchPlant` to `World`.
+    """Interface of a simulated boat or bench without sensors (`BoatPlant`, `BenchPlant`), as `World` uses it.
 
     Attributes
     ----------
@@ -65,25 +65,28 @@ class Plant(Protocol):
 
     @property
     def shafts(self) -> Sequence[Shaft | BenchShaft]:
-        """Shafts of the thrusters of the simulated plant, in the order of the thrusters' indices."""
+        """Shafts of the thrusters of the simulated boat or bench, in the order of the thrusters' indices."""
         ...
 
     def command(self, thruster: int, t: float, n_cmd: float) -> None:
-        """Set the command of a thruster (-1 to 1, positive forward) from time ``t`` [s] on."""
+        """Set the command ``n_cmd`` (-1 to 1, positive forward) of a thruster from time ``t`` [s] on.
+
+        ``thruster`` is the index of the thruster.
+        """
         ...
 
     def thrust(self, thruster: int) -> float:
-        """Return the thrust [N] of a thruster at its present shaft speed."""
+        """Return the thrust [N], positive forward, of the thruster with this index at its present shaft speed."""
         ...
 
     def advance(self) -> None:
-        """Integrate the simulated plant by one step of ``step_s`` seconds."""
+        """Integrate the simulated boat or bench by one step of ``step_s`` seconds."""
         ...
 
 
 @dataclass(frozen=True)
 class EscSpec:
-    """Specification of the speed controller (ESC) of one thruster.
+    """Specification of the simulated speed controller (ESC) of one thruster.
 
     Attributes
     ----------
@@ -118,7 +121,7 @@ OnChange = Callable[[float, int, float, str], None]
 
 
 class EscController:
-    """Speed controller of one thruster.
+    """Simulated speed controller of one thruster.
 
     It obeys duty commands, and stops the motor if no command arrives within its time-out.
 
@@ -139,7 +142,10 @@ class EscController:
     """
 
     def __init__(self, spec: EscSpec, plant: Plant, thruster: int) -> None:
-        """Set up the controller with zero command. ``thruster`` is the index of its thruster in the plant."""
+        """Set up a speed controller with zero command.
+
+        ``thruster`` is the index of its thruster in the simulated boat or bench ``plant``.
+        """
         self.spec = spec
         self.n = 0.0
         self.dead = False
@@ -166,23 +172,24 @@ class EscController:
         self._set_effective_command(t, -duty if self.spec.reversed else duty, "command")
 
     def check(self, t: float) -> None:
-        """Stop the motor if the time-out ended before ``t`` [s]; the stop is dated to the end of the time-out.
+        """Stop the motor if no command has arrived within the controller's time-out before ``t`` [s].
 
-        A stuck controller (a fault) keeps turning.
+        The stop gets the time at which the time-out ended. A controller with the fault "stuck" does not stop.
         """
         if t > self.deadline and not self.stuck:
             t_end, self.deadline = self.deadline, math.inf
             self._set_effective_command(t_end, 0.0, "timeout")
 
     def die(self, t: float) -> None:
-        """Let the controller fail at ``t`` [s]: from then on it gives no thrust and sends no telemetry."""
+        """Let the speed controller fail at ``t`` [s]: from then on it gives no thrust and sends no telemetry."""
         self.dead, self.deadline = True, math.inf
         self._set_effective_command(t, 0.0, "dead")
 
     def _set_effective_command(self, t: float, n: float, why: str) -> None:
-        """Set the effective command ``n``. If it has changed, pass it to the plant and to `on_change`.
+        """Set the effective command ``n`` (-1 to 1, positive forward) of the motor from ``t`` [s] on.
 
-        ``why`` is the reason: "command", "timeout" or "dead".
+        If it differs from the present one, it is passed to the simulated thruster and to `on_change`. ``why`` is the
+        reason: "command", "timeout" or "dead".
         """
         n += 0.0  # turns -0.0 into 0.0
         if n != self.n:
@@ -193,10 +200,10 @@ class EscController:
 
 
 class SampledStream:
-    """Periodic samples of one device.
+    """Schedule of the periodic samples of one simulated device.
 
-    Each sample is due at the first step of the plant at or after a multiple of the period, shifted by the phase. The
-    attribute `due` is the number of the step at which the next sample is due.
+    Each sample is due at the first step of the simulation at or after a multiple of the period, shifted by the phase.
+    The attribute `due` is the number of the step at which the next sample is due.
     """
 
     def __init__(
@@ -225,18 +232,21 @@ class SampledStream:
         self._schedule_next()
 
     def _schedule_next(self) -> None:
-        """Compute `due`: the number of the plant's step at which the next sample of this device is due."""
+        """Set `due` to the number of the simulation's step at which the next sample of this device is due."""
         self.due = math.ceil(self._count * self._period - 1e-6)
 
     def take(self) -> Sample | None:
-        """Return the sample of the device that is due, or None if the device is silent. Schedule the next sample."""
+        """Return the present sample of the device, or None if the device is silent, and schedule the next sample.
+
+        The caller calls this when a sample is due.
+        """
         self._count += 1.0
         self._schedule_next()
         return self._read()
 
 
 class ThrusterState(NamedTuple):
-    """State of one thruster at one time, as the input of its telemetry.
+    """State of one simulated thruster at one time, from which its telemetry is computed.
 
     Attributes
     ----------
@@ -257,44 +267,51 @@ class ThrusterState(NamedTuple):
 
 
 class TelemetryDelay:
-    """Dead time from the state of a thruster to the telemetry of its speed controller."""
+    """Dead time from the state of a simulated thruster to the telemetry of its speed controller."""
 
     def __init__(self, steps: int, present: Callable[[], ThrusterState]) -> None:
-        """Set up the dead time of a thruster's telemetry: ``steps`` steps of the plant.
+        """Set up a dead time of ``steps`` steps of the simulation for the telemetry of one thruster.
 
-        ``present`` is a function that returns the present state of the thruster. The dead time starts with this state.
+        ``present`` is a function that returns the present state of the thruster. The present state is reported until
+        the dead time has passed.
         """
         self._present = present
         self._states = deque([present()], maxlen=steps + 1)  # from the oldest to the newest
 
     def advance(self) -> None:
-        """Store the present state of the thruster. Call this once after each step of the plant."""
+        """Store the present state of the thruster. It must be called once after each step of the simulation."""
         self._states.append(self._present())
 
     def state(self) -> ThrusterState:
-        """Return the state of the thruster one dead time ago; its initial state until one dead time has passed."""
+        """Return the state of the thruster one dead time ago, which its telemetry reports at present.
+
+        Until one dead time has passed it is the initial state.
+        """
         return self._states[0]
 
 
 class World:
-    """Simulated plant with the sample streams of its devices and the speed controllers of its thrusters.
+    """Simulated boat or bench with the samples of its devices and the speed controllers of its thrusters.
 
     Attributes
     ----------
     plant : BoatPlant or BenchPlant
-        The simulated plant.
+        Simulation of the boat or bench itself, without sensors.
     controllers : list of EscController
-        Speed controllers, in the order of the plant's thrusters.
+        Speed controllers, in the order of the thrusters' indices.
     channels : list of SampledStream
-        Sample streams of all devices.
+        Schedules of the samples of all devices.
     delays : list of TelemetryDelay
         Dead times of the telemetry; empty if the telemetry is not late.
     next_due : int
-        Number of the plant's step at which the next sample of any device is due.
+        Number of the simulation's step at which the next sample of any device is due.
     """
 
     def __init__(self, plant: Plant) -> None:
-        """Set up the world of a simulated boat or bench, at first without devices."""
+        """Set up a simulated boat or bench, at first without devices and speed controllers.
+
+        ``plant`` simulates the boat or bench itself.
+        """
         self.plant = plant
         self.controllers: list[EscController] = []
         self.channels: list[SampledStream] = []
@@ -307,7 +324,7 @@ class World:
         return self.plant.steps * self.plant.step_s
 
     def add(self, device: str, rate_hz: float, read: Callable[[], Sample | None], phase: float = 0.0) -> None:
-        """Add a device with periodic samples to the simulated world.
+        """Add a device with periodic samples to the simulated boat or bench.
 
         Parameters
         ----------
@@ -323,11 +340,12 @@ class World:
         self.channels.append(SampledStream(device, rate_hz, self.plant.step_s, read, phase))
 
     def add_escs(self, specs: Sequence[EscSpec], seed: int, run: int, effects: Sequence[HiddenEffect] = ()) -> None:
-        """Add one speed controller and its telemetry stream for each thruster, in the order of the plant's thrusters.
+        """Add a speed controller with periodic telemetry for each thruster of the simulated boat or bench.
 
-        ``seed`` and ``run`` select the noise of the telemetry. The status frames of the controllers are spread evenly
-        over one period. ``effects`` are the hidden effects of the boat; those of the telemetry are applied. The ages of
-        several effects add up, and the coarsest resolution and the lowest limit count.
+        ``specs`` are their specifications, in the order of the thrusters' indices. ``seed`` and ``run`` select the
+        noise of the telemetry. The samples of the controllers are spread evenly over one period. ``effects`` are the
+        hidden effects of the boat; those of the telemetry are applied. The ages of several effects add up, and the
+        coarsest resolution and the lowest limit count.
         """
         errors = [e.telemetry for e in effects if e.telemetry is not None]
         telemetry = Telemetry(
@@ -345,10 +363,11 @@ class World:
     def _esc_reader(
         self, controller: EscController, sensor: EscSensor, thruster: int, late: int
     ) -> Callable[[], Sample | None]:
-        """Return the function that reads the telemetry of one speed controller; it returns None if the ESC is dead.
+        """Return a function without arguments that returns the next telemetry sample of one speed controller.
 
-        Shaft speed, current and command have their sign on the bus. ``late`` is the age of the telemetry in steps of
-        the plant. If it is not 0, a delay is added to `delays`.
+        The function returns None while the controller is dead. Shaft speed and command have their sign on the bus.
+        ``sensor`` adds the noise. ``thruster`` is the index of the thruster. ``late`` is the age of the telemetry in
+        steps of the simulation; if it is not 0, a dead time is added to `delays`.
         """
         plant, dt = self.plant, 1.0 / controller.spec.rate_hz
         sign = -1.0 if controller.spec.reversed else 1.0
@@ -373,12 +392,18 @@ class World:
         return read
 
     def controller(self, device: str, node: int) -> EscController | None:
-        """Return the controller ``node`` on bus ``device``, or None if the bus has no such node."""
+        """Return the speed controller with the number ``node`` on the device (bus or autopilot) named ``device``.
+
+        Return None if there is none.
+        """
         found = (c for c in self.controllers if c.spec.device == device and c.spec.node == node)
         return next(found, None)
 
     def readings(self) -> list[Reading]:
-        """Return the samples that are due at the present step, and schedule the next ones. Each is returned once."""
+        """Return the samples of all devices that are due at the present step, and schedule the next ones.
+
+        Each sample is returned once. A device that is silent gives none.
+        """
         steps = self.plant.steps
         if steps < self.next_due:
             return []
@@ -390,7 +415,10 @@ class World:
         return out
 
     def advance(self) -> None:
-        """Check the time-outs of the controllers, integrate one step of the plant, and advance the telemetry."""
+        """Advance the simulated boat or bench by one step.
+
+        First motors are stopped whose speed controllers got no command within their time-out.
+        """
         t = self.t
         for controller in self.controllers:
             if t > controller.deadline:
@@ -423,7 +451,7 @@ class DeviceSpecs:
 
 
 def boat_world(boat: Boat, run: int, gear: DeviceSpecs, *, utc: float = 0.0, disturbed: bool = True) -> World:
-    """Return the simulated plant of a boat with its devices, at time 0. A load cell on the boat measures no force.
+    """Return a simulated boat with its devices, at time 0. A load cell on the boat measures no force.
 
     Parameters
     ----------
@@ -432,7 +460,7 @@ def boat_world(boat: Boat, run: int, gear: DeviceSpecs, *, utc: float = 0.0, dis
     run : int
         Number of the run. It selects the random disturbances, the initial heading and the noise of the sensors.
     gear : DeviceSpecs
-        Devices of the boat.
+        Specifications of the devices of the boat.
     utc : float
         UTC at time 0 [s since 1970], for the time stamps of the GNSS receivers.
     disturbed : bool
@@ -452,7 +480,7 @@ def boat_world(boat: Boat, run: int, gear: DeviceSpecs, *, utc: float = 0.0, dis
 
 
 def bench_world(bench: Bench, run: int, gear: DeviceSpecs, *, utc: float = 0.0, disturbed: bool = True) -> World:
-    """Return the simulated plant of a bench with its devices, at time 0. An AHRS or GNSS receiver on it is at rest.
+    """Return a simulated bench with its devices, at time 0. An AHRS or GNSS receiver on it is at rest.
 
     Parameters
     ----------
@@ -461,7 +489,7 @@ def bench_world(bench: Bench, run: int, gear: DeviceSpecs, *, utc: float = 0.0, 
     run : int
         Number of the run. It selects the random disturbance and the noise of the sensors.
     gear : DeviceSpecs
-        Devices of the bench.
+        Specifications of the devices of the bench.
     utc : float
         UTC at time 0 [s since 1970], for the time stamps of the GNSS receivers.
     disturbed : bool
@@ -485,14 +513,18 @@ def bench_world(bench: Bench, run: int, gear: DeviceSpecs, *, utc: float = 0.0, 
 
 
 def _ahrs_reader(sensor: AhrsSensor, motion: Callable[[], RigidBodyState]) -> Callable[[], Sample]:
-    """Return the function that returns the AHRS sample for the present ``motion()``."""
+    """Return a function without arguments that returns the next AHRS sample of ``sensor``.
+
+    ``motion`` is a function that returns the present true motion of the boat or bench.
+    """
     return lambda: sensor.read(motion())
 
 
 def _gnss_reader(sensor: GnssSensor, motion: Callable[[], RigidBodyState], utc: float) -> Callable[[], Sample]:
-    """Return the function that returns the GNSS sample for the present ``motion()``.
+    """Return a function without arguments that returns the next GNSS sample of ``sensor``.
 
-    ``utc`` is the UTC at time 0 of the motion [s since 1970].
+    ``motion`` is a function that returns the present true motion of the boat or bench. ``utc`` is the UTC at time 0 of
+    the simulation [s since 1970].
     """
 
     def read() -> Sample:
@@ -504,5 +536,8 @@ def _gnss_reader(sensor: GnssSensor, motion: Callable[[], RigidBodyState], utc: 
 
 
 def _cell_reader(sensor: LoadCellSensor, force: Callable[[], float]) -> Callable[[], Sample]:
-    """Return the function that returns the load cell sample for the present ``force()`` [N]."""
+    """Return a function without arguments that returns the next load cell sample of ``sensor``.
+
+    ``force`` is a function that returns the present true force on the load cell [N].
+    """
     return lambda: sensor.read(force())

@@ -19,9 +19,9 @@ STAIRS, STAIR_S = 6, 0.8  # number of levels of the staircase, and s of each; it
 def actuator_plan(rig: Rig, n: float = N_ACTUATOR_TEST) -> Mission:
     """Return the mission of an actuator test for all thrusters of a rig.
 
-    The thrusters run one after the other: forward, in reverse, and forward in a staircase of six levels up to ``n``.
-    Then all thrusters run together, forward and in reverse. Between these commands, and for 4 s at the start and at
-    the end, the commands are zero.
+    The thrusters run one after the other: forward for 3 s, in reverse for 3 s, and forward in a staircase of six levels
+    up to ``n``. Then all thrusters run together, forward for 3 s and in reverse for 3 s. The commands are zero for
+    1.5 s between these, and for 4 s at the start and at the end.
 
     Parameters
     ----------
@@ -59,9 +59,8 @@ def actuator_plan(rig: Rig, n: float = N_ACTUATOR_TEST) -> Mission:
 
 
 def turning_warning(plan: Mission) -> str:
-    """Return the warning that an operator has to confirm before a plan is run.
+    """Return the warning that an operator has to confirm before an actuator test or a link test is run.
 
-    The text names the thrusters of the plan, its largest command, and its duration in run seconds. It is used for the
-    actuator test and for the link test.
+    The text names the thrusters of ``plan``, its largest command, and its duration in run seconds.
     """
     return f"{', '.join(plan.thrusters)} will turn, at up to n = {plan.n_max:g}, for up to {plan.end:.0f} s"

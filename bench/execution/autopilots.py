@@ -36,17 +36,21 @@ MANUAL_NUMBER = 0.0  # number of the mode MANUAL of ArduPilot Rover
 
 
 class Autopilots:
-    """Autopilots behind which the thrusters of a mission are connected. Thrusters on a CAN bus have no autopilot.
+    """Autopilots that pass the commands of a mission on to thrusters: checked before a run, armed and disarmed.
+
+    Thrusters on a CAN bus have no autopilot. A mission with only such thrusters has no autopilots, and the methods then
+    do nothing.
 
     Attributes
     ----------
     changes : dict of str to int
-        Number of parameter changes that each autopilot reported before its parameters were checked.
+        By name of an autopilot: number of changes of its parameters that were known when they were checked. More
+        changes during the run end it.
     found_armed : list of str
-        Autopilots that were armed before this run asked for it.
+        Names of autopilots that were armed already before this run.
     tested_s : dict of str to float
-        Time [wall s] from a lost link to neutral outputs, by the stored link test of each autopilot. It is empty if the
-        mission needs no link test.
+        By name of an autopilot: time [wall s] from the last frame to neutral outputs in its stored link test. It is
+        empty if the mission needs no link test.
     """
 
     def __init__(
@@ -59,7 +63,7 @@ class Autopilots:
         say: Callable[[str], None],
         n_max: float = 0.0,
     ) -> None:
-        """Find the autopilots of a mission.
+        """Find the autopilots to which the thrusters of a mission are connected. Nothing is sent to them yet.
 
         Parameters
         ----------
@@ -72,12 +76,12 @@ class Autopilots:
         clock : RunClock
             The run clock.
         wait : Callable
-            Waits for the given wall seconds. It may raise an error that ends the run.
+            Function that waits for the given wall seconds. It may raise an error that ends the run.
         say : Callable
-            Prints a line for the operator.
+            Function that prints a line for the operator.
         n_max : float
-            Largest command of the mission, as a fraction of full command. A passed link test is needed if it is beyond
-            `limits.link_test_n`.
+            Largest command of the mission, as a fraction of full command. If it is beyond `limits.link_test_n` of the
+            rig, every autopilot needs a valid stored link test.
         """
         self._n_max = n_max
         self._rig, self._acquisition, self._clock, self._wait, self._say = rig, acquisition, clock, wait, say
@@ -91,23 +95,27 @@ class Autopilots:
 
     @property
     def names(self) -> list[str]:
-        """Names of the autopilots."""
+        """Names of the autopilots to which thrusters of the mission are connected; empty without one."""
         return [device.name for device in self._devices]
 
     def begin_link_test(self) -> None:
-        """Waive the need for a stored link test, because a link test itself is run. Call it before `await_ready`."""
+        """Let `await_ready` accept autopilots without a stored link test, because a link test itself is run.
+
+        It must be called before `await_ready`.
+        """
         self._n_max = 0.0
 
     def await_ready(self) -> None:
         """Wait until every autopilot has sent its parameters and has a position estimate, and check its parameters.
 
-        Remarks on parameters are printed and written to the log. `changes`, `found_armed` and `tested_s` are filled.
+        Findings on parameters are printed and written to the log. `changes`, `found_armed` and `tested_s` are filled.
 
         Raises
         ------
         SeatrialError
-            If an autopilot does not answer, is not a rover, has another ground station with our system id, has a
-            parameter that forbids driving, lacks a link test that the mission needs, or has no position estimate.
+            If an autopilot sends no heartbeat or parameters within 10 s (wall), does not run ArduPilot Rover, receives
+            another ground station with our system id, has a parameter with which it must not be driven, or lacks a
+            stored link test that the mission needs. Also if its estimator has no position after 60 s (wall).
         """
         for device in self._devices:
             self._await_parameters(device)
@@ -124,7 +132,7 @@ class Autopilots:
         Raises
         ------
         SeatrialError
-            If an autopilot refuses, is in another mode, or is disarmed.
+            If an autopilot refuses a request or does not answer it, or is in another mode or disarmed after all.
         """
         for device in self._devices:
             if arm:
@@ -138,13 +146,17 @@ class Autopilots:
                 raise SeatrialError(f"{device.name} is disarmed; arm it from its transmitter, or give --arm")
 
     def _link_status(self, device: Device) -> LinkStatus:
-        """Return the newest state of an autopilot's link; the state of a silent link if there is none yet."""
+        """Return the newest state of an autopilot; if none was received yet, the default state without a heartbeat.
+
+        Raises SeatrialError if the acquisition process has failed or ended.
+        """
         return self._acquisition.status().links.get(device.name, LinkStatus())
 
     def _await_link(self, device: Device, condition: Callable[[LinkStatus], bool], seconds: float) -> LinkStatus | None:
-        """Wait up to `seconds` (wall) until the link of an autopilot fulfils ``condition``.
+        """Wait up to ``seconds`` (wall) until the state of an autopilot fulfils ``condition``.
 
-        Return the state of the link that fulfils it, or None after that time.
+        ``condition`` is a function of the state that returns a bool. Return the first state that fulfils it, or None if
+        no state did in that time.
         """
         deadline = time.monotonic() + seconds
         while not condition(link := self._link_status(device)):
@@ -154,10 +166,12 @@ class Autopilots:
         return link
 
     def _await_parameters(self, device: Device) -> None:
-        """Wait for the heartbeat and the parameters of an autopilot, and check whether it may be driven.
+        """Wait up to 10 s (wall) for heartbeat and parameters of an autopilot, and check whether it may be driven.
 
-        Findings on parameters are written to the log, and those that allow driving are printed. The stored link test is
-        checked if the mission needs it. Raises SeatrialError if the autopilot must not be driven.
+        Findings on parameters are written to the log, and those that allow driving are printed. The number of parameter
+        changes, whether it is armed already, and the stored link test (if the mission needs it) are stored in
+        `changes`, `found_armed` and `tested_s`. Raises SeatrialError if nothing arrives, or if the autopilot must not
+        be driven: wrong vehicle, another ground station with our id, a parameter that forbids it, no valid link test.
         """
         link = self._await_link(device, lambda link: link.received and not link.parameters_pending, AWAIT_S)
         if link is None:
@@ -192,22 +206,32 @@ class Autopilots:
             self._acquisition.mark("parameter", f"{device.name}: a lost link was tested, neutral after {seconds:.2f} s")
 
     def await_receivers(self) -> dict[str, LinkStatus]:
-        """Return the state of each autopilot, by name, after a wait for the reports on their RC receivers.
+        """Wait until each autopilot has reported whether it receives a radio-control transmitter; return their states.
 
-        An autopilot that has not reported within 3 s whether it hears a receiver has the value None for this.
+        The states are returned by name of the autopilot. The wait is at most 3 s (wall) for each. In the state of an
+        autopilot without a report, `receiver` is None.
         """
         return {device.name: self._await_receiver(device) for device in self._devices}
 
     def _await_receiver(self, device: Device) -> LinkStatus:
-        """Wait up to 3 s for the report whether an autopilot hears a receiver, and return the state of its link."""
+        """Wait up to 3 s (wall) for the report whether an autopilot receives a radio-control transmitter.
+
+        Return the newest state of the autopilot. Its `receiver` is None if no report has arrived.
+        """
         self._await_link(device, lambda link: link.receiver is not None, RECEIVER_S)
         return self._link_status(device)
 
     def _await_estimator(self, device: Device) -> None:
-        """Wait until the estimator of an autopilot has a position. Raises SeatrialError after 60 s (wall)."""
+        """Wait until the state estimator (EKF) of an autopilot has a position, and print that it is awaited.
+
+        Nothing is printed if it has a position already. Raises SeatrialError after 60 s (wall) without a position.
+        """
 
         def ready(link: LinkStatus) -> bool:
-            """Return whether the EKF flags of a link report attitude, velocity and an absolute position."""
+            """Return whether the EKF flags in an autopilot's state report attitude, velocity and absolute position.
+
+            The flag of the constant-position mode must not be set. Without reported flags return False.
+            """
             return link.ekf >= 0 and link.ekf & EKF_WANTED == EKF_WANTED and not link.ekf & EKF_UNWANTED
 
         if not ready(self._link_status(device)):
@@ -219,10 +243,11 @@ class Autopilots:
             )
 
     def _set_manual_and_arm(self, device: Device) -> None:
-        """Put an autopilot into MANUAL and arm it, with neutral commands. Raises SeatrialError if it refuses.
+        """Put an autopilot into the mode MANUAL and arm it, with zero commands on its thrusters.
 
-        Nothing is sent for a state that the autopilot already has. An autopilot that this method arms is noted as armed
-        by this run.
+        A request is left out if the autopilot is in MANUAL or armed already. An autopilot that this method arms is
+        stored as armed by this run, so that `disarm` disarms it. Raises SeatrialError if the autopilot refuses a
+        request, or if the request has no answer or no effect in 10 s (wall).
         """
         link = self._link_status(device)
         if link.mode != MANUAL:
@@ -238,23 +263,24 @@ class Autopilots:
         self._say(f"{device.name}: armed")
 
     def _request_and_await(self, device: Device, action: str, value: float, done: Callable[[LinkStatus], bool]) -> None:
-        """Send a request to an autopilot, and wait for the answer and for the effect.
+        """Send a request to an autopilot, wait for its answer, and then until its state shows the effect.
 
         Parameters
         ----------
         device : Device
             The autopilot.
         action : str
-            "mode" or "arm".
+            Request: "mode" or "arm".
         value : float
             Number of the mode; 0 for "arm".
         done : Callable
-            Whether a state of the link shows the effect.
+            Function that returns whether a state of the autopilot shows the effect.
 
         Raises
         ------
         SeatrialError
-            If the autopilot refuses, with its reason, or if the answer or the effect is missing after 10 s.
+            If the autopilot refuses; the message contains its reason. Also if the answer is missing 10 s (wall) after
+            the request, or the effect 10 s after the answer.
         """
         self._acquisition.request(device.name, action, value)
         link = self._await_link(device, lambda link: link.answer.startswith(f"{action}:"), AWAIT_S)
@@ -267,9 +293,9 @@ class Autopilots:
             raise SeatrialError(f"{device.name}: {action} was accepted but took no effect in {AWAIT_S:g} s")
 
     def still_armed(self) -> list[str]:
-        """Return the names of autopilots that report to be armed at present.
+        """Return the names of the mission's autopilots that report to be armed at present.
 
-        If the acquisition has failed, return the autopilots that were armed before this run.
+        If the acquisition has failed, so that there is no present report, return those that were armed before this run.
         """
         try:
             links = {name: self._link_status(self._rig.device(name)) for name in self.names}
@@ -278,12 +304,14 @@ class Autopilots:
         return [name for name, link in links.items() if link.armed]
 
     def release(self) -> None:
-        """Disarm the autopilots that this run has armed, and check the confirmation. Thrust must be zero before.
+        """Disarm the autopilots that this run has armed, and require their confirmation. Thrust must be zero before.
+
+        Autopilots that were armed before this run stay armed.
 
         Raises
         ------
         SeatrialError
-            If the disarming is not confirmed within 10 s. A run that leaves a vehicle armed counts as failed.
+            If an autopilot does not confirm within 10 s (wall). A run that leaves a vehicle armed counts as failed.
         """
         self.disarm()
         if armed := self.maybe_armed():
@@ -293,10 +321,10 @@ class Autopilots:
             )
 
     def maybe_armed(self) -> list[str]:
-        """Return the names of autopilots that this run has armed and that have not confirmed their disarming.
+        """Return the names of autopilots that this run has armed and whose disarming is not confirmed.
 
-        A heartbeat confirms the disarming only if the autopilot has sent it after the request to disarm. If the
-        acquisition has failed, the note of its watchdog counts instead.
+        The confirmation is a heartbeat with the state "disarmed" that was sent after the request and is at most 3 s
+        (wall) old. If the acquisition has failed, the note counts that its watchdog process has written beside the log.
         """
         try:
             links = [self._link_status(self._rig.device(name)) for name in self._armed]
@@ -314,7 +342,8 @@ class Autopilots:
     def disarm(self) -> None:
         """Request the autopilots that this run has armed to disarm; no error is raised if they do not confirm it.
 
-        The request is repeated every second until all confirm it, for at most 10 s. Signals do not interrupt it.
+        The request is repeated every second to those that have not confirmed, for at most 10 s (wall). Signals do not
+        interrupt it. Nothing is sent if this run has armed no autopilot.
         """
         begun, requested_at = time.monotonic(), -math.inf
         self._armed = dict.fromkeys(self._armed, begun)

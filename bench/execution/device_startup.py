@@ -18,7 +18,9 @@ POLL_S = 0.02  # wall seconds between two checks
 
 
 def silent_devices(rig: Rig, status: Status, thrusters: Sequence[str]) -> list[str]:
-    """Return the devices and thrusters that have not sent any sample yet.
+    """Return the devices of a rig, and those of the named thrusters, that have not sent any sample yet.
+
+    A thruster sends a sample when its speed controller, or the autopilot for its output, reports.
 
     Parameters
     ----------
@@ -32,7 +34,8 @@ def silent_devices(rig: Rig, status: Status, thrusters: Sequence[str]) -> list[s
     Returns
     -------
     list of str
-        A text for each silent device (name, port and fault if known) and for each silent thruster (name and node).
+        A text for each silent device (name, port, and fault of the port if there is one), then for each silent thruster
+        (name, node and device). It is empty if all have sent a sample.
     """
     silent = []
     for device in rig.devices:
@@ -57,16 +60,21 @@ def await_devices(
     rig : Rig
         The rig.
     acquisition : Acquisition
-        The running acquisition.
+        The running acquisition, which records the devices.
     thrusters : sequence of str
-        Names of the thrusters whose speed controller or output must be reported.
+        Names of the thrusters of which a sample is needed, from the speed controller or the output of an autopilot.
     wait : Callable
-        Waits for the given wall seconds. It may raise an error that ends the run.
+        Function that waits for the given wall seconds. It may raise an error that ends the run.
+
+    Returns
+    -------
+    list of str
+        Names of all devices of the rig.
 
     Raises
     ------
     SeatrialError
-        If a device or thruster sends no sample within 10 s. The message names all silent ones.
+        If a device or thruster sends no sample within 10 s (wall). The message names all silent ones.
     """
     deadline = time.monotonic() + AWAIT_S
     while silent := silent_devices(rig, acquisition.status(), thrusters):
@@ -79,25 +87,27 @@ def await_devices(
 
 
 def await_limits(rig: Rig, acquisition: Acquisition, guard: SafetyGuard, wait: Callable[[float], None]) -> None:
-    """Wait until every limit has a source, every device its rate, and no thruster turns.
+    """Wait until thrust may be commanded: every limit has a source, every device has its rate, and no thruster turns.
 
-    A source is a device that reports the limited quantity. The rates are compared with `rate_hz` of the rig.
+    A source of a limit is a device that reports the limited quantity. A device has its rate if it sends samples at
+    `rate_hz` of the rig, within a factor of 3.
 
     Parameters
     ----------
     rig : Rig
-        The rig, for the message.
+        The rig. Only its path is used, for the message.
     acquisition : Acquisition
-        The running acquisition.
+        The running acquisition, which records the devices.
     guard : SafetyGuard
-        Safety guard, which gets every status.
+        Safety guard of the run, which checks every status.
     wait : Callable
-        Waits for the given wall seconds. It may raise an error that ends the run.
+        Function that waits for the given wall seconds. It may raise an error that ends the run.
 
     Raises
     ------
     SeatrialError
-        If one of these conditions is not fulfilled after 10 s. The message contains the first one and its remedy.
+        If one of these conditions is not fulfilled after 10 s (wall). The message contains the first such condition
+        with its remedy, and the number of further ones.
     """
     deadline = time.monotonic() + AWAIT_S
     while reasons := _reasons_against_start(guard, acquisition.status()):
@@ -108,9 +118,10 @@ def await_limits(rig: Rig, acquisition: Acquisition, guard: SafetyGuard, wait: C
 
 
 def _reasons_against_start(guard: SafetyGuard, status: Status) -> list[str]:
-    """Return the reasons why no set-point may be sent at this status, with remedies; empty if the run may start.
+    """Return the reasons why no set-point may be sent at this status, one line with remedy each; empty if it may.
 
-    The reasons are, in this order, turning thrusters, limits without a source, and devices with a wrong rate.
+    The reasons are, in this order: thrusters that turn without a command, limits whose quantity no device reports, and
+    devices whose rate differs from `rate_hz` of the rig.
     """
     turning = [
         f"thruster {text} though nothing was commanded: stop it, and look for another program that commands it; "

@@ -39,20 +39,20 @@ MUTED = "muted"  # kind of the event after which no frame is sent
 
 
 class LinkTest(msgspec.Struct, frozen=True):
-    """Result of the link test of one autopilot.
+    """Result of the link test of one autopilot: how soon it ended thrust after our frames stopped.
 
     Attributes
     ----------
     seconds : float
-        Time [wall s] from our last frame until all outputs are at neutral for good.
+        Time [wall s] from our last frame until all outputs for thrusters are at neutral and stay there.
     n : float
-        Command before the silence, as a fraction of full command.
+        Command of the thrusters before the frames stopped, as a fraction of full command.
     date : str
         Time of the test, ISO 8601 in UTC.
     parameters : str
-        SHA-256 of the failsafe parameters (seatrial.daq.drivers.link_loss_hash).
+        SHA-256 of the autopilot's failsafe parameters in the test (seatrial.daq.drivers.link_loss_hash).
     receiver : bool or None
-        Whether the autopilot heard an RC receiver; None if it did not report this.
+        Whether the autopilot received a radio-control transmitter; None if it did not report this.
     """
 
     seconds: float
@@ -63,17 +63,17 @@ class LinkTest(msgspec.Struct, frozen=True):
 
     @property
     def passed(self) -> bool:
-        """Whether thrust ended within 2 s (`ALLOWED_S`)."""
+        """Whether the link test is passed: thrust ended within 2 s (wall) of the last frame (`ALLOWED_S`)."""
         return self.seconds <= ALLOWED_S
 
 
 class LinkTests(msgspec.Struct, frozen=True):
-    """Content of the file of link tests beside a rig.
+    """Content of the JSON file beside a rig file that stores the results of link tests.
 
     Attributes
     ----------
     format : str
-        Name and version of the file format; must be `FORMAT`.
+        Name and version of the file format, "seatrial-link-test 1" (`FORMAT`).
     devices : dict of str to LinkTest
         Newest result of each autopilot, by its name.
     """
@@ -86,12 +86,17 @@ FORMAT = "seatrial-link-test 1"
 
 
 def link_test_path(rig: Rig) -> Path:
-    """Return the path of the file of link tests of a rig: RIG.link-test.json beside RIG.toml. It may not exist."""
+    """Return the path of the file with the results of a rig's link tests: RIG.link-test.json beside RIG.toml.
+
+    The file need not exist.
+    """
     return rig.path.with_suffix(".link-test.json")
 
 
 def load_link_tests(rig: Rig) -> dict[str, LinkTest]:
-    """Return the stored results of the link tests of a rig, by name of the autopilot; empty without a file.
+    """Return the stored results of the link tests of a rig, by name of the autopilot.
+
+    They are read from RIG.link-test.json beside the rig file. If it does not exist, the result is empty.
 
     Raises
     ------
@@ -115,39 +120,53 @@ def load_link_tests(rig: Rig) -> dict[str, LinkTest]:
 
 
 def save_link_tests(rig: Rig, tests: Mapping[str, LinkTest]) -> None:
-    """Write the results ``tests``, by name of the autopilot, into the file of link tests of a rig.
+    """Write results of link tests to RIG.link-test.json beside the rig file.
 
-    Stored results of other autopilots stay. Raises SeatrialError if the present file cannot be read.
+    Parameters
+    ----------
+    rig : Rig
+        The rig.
+    tests : Mapping
+        New results, by name of the autopilot. They replace stored results of the same autopilots; those of other
+        autopilots stay in the file.
+
+    Raises
+    ------
+    SeatrialError
+        If the file exists and cannot be read or has another format, or if it cannot be written.
     """
     text = msgspec.json.encode(LinkTests(FORMAT, {**load_link_tests(rig), **tests}))
     write_output(link_test_path(rig), msgspec.json.format(text, indent=2) + b"\n")
 
 
 def require_link_test(rig: Rig, device: str, link: LinkStatus, n_max: float) -> float:
-    """Check that an autopilot has a passed link test that is still valid, and return its time to neutral outputs.
+    """Check that an autopilot has a valid stored link test, and return the time in which thrust ended in that test.
 
-    A result is valid if the failsafe parameters and the RC receiver are the same as in the test.
+    A stored test is valid if it was passed with a command of at least 0.1, and if the failsafe parameters of the
+    autopilot are the same as then. The autopilot must also have reported, then and now, whether it receives a
+    radio-control transmitter, with the same answer.
 
     Parameters
     ----------
     rig : Rig
-        The rig, beside whose file the results are stored.
+        The rig, beside whose file the results of link tests are stored.
     device : str
         Name of the autopilot.
     link : LinkStatus
-        State of the autopilot, with its present parameters and whether it hears a receiver.
+        Present state of the autopilot, with its parameters and whether it receives a transmitter.
     n_max : float
-        Largest command of the mission, for the message.
+        Largest command of the mission, for the message of an error.
 
     Returns
     -------
     float
-        Seconds (wall) from the lost link to neutral outputs.
+        Wall seconds from the last frame to neutral outputs in the stored test.
 
     Raises
     ------
     SeatrialError
-        If there is no such test. The message names the reason and the command to run.
+        If there is no valid test. The message names the reason and the command that does the test. Also if the file of
+        stored tests cannot be read.
     """
     test = load_link_tests(rig).get(device)
     if test is None:
@@ -174,15 +193,16 @@ def require_link_test(rig: Rig, device: str, link: LinkStatus, n_max: float) -> 
 
 
 def link_test_plan(rig: Rig) -> Mission:
-    """Return the mission of a link test: 1 s at rest, then a tenth of full command on every thruster of an autopilot.
+    """Return the mission of a link test, for all thrusters of a rig that are connected to an autopilot.
 
-    The durations are wall seconds, so that the mission has more run seconds on mocks. The runner interrupts the link
-    after 3 s.
+    The command is zero for 1 s, then 0.1 (a tenth of full command) until the end of the mission after 13.5 s. The
+    runner sends no frame after the first 3 s. These times are wall seconds. The mission counts run seconds, so that its
+    times are longer on mocks that are faster than real time.
 
     Raises
     ------
     SeatrialError
-        If no thruster of the rig is connected to an autopilot, or if `limits.n_max` is below a tenth.
+        If no thruster of the rig is connected to an autopilot, or if `limits.n_max` is below 0.1.
     """
     names = tuple(thruster.name for thruster in rig.thrusters if thruster.output is not None)
     if not names:
@@ -202,29 +222,31 @@ def link_test_plan(rig: Rig) -> Mission:
 
 
 def measure_link_loss(log: Log, device: Device, link: LinkStatus, n: float) -> LinkTest:
-    """Return the result of a link test for one autopilot, from the log of the test. Nothing is stored.
+    """Return the result of a link test for one autopilot, from the log of the test. No file is written.
+
+    In the test the thrusters were commanded ``n``, and then no frame was sent to the autopilot for up to 10 s (wall).
 
     Parameters
     ----------
     log : Log
-        The closed log.
+        The closed log of the test.
     device : Device
         The autopilot.
     link : LinkStatus
-        State of the autopilot before the silence.
+        State of the autopilot before frames stopped. Its parameters and receiver are stored in the result.
     n : float
-        Command before the silence, as a fraction of full command.
+        Command before frames stopped, as a fraction of full command.
 
     Returns
     -------
     LinkTest
-        Result for the slowest output. `seconds` is 10 (`SILENCE_S`) if an output was not at neutral by the end of the
-        silence.
+        Result with the time until the last output was at neutral. This time is 10 s (`SILENCE_S`) if an output was not
+        at neutral when frames were sent again. A value of NaN counts as not at neutral.
 
     Raises
     ------
     SeatrialError
-        If the log contains no link test. Also if an output did not follow the command before the silence, because its
+        If the log contains no link test. Also if an output did not reach half of ``n`` before frames stopped: its
         neutral value afterwards then proves nothing.
     """
     rig = log.rig

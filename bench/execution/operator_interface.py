@@ -35,26 +35,26 @@ HELP = "space: pause and resume, r: repeat the step, m: mark, Ctrl-C: zero and e
 
 @dataclass(frozen=True)
 class MissionStatus:
-    """State of a run for the display. A value that is unknown or outdated is NaN.
+    """State of a run that is shown to the operator. A measured value that is unknown or outdated is NaN.
 
     Attributes
     ----------
     segment : str
-        Name of the present segment of the mission, or "paused".
+        Name of the present segment of the mission; "paused" during a pause.
     elapsed : float
         Mission's own time [run s], which does not advance during a pause.
     total : float
         Length of the mission [run s].
     n_cmd : tuple of float
-        Command of each thruster, -1 to 1.
+        Command of each thruster of the mission, -1 to 1.
     rpm : tuple of float
-        Measured shaft speed of each thruster [rev/min].
+        Measured shaft speed of each thruster of the mission [rev/min].
     force : float or None
         Force of a load cell [N]; None if no device measures it.
     speed : float or None
         Speed over ground [m/s]; None if no device measures it.
     warning : str
-        Newest warning of the acquisition; empty without one.
+        Last one of the present warnings of the acquisition; empty without one.
     """
 
     segment: str
@@ -67,9 +67,9 @@ class MissionStatus:
     warning: str = ""
 
     def values(self) -> str:
-        """Return commands, shaft speeds, force, speed and the warning as one line of text.
+        """Return commands, shaft speeds, force, speed and warning of the run as one line of text.
 
-        A NaN is shown as "--". A force or speed of None is left out.
+        NaN is written as "--". A force or speed of None is left out. Without a warning the line ends with "guard ok".
         """
         parts = [
             "n " + " ".join(f"{value:+.2f}" for value in self.n_cmd),
@@ -84,29 +84,29 @@ class MissionStatus:
 
 
 def _format_value(value: float, form: str) -> str:
-    """Return ``value`` in the format ``form`` of `format`, or "--" if it is NaN."""
+    """Return ``value`` as text, with the format specification ``form`` such as "+6.1f"; "  --" if it is NaN."""
     return "  --" if math.isnan(value) else f"{value:{form}}"
 
 
 class Display(Protocol):
-    """Display of a run: the interface of the live and the plain display."""
+    """Interface of a display that shows the state of a run. It is a context manager: live or plain display."""
 
     def __enter__(self) -> Self:
-        """Start the display."""
+        """Start the display of a run and return it."""
         ...
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """End the display and leave the terminal clean. Errors are passed on."""
+        """End the display and leave the terminal clean. An error in the context is not suppressed."""
         ...
 
     def show(self, view: MissionStatus) -> None:
-        """Show the state ``view``. The method may be called at any rate; the display limits its own rate."""
+        """Show the state ``view`` of the run. The display may leave out states that come too fast."""
         ...
 
     def say(self, line: str) -> None:
-        """Print one line that is not overwritten."""
+        """Print the text ``line`` as a line that stays on the screen; later states do not overwrite it."""
         ...
 
 
@@ -117,25 +117,25 @@ class LiveDisplay:
     """
 
     def __init__(self, console: Console) -> None:
-        """Prepare the display on ``console``; nothing is drawn before the context begins."""
+        """Prepare the display on the terminal ``console``. Nothing is drawn before the context begins."""
         # Without a refresh thread a blocked terminal blocks the runner, and the acquisition then commands zero.
         self._live = Live(console=console, auto_refresh=False, transient=True)
         self._last = -math.inf
 
     def __enter__(self) -> Self:
-        """Start to draw the lines."""
+        """Start to draw the two lines of the display, and return the display."""
         self._live.start()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Remove the redrawn lines. Errors are passed on."""
+        """Remove the two lines of the display. An error in the context is not suppressed."""
         with contextlib.suppress(OSError):
             self._live.stop()
 
     def show(self, view: MissionStatus) -> None:
-        """Draw the state ``view``, at most ten times a second; calls in between are ignored."""
+        """Draw the state ``view`` of the run. A call within 0.1 s (wall) of the last drawing is ignored."""
         if time.monotonic() - self._last < LIVE_EVERY_S:
             return
         self._last = time.monotonic()
@@ -143,13 +143,17 @@ class LiveDisplay:
             self._live.update(_live_lines(view), refresh=True)
 
     def say(self, line: str) -> None:
-        """Print a line above the redrawn ones."""
+        """Print the text ``line`` above the two lines of the display, where it stays."""
         with contextlib.suppress(OSError):
             self._live.console.print(line, markup=False, highlight=False, soft_wrap=True)
 
 
 def _live_lines(view: MissionStatus) -> Group:
-    """Return the two lines of the live display: segment with progress, and values (red if there is a warning)."""
+    """Return the two lines of the live display for the state ``view`` of a run, as an object that rich can draw.
+
+    The first line has the segment, a progress bar and the elapsed time. The second line has commands and measured
+    values; it is red if there is a warning.
+    """
     done = min(max(view.elapsed, 0.0), view.total)
     head = Table.grid(padding=(0, 1))
     bar = ProgressBar(total=view.total, completed=done, width=28)
@@ -158,24 +162,28 @@ def _live_lines(view: MissionStatus) -> Group:
 
 
 class PlainDisplay:
-    """Display for pipes and files: a line at the start of each segment, and every 2 s (wall) within a segment."""
+    """Display for pipes and files: it prints the state of a run at each new segment, and every 2 s (wall) within it."""
 
     def __init__(self) -> None:
-        """Prepare the display; the first state is printed at once."""
+        """Prepare the plain display of a run. The first state of the run will be printed at once."""
         self._last = -math.inf
         self._segment = ""
 
     def __enter__(self) -> Self:
-        """Return the display."""
+        """Return the plain display of a run. It needs no start."""
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Leave the context. This display has nothing to restore; errors are passed on."""
+        """Do nothing: this display has nothing to restore. An error in the context is not suppressed."""
 
     def show(self, view: MissionStatus) -> None:
-        """Print the state ``view`` as a line if the segment has changed or 2 s have passed; else print nothing."""
+        """Print the state ``view`` of the run as one line.
+
+        Nothing is printed if the segment is the same as in the last printed line and that line is less than 2 s (wall)
+        old.
+        """
         now = time.monotonic()
         if view.segment == self._segment and now - self._last < PLAIN_EVERY_S:
             return
@@ -183,31 +191,31 @@ class PlainDisplay:
         self.say(f"  {view.elapsed:6.1f}/{view.total:.0f} s  {view.segment:<14}  {view.values()}")
 
     def say(self, line: str) -> None:
-        """Print one line."""
+        """Print the text ``line`` to standard output at once, without a buffer."""
         print(line, flush=True)
 
 
 def make_display() -> Display:
-    """Return the live display on a terminal, and the plain display elsewhere."""
+    """Return a display for standard output: the live one if it is a terminal, else the plain one."""
     console = Console()
     return LiveDisplay(console) if console.is_terminal else PlainDisplay()
 
 
 class StopSignals:
-    """Context in which SIGINT, SIGTERM and SIGHUP only set `caught` and end `wait` early.
+    """Context in which SIGINT, SIGTERM and SIGHUP raise no exception: they only set `caught` and end `wait` early.
 
-    The handlers raise no exception, so that a second Ctrl-C cannot interrupt the return to zero thrust. The attribute
-    `caught` is the first signal that has arrived, or None.
+    A second Ctrl-C can therefore not interrupt the return to zero thrust. The attribute `caught` is the first signal
+    that has arrived, or None.
     """
 
     def __init__(self) -> None:
-        """Prepare the context; the handlers are installed when it begins."""
+        """Prepare the handling of SIGINT, SIGTERM and SIGHUP. The handlers are installed when the context begins."""
         self.caught: signal.Signals | None = None
         self._read, self._write = -1, -1
         self._old: dict[signal.Signals, object] = {}
 
     def __enter__(self) -> Self:
-        """Install the handlers. Only the main thread may do this."""
+        """Install handlers of SIGINT, SIGTERM and SIGHUP, and return this object. Only the main thread may do this."""
         # A pipe and not threading.Event: an Event set by a signal handler can deadlock on its own lock.
         self._read, self._write = os.pipe()
         os.set_blocking(self._write, False)
@@ -218,9 +226,10 @@ class StopSignals:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Restore the earlier handlers. If a signal has arrived, ignore all further ones instead.
+        """Restore the earlier signal handlers. If a signal has arrived, ignore SIGINT, SIGTERM and SIGHUP instead.
 
-        The process then ends, and a second Ctrl-C must not suppress the last line, which names the log.
+        The process then ends, and a second Ctrl-C must not suppress its last line, which names the log. An error in the
+        context is not suppressed.
         """
         for number, handler in self._old.items():
             after = handler if self.caught is None else signal.SIG_IGN
@@ -229,15 +238,15 @@ class StopSignals:
         os.close(self._write)
 
     def _note_signal(self, number: int, frame: FrameType | None) -> None:
-        """Handle a signal: store the first one in `caught`, and wake up `wait`."""
+        """Handle the signal ``number``: store it in `caught` if it is the first one, and wake up `wait`."""
         self.caught = self.caught or signal.Signals(number)
         with contextlib.suppress(BlockingIOError):  # the pipe is full of earlier signals, so that `wait` ends anyway
             os.write(self._write, b"!")
 
     def wait(self, seconds: float) -> bool:
-        """Wait for `seconds` (wall) or until a signal arrives. Return whether a signal has ever arrived.
+        """Wait for ``seconds`` (wall) or until SIGINT, SIGTERM or SIGHUP arrives.
 
-        After a signal the method returns at once.
+        Return whether such a signal has arrived since the context began. If one has, the method returns at once.
         """
         if self.caught is None:
             select.select([self._read], [], [], seconds)
@@ -245,19 +254,22 @@ class StopSignals:
 
 
 class Keys:
-    """Context in which `take` returns the keys that were pressed on the terminal.
+    """Context in which single keys of the terminal are read, without Enter; `take` returns them.
 
-    No keys are read if stdin is not a terminal, or if this process is not in its foreground.
+    No keys are read if standard input is not a terminal, or if this process is not in the foreground of it.
     """
 
     def __init__(self) -> None:
-        """Prepare the context; the terminal is changed when it begins."""
+        """Prepare the reading of keys. The mode of the terminal is changed when the context begins."""
         self._fd = -1
         self._before: list[Any] = []
         self._pressed: dict[str, float] = {}  # wall time, by key
 
     def __enter__(self) -> Self:
-        """Put the terminal into a mode without line editing and echo. Ctrl-C remains a signal."""
+        """Put the terminal into a mode without line editing and echo, and return this object. Ctrl-C remains a signal.
+
+        Nothing is changed if standard input is not a terminal, or if this process is not in the foreground.
+        """
         with contextlib.suppress(OSError, ValueError, termios.error):
             if sys.stdin.isatty() and os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp():
                 fd = sys.stdin.fileno()
@@ -269,7 +281,7 @@ class Keys:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Restore the mode of the terminal."""
+        """Restore the mode of the terminal if it was changed. An error in the context is not suppressed."""
         if self._fd >= 0:
             with contextlib.suppress(termios.error):
                 termios.tcsetattr(self._fd, termios.TCSADRAIN, self._before)
@@ -277,13 +289,14 @@ class Keys:
 
     @property
     def available(self) -> bool:
-        """Whether the keys of a terminal are read."""
+        """Whether keys are read: standard input is a terminal, and this process is in the foreground of it."""
         return self._fd >= 0
 
     def take(self) -> str:
         """Return the keys that were pressed since the last call, as characters in their order; empty without any.
 
-        The key `p` is returned as a space. A key that is held counts once, except `m`. The call never waits.
+        The key `p` is returned as a space. A key that is held or repeated within 1 s counts once, except `m`. The call
+        never waits. If no keys are read from a terminal, or it was closed, the text is empty.
         """
         if self._fd < 0 or not select.select([self._fd], [], [], 0.0)[0]:
             return ""
@@ -294,10 +307,10 @@ class Keys:
             return ""
 
     def _without_repetitions(self, keys: str, now: float) -> str:
-        """Return ``keys`` without repetitions of a key within 1 s, and note the time ``now`` [s] of each key.
+        """Return the pressed ``keys`` without those that repeat the same key within 1 s, at monotonic time ``now`` [s].
 
         Pause and resume are the same key, so that a held key must count once. The key `m` (mark) always counts. The key
-        `p` is returned as a space.
+        `p` is returned as a space. The time of each key is stored for the next call.
         """
         taken = ""
         for key in keys.replace("p", " "):

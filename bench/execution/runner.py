@@ -57,7 +57,7 @@ class RunInterrupted(SeatrialError):
     """Error of a run that a signal has ended. The exit status is 128 plus the number of the signal."""
 
     def __init__(self, line: str, number: signal.Signals) -> None:
-        """Set the message ``line`` and, from the signal ``number``, the exit status."""
+        """Store the message ``line`` of the error, and the exit status 128 plus the ``number`` of the signal."""
         super().__init__(line)
         self.exit_status = 128 + number
 
@@ -72,24 +72,25 @@ def run_mission(
     retries: int = 0,
     commands: CommandSource | None = None,
 ) -> RunResult:
-    """Run a mission and record it. Must be called from the main thread, because it handles signals.
+    """Run a mission on the devices of a rig and record it. THRUSTERS TURN. The run ends at zero thrust.
 
-    Keys of the operator: space pauses and resumes the mission, r repeats the present segment, m marks the log.
+    It must be called from the main thread, because it handles signals. Keys of the operator: space pauses and resumes
+    the mission, r repeats the present segment, m marks the log.
 
     Parameters
     ----------
     mission : Mission
-        The set-points and their limits.
+        The set-points of the thrusters and their limits.
     rig : Rig
         The rig that is driven.
     path : Path
-        The new log.
+        Path of the new log.
     display : Display
-        Display of the run.
+        Display that shows the state of the run to the operator.
     metadata : dict, optional
         Metadata of the log: texts by name.
     arm : bool
-        Whether to arm an autopilot before the run and disarm it after the run.
+        Whether to put autopilots into MANUAL and arm them before the run, and to disarm them after it.
     retries : int
         How many segments of the mission, in all, are repeated if set-points or samples were lost in them.
     commands : CommandSource, optional
@@ -107,8 +108,8 @@ def run_mission(
     RunInterrupted
         On Ctrl-C, SIGTERM or SIGHUP.
     SeatrialError
-        If the mission is beyond the limits of the rig, the log exists already, the run cannot start, or a device or the
-        acquisition fails.
+        If the mission is beyond the limits of the rig, the log exists already, the run cannot start, the acquisition
+        process fails, or an autopilot does not confirm that it is disarmed.
 
     Notes
     -----
@@ -121,25 +122,29 @@ def run_mission(
 
 
 def run_link_test(rig: Rig, path: Path, display: Display, metadata: dict[str, str], arm: bool) -> dict[str, LinkTest]:
-    """Measure how soon each autopilot ends thrust after a lost link. THRUSTERS TURN, at a tenth of full command.
+    """Run a link test: measure how soon each autopilot ends thrust after a lost link. THRUSTERS TURN.
+
+    The thrusters get a tenth of full command, then no frame is sent to the autopilots, and their outputs are recorded.
+    The results are stored in RIG.link-test.json beside the rig file. It must be called from the main thread.
 
     Parameters
     ----------
     rig : Rig
-        The rig. The results are written beside its file.
+        The rig.
     path : Path
-        The new log.
+        Path of the new log.
     display : Display
-        Display of the run.
+        Display that shows messages to the operator.
     metadata : dict
-        Metadata of the log.
+        Metadata of the log: texts by name.
     arm : bool
-        Whether to arm the autopilots before the test and disarm them after it.
+        Whether to put the autopilots into MANUAL and arm them before the test, and to disarm them after it.
 
     Returns
     -------
     dict
-        Result of each autopilot, by its name. A result that has not passed is returned too, without an error.
+        Result of each autopilot, by its name. A result that is not passed (more than 2 s) is returned and stored too,
+        without an error.
 
     Raises
     ------
@@ -167,10 +172,11 @@ def _prepared_runner(
     keys: AbstractContextManager[object],
     commands: CommandSource | None = None,
 ) -> Iterator[_Runner]:
-    """Check a mission against the rig, and yield its runner with signal handlers, keys and acquisition started.
+    """Check a mission against the limits of its rig, start the acquisition, and yield the runner of the mission.
 
-    ``keys`` is the context that reads the keys of the operator. The other parameters are those of `run_mission`. At the
-    end of the context the acquisition is stopped and the signal handlers are restored.
+    Handlers of signals and ``keys`` (the context that reads keys of the operator) are started too. The other parameters
+    are those of `run_mission`. At the end of the context the acquisition is stopped and the signal handlers are
+    restored. Raises SeatrialError if the mission is beyond the limits, the log exists, or the acquisition cannot start.
     """
     dry_run(mission, rig)
     new_log_file(path)
@@ -186,7 +192,7 @@ def _prepared_runner(
 
 
 def new_log_file(path: Path) -> None:
-    """Check that the log ``path`` does not exist, and make its folder. The file itself is not made.
+    """Check that the file ``path`` of a new log does not exist, and make its folder. The file itself is not made.
 
     Raises
     ------
@@ -202,16 +208,16 @@ def new_log_file(path: Path) -> None:
 
 
 class NewestValues(NamedTuple):
-    """Newest measured values for the display. A value is NaN if it is outdated, and None if no device measures it.
+    """Newest measured values of a run for the display. A value is NaN if its sample is outdated.
 
     Attributes
     ----------
     force : float or None
-        Force of a load cell [N].
+        Force of a load cell [N]; None if no device has measured a force.
     speed : float or None
-        Speed over ground [m/s].
+        Speed over ground of a GNSS receiver [m/s]; None if no device has measured a speed.
     rpm : dict of (str, int) to float
-        Shaft speed [rev/min] of each speed controller, by device and node.
+        Shaft speed [rev/min] of each speed controller that has reported, by its device and node.
     """
 
     force: float | None
@@ -222,15 +228,19 @@ class NewestValues(NamedTuple):
 def newest_values(status: Status, guard: SafetyGuard) -> NewestValues:
     """Return the newest force, speed and shaft speeds for the display.
 
-    A value whose sample is outdated is NaN. If several devices measure force or speed, the last one that is not
-    outdated is shown.
-
     Parameters
     ----------
     status : Status
         Newest status of the acquisition.
     guard : SafetyGuard
         Safety guard, which decides whether a sample is outdated.
+
+    Returns
+    -------
+    NewestValues
+        The values. A value whose sample is outdated is NaN. If several devices measure force or speed, the last of
+        them in the status whose sample is not outdated counts. Force or speed are None if no device has reported a
+        finite value.
     """
     force: float | None = None
     speed: float | None = None
@@ -248,14 +258,15 @@ def newest_values(status: Status, guard: SafetyGuard) -> NewestValues:
 
 @dataclass(frozen=True)
 class RunResult:
-    """Outcome of a run that was completed.
+    """Outcome of a run that was completed without an error.
 
     Attributes
     ----------
     tares : tuple of Tare
-        Zeros of the load cells at the start and at the end of the run.
+        Mean raw measurements of the load cells at rest, at the start and at the end of the run; empty if none was
+        measured.
     still_armed : tuple of str
-        Names of autopilots that are armed at the end. This run did not arm them.
+        Names of autopilots that are armed at the end of the run. They were armed before it already.
     """
 
     tares: tuple[Tare, ...]
@@ -263,14 +274,19 @@ class RunResult:
 
 
 def _all_at_zero(rests: list[Rest] | None) -> bool:
-    """Return whether every thruster was measured at zero thrust; False if ``rests`` is None (no measurement)."""
+    """Return whether every thruster was measured at zero thrust.
+
+    ``rests`` has the measurement of each thruster. If it is None (the acquisition has failed), or if the thrust of a
+    thruster could not be measured, return False.
+    """
     return rests is not None and all(rest.is_zero for rest in rests)
 
 
 class _Runner:
-    """Runner of one mission or link test. It also returns thrust to zero after an error.
+    """Runner of one mission or link test, from the first sample of the devices to the closed log.
 
-    It receives set-points and events from the sequencer (`EventSink`), and asks the safety guard about each set-point.
+    The sequencer passes set-points and events to it (`EventSink`). It asks the safety guard about each set-point before
+    it sends it to the acquisition. After an error it returns thrust to zero.
     """
 
     def __init__(
@@ -284,7 +300,11 @@ class _Runner:
         display: Display,
         commands: CommandSource | None,
     ) -> None:
-        """Prepare a run. The acquisition must have started; ``commands`` is None for set-points of the mission."""
+        """Prepare a run. Nothing is commanded yet. The acquisition must have started.
+
+        ``clock`` is the run clock, and ``signals`` the context that catches signals. ``commands`` is a source of
+        external commands, or None to send the set-points of the mission. The others are those of `run_mission`.
+        """
         self._mission, self._rig, self._path, self._commands = mission, rig, path, commands
         self._clock, self._acquisition, self._signals, self._display = clock, acquisition, signals, display
         self._guard = SafetyGuard(rig, clock.speed, mission.thrusters)
@@ -297,8 +317,10 @@ class _Runner:
     def run(self, arm: bool, retries: int, keys: Keys) -> RunResult:
         """Run the mission: wait for the devices, send the set-points, measure zero thrust and close the log.
 
-        The parameters, the result and the errors are those of `run_mission`. After an error thrust is returned to zero,
-        the log is closed, and the error is raised again with a longer message.
+        ``arm`` is whether to arm autopilots before the run and to disarm them after it. ``retries`` is the largest
+        number of segments that are repeated because of lost data. ``keys`` reads the keys of the operator. The result
+        and the errors are those of `run_mission`. After an error thrust is returned to zero, the log is closed, and the
+        error is raised again with a longer message.
         """
         with self._display:
             try:
@@ -316,9 +338,11 @@ class _Runner:
         return RunResult(tuple(tares), tuple(still_armed))
 
     def test_link(self, arm: bool) -> dict[str, LinkTest]:
-        """Run a link test, and return the result of each autopilot from the closed log, by its name.
+        """Run a link test: command a tenth of thrust, stop all frames, and measure when the outputs are at neutral.
 
-        ``arm`` is whether to arm the autopilots before and disarm them after it. Errors are handled as in `run`.
+        Return the result of each autopilot, by its name, from the closed log. ``arm`` is whether to arm the autopilots
+        before the test and to disarm them after it. After an error thrust is returned to zero, the log is closed, and
+        the error is raised again with a longer message.
         """
         with self._display:
             try:
@@ -338,16 +362,20 @@ class _Runner:
             return {name: measure_link_loss(log, self._rig.device(name), links[name], n) for name in links}
 
     def _require_zero(self) -> None:
-        """Wait for a measurement of zero thrust. Raise SafetyStop if there is none although thrust was commanded."""
+        """Wait up to 4 s (wall) until zero thrust is measured on every thruster of the mission.
+
+        Raises SafetyStop if this is not measured, unless no thrust was commanded in this run.
+        """
         rests = self._await_rest()
         if self._moved and not _all_at_zero(rests):
             raise SafetyStop("the run has ended")
 
     def _interrupt_links(self) -> None:
-        """Command the plan of a link test, then send no frame until all outputs have been at neutral for 0.5 s.
+        """Command the set-points of a link test, then send no frame to the autopilots and wait for neutral outputs.
 
-        The method returns 10 s after the last frame if an output is still not at neutral. Raises SafetyStop if a limit
-        is passed or the acquisition stops thrust.
+        Frames stop 3 s after the first set-point. The method returns when all outputs have been at neutral for 0.5 s,
+        or 10 s after frames stopped. All times are wall seconds. Raises SafetyStop if a limit is passed, a device is
+        silent, or the acquisition process stops thrust by itself.
         """
         speed, start = self._clock.speed, self._clock.now() + LEAD_S * self._clock.speed
         t, n = self._mission.setpoints()
@@ -378,9 +406,11 @@ class _Runner:
             self._wait(POLL_S)
 
     def _await_ready(self, arm: bool) -> None:
-        """Wait until the run may start, and start the guard.
+        """Wait until thrust may be commanded, and let the guard allow set-points from then on.
 
-        The order is: samples of all devices, parameters of autopilots, sources of limits, arming (with ``arm``).
+        The method waits for samples of all devices, parameters and estimators of the autopilots, and devices that
+        report the limited quantities, in this order. With ``arm`` it then arms the autopilots; otherwise they must be
+        armed already. Raises SeatrialError if one of these conditions is not fulfilled in its time.
         """
         names = await_devices(self._rig, self._acquisition, self._mission.thrusters, self._wait)
         self._display.say(f"devices: {', '.join(names)}; recording {self._path}")
@@ -390,9 +420,10 @@ class _Runner:
         self._guard.start(self._vehicles.changes)
 
     def schedule(self, rows: Sequence[Row]) -> None:
-        """Send the set-points that the guard allows. ``rows`` are run times [s] with n_cmd by thruster.
+        """Send set-points to the acquisition if the guard allows them.
 
-        Raises SafetyStop if a set-point is not allowed.
+        ``rows`` are pairs of run time [s] and n_cmd by thruster. Raises SafetyStop if a set-point is not allowed, for
+        example beyond `limits.n_max`. Before the guard is started no set-point is sent.
         """
         allowed = self._guard.allow(rows)
         self._moved = self._moved or any(n != 0.0 for _, row in allowed for n in row.values())
@@ -403,14 +434,16 @@ class _Runner:
         self._acquisition.zero(reason)
 
     def mark(self, kind: str, text: str) -> None:
-        """Write an event to the log, with its kind and its text."""
+        """Write an event to the log: its kind, a word such as "segment", and its text in one line."""
         self._acquisition.mark(kind, text)
 
     def _run_setpoints(self, arm: bool, retries: int, keys: Keys) -> MissionSequencer:
-        """Wait until the run may start, then send every set-point in time. Return the sequencer at the end.
+        """Wait until thrust may be commanded, then send the set-points in time until the end of the mission.
 
-        The limits, signals and keys are checked every 20 ms (wall) meanwhile. Raises SafetyStop or RunInterrupted if
-        the run has to end early.
+        The safety guard, signals and keys are checked every 20 ms (wall) meanwhile. ``arm``, ``retries`` and ``keys``
+        are those of `run`. Return the sequencer, which has the run times of the executed segments. Raises SeatrialError
+        if the run cannot start, SafetyStop if the guard ends it or this program was paused for more than 1 s, and
+        RunInterrupted if a signal arrives.
         """
         self._await_ready(arm)
         if keys.available:
@@ -443,14 +476,14 @@ class _Runner:
         return sequencer
 
     def _check_guard(self, status: Status, now: float) -> None:
-        """Let the guard check the status at run time ``now`` [s]. Raise SafetyStop if it ends the run."""
+        """Let the safety guard check the status at run time ``now`` [s]. Raise SafetyStop if it ends the run."""
         if stop := self._guard.step(now, status).stop:
             raise SafetyStop(stop.reason)
 
     def _say_skipped(self, commanded: int) -> None:
-        """Print how many of the ``commanded`` set-points a later one replaced before they could be sent.
+        """Print how many of the ``commanded`` set-points were skipped: a later one replaced them before they were sent.
 
-        Nothing is printed if all were sent.
+        Nothing is printed if no set-point was skipped.
         """
         skipped = self._acquisition.status().skipped
         if skipped:
@@ -462,7 +495,8 @@ class _Runner:
     def _wait(self, wall_s: float) -> None:
         """Wait for ``wall_s`` seconds (wall).
 
-        Raises RunInterrupted as soon as a signal arrives, and SafetyStop if the computer was suspended.
+        Raises RunInterrupted as soon as a signal arrives. Raises SafetyStop, before the wait, if the computer was
+        suspended since the last call.
         """
         if slept := self._suspended.slept():
             raise SafetyStop(f"the computer was suspended for {slept:.1f} s")
@@ -471,7 +505,11 @@ class _Runner:
             raise RunInterrupted(f"stopped by {WORDS[number]}", number)
 
     def _display_status(self, status: Status, sequencer: MissionSequencer, now: float) -> MissionStatus:
-        """Return the state of the run at run time ``now`` [s] for the display."""
+        """Return the state of the run at run time ``now`` [s] for the display.
+
+        ``status`` is the newest status of the acquisition, and ``sequencer`` that of this run. A shaft speed that is
+        not reported is NaN.
+        """
         force, speed, rpm = newest_values(status, self._guard)
         thrusters = [self._rig.thruster(name) for name in self._mission.thrusters]
         return MissionStatus(
@@ -486,9 +524,11 @@ class _Runner:
         )
 
     def _measure_tares(self, timeline: Schedule) -> list[Tare]:
-        """Measure the tares in the segments at rest, print them, write them to the log as events, and return them.
+        """Return the tares of the load cells: their mean raw measurements while the mission rests.
 
-        The list is empty if the rig has no load cell, the mission does not rest, or the log cannot be read.
+        The tares and their drift are also printed and written to the log as events. ``timeline`` has the run times of
+        the executed segments. The list is empty if the rig has no load cell, the mission does not rest at its start or
+        end, or the log cannot be read; in the last case the reason is printed.
         """
         windows = timeline.static_windows()
         if not windows or not any(device.protocol == "loadcell" for device in self._rig.devices):
@@ -505,11 +545,11 @@ class _Runner:
         return tares
 
     def _end_at_zero(self, error: BaseException) -> None:
-        """Command zero, disarm, write the reason to the log, close the log, and complete the error message.
+        """End a run after an ``error``: command zero, disarm, write the reason to the log, and close the log.
 
-        The message of ``error`` (changed in place) also reports the measured thrust, the path of the log and the
-        autopilots that are still armed. Its exit status is 3 if thrust was commanded and zero is not measured. Further
-        errors are suppressed.
+        If the error is a SeatrialError, its message is changed in place: it then also reports the measured thrust, the
+        path of the log, and the autopilots that are still armed. Its exit status becomes 3 if thrust was commanded and
+        zero is not measured. SeatrialError and OSError of these actions are suppressed.
         """
         reason = " ".join(str(error).split()) or type(error).__name__
         decided = self._clock.now()
@@ -532,24 +572,30 @@ class _Runner:
             error.args = (f"{reason}: {thrust}, {log}{self._armed_text()}",)
 
     def _armed_text(self) -> str:
-        """Return the last part of the error message: the autopilots that are still armed; empty without one."""
+        """Return the end of the error message of a run: the names of autopilots that are still armed.
+
+        Those that this run has armed come first. The text is empty if no autopilot is armed.
+        """
         ours = self._vehicles.maybe_armed()
         others = [name for name in self._vehicles.still_armed() if name not in ours]
         loud = f"; {', '.join(ours)} WAS ARMED BY US AND MAY STILL BE: disarm it yourself" if ours else ""
         return loud + (f"; {', '.join(others)} IS STILL ARMED: disarm it yourself" if others else "")
 
     def _measure_rest(self) -> list[Rest] | None:
-        """Return for each thruster whether it is measured at zero thrust now; None if the acquisition has failed."""
+        """Return for each thruster of the mission whether its thrust is measured as zero at present.
+
+        Return None if the acquisition has failed, so that nothing can be measured.
+        """
         try:
             return self._guard.rest(self._acquisition.status())
         except SeatrialError:
             return None
 
     def _await_rest(self) -> list[Rest] | None:
-        """Wait until every thruster is measured at zero thrust, for at most 4 s. Return the last measurement.
+        """Wait until every thruster is measured at zero thrust, for at most 4 s (wall).
 
-        The method does not wait if no thrust was commanded or if a port of a thruster is closed. It returns None if the
-        acquisition has failed.
+        Return the last measurement of each thruster, or None if the acquisition has failed. The method does not wait if
+        no thrust was commanded in this run, or if the port of a thruster is closed.
         """
         until = time.monotonic() + SETTLE_S
         while (rests := self._measure_rest()) is not None and not _all_at_zero(rests):
@@ -559,7 +605,10 @@ class _Runner:
         return rests
 
     def _ports_are_open(self) -> bool:
-        """Return whether the ports of all thrusters are open. Otherwise, or after a failure, no measurement arrives."""
+        """Return whether the ports of all thrusters of the mission are open, so that their thrust can be measured.
+
+        Return False if the acquisition has failed.
+        """
         try:
             ports = self._acquisition.status().ports
         except SeatrialError:
@@ -568,9 +617,11 @@ class _Runner:
         return all(name in ports and ports[name].open for name in names)
 
     def _thrust_text(self, rests: list[Rest] | None) -> str:
-        """Return the part of the error message on the thrust at the end. It is `ZERO` only if zero was measured.
+        """Return the part of the error message that describes the thrust at the end of a run.
 
-        ``rests`` are the measurements of all thrusters; None if there are none.
+        ``rests`` has the measurement of each thruster; None if the acquisition has failed. The text is "thrust is zero"
+        (`ZERO`) only if zero was measured on all. Otherwise it names the autopilots that still command thrust, or
+        states that no thrust was commanded in this run, or that zero was sent but not confirmed, with the measurements.
         """
         if _all_at_zero(rests):
             return ZERO
@@ -593,9 +644,9 @@ class _Runner:
         return self._rig.thruster(thruster).output is not None
 
     def _succeeds(self, action: Callable[[], None]) -> bool:
-        """Run `action` and return whether it succeeded.
+        """Call ``action`` and return whether it succeeded: False if it raised SeatrialError or OSError.
 
-        A SeatrialError or OSError is suppressed, so that the next step to zero thrust is always tried.
+        These errors are suppressed, so that the next action towards zero thrust is always tried.
         """
         try:
             action()

@@ -92,14 +92,14 @@ RIVAL = "another ground station has our own system id: its heartbeats hide the l
 
 
 class GuardState(enum.StrEnum):
-    """State of the safety guard.
+    """State of the safety guard of a run.
 
     Attributes
     ----------
     WAITING
         The run has not started. No set-point is allowed.
     RUNNING
-        Set-points within `limits.n_max` are allowed.
+        Set-points within `limits.n_max` of the rig are allowed.
     STOPPED
         There was a reason to end the run. No set-point is allowed any more.
     """
@@ -115,23 +115,23 @@ class StopCode(enum.StrEnum):
     Attributes
     ----------
     ACQUISITION
-        The acquisition process ended thrust, or does not answer.
+        The acquisition process ended thrust by itself, or does not answer.
     LOG
         The file of the log does not grow.
     PORT_LOST
         The port of a device was closed.
     SILENT
-        A device, or the controller of a thruster, sends nothing.
+        A device, or the controller or output of a thruster, sends nothing.
     LIMIT
         A limited quantity is beyond its limit.
     FENCE
-        The boat is outside the geofence, or cannot stop inside.
+        The boat is outside the geofence, or cannot stop inside it.
     UNWATCHED
-        No device reports the quantity of a limit any more.
+        No device reports the quantity of a limit any more, or its value is frozen.
     LINK
-        An autopilot is silent, disarmed, in another mode than MANUAL, or has an alarm.
+        An autopilot is silent, disarmed, in another mode than MANUAL, or reports an alarm.
     RIVAL
-        Another ground station has our system id.
+        Another ground station has our MAVLink system id.
     PARAMETER
         A parameter of an autopilot was changed.
     OUTPUT
@@ -155,7 +155,7 @@ class StopCode(enum.StrEnum):
 
 
 class Stop(NamedTuple):
-    """Decision to end a run.
+    """Decision of the safety guard to end a run.
 
     Attributes
     ----------
@@ -170,12 +170,12 @@ class Stop(NamedTuple):
 
 
 class Decision(NamedTuple):
-    """Decision of the guard on one status.
+    """Decision of the safety guard after it has checked one status of the acquisition.
 
     Attributes
     ----------
     setpoints : tuple of Row
-        Set-points that may be sent: pairs of run time [s] and n_cmd by thruster.
+        Set-points that may be sent: pairs of run time [s] and n_cmd by thruster; empty unless the guard is running.
     stop : Stop or None
         Why the run has to end; None while the run may go on.
     """
@@ -186,20 +186,20 @@ class Decision(NamedTuple):
 
 @dataclass(frozen=True)
 class _LimitedQuantity:
-    """A quantity that a limit of the rig bounds.
+    """Measured quantity that a limit in [limits] of the rig bounds, such as the shaft speed.
 
     Attributes
     ----------
     name : str
-        Name of the quantity in messages, such as "shaft speed".
+        Name of the quantity in messages.
     value : mapping of type to callable
-        By class of sample: function that returns the quantity from a sample, or NaN if the sample does not hold it.
+        By class of sample: function that returns the quantity from a sample, or NaN if the sample does not contain it.
     remedy : str
         Advice that is shown if no device reports the quantity.
     slow : bool
-        Whether it is reported less often than the other values of its device.
+        Whether the quantity is reported less often than the other values of its device.
     moves : bool
-        Whether it changes when the thrust changes, so that a constant value reveals a frozen source.
+        Whether the quantity changes when the thrust changes, so that a constant value reveals a frozen device.
     """
 
     name: str
@@ -210,12 +210,12 @@ class _LimitedQuantity:
 
 
 def _position(fix: Gnss) -> float:
-    """Return the latitude [deg] of a sample with a position fix, which stands for its position; NaN without a fix."""
+    """Return the latitude [deg] of a GNSS sample, as a sign that it contains a position; NaN without a position fix."""
     return fix.lat if fix.fix >= 2 and math.isfinite(fix.lon) else NAN
 
 
 def _temperature(esc: Esc) -> float:
-    """Return the temperature [deg C] of a speed controller; NaN below -40 deg C, where the sensor must be missing."""
+    """Return the temperature [deg C] in a sample of a speed controller; NaN at -40 deg C or less (sensor missing)."""
     return esc.temperature if esc.temperature > COLDEST_C else NAN
 
 
@@ -248,19 +248,19 @@ _QUANTITIES = {  # by key of [limits]
 
 
 class MovementWatch:
-    """Detector of a frozen source: its value stays exactly the same although the commanded thrust changes.
+    """Detector of a frozen device: its measured value stays exactly the same although the commanded thrust changes.
 
-    A frozen source passes every other check: its samples are on time and valid, and its value is within the limits. The
+    A frozen device passes every other check: its samples are on time and valid, and its value is within the limits. The
     attribute `is_position` is whether the value is a position, which needs stronger commands before it must change.
     """
 
     def __init__(self) -> None:
-        """Start without a value."""
+        """Prepare a detector of a frozen device. It has no value yet, and its values are not taken as positions."""
         self.is_position = False
         self._restart_counters(math.nan, (), {})
 
     def _restart_counters(self, t: float, value: tuple[float, ...], commands: Mapping[str, float]) -> None:
-        """Store a value that differs from the previous one, and reset all counters.
+        """Store a measured value that differs from the previous one, and reset the counters of unchanged samples.
 
         ``t`` is the run time of its sample [s], and ``commands`` are the commands n_cmd by thruster at that time.
         """
@@ -273,9 +273,10 @@ class MovementWatch:
         self._impulse = self._travel = 0.0  # s of full thrust, and m by the reported speed, since the last change
 
     def update(self, t: float, value: tuple[float, ...], commands: Mapping[str, float], speed: float = NAN) -> None:
-        """Take a sample: compare its value with the previous one, and count what was commanded since the last change.
+        """Take a sample: compare its value with the previous one, and add up the commands since the last change.
 
-        A sample that is not newer than the previous one is ignored if its value is the same.
+        If the value differs, the sums start again. A sample with the same value that is not newer than the previous
+        sample is ignored.
 
         Parameters
         ----------
@@ -284,9 +285,9 @@ class MovementWatch:
         value : tuple of float
             The value, or several values at least one of which must change.
         commands : Mapping
-            n_cmd by thruster, as last sent.
+            Commands n_cmd by thruster, as last sent.
         speed : float
-            Speed over ground [m/s] that a receiver reports with its position; NaN for other quantities.
+            Speed over ground [m/s] that a GNSS receiver reports with its position; NaN for other quantities.
         """
         if value != self._value:
             self._restart_counters(t, value, commands)
@@ -307,16 +308,16 @@ class MovementWatch:
 
     @property
     def unchanged_s(self) -> float:
-        """Time [run s] from the first to the newest sample with the present value."""
+        """Time [run s] from the first to the newest sample with the present measured value; NaN without a sample."""
         return self._t - self._changed_at
 
     @property
     def is_frozen(self) -> bool:
-        """Whether the source is frozen: the value should have changed by now because of the commands.
+        """Whether the device is frozen: its value should have changed by now because of the commands.
 
-        A position must change after 3 s of full thrust ahead (at least 5 s after its last change), or after 5 m by the
-        reported speed. Another value must change within 2 s after a change of the command by 0.3. In both cases 5
-        samples must have repeated the value.
+        A position must change after the equivalent of 3 s of full thrust forward or in reverse (and at least 5 s), or
+        after 5 m by the reported speed. Any other value must change within 2 s after a change of a command by 0.3. All
+        of this counts from the last change of the value, in run time. At least 5 samples must have repeated the value.
         """
         if self.is_position:
             driven = self._impulse >= IMPULSE_S and self.unchanged_s >= AT_REST_S
@@ -326,7 +327,7 @@ class MovementWatch:
 
 @dataclass
 class LimitSource:
-    """A limit, the thruster or load cell that it protects, and the device that has last reported its quantity.
+    """Limit of the rig with its source: the device that has last reported the limited quantity.
 
     Attributes
     ----------
@@ -335,17 +336,17 @@ class LimitSource:
     limit : float
         Value of the limit, in the unit of its name.
     whom : str
-        The protected thruster or load cell; empty if samples of any device count.
+        Thruster or load cell that the limit protects, in words; empty if samples of any device count.
     place : str
-        Node and device of the thruster in words; else empty.
+        Node and device of that thruster, in words; empty if the limit protects no single thruster.
     takes : callable
-        Whether a sample of a source (device and node) counts for this limit.
+        Function of a source (device and node) and a sample that returns whether the sample counts for this limit.
     source : str
-        Device that has last reported the quantity; empty before the first report.
+        Name of the device that has last reported the quantity; empty before the first report.
     t : float
-        Run time of that report [s]; minus infinity without one, or if the source is frozen.
+        Run time of that report [s]; minus infinity without one, or if the device is frozen.
     frozen : str
-        Why the source does not count, if its value is frozen; else empty.
+        Why the device does not count, if its value is frozen (see `MovementWatch`); else empty.
     """
 
     key: str
@@ -360,13 +361,14 @@ class LimitSource:
 
     @property
     def is_slow(self) -> bool:
-        """Whether the quantity is sent less often than others and may be missing for longer."""
+        """Whether the limited quantity is sent less often than others, so that it may be missing for longer."""
         return _QUANTITIES[self.key].slow
 
     def observe(self, source: Source, sample: Sample, t: float, commands: Mapping[str, float]) -> None:
-        """Update the source of the limit if a sample contains its quantity. Other samples are ignored.
+        """Take a sample, and store its device as the source of the limit if the sample contains the limited quantity.
 
-        A source whose value is frozen does not count any more, until its value changes or another source reports.
+        Other samples, and NaN, are ignored. A device whose value is frozen does not count any more, until its value
+        changes or another device reports.
 
         Parameters
         ----------
@@ -377,7 +379,7 @@ class LimitSource:
         t : float
             Run time of the sample [s].
         commands : Mapping
-            n_cmd by thruster, as last sent.
+            Commands n_cmd by thruster, as last sent.
         """
         quantity = _QUANTITIES[self.key]
         value = quantity.value.get(type(sample))
@@ -401,25 +403,29 @@ class LimitSource:
             self.source, self.t, self.frozen = name, t, ""
 
     def silence(self, now: float) -> str:
-        """Return a text with the missing quantity and the time [run s] since its last report, or why it is frozen.
+        """Return the text that the limited quantity is missing at run time ``now`` [s], and since when or why.
 
-        ``now`` is the run time [s].
+        It names the quantity and the thruster or load cell that the limit protects. It ends with the time since the
+        last report, or with "since the start" without a report, or with the reason if the device is frozen.
         """
         whom = f" of {self.whom}" if self.whom else ""
         missing = f"no {_QUANTITIES[self.key].name}{whom}{self.place}"
         return f"{missing}: {self.frozen}" if self.frozen else f"{missing}{_age_text(now - self.t)}"
 
     def refusal(self, now: float) -> str:
-        """Return the message that refuses a start at run time ``now``: the limit without a source, and its remedy."""
+        """Return the message that refuses to start a run because no device reports the limited quantity.
+
+        The message names the limit, the missing quantity at run time ``now`` [s], and the remedy.
+        """
         remedy = f'{_QUANTITIES[self.key].remedy}, or write unwatched = ["{self.key}"] in [limits]'
         return f"limits.{self.key} = {self.limit:g} is not watched: {self.silence(now)}; {remedy}"
 
 
 def _limit_sources(rig: Rig, thrusters: list[Thruster]) -> Iterator[LimitSource]:
-    """Yield the limits of a rig that have to be watched, still without sources.
+    """Yield the limits of a rig that have to be watched in a run, still without a device that reports the quantity.
 
-    A limit of speed controllers is yielded for each of ``thrusters``, and the limit of the force for each load cell.
-    Limits that the rig does not set or exempts (`unwatched`) are left out.
+    A limit of speed controllers is yielded once for each of ``thrusters``, and the limit of the force once for each
+    load cell. Limits that the rig does not set, or that `unwatched` in [limits] names, are left out.
     """
     cells = [device.name for device in rig.devices if device.protocol in LOAD_CELLS]
     for key, quantity in _QUANTITIES.items():
@@ -438,10 +444,14 @@ def _limit_sources(rig: Rig, thrusters: list[Thruster]) -> Iterator[LimitSource]
 
 
 def _accepts_thruster(thruster: Thruster) -> Callable[[Source, Sample], bool]:
-    """Return a function that returns whether a sample is of the thruster's own controller or of any battery."""
+    """Return a function that decides whether a sample counts for a limit of ``thruster``.
+
+    It takes the source (device and node) and the sample. It returns True for samples of the thruster's own controller
+    and of any battery.
+    """
 
     def takes(source: Source, sample: Sample) -> bool:
-        """Return whether a sample of a source (device and node) counts for a limit of the thruster."""
+        """Return whether a sample is of the thruster's own controller, by device and node, or of any battery."""
         own = (source[0].partition("/")[0], source[1]) == (thruster.device, thruster.node)
         return own or isinstance(sample, Battery)
 
@@ -449,53 +459,62 @@ def _accepts_thruster(thruster: Thruster) -> Callable[[Source, Sample], bool]:
 
 
 def _accepts_device(name: str) -> Callable[[Source, Sample], bool]:
-    """Return a function that returns whether a sample is of the device ``name``."""
+    """Return a function that decides whether a sample comes from the device ``name``.
+
+    It takes the source (device and node) and the sample.
+    """
     return lambda source, sample: source[0].partition("/")[0] == name
 
 
 class History:
-    """History of a quantity over the last seconds. Between two additions the quantity is constant."""
+    """History of the values of a quantity over the last seconds. Between two additions the quantity is constant."""
 
     def __init__(self, keep_s: float) -> None:
-        """Keep the values of the last `keep_s` run seconds."""
+        """Prepare an empty history that keeps the values of the last ``keep_s`` run seconds."""
         self._keep_s = keep_s
         self._rows: deque[tuple[float, float]] = deque()  # run time, value
 
     def add(self, t: float, value: float) -> None:
-        """Add the value that holds from run time `t` [s] on, and forget values that are too old. Times must ascend."""
+        """Add the value that holds from run time ``t`` [s] on, and forget values that are too old.
+
+        ``t`` must not be before the previous addition.
+        """
         self._rows.append((t, value))
         # The oldest row must hold at the start of the window, so that it may be older than the window.
         while len(self._rows) > 1 and self._rows[1][0] <= t - self._keep_s:
             self._rows.popleft()
 
     def since(self, t: float) -> list[float]:
-        """Return the values that held at run time `t` [s] or later, oldest first; empty without any value."""
+        """Return the values that the quantity had at run time ``t`` [s] or later, oldest first; empty without any."""
         recent = [value for at, value in self._rows if at >= t]
         held = [value for at, value in self._rows if at < t][-1:]
         return held + recent
 
     def covers(self, t: float) -> bool:
-        """Return whether the history reaches back to run time `t` [s]."""
+        """Return whether the history reaches back to run time ``t`` [s]; False if it is empty."""
         return bool(self._rows) and self._rows[0][0] <= t
 
 
 class OutputCheck:
-    """Comparison of an autopilot's output for one thruster with the commands.
+    """Comparison of an autopilot's output for one thruster (SERVO_OUTPUT_RAW) with the commands to this thruster.
 
-    An output that deviates reveals a parameter that changes, blocks or exchanges commands.
+    A deviation reveals a parameter of the autopilot that changes, blocks or exchanges commands.
     """
 
     def __init__(self, thruster: Thruster, speed: float) -> None:
-        """Prepare the comparison for ``thruster``. ``speed`` is the number of run seconds per wall second."""
+        """Prepare the comparison of the autopilot's output for ``thruster`` with its commands.
+
+        ``speed`` is the number of run seconds per wall second.
+        """
         self._thruster, self._window_s, self._tolerated_s = thruster, WINDOW_S * speed, LASTS_S * speed
         self._commands: deque[tuple[float, float]] = deque()  # run time, n_cmd
         self._wrong_since = math.nan
 
     def reason(self, status: Status) -> str:
-        """Store the command of this status, and return why the run has to end, in one line; empty if it may go on.
+        """Compare the newest output with the recent commands, and return why the run has to end, in one line.
 
-        The run may go on while the output agrees with a command of the last 0.25 s (wall) within 0.05, or deviates for
-        less than 0.1 s (wall), or is not reported.
+        The text is empty if the run may go on: the output is within 0.05 of the range of the commands of the last
+        0.25 s (wall), or deviates for less than 0.1 s (wall), or is not reported. The command in ``status`` is stored.
         """
         self._commands.append((status.t, status.commanded.get(self._thruster.name, 0.0)))
         while self._commands[0][0] < status.t - 2.0 * self._window_s:
@@ -518,14 +537,14 @@ class OutputCheck:
 
 
 class Rest(NamedTuple):
-    """Measurement whether a thruster is at zero thrust.
+    """Result of the measurement whether a thruster is at zero thrust.
 
     Attributes
     ----------
     thruster : str
         Name of the thruster.
     is_zero : bool or None
-        Whether it is at zero thrust; None if this is not measured.
+        Whether it is at zero thrust; None if the measurements do not show this.
     text : str
         The measurement in words, such as "left turns at 2700 rpm".
     """
@@ -536,20 +555,20 @@ class Rest(NamedTuple):
 
 
 class _Motion(enum.Enum):
-    """Motion of a motor while zero is commanded.
+    """Motion of the motor of a thruster while zero is commanded, as its speed controller reports it.
 
     Attributes
     ----------
     REST
-        It stands still, or turns more slowly than the idle speed.
+        The motor stands still, or turns more slowly than a driven motor (`ControllerCheck.idle_rpm`).
     COASTS
-        It turns, and a measurement shows that it is not driven.
+        The motor turns, and its duty or current shows that it is not driven.
     SLOWS
-        Its speed falls, and no measurement shows whether it is driven.
+        The speed of the motor falls, and no measurement shows whether it is driven.
     DRIVEN
-        A measurement shows that it is driven.
+        Its duty, or a speed that does not fall, shows that the motor is driven.
     UNKNOWN
-        Neither its duty nor its shaft speed is reported.
+        Neither the duty nor the shaft speed of the motor is reported.
     """
 
     REST = enum.auto()
@@ -560,7 +579,7 @@ class _Motion(enum.Enum):
 
 
 class ControllerCheck:
-    """Comparison of duty, shaft speed and current of one speed controller with its commands.
+    """Comparison of duty, shaft speed and current of a thruster's speed controller with the commands to the thruster.
 
     Notes
     -----
@@ -568,11 +587,14 @@ class ControllerCheck:
     propeller turns freely while the boat coasts. Faults are more duty than commanded, a propeller that is driven
     seconds after zero was commanded, a motor that does not turn when commanded, and frozen telemetry.
 
-    The attribute `idle_rpm` is the largest shaft speed [rev/min] of a motor at rest.
+    The attribute `idle_rpm` is the largest shaft speed [rev/min] at which a motor counts as at rest.
     """
 
     def __init__(self, thruster: Thruster, speed: float) -> None:
-        """Prepare the comparison for ``thruster``. ``speed`` is the number of run seconds per wall second."""
+        """Prepare the comparison of the speed controller of ``thruster`` with its commands.
+
+        ``speed`` is the number of run seconds per wall second.
+        """
         self._thruster = thruster
         delay = WINDOW_S * speed  # run s on the way to the controller and back
         self._window_s, self._tolerated_s, self._coast_s = (
@@ -590,15 +612,16 @@ class ControllerCheck:
         self.idle_rpm = min(max(idle, IDLE_RPM_MIN), IDLE_RPM_MAX)
 
     def _newest_sample(self, status: Status) -> tuple[Esc, float] | None:
-        """Return the newest sample of the controller with its run time [s]; None before the first one."""
+        """Return the newest sample of the thruster's speed controller, and its run time [s]; None before the first."""
         latest = status.latest.get((self._thruster.device, self._thruster.node))
         return None if latest is None or not isinstance(latest.sample, Esc) else (latest.sample, latest.t)
 
     def reason(self, status: Status) -> str:
-        """Store the status (`observe`), and return why the run has to end, in one line; empty if it may go on.
+        """Compare the newest sample with the recent commands, and return why the run has to end, in one line.
 
-        The run has to end because of too much duty, a motor that is still driven after zero, a blocked motor, or frozen
-        telemetry.
+        The reasons are too much duty, a motor that is still driven 3 s after zero was commanded, a motor that does not
+        turn, and frozen telemetry. The text is empty if the run may go on, or if there is no sample yet. Command and
+        sample in ``status`` are stored.
         """
         if (latest := self.observe(status)) is None:
             return ""
@@ -611,7 +634,10 @@ class ControllerCheck:
         )
 
     def observe(self, status: Status) -> tuple[Esc, float] | None:
-        """Store the command and the newest sample. Return this sample and its run time [s]; None before the first."""
+        """Store the thruster's command in ``status`` and the newest sample of its speed controller for later checks.
+
+        Return this sample and its run time [s], or None before the first sample.
+        """
         n = status.commanded.get(self._thruster.name, 0.0)
         self._commands.add(status.t, n)
         if (latest := self._newest_sample(status)) is None:
@@ -629,14 +655,16 @@ class ControllerCheck:
         return latest
 
     def _label(self) -> str:
-        """Return the text "thruster NAME (node N on DEVICE)" for messages."""
+        """Return the text "thruster NAME (node N on DEVICE)" that names the checked thruster in messages."""
         return f"thruster {self._thruster.name} (node {self._thruster.node} on {self._thruster.device})"
 
     def _excess_duty(self, esc: Esc, t: float) -> str:
-        """Return the reason of a stop if the duty has been beyond the recent commands for too long; else empty.
+        """Return why the run has to end if the motor's duty is beyond the recent commands; empty if it may go on.
 
-        ``t`` is the run time of the sample [s], here and in the next methods. Zero always counts as a recent command,
-        because a controller that limits its current puts out less duty.
+        ``esc`` is the newest sample of the speed controller, and ``t`` its run time [s]. The duty must be within 0.1 of
+        the range from zero to the commands of the last second; a deviation ends the run after 0.3 s. Both times are
+        longer by the delay of the link. Zero belongs to the range, because a controller that limits its current puts
+        out less duty. A duty of NaN is not checked.
         """
         recent = [0.0, *self._commands.since(t - self._window_s)]
         if not math.isfinite(esc.duty) or min(recent) - DUTY_TOLERANCE <= esc.duty <= max(recent) + DUTY_TOLERANCE:
@@ -648,7 +676,11 @@ class ControllerCheck:
         return f"{self._label()} puts out duty {esc.duty:+.2f}, commanded {recent[-1]:+.2f}: it ignores commands"
 
     def _still_driven(self, esc: Esc, t: float) -> str:
-        """Return the reason of a stop if the motor is still driven 3 s after zero was commanded; else empty."""
+        """Return why the run has to end if the motor is still driven 3 s after zero was commanded; else empty.
+
+        ``esc`` is the newest sample of the speed controller, and ``t`` its run time [s]. A motor whose shaft speed has
+        changed by more than 8 % in these 3 s gives no reason, because the flow may turn it.
+        """
         begin = t - self._coast_s
         if not self._commands.covers(begin) or any(self._commands.since(begin)):
             return ""
@@ -662,7 +694,10 @@ class ControllerCheck:
         )
 
     def _motion(self, esc: Esc, t: float) -> _Motion:
-        """Return the motion of the motor by its newest sample, under the condition that zero is commanded."""
+        """Return the motion of the motor, under the condition that zero is commanded to it.
+
+        ``esc`` is the newest sample of its speed controller, and ``t`` the run time of this sample [s].
+        """
         has_duty = math.isfinite(esc.duty)
         if has_duty and abs(esc.duty) > FREE_DUTY:
             return _Motion.DRIVEN
@@ -678,9 +713,10 @@ class ControllerCheck:
         return _Motion.COASTS if has_duty else _Motion.SLOWS
 
     def _blocked_motor(self, esc: Esc, t: float) -> str:
-        """Return the reason of a stop if the motor has not turned for 3 s at a command of 0.3 or more; else empty.
+        """Return why the run has to end if the motor does not turn after 3 s of commands of 0.3 or more; else empty.
 
-        A motor that draws more than 0.5 A, or that reports neither shaft speed nor duty, gives no reason.
+        ``esc`` is the newest sample of the speed controller, and ``t`` its run time [s]. The commands must have one
+        sign. A motor that draws more than 0.5 A, or that reports neither shaft speed nor duty, gives no reason.
         """
         begin = t - self._coast_s
         recent = self._commands.since(begin)
@@ -693,17 +729,21 @@ class ControllerCheck:
         return f"{self._label()} does not turn, commanded {recent[-1]:+.2f} for {COAST_S:g} s: it blocks commands"
 
     def _frozen_telemetry(self) -> str:
-        """Return the reason of a stop if the telemetry stays the same although the command changed; else empty."""
+        """Return why the run has to end if all values of the speed controller's telemetry are frozen; else empty.
+
+        They are frozen if they stay exactly the same for 2 s and 5 samples after a change of the command by 0.3.
+        """
         if not self._watch.is_frozen:
             return ""
         seconds = self._watch.unchanged_s
         return f"{self._label()} repeats the same telemetry for {seconds:.1f} s though its command changed"
 
     def rest(self, status: Status, since: float) -> Rest:
-        """Return whether the motor is at zero thrust, by a sample after run time `since` [s].
+        """Return whether the thruster is at zero thrust, from a sample of its speed controller.
 
-        The result is not measured (None) without such a sample, without duty and shaft speed, or if the shaft speed
-        falls and no measurement shows whether the motor is driven.
+        The sample must be newer than run time ``since`` [s], at which zero was sent. A motor that coasts counts as at
+        zero thrust. The result is None (not measured) without such a sample, without duty and shaft speed, or if the
+        shaft speed falls and no measurement shows whether the motor is driven.
         """
         name = self._thruster.name
         latest = self.observe(status)
@@ -735,12 +775,12 @@ class SafetyGuard:
     """
 
     def __init__(self, rig: Rig, speed: float, thrusters: tuple[str, ...]) -> None:
-        """Prepare the checks.
+        """Prepare the checks of a run. The state is WAITING.
 
         Parameters
         ----------
         rig : Rig
-            The rig with its limits.
+            The rig with its limits, devices and thrusters.
         speed : float
             Run seconds per wall second.
         thrusters : tuple of str
@@ -775,13 +815,16 @@ class SafetyGuard:
         Parameters
         ----------
         changes : Mapping, optional
-            By autopilot, the number of parameter changes that were known when its parameters were checked.
+            By name of an autopilot: number of parameter changes that were known when its parameters were checked. A
+            further change ends the run. An autopilot that is not named had no change.
         """
         if self.state is GuardState.WAITING:
             self.state, self._changes = GuardState.RUNNING, dict(changes or {})
 
     def step(self, now: float, status: Status, wanted: Sequence[Row] = ()) -> Decision:
-        """Check one status, and the set-points that the mission would send. After a stop nothing more is checked.
+        """Check one status of the acquisition, and the set-points that the mission would send.
+
+        A reason to end the run sets the state to STOPPED. After that nothing more is checked.
 
         Parameters
         ----------
@@ -790,12 +833,13 @@ class SafetyGuard:
         status : Status
             Newest status of the acquisition.
         wanted : sequence of Row
-            Set-points, as rows of run time [s] and n_cmd by thruster.
+            Set-points, as pairs of run time [s] and n_cmd by thruster.
 
         Returns
         -------
         Decision
-            The rows that may be sent, and the stop that ends the run. The first stop is kept.
+            The set-points that may be sent (all of ``wanted``, or none unless the state is RUNNING), and the first
+            reason to end the run; None if it may go on.
         """
         if self.stop is None:
             self.stop = next(self._all_stops(now, status), None) or self._forbidden_setpoint(wanted)
@@ -804,14 +848,15 @@ class SafetyGuard:
         return Decision(tuple(wanted) if self.state is GuardState.RUNNING else (), self.stop)
 
     def allow(self, wanted: Sequence[Row]) -> Sequence[Row]:
-        """Return the set-points that may be sent: all of them while the guard is running, else no set-point.
+        """Return the set-points that may be sent: all of ``wanted`` in the state RUNNING, else an empty sequence.
 
         ``wanted`` are pairs of run time [s] and n_cmd by thruster.
 
         Raises
         ------
         SafetyStop
-            If a set-point is not allowed. The state of the guard is then STOPPED.
+            If a set-point is for an unknown thruster, at a time that is not finite, or beyond `limits.n_max`. The state
+            is then STOPPED. After an earlier stop nothing is raised.
         """
         if self.stop is None and (stop := self._forbidden_setpoint(wanted)):
             self.stop, self.state = stop, GuardState.STOPPED
@@ -819,9 +864,10 @@ class SafetyGuard:
         return wanted if self.state is GuardState.RUNNING else ()
 
     def _forbidden_setpoint(self, wanted: Sequence[Row]) -> Stop | None:
-        """Return the stop for the first set-point that is not allowed; None if all are allowed.
+        """Return the reason to end the run if a set-point is not allowed; None if all are allowed.
 
-        A set-point must be for a thruster of the rig, at a finite time, and within `limits.n_max` of the rig.
+        ``wanted`` are pairs of run time [s] and n_cmd by thruster. A set-point must be for a thruster of the rig, at a
+        finite time, and within `limits.n_max` of the rig. The reason names the first one that is not.
         """
         largest = min(self._rig.limits.n_max, 1.0)
         names = {thruster.name for thruster in self._rig.thrusters}
@@ -833,9 +879,10 @@ class SafetyGuard:
         return None
 
     def _all_stops(self, now: float, status: Status) -> Iterator[Stop]:
-        """Yield all reasons to end the run at this status. ``now`` is the run time [s].
+        """Yield all reasons to end the run at this status of the acquisition, at run time ``now`` [s].
 
-        Links and outputs of thrusters are checked only in the state RUNNING.
+        They are a stop or a silence of the acquisition process, then autopilots and the response of thrusters (only in
+        the state RUNNING), then devices and limits.
         """
         if status.stopped:
             yield Stop(StopCode.ACQUISITION, status.stopped)
@@ -847,22 +894,25 @@ class SafetyGuard:
         yield from self._limit_stops(status)
 
     def check(self, status: Status) -> None:
-        """Check the limits at this status, but neither links nor outputs. A link test interrupts links and needs this.
+        """Check devices and limits at this status, but not whether autopilots and thrusters follow commands.
 
-        The state of the guard does not change.
+        A link test needs this, because it interrupts the link to the autopilots. The state of the guard does not
+        change.
 
         Raises
         ------
         SafetyStop
-            If a limit is passed or has no source, or if a device is silent.
+            If a limit is passed, no device reports the quantity of a limit, a device or thruster is silent, or the log
+            does not grow.
         """
         for stop in self._limit_stops(status):
             raise SafetyStop(stop.reason)
 
     def _limit_stops(self, status: Status) -> Iterator[Stop]:
-        """Yield stops for silent devices, a log that does not grow, passed limits, and limits without a source.
+        """Yield the reasons to end the run that concern devices and limits, at this status of the acquisition.
 
-        The force of a load cell while zero is commanded is stored for the message of a passed limit.
+        They are silent devices, a log that does not grow, limits that are passed (the geofence too), and limits whose
+        quantity no device reports. The force of a load cell while zero is commanded is stored for later messages.
         """
         yield from self._silent_devices(status)
         yield from self._stuck_log(status)
@@ -881,9 +931,10 @@ class SafetyGuard:
             yield Stop(StopCode.UNWATCHED, reason)
 
     def _passed_limits(self, name: str, sample: Sample, t: float) -> Iterator[str]:
-        """Yield a reason for each limit that a sample of the source ``name`` passes. ``t`` is its run time [s].
+        """Yield a line of text for each limit that a sample of a speed controller, load cell, AHRS or battery passes.
 
-        Positions are checked elsewhere, by the fence.
+        ``name`` is the device, and ``t`` the run time of the sample [s]. Other samples pass no limit; positions are
+        checked by the geofence.
         """
         if isinstance(sample, Esc):
             yield from self._passed_esc_limits(sample)
@@ -897,10 +948,10 @@ class SafetyGuard:
     # Sources.
 
     def unwatched(self, status: Status) -> list[LimitSource]:
-        """Update the sources of all limits, and return the limits without a source at this status.
+        """Update the sources of all limits, and return the limits that have no source at this status.
 
-        A run may start only if there is no such limit. Samples of a device that repeats itself as a dead sensor does
-        are ignored.
+        A source is a device that has reported the limited quantity recently and is not frozen. A run may start only if
+        the returned list is empty. Samples of a kind that a device repeats, as a dead sensor does, are ignored.
         """
         commands = {thruster.name: status.commanded.get(thruster.name, 0.0) for thruster in self._thrusters}
         # A dead source does not count, whatever its value is.
@@ -916,7 +967,10 @@ class SafetyGuard:
         return [limit for limit in self.limits if not status.t - limit.t <= self._limit_patience(limit)]
 
     def _limit_patience(self, limit: LimitSource) -> float:
-        """Return how long [run s] the quantity of a limit may be missing; minus infinity before its first report."""
+        """Return how long [run s] the quantity of ``limit`` may be missing before the limit has no source.
+
+        The time is that of its device, made longer by a factor. It is minus infinity before the first report.
+        """
         if not limit.source:
             return -math.inf
         device = self._rig.device(limit.source)
@@ -926,10 +980,11 @@ class SafetyGuard:
         return min(self._patience(device.rate_hz / max(nodes, 1)) * factor, longest)
 
     def rate_conflicts(self, status: Status) -> list[str]:
-        """Return a line for each device whose measured rate differs from `rate_hz` of the rig by more than a factor 3.
+        """Return a line of text for each device whose measured rate differs from `rate_hz` by more than a factor of 3.
 
-        The guard derives from `rate_hz` how long a device may be silent. With a wrong `rate_hz` it would notice a
-        silent device too late.
+        `rate_hz` is the rate of the device in the rig file. The guard derives from it how long the device may be
+        silent, and would notice a silent device too late if it is wrong. A device whose rate is not yet measured is
+        left out.
         """
         found = []
         for device in self._rig.devices:
@@ -945,20 +1000,26 @@ class SafetyGuard:
         return found
 
     def patience(self, device: str) -> float:
-        """Return how long [run s] the device with this name may be silent."""
+        """Return how long [run s] the device with the name ``device`` may be silent before the run ends.
+
+        It is 5 periods of its `rate_hz` in the rig, but 1 to 5 s, and at least 1 s of wall time. Raises SeatrialError
+        if the rig has no such device.
+        """
         return self._patience(self._rig.device(device).rate_hz)
 
     def _patience(self, rate_hz: float) -> float:
-        """Return how long [run s] a device with this rate [Hz] may be silent: 5 periods, but 1 to 5 s.
+        """Return how long [run s] a sender with the rate ``rate_hz`` [Hz] may be silent: 5 periods, but 1 to 5 s.
 
-        On mocks that are faster than real time it is at least one second of wall time.
+        On mocks that are faster than real time it is at least 1 s of wall time.
         """
         return max(STALE_S, min(STALE_PERIODS / rate_hz, STALE_MAX_S), STALE_WALL_S * self._speed)
 
     def is_outdated(self, source: Source, status: Status) -> bool:
-        """Return whether the newest sample of a source (device and node) is too old for the display.
+        """Return whether the newest sample of a source is too old to be displayed.
 
-        No limit depends on it. The source must have sent a sample.
+        ``source`` is the device and node; ``status`` must contain a sample of it. Too old is more than 1.5 times the
+        silence that the rate of the device permits, or 3 times if it sends several kinds of samples. The guard itself
+        does not use this.
         """
         name = source[0].partition("/")[0]
         kinds, nodes = count_senders(status, name)
@@ -968,7 +1029,10 @@ class SafetyGuard:
         return not status.t - status.latest[source].t <= slow * self._patience(rate_hz)
 
     def _silent_devices(self, status: Status) -> Iterator[Stop]:
-        """Yield a stop for each lost port, each device that is silent for too long, and each silent thruster."""
+        """Yield a reason to end the run for each lost port, each silent device, and each silent thruster.
+
+        A device or thruster is silent if it has sent no sample for longer than its rate permits (`patience`).
+        """
         for device in self._rig.devices:
             port = status.ports.get(device.name)
             age = math.inf if port is None else port.age
@@ -982,7 +1046,10 @@ class SafetyGuard:
             yield Stop(StopCode.SILENT, reason)
 
     def _silent_thrusters(self, status: Status) -> Iterator[str]:
-        """Yield a reason for each commanded thruster whose controller or output has been silent for too long."""
+        """Yield a line of text for each commanded thruster that has not been reported for too long.
+
+        Reports come from its speed controller, or from the autopilot for its output.
+        """
         for thruster in self._thrusters:
             latest = status.latest.get((thruster.device, thruster.node))
             age = math.inf if latest is None else status.t - latest.t
@@ -990,15 +1057,15 @@ class SafetyGuard:
                 yield f"thruster {thruster.name} (node {thruster.node} on {thruster.device}) is silent{_age_text(age)}"
 
     def _status_rate(self, thruster: Thruster) -> float:
-        """Return the rate [1/run s] at which the controller of a thruster sends samples.
+        """Return the rate [1/run s] at which the speed controller or output of a thruster is reported.
 
-        The controllers on one device share its `rate_hz`.
+        It is `rate_hz` of the thruster's device, divided by the number of thrusters on this device.
         """
         device = self._rig.device(thruster.device)
         return device.rate_hz / sum(other.device == device.name for other in self._rig.thrusters)
 
     def _stuck_log(self, status: Status) -> Iterator[Stop]:
-        """Yield a stop if the file of the log has not grown for 3 s (wall)."""
+        """Yield a reason to end the run if the log file has not grown for more than 3 s (wall)."""
         if status.bytes != self._log_bytes:
             self._log_bytes, self._grown_at = status.bytes, status.t
         elif status.t - self._grown_at > STUCK_WALL_S * self._speed:
@@ -1007,9 +1074,10 @@ class SafetyGuard:
     # Links and outputs.
 
     def _link_stops(self, status: Status) -> Iterator[Stop]:
-        """Yield stops for autopilots that are silent, disarmed, in another mode than MANUAL, or in alarm.
+        """Yield the reasons to end the run that concern the autopilots of the commanded thrusters.
 
-        Another ground station with our system id and a parameter that has changed since the start give stops too.
+        An autopilot is silent for more than 3 s (wall), disarmed, in another mode than MANUAL, or reports an alarm;
+        another ground station has our system id; or a parameter has changed since the run was started.
         """
         for name in dict.fromkeys(thruster.device for thruster in self._thrusters):
             if self._rig.device(name).mavlink is None:
@@ -1033,9 +1101,10 @@ class SafetyGuard:
                 yield Stop(StopCode.PARAMETER, f"{name}: {changed[0]}{more} during the run; set it back, and run again")
 
     def _output_stops(self, status: Status) -> Iterator[Stop]:
-        """Yield a stop for each thruster that is not driven as commanded: outputs of autopilots, speed controllers.
+        """Yield a reason to end the run for each thruster that does not follow its commands.
 
-        Speed controllers are observed but give no stop if the rig exempts "telemetry".
+        The outputs of autopilots and the telemetry of speed controllers are compared with the commands. Speed
+        controllers give no reason if `unwatched` in [limits] of the rig contains "telemetry".
         """
         for output in self._outputs:
             if reason := output.reason(status):
@@ -1046,9 +1115,10 @@ class SafetyGuard:
                 yield Stop(StopCode.OUTPUT, reason)
 
     def turning(self, status: Status) -> list[str]:
-        """Return a text for each thruster on a CAN bus that turns although no thrust was commanded.
+        """Return a line of text for each thruster with a speed controller that is driven although zero is commanded.
 
-        A run may not start then. The list is empty if the rig exempts "telemetry".
+        It is called before the start of a run, which must not start then. Outputs of autopilots are not checked. The
+        list is empty if `unwatched` in [limits] of the rig contains "telemetry".
         """
         if TELEMETRY in self._rig.limits.unwatched:
             return []
@@ -1056,9 +1126,10 @@ class SafetyGuard:
         return [rest.text for rest in found if rest.is_zero is False]
 
     def rest(self, status: Status) -> list[Rest]:
-        """Return for each commanded thruster whether it is at zero thrust.
+        """Return for each thruster of the mission whether it is measured at zero thrust.
 
-        Only samples after the last zero command count. Without one the result is not measured (None).
+        Only samples count that are newer than the last zero command to the thruster's device. Without such a sample, or
+        if a command has followed, the result of the thruster is None (not measured).
         """
         found = []
         for thruster in self._thrusters:
@@ -1074,7 +1145,11 @@ class SafetyGuard:
     # Limits of one sample.
 
     def _passed_esc_limits(self, esc: Esc) -> Iterator[str]:
-        """Yield a reason for each limit that a sample of a speed controller passes. NaN passes no limit."""
+        """Yield a line of text for each limit of the rig that a sample of a speed controller passes.
+
+        The limits are shaft speed, current, temperature and voltage. A value of NaN, or a limit that is not set, gives
+        nothing.
+        """
         limits = self._rig.limits
         if limits.rpm is not None and abs(esc.rpm) > limits.rpm:
             yield f"speed of node {esc.node} is {esc.rpm:.0f} rpm, limit {limits.rpm:g}"
@@ -1086,14 +1161,20 @@ class SafetyGuard:
             yield f"voltage of node {esc.node} is {esc.voltage:.1f} V, least {limits.voltage_min_v:g} V"
 
     def _passed_attitude_limits(self, name: str, ahrs: Ahrs) -> Iterator[str]:
-        """Yield a reason for each of roll and pitch that passes its limit [deg]. ``name`` is the device."""
+        """Yield a line of text for each of roll and pitch in a sample of the AHRS ``name`` that passes its limit.
+
+        An angle of NaN, or a limit that is not set, gives nothing.
+        """
         limits = self._rig.limits
         for word, angle, limit in (("roll", ahrs.roll, limits.roll_deg), ("pitch", ahrs.pitch, limits.pitch_deg)):
             if limit is not None and abs(math.degrees(angle)) > limit:
                 yield f"{word} is {math.degrees(angle):.0f} deg by {name}, limit {limit:g}"
 
     def _passed_battery_limits(self, name: str, battery: Battery) -> Iterator[str]:
-        """Yield a reason for each of voltage and charge of a battery below its limit. ``name`` is the device."""
+        """Yield a line of text for each of voltage and charge in a sample of a battery that is below its limit.
+
+        ``name`` is the device that reports the battery. A value of NaN, or a limit that is not set, gives nothing.
+        """
         limits = self._rig.limits
         if limits.voltage_min_v is not None and battery.voltage < limits.voltage_min_v:
             yield f"battery of {name} is at {battery.voltage:.1f} V, least {limits.voltage_min_v:g} V"
@@ -1101,9 +1182,10 @@ class SafetyGuard:
             yield f"battery of {name} has {100 * battery.remaining:.0f} % left, least {100 * limits.battery_min:g} %"
 
     def _passed_force_limit(self, name: str, cell: LoadCell, t: float) -> Iterator[str]:
-        """Yield a reason if the force passes its limit, or if a load cell stays saturated for a second reading.
+        """Yield a line of text if the force passes its limit, or if the load cell is saturated for a second sample.
 
-        A spike passes no limit. ``name`` is the load cell, and ``t`` the run time of the reading [s].
+        ``name`` is the load cell, ``cell`` its sample, and ``t`` the run time of the sample [s]. A sample with the flag
+        of a spike, a force of NaN, or a limit that is not set, gives nothing.
         """
         limit = self._rig.limits.force_n
         if limit is None:
@@ -1122,9 +1204,10 @@ class SafetyGuard:
 
 
 def _output_rest(thruster: Thruster, status: Status, since: float) -> Rest:
-    """Return whether an autopilot's output for a thruster is at neutral, by a sample after run time `since` [s].
+    """Return whether an autopilot's output for a thruster is at neutral, so that thrust is zero.
 
-    An output without pulses is at neutral. Without a sample, or with an unknown command, the result is None.
+    The sample must be newer than run time ``since`` [s], at which zero was sent. An output without pulses is at
+    neutral. The result is None (not measured) without such a sample, or if its normalised output is NaN.
     """
     name = thruster.name
     latest = status.latest.get((thruster.device, thruster.node))
@@ -1138,9 +1221,10 @@ def _output_rest(thruster: Thruster, status: Status, since: float) -> Rest:
 
 
 def _repeats_samples(source: Source, sample: Sample, status: Status) -> bool:
-    """Return whether the acquisition reports that a device repeats samples of this class, as a dead sensor does.
+    """Return whether a device sends the same values again and again, as a dead sensor does.
 
-    A load cell at rest is not dead if it repeats its samples, because converters are coarse.
+    ``source`` is the device and node of ``sample``; ``status`` contains which kinds of samples the device repeats.
+    Return False for a load cell while zero is commanded: its coarse converter may repeat values at rest.
     """
     port = status.ports.get(source[0].partition("/")[0])
     rests = isinstance(sample, LoadCell) and not any(status.commanded.values())
@@ -1148,24 +1232,28 @@ def _repeats_samples(source: Source, sample: Sample, status: Status) -> bool:
 
 
 def _age_text(age: float) -> str:
-    """Return " for 1.2 s" for an age of 1.2 s, and " since the start" for an infinite age or NaN."""
+    """Return the end of a message on a missing report: " for 1.2 s" for an age of 1.2 s.
+
+    For an infinite ``age`` (no report yet) or NaN it is " since the start".
+    """
     return f" for {age:.1f} s" if math.isfinite(age) else " since the start"
 
 
 def stopping_distance(speed: float, vehicle: Mapping[str, float]) -> float:
-    """Return the distance [m] that a boat coasts without thrust until it is slower than 0.05 m/s.
+    """Return the distance [m] that a boat coasts without thrust until its speed has fallen to 0.05 m/s.
 
     Parameters
     ----------
     speed : float
         Initial speed [m/s].
     vehicle : Mapping
-        Parameters of [vehicle] in the rig: `m_u` [kg], `d_u` [kg/s], `d_uu` [kg/m]. Negative values count as 0.
+        Parameters of [vehicle] in the rig, by name: mass `m_u` [kg], linear damping `d_u` [kg/s] and quadratic damping
+        `d_uu` [kg/m] in surge. Missing and negative values count as 0.
 
     Returns
     -------
     float
-        The distance; 0 if the rig does not give `m_u` and a damping, or if the boat is slow already.
+        The distance; 0 if `m_u` or both dampings are 0, or if the boat is not faster than 0.05 m/s.
 
     Notes
     -----
@@ -1180,14 +1268,15 @@ def stopping_distance(speed: float, vehicle: Mapping[str, float]) -> float:
 
 
 class _RelativeFix(NamedTuple):
-    """A position fix relative to the start.
+    """GNSS position relative to the start of the boat.
 
     Attributes
     ----------
     t : float
         Run time [s].
     north, east : float
-        Position as angles at the centre of the earth [rad]; times the earth's radius they are metres.
+        Position to the north and to the east of the start, as angles at the centre of the earth [rad]; multiplied by
+        the earth's radius they are in m.
     speed : float
         Speed over ground [m/s] that the receiver reports.
     """
@@ -1199,23 +1288,27 @@ class _RelativeFix(NamedTuple):
 
 
 class Fence:
-    """Geofence: a circle around the first position, inside which the boat must be able to stop.
+    """Geofence: a circle around the first position of the boat, inside which the boat must be able to stop.
 
-    A receiver may report a single wrong fix. A fix that the boat cannot have reached counts only if a second fix
-    confirms it.
+    A GNSS receiver may report a single wrong position. A position that the boat cannot have reached counts only if a
+    second one confirms it.
     """
 
     def __init__(self, radius_m: float, vehicle: Mapping[str, float]) -> None:
-        """Set the radius ``radius_m`` [m], and the parameters of [vehicle] for `stopping_distance`."""
+        """Prepare a geofence with the radius ``radius_m`` [m]. Its centre will be the first position.
+
+        ``vehicle`` has the parameters of [vehicle] in the rig, from which the stopping distance is computed.
+        """
         self._radius, self._vehicle = radius_m, vehicle
         self._home: tuple[float, float] | None = None  # rad
         self._last: dict[str, _RelativeFix] = {}  # by receiver: the newest fix that counts
         self._doubted: dict[str, float] = {}  # by receiver: run time of a fix that needs a confirmation
 
     def reason(self, name: str, fix: Gnss, t: float) -> str:
-        """Return why the run has to end, in one line; empty while the boat is inside and can stop inside.
+        """Return why the run has to end, in one line; empty while the boat is inside the fence and can stop inside it.
 
-        The first fix is the centre of the fence. Samples without a fix, and doubtful fixes, are ignored.
+        The first position is the centre of the fence. A sample without a position fix, and a position that the boat
+        cannot have reached and that no second one confirms, give an empty text.
 
         Parameters
         ----------
@@ -1241,9 +1334,11 @@ class Fence:
         return self._fence_reason(name, here, fix)
 
     def _is_doubtful(self, name: str, here: _RelativeFix) -> bool:
-        """Return whether the boat cannot have reached this fix and no second fix confirms it.
+        """Return whether the position ``here`` of the receiver ``name`` is doubtful and not confirmed.
 
-        A doubtful fix of the receiver ``name`` is stored, so that the next newer doubtful fix confirms it.
+        A position is doubtful if the boat cannot have reached it: more than 20 m plus 15 m/s times the time from the
+        receiver's last accepted position, or a speed above 15 m/s. It is stored. The next newer position confirms it if
+        it is doubtful too; then return False.
         """
         last = self._last.get(name)
         if last is not None:
@@ -1260,10 +1355,11 @@ class Fence:
         return True
 
     def _fence_reason(self, name: str, here: _RelativeFix, fix: Gnss) -> str:
-        """Return why the run has to end, if the boat is outside or cannot stop inside; else empty.
+        """Return why the run has to end, if the boat is outside the fence or cannot stop inside it; else empty.
 
-        Only the outward part of the velocity counts. Without a course the whole speed is taken as outward; without a
-        velocity only the position counts.
+        ``here`` is the position relative to the start, and ``fix`` the sample of the receiver ``name`` with the
+        velocity. Only the outward part of the velocity counts for the stopping distance. Without a course the whole
+        speed is taken as outward; without a speed only the position counts.
         """
         length = math.hypot(here.north, here.east)
         distance = EARTH_RADIUS_M * length

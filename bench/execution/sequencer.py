@@ -28,27 +28,35 @@ GAP_PART = 0.5
 
 
 class EventSink(Protocol):
-    """Receiver of set-points and events. It is the runner, which asks the safety guard before it sends a set-point."""
+    """Interface of the receiver of a sequencer's set-points and events.
+
+    It is the runner of a mission, which asks the safety guard before it sends a set-point.
+    """
 
     def schedule(self, rows: Sequence[Row]) -> None:
-        """Append set-points, as pairs of run time [s] and n_cmd by thruster."""
+        """Append set-points to those that will be sent at their times.
+
+        ``rows`` are pairs of run time [s] and n_cmd by name of the thruster.
+        """
 
     def zero(self, reason: str) -> None:
         """Command zero to all thrusters at once, and discard set-points that are not yet due. Log the ``reason``."""
 
     def mark(self, kind: str, text: str) -> None:
-        """Write an event to the log, with its kind and its text."""
+        """Write an event to the log: its kind, a word such as "segment", and its text in one line."""
 
 
 class MissionSequencer:
-    """Sequencer of one mission. The runner calls `step` with every new status.
+    """Sequencer of one mission: it sends the set-points in time, and handles pauses, marks and repeated steps.
+
+    A step is one execution of a segment of the mission. The runner calls the method `step` with every new status.
 
     Attributes
     ----------
     timeline : Schedule
-        Run times of the set-points and segments.
+        Run times of the mission's set-points and segments.
     commanded : int
-        Number of set-points given to the acquisition so far; a row counts once for each thruster.
+        Number of set-points that were given to the receiver so far, counted for each thruster.
     """
 
     def __init__(
@@ -61,7 +69,7 @@ class MissionSequencer:
         say: Callable[[str], None],
         retries: int = 0,
     ) -> None:
-        """Prepare the schedule of a mission.
+        """Prepare the schedule of a mission. Nothing is sent yet.
 
         Parameters
         ----------
@@ -70,15 +78,15 @@ class MissionSequencer:
         start : float
             Run time [s] of the mission's time 0.
         lead : float
-            Run seconds from a decision to the first set-point.
+            Run seconds from the decision to repeat a step, or to resume after a pause, to its first set-point.
         acquisition : EventSink
             Receiver of set-points and events.
         patience : Callable
-            Returns how long [run s] a device may be silent, by its name.
+            Function of the name of a device that returns how long [run s] the device may be silent in a run.
         say : Callable
-            Prints a line for the operator.
+            Function that prints a line for the operator.
         retries : int
-            How many invalid steps, in all, are repeated.
+            Largest number of repetitions, in all, of steps whose data are invalid (lost set-points or samples).
         """
         self.timeline = Schedule(mission, start)
         self.commanded = 0
@@ -93,7 +101,10 @@ class MissionSequencer:
 
     @property
     def segment(self) -> str:
-        """Name of the segment of the present step; empty before the first one and after a restart."""
+        """Name of the present segment of the mission.
+
+        It is empty before the first segment, and from a restart of a segment to its new beginning.
+        """
         return "" if self._step is None else self._step.name
 
     @property
@@ -102,7 +113,10 @@ class MissionSequencer:
         return self._paused_at is not None
 
     def elapsed(self, now: float) -> float:
-        """Return the mission's own time [run s] at run time `now`. It does not advance during a pause."""
+        """Return the mission's own time [run s] at run time ``now`` [s]. It does not advance during a pause.
+
+        It is negative before the mission starts.
+        """
         return self.timeline.elapsed(now if self._paused_at is None else self._paused_at)
 
     def is_over(self, now: float) -> bool:
@@ -110,27 +124,30 @@ class MissionSequencer:
         return not self.paused and now >= self.timeline.end
 
     def must_repeat(self, now: float, status: Status) -> bool:
-        """Check the last step at the end of the mission. Return whether the mission goes on with a repetition of it.
+        """Check the last segment when the mission has ended, and return whether the mission goes on to repeat it.
 
-        ``now`` is the run time [s], and ``status`` the newest status. The step is repeated if its data are invalid and
-        retries are left.
+        ``now`` is the run time [s], and ``status`` the newest status of the acquisition. The segment is scheduled again
+        if its data are invalid (lost set-points or samples, or a silent device) and repetitions are left.
         """
         self._enter_step(now, status)
         return not self.is_over(now)
 
     def step(self, now: float, ahead: float, status: Status, keys: str = "") -> None:
-        """Act on the status and on the keys, then send set-points.
+        """Act on pressed keys and on the status, then send the set-points that are due soon.
+
+        During a pause only keys are handled. When a segment ends in which data were lost, it is repeated or marked as
+        invalid in the log.
 
         Parameters
         ----------
         now : float
             Run time [s].
         ahead : float
-            Set-points are sent up to run time `now + ahead`.
+            Set-points before run time ``now + ahead`` are sent [run s].
         status : Status
             Newest status of the acquisition.
         keys : str
-            Keys that the operator has pressed, as characters.
+            Keys that the operator has pressed, as characters in their order.
         """
         for key in keys:
             self._handle_key(key, now)
@@ -143,10 +160,10 @@ class MissionSequencer:
             self.commanded += sum(len(values) for _, values in rows)
 
     def _handle_key(self, key: str, now: float) -> None:
-        """Act on a key at run time ``now`` [s]; other keys are ignored.
+        """Act on a key of the operator at run time ``now`` [s], with a message and an event in the log.
 
-        Space and `p` pause the mission at zero thrust, or resume it with the beginning of the step. `r` repeats the
-        step, unless the mission is paused. `m` marks the log.
+        Space and `p` pause the mission at zero thrust; in a pause they resume it with the beginning of the present
+        segment. `r` repeats the present segment; in a pause it is ignored. `m` marks the log. Other keys are ignored.
         """
         step = self._step or self._restarted
         name = "" if step is None else step.name
@@ -171,9 +188,10 @@ class MissionSequencer:
             self._say(f"mark {self._marks}")
 
     def _restart_step(self, now: float) -> None:
-        """Schedule the present step again from its beginning, ``lead`` seconds after run time ``now`` [s].
+        """Schedule the mission again from the beginning of the present segment, or from its start without one.
 
-        Until then there is no present step. A second restart in this time is of the same step.
+        The first set-point is due the `lead` of the constructor after run time ``now`` [s]. Thrust must be zero. Until
+        then no segment is present; a second restart in this time is from the same segment.
         """
         if self._step is not None:
             self._restarted = self._step
@@ -181,16 +199,19 @@ class MissionSequencer:
         self._step = None
 
     def _note_silent_device(self, status: Status) -> None:
-        """Note the first device that is silent for too long in the present step. The step then becomes invalid."""
+        """Store the first device that is silent for too long in the present segment, so that its data are invalid.
+
+        Too long is more than half of the time after which the silence would end the run.
+        """
         for name, port in status.ports.items():
             if not self._silence and not port.age <= GAP_PART * self._patience(name):
                 self._silence = f"{name} was silent for {port.age:.1f} s"
 
     def _enter_step(self, now: float, status: Status) -> None:
-        """If a step has started or the mission has ended, check the previous step and mark the new one in the log.
+        """At run time ``now`` [s], if a segment has started or the mission has ended, check the previous segment.
 
-        If the data of the previous step are invalid, it is repeated as long as retries are left. Otherwise the log gets
-        an event "invalid", and the mission goes on.
+        If its data are invalid (losses, or a silent device) and repetitions are left, it is scheduled again. Without a
+        repetition the log gets an event "invalid". For a segment that has started the log gets an event "segment".
         """
         started, ended = self.timeline.started(now), now >= self.timeline.end
         if self._step is not None and (ended or started[-1] != self._step):
@@ -212,17 +233,23 @@ class MissionSequencer:
                 self._step, self._counts_at_start, self._silence = span, _loss_counts(status), ""
 
     def _step_fault(self, status: Status) -> str:
-        """Return why the data of the step that has just ended are invalid: losses or silence; empty if valid."""
+        """Return why the data of the segment that has just ended are invalid; empty if they are valid.
+
+        Reasons are lost set-points, samples or ports, and a device that was silent for too long.
+        """
         return describe_losses(self._counts_at_start, _loss_counts(status)) or self._silence
 
 
 def describe_losses(before: tuple[int, ...], after: tuple[int, ...]) -> str:
-    """Return the first kind of loss in a step in words, such as "2 set-points were skipped"; empty without a loss.
+    """Return what was lost in a segment in words, such as "2 set-points were skipped"; empty if nothing was lost.
+
+    If there are losses of several kinds, the first kind is named: set-points, samples, ports.
 
     Parameters
     ----------
     before, after : tuple of int
-        Numbers of skipped set-points, dropped samples and lost ports, at the start and at the end of a step.
+        Numbers of skipped set-points, dropped samples and lost ports since the start of the acquisition, at the start
+        and at the end of the segment.
     """
     words = (("set-point", "skipped"), ("sample", "dropped"), ("port", "lost"))
     for earlier, later, (noun, verb) in zip(before, after, words, strict=True):
@@ -232,7 +259,10 @@ def describe_losses(before: tuple[int, ...], after: tuple[int, ...]) -> str:
 
 
 def _loss_counts(status: Status) -> tuple[int, ...]:
-    """Return the numbers of skipped set-points, dropped samples and lost ports since the start of the acquisition."""
+    """Return the numbers of skipped set-points, dropped samples and lost ports since the start of the acquisition.
+
+    Samples and ports of all devices are counted together. A lost port counts when it is opened again.
+    """
     ports = status.ports.values()
     return status.skipped, sum(port.dropped for port in ports), sum(port.reconnects for port in ports)
 
@@ -241,14 +271,14 @@ FOLLOW = "follow"  # name of the mission and of its segment while external comma
 
 
 def follow_plan(rig: Rig, seconds: float, n_max: float | None, slew: float) -> Mission:
-    """Return a mission that lets external commands drive all thrusters of a rig, within limits.
+    """Return a mission in which commands of a ROS 2 node drive all thrusters of a rig, within limits.
 
-    It has one segment with the command zero, which the external commands replace.
+    It has one segment with the command zero, which the commands of the node replace.
 
     Parameters
     ----------
     rig : Rig
-        The rig. It must allow commands in [ros2].
+        The rig. Its file must have `commands = true` in [ros2].
     seconds : float
         Length of the mission [run s].
     n_max : float or None
@@ -276,22 +306,31 @@ def follow_plan(rig: Rig, seconds: float, n_max: float | None, slew: float) -> M
 
 
 class CommandSource(Protocol):
-    """Source of external commands, which also receives the samples (seatrial.daq.tools.Ros2Node)."""
+    """Interface of a source of external commands, to which the samples of a run are passed on.
+
+    It is implemented by the ROS 2 node (seatrial.daq.tools.Ros2Node).
+    """
 
     def put(self, samples: Sequence[StreamedSample], dropped: int) -> None:
-        """Pass on logged samples and the number of dropped ones. Never waits."""
+        """Pass new samples of the log to the source, which publishes them, and the number of dropped samples.
+
+        The method never waits.
+        """
 
     def take(self) -> Mapping[str, Sequence[ReceivedCommand]]:
-        """Return the commands since the last call, by thruster and oldest first. Never waits."""
+        """Return the commands that were received since the last call, by name of the thruster, oldest first.
+
+        A thruster without a new command has an empty sequence or is missing. The method never waits.
+        """
 
 
 class CommandFollower(MissionSequencer):
-    """Sequencer that follows external commands within the mission's `n_max` and slew limit.
+    """Sequencer that sends external commands to the thrusters, within the mission's `n_max` and slew limit.
 
     Notes
     -----
-    A thruster without a new command for the time-out ends thrust on all thrusters. At the start, and after each silence
-    or pause, commands are followed only after every thruster was commanded zero, as with a transmitter.
+    If one thruster gets no new command for a time-out, zero is commanded to all thrusters. At the start, and after each
+    such silence or pause, commands are followed only after zero was commanded to every thruster, as with a transmitter.
 
     The run ends after an invalid command, a command beyond `n_max`, a command without a complete attachment, a repeated
     command or one out of order, a second sender, and too many commands at once.
@@ -311,17 +350,18 @@ class CommandFollower(MissionSequencer):
         Parameters
         ----------
         mission : Mission
-            Names of the thrusters, `n_max`, slew limit and length.
+            Mission that gives the names of the thrusters, the largest command, the slew limit and the length. Its
+            set-points are not sent.
         start : float
             Run time [s] of the start.
         timeout : float
-            Run seconds without a command for a thruster, after which thrust is zero.
+            Run seconds without a new command for a thruster after which zero is commanded to all thrusters.
         acquisition : EventSink
             Receiver of set-points and events.
         say : Callable
-            Prints a line for the operator.
+            Function that prints a line for the operator.
         source : CommandSource
-            Source of the commands.
+            Source of the commands. Commands that it has received before are discarded.
         """
         super().__init__(mission, start, 0.0, acquisition, lambda device: math.inf, say)
         self._mission, self._timeout, self._source = mission, timeout, source
@@ -331,25 +371,34 @@ class CommandFollower(MissionSequencer):
         self._scheduled_n = dict.fromkeys(mission.thrusters, 0.0)  # set-points that were scheduled last
 
     def must_repeat(self, now: float, status: Status) -> bool:
-        """Return False always: external commands have no steps that could be repeated."""
+        """Return False always: with external commands no segment can be repeated. The parameters are not used."""
         return False
 
     @property
     def segment(self) -> str:
-        """State for the display: "follow" while commands are followed, else "waiting for zero"."""
+        """State for the display: "follow" while external commands are followed, else "waiting for zero"."""
         return FOLLOW if self._follows else "waiting for zero"
 
     def step(self, now: float, ahead: float, status: Status, keys: str = "") -> None:
-        """Take the new commands, check them, and schedule the present set-points within the slew limit.
+        """Take the new external commands, check them, and schedule the resulting set-points within the slew limit.
 
-        A silent thruster ends thrust on all thrusters. The parameters are those of `MissionSequencer.step`; ``ahead``
-        and ``status`` are not used.
+        If a thruster has had no command for the time-out, zero is scheduled on all thrusters. Nothing is scheduled
+        during a pause, and before every thruster was commanded zero.
+
+        Parameters
+        ----------
+        now : float
+            Run time [s].
+        ahead, status
+            They are not used.
+        keys : str
+            Keys that the operator has pressed, as characters in their order.
 
         Raises
         ------
         SafetyStop
-            If a command is invalid, beyond `n_max`, repeated, out of order or of a second sender, or if commands come
-            too fast.
+            If a command is invalid, beyond `n_max`, without an identified sender, repeated, out of order or of a second
+            sender, or if 512 or more commands for one thruster have arrived at once.
         """
         for key in keys:
             self._handle_key(key, now)
@@ -380,13 +429,17 @@ class CommandFollower(MissionSequencer):
         self._schedule_if_changed(now, limited)
 
     def _silent_thrusters(self, now: float) -> list[str]:
-        """Return the names of the thrusters without a command within the time-out before run time ``now`` [s]."""
+        """Return the names of the thrusters that had no external command within the time-out before run time ``now``.
+
+        A thruster without any command is among them.
+        """
         return [name for name in self._mission.thrusters if not self._command_age(name, now) <= self._timeout]
 
     def _accept_command(self, name: str, command: ReceivedCommand, now: float) -> None:
-        """Check a command for the thruster ``name`` and keep it as its newest one, received at run time ``now`` [s].
+        """Check an external command for the thruster ``name``, and store it as the newest, with run time ``now`` [s].
 
-        Raises SafetyStop if the command is NaN, beyond `n_max`, without a sender, of a second sender, or out of order.
+        Another sender may take over only after the time-out without a command. Raises SafetyStop if the command is NaN,
+        beyond the mission's `n_max`, without an id of its sender, of a second sender, repeated, or out of order.
         """
         if not abs(command.n) <= self._mission.n_max:  # written with `not`, so that NaN is refused too
             limit = f"{self._mission.n_max:g}"
@@ -411,23 +464,28 @@ class CommandFollower(MissionSequencer):
         self._heard[name] = now, command
 
     def _command_age(self, name: str, now: float) -> float:
-        """Return the time [run s] since the newest command for the thruster ``name``; infinite without one."""
+        """Return the time [run s] from the newest external command for the thruster ``name`` to run time ``now`` [s].
+
+        It is infinite without a command.
+        """
         return now - self._heard[name][0] if name in self._heard else math.inf
 
     def _schedule_if_changed(self, now: float, n: dict[str, float]) -> None:
-        """Schedule the set-points ``n`` by thruster at run time ``now`` [s], if they differ from the last ones."""
+        """Schedule the set-points ``n``, by thruster, at run time ``now`` [s].
+
+        Nothing is scheduled if they are equal to those that were scheduled last.
+        """
         if n != self._scheduled_n:
             self._scheduled_n = n
             self._acquisition.schedule([(now, n)])
             self.commanded += len(n)
 
     def _stop_following(self, why: str) -> None:
-        """Schedule zero on all thrusters and wait for zero commands, if commands are followed; else do nothing.
+        """Schedule zero on all thrusters, and follow no external command until all thrusters are commanded zero.
 
-        ``why`` is the reason for the log and the operator.
-
-        Zero is sent as a set-point and not as `zero`, which would end a stop by the acquisition process itself.
+        ``why`` is the reason, which is logged and printed. Nothing is done if no commands are followed at present.
         """
+        # Zero is sent as a set-point and not as `zero`, which would end a stop by the acquisition process itself.
         if self._follows:
             self._follows = False
             self._schedule_if_changed(self._stepped, dict.fromkeys(self._scheduled_n, 0.0))
@@ -435,18 +493,21 @@ class CommandFollower(MissionSequencer):
             self._say(f"thrust is zero: {why}; waiting for zero from every thruster's sender")
 
     def _restart_step(self, now: float) -> None:
-        """Forget all commands and wait for zero commands, after a pause or a repetition. Thrust is zero then."""
+        """Forget all external commands, and follow none until all thrusters are commanded zero.
+
+        It is called after a pause or the key `r`, when thrust is zero. ``now`` is not used.
+        """
         self._follows, self._heard = False, {}
         self._scheduled_n = dict.fromkeys(self._scheduled_n, 0.0)
 
 
 class ScheduledSegment(NamedTuple):
-    """A segment of a mission with its run times.
+    """Segment of a mission with the run times of its execution.
 
     Attributes
     ----------
     begin, end : float
-        Run times of its beginning and end [s].
+        Run times [s] of its beginning and its end.
     segment : int
         Index of the segment in the mission.
     name : str
@@ -460,18 +521,21 @@ class ScheduledSegment(NamedTuple):
 
 
 class Schedule:
-    """Schedule of a mission in run time. It can be restarted at any segment. It returns each set-point once."""
+    """Schedule of a mission: the run times of its set-points and segments. It can be restarted at any segment.
+
+    Each scheduled set-point is returned once.
+    """
 
     def __init__(self, mission: Mission, start: float) -> None:
-        """Schedule the whole mission. Its time 0 is run time `start` [s]."""
+        """Schedule the whole mission. The mission's time 0 is run time ``start`` [s]."""
         self._mission = mission
         self._executed: list[ScheduledSegment] = []
         self._schedule_from(0, start)
 
     def _schedule_from(self, segment: int, start: float) -> None:
-        """Schedule the mission from the segment with index `segment` on. Run time `start` [s] is the mission's time 0.
+        """Schedule the segments of the mission from index ``segment`` on, and discard the set-points scheduled before.
 
-        Set-points that were scheduled before are discarded.
+        Run time ``start`` [s] becomes the mission's time 0, also if the first segments are left out.
         """
         self._start = start
         rest = replace(self._mission, segments=self._mission.segments[segment:])
@@ -483,7 +547,7 @@ class Schedule:
         ]
 
     def restart(self, segment: int, start: float) -> None:
-        """Restart the mission at the beginning of the segment with index `segment`, at run time `start` [s].
+        """Schedule the mission again from its segment with index ``segment``, which begins at run time ``start`` [s].
 
         Zero thrust must have been commanded before, because the slew limit starts from zero.
         """
@@ -492,13 +556,13 @@ class Schedule:
 
     @property
     def end(self) -> float:
-        """Run time [s] of the end of the mission."""
+        """Run time [s] of the end of the mission, by the present schedule."""
         return self._planned[-1].end
 
     def rows(self, until: float) -> list[Row]:
-        """Return the set-points before run time `until` [s] that were not returned before.
+        """Return the set-points before run time ``until`` [s] that were not returned since the last restart.
 
-        Each is a pair of run time [s] and n_cmd by thruster.
+        Each is a pair of run time [s] and n_cmd by thruster. The list is empty if there is no new one.
         """
         rows: list[Row] = []
         while self._sent < len(self._t) and self._t[self._sent] < until:
@@ -508,16 +572,23 @@ class Schedule:
         return rows
 
     def started(self, now: float) -> list[ScheduledSegment]:
-        """Return the segments that have started by run time `now` [s], since the start or the last restart."""
+        """Return the segments, since the start or the last restart, that have started by run time ``now`` [s].
+
+        They are in the order of time. The list is empty before the first one.
+        """
         return [span for span in self._planned if span.begin <= now]
 
     def elapsed(self, now: float) -> float:
-        """Return the mission's own time [run s] at run time `now` [s]: the time since its scheduled time 0."""
+        """Return the mission's own time [run s] at run time ``now`` [s]: the time since its scheduled time 0.
+
+        It is negative before time 0.
+        """
         return now - self._start
 
     def static_windows(self) -> list[tuple[str, float, float]]:
-        """Return the rest intervals at the start and at the end of the mission, as they were executed.
+        """Return the intervals at rest at the start and at the end of the mission, by their executed run times.
 
-        Each is ("start" or "end", begin, end) in run seconds.
+        Each is ("start" or "end", begin, end), with run times [s]. An interval is missing if the mission does not rest
+        there. The last one begins 3 s after zero thrust, when the water has calmed.
         """
         return windows_of([(span.begin, span.end, span.name) for span in [*self._executed, *self._planned]])

@@ -18,22 +18,22 @@ SETTLE_S = 3.0  # run seconds from zero thrust until the water and the rod are a
 
 
 class Tare(NamedTuple):
-    """Mean reading of one load cell at rest.
+    """Tare: mean raw measurement of one load cell while thrust is zero.
 
     Attributes
     ----------
     device : str
         Name of the load cell.
     where : str
-        Rest interval of the mission: "start" or "end".
+        Interval at rest: "start" or "end" of the mission.
     t : float
-        Mean run time of the readings [s].
+        Mean run time of the samples [s].
     counts : float
-        Mean reading [counts].
+        Mean raw measurement [counts].
     standard_error : float
-        Standard error of the mean [counts], for independent readings.
+        Standard error of the mean [counts], for independent samples.
     n_samples : int
-        Number of readings.
+        Number of samples.
     """
 
     device: str
@@ -45,38 +45,39 @@ class Tare(NamedTuple):
 
 
 def static_windows(mission: Mission, start: float) -> list[tuple[str, float, float]]:
-    """Return the rest intervals at the start and at the end of a mission that is run without repetitions.
+    """Return the intervals at rest at the start and at the end of a mission that is run without repetitions.
 
     Parameters
     ----------
     mission : Mission
-        The mission. Only its first and last segment count, if they are named `STATIC`.
+        The mission. Only its first and its last segment count, and only if they have the name of a segment at rest
+        (`STATIC`).
     start : float
         Run time [s] at which the mission starts.
 
     Returns
     -------
     list of tuple
-        ("start" or "end", begin, end) in run seconds. An interval is missing if the mission does not rest there. The
-        last interval begins 3 s (`SETTLE_S`) after zero thrust.
+        ("start" or "end", begin, end), with run times [s]. An interval is missing if the mission does not rest there.
+        The last interval begins 3 s (`SETTLE_S`) after zero thrust, or in the middle of a segment of less than 6 s.
     """
     return windows_of([(start + begin, start + end, name) for begin, end, name in mission.segment_times()])
 
 
 def windows_of(spans: Sequence[tuple[float, float, str]]) -> list[tuple[str, float, float]]:
-    """Return the rest intervals at the start and at the end of segments as they were run.
+    """Return the intervals at rest at the start and at the end of a run, from its segments as they were executed.
 
     Parameters
     ----------
     spans : sequence of tuple
-        Begin [run s], end [run s] and name of each segment, in the order of time. Only the first and the last one
-        count, if they are named `STATIC`.
+        Begin [run s], end [run s] and name of each segment, in the order of time; at least one. Only the first and the
+        last one count, and only if they have the name of a segment at rest (`STATIC`).
 
     Returns
     -------
     list of tuple
-        ("start" or "end", begin, end) in run seconds. The last interval begins 3 s (`SETTLE_S`) after zero thrust, or
-        in the middle of a segment that is shorter than 6 s.
+        ("start" or "end", begin, end), with run times [s]. An interval is missing if there is no rest. The last
+        interval begins 3 s (`SETTLE_S`) after zero thrust, or in the middle of a segment that is shorter than 6 s.
     """
     windows = []
     if spans[0][2] == STATIC:
@@ -88,7 +89,9 @@ def windows_of(spans: Sequence[tuple[float, float, str]]) -> list[tuple[str, flo
 
 
 def measure_tares(path: Path, rig: Rig, windows: Sequence[tuple[str, float, float]]) -> list[Tare]:
-    """Return the mean reading of each load cell in each interval. Flagged readings are left out.
+    """Return the mean raw measurement of each load cell in each interval at rest.
+
+    Samples with a flag (saturated or spike) are left out.
 
     Parameters
     ----------
@@ -97,13 +100,18 @@ def measure_tares(path: Path, rig: Rig, windows: Sequence[tuple[str, float, floa
     rig : Rig
         The rig with its load cells. Only devices with the protocol "loadcell" count.
     windows : sequence of tuple
-        ("start" or "end", begin, end) in run seconds.
+        Intervals at rest: ("start" or "end", begin, end), with run times [s].
 
     Returns
     -------
     list of Tare
-        Tares by load cell, then by interval. A load cell without samples and an interval with fewer than two readings
-        have no tare.
+        Tares in the order of the load cells in the rig, and of the intervals for each. A load cell without samples has
+        no tare, and an interval with fewer than two samples gives none.
+
+    Raises
+    ------
+    SeatrialError
+        If the log cannot be read.
     """
     tares = []
     with open_log(path) as log:
@@ -122,10 +130,20 @@ def measure_tares(path: Path, rig: Rig, windows: Sequence[tuple[str, float, floa
 
 
 def describe_tares(tares: Sequence[Tare], rig: Rig) -> list[str]:
-    """Return lines of text: one for each tare, and one for the drift of a load cell from its first tare to a later one.
+    """Return lines of text for the operator and the log: the tares of load cells and their drift.
 
-    The drift is given in counts, and also in N if ``rig`` has a calibration of the load cell. ``tares`` are in the
-    order of time.
+    Parameters
+    ----------
+    tares : sequence of Tare
+        Tares; those of one load cell in the order of time.
+    rig : Rig
+        The rig. If it has a calibration of a load cell, the drift is given in N too.
+
+    Returns
+    -------
+    list of str
+        A line for each tare. The second and each later tare of a load cell is followed by a line with the drift since
+        the first one, in counts, and the time between them.
     """
     lines, first = [], dict[str, Tare]()
     for tare in tares:

@@ -129,7 +129,7 @@ def check(
 
 
 def _is_rig(path: Path) -> bool:
-    """Return whether a path of the command line is a rig file (suffix .toml). All other paths are logs."""
+    """Return whether ``path``, an argument of `seatrial check`, is a rig file (suffix .toml). All others are logs."""
     return path.suffix == ".toml"
 
 
@@ -141,10 +141,25 @@ def _check_options(
     link_test: bool,
     thrust: float | None,
 ) -> None:
-    """Raise click.UsageError if options or arguments do not fit together.
+    """Check that arguments and options of `seatrial check` fit together; raise click.UsageError if they do not.
 
-    ``test_options`` is whether one of --link-test, --thrust, --arm and -o was given, which all need --actuators. The
-    other parameters are values of the command line.
+    One rig or one or more logs may be given. Only with a rig are --mission and --actuators possible. Only with
+    --actuators are --link-test, --thrust, --arm and -o possible. --link-test excludes --thrust.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Rig files and logs of the command line.
+    mission : Path or None
+        Value of --mission.
+    actuators : bool
+        Whether --actuators was given.
+    test_options : bool
+        Whether one of --link-test, --thrust, --arm and -o was given.
+    link_test : bool
+        Whether --link-test was given.
+    thrust : float or None
+        Value of --thrust.
     """
     rig = any(_is_rig(path) for path in paths)
     if rig and len(paths) > 1:
@@ -158,9 +173,9 @@ def _check_options(
 
 
 def _print_findings(found: Sequence[Finding], as_json: bool) -> list[str]:
-    """Print the findings, and their summary if there is no fault. Return the devices and files that have a fault.
+    """Print the findings, worst first, and return the names of the devices and files that have a fault, each once.
 
-    With ``as_json`` only JSON is printed.
+    If there is no fault, a summary line follows. With ``as_json`` the findings are printed as JSON, without a summary.
     """
     _print_lines(found, as_json)
     faults = list(dict.fromkeys(finding.where for finding in worst_first(found) if finding.level == FAULT))
@@ -172,7 +187,8 @@ def _print_findings(found: Sequence[Finding], as_json: bool) -> list[str]:
 def _print_lines(found: Sequence[Finding], as_json: bool) -> None:
     """Print the findings, worst first, without a summary.
 
-    They are printed as JSON, as wrapped paragraphs on a terminal, or else as one line each.
+    They are printed as JSON if ``as_json`` is true. Otherwise they are wrapped paragraphs on a terminal, and one line
+    each elsewhere.
     """
     found = worst_first(found)
     if as_json:
@@ -194,11 +210,11 @@ class _ConfirmedTest(NamedTuple):
     plan : Mission
         Set-points of the test.
     out : Path or None
-        The new log; None for a name by date in the rig's log directory.
+        Path of the new log; None for a name by date in the rig's log directory.
     arm : bool
-        Whether to arm autopilots before the test, and to disarm them after it.
+        Whether to put autopilots into MANUAL and arm them before the test, and to disarm them after it.
     of_link : bool
-        Whether it is a link test.
+        Whether it is a link test; else it is an actuator test.
     """
 
     plan: Any
@@ -221,26 +237,31 @@ def _rig_findings(
     Parameters
     ----------
     motion : MotionChecks
-        Checks of the motion in the log of the test.
+        Checks of the recorded motion, which are applied to the log of an actuator test.
     rig : Rig
         The rig.
     seconds : float
         Duration of the recording at rest [wall s].
     mission : Mission or None
-        Mission whose dry run is checked too.
+        Mission whose commands and track are checked too; None without one. It is not run.
     test : _ConfirmedTest or None
-        Test to run. Without it no thruster turns.
+        Test to run. If it is None, no thruster turns.
     folder : Path
         Folder for the log of the recording at rest.
     as_json : bool
-        Whether standard output is reserved for JSON.
+        Whether standard output is reserved for JSON, so that other lines go to standard error.
 
     Returns
     -------
     list of Finding
         Findings at rest, and those of the test, which replace findings of the same check of the same device.
     list of Path
-        The log for the report: that of the test if it exists, else that of the recording at rest.
+        One log for the report: that of the test if it exists, else that of the recording at rest.
+
+    Raises
+    ------
+    SeatrialError
+        If the recording or the test fails, or the safety guard ends the test.
     """
     path = folder / "check.mcap"
     found = _findings_at_rest(rig, seconds, mission, path)
@@ -255,9 +276,10 @@ def _rig_findings(
 
 
 def _findings_at_rest(rig: Rig, seconds: float, mission: Any, path: Path) -> list[Finding]:
-    """Record all devices for ``seconds`` (wall) into the log ``path`` without a command, and return the findings.
+    """Record all devices of a rig at rest, without a command to thrusters, and return the findings on them.
 
-    The findings concern ports, devices, computer and limits, and the dry run of ``mission`` unless it is None.
+    The recording lasts ``seconds`` (wall) and is the new log ``path``. The findings concern ports, devices, space on
+    the disk and limits, and also the commands and the track of ``mission`` unless it is None.
     """
     from seatrial.bench.execution import SafetyGuard
     from seatrial.bench.preflight.mission_checks import check_mission
@@ -276,25 +298,29 @@ def _findings_at_rest(rig: Rig, seconds: float, mission: Any, path: Path) -> lis
 
 
 def _confirmed_plan(rig: Rig, thrust: float | None, yes: bool, of_link: bool) -> Any:
-    """Return the plan (Mission) of the test, after the operator has confirmed at the terminal that it is safe.
+    """Return the set-points (Mission) of the actuator test or link test, after the operator has confirmed the test.
+
+    The operator is asked at the terminal whether the propellers are clear and the boat is free to move.
 
     Parameters
     ----------
     rig : Rig
         The rig.
     thrust : float or None
-        Largest command of the actuator test; 0.3 if None.
+        Largest command of the actuator test, as a fraction of full command; 0.3 if None.
     yes : bool
         Whether to leave out the question.
     of_link : bool
-        Whether to return the plan of the link test.
+        Whether to return the set-points of the link test, else those of the actuator test.
 
     Raises
     ------
     click.UsageError
-        If standard input is no terminal, so that the question cannot be asked.
+        If standard input is not a terminal, so that the question cannot be asked.
     click.Abort
         If the operator does not confirm.
+    SeatrialError
+        If the rig has no thruster for the test, or its `limits.n_max` does not permit the link test.
     """
     from seatrial.bench.execution import N_ACTUATOR_TEST, actuator_plan, link_test_plan, turning_warning
 
@@ -311,10 +337,29 @@ def _confirmed_plan(rig: Rig, thrust: float | None, yes: bool, of_link: bool) ->
 def _findings_of_test(
     motion: MotionChecks, rig: Rig, test: _ConfirmedTest, before: Sequence[Finding], as_json: bool
 ) -> list[Finding]:
-    """Run the actuator test or link test as a mission, with guard and watchdog, and return the findings of its log.
+    """Run the actuator test or link test as a mission, with safety guard and watchdog, and return its findings.
 
-    ``before`` are the findings at rest, which are printed first. If one of them is a fault, no thruster is commanded,
-    and a single warning is returned.
+    THRUSTERS TURN. The findings of an actuator test are those of its log, and a warning for each autopilot that is
+    still armed. The findings of a link test are whether each autopilot ended thrust in time.
+
+    Parameters
+    ----------
+    motion : MotionChecks
+        Checks of the recorded motion, for the log of an actuator test.
+    rig : Rig
+        The rig.
+    test : _ConfirmedTest
+        The test. Its `out` must be a path.
+    before : sequence of Finding
+        Findings at rest. They are printed before the test, except with ``as_json``. If one of them is a fault, no
+        thruster is commanded, and the only finding is a warning that the test was not done.
+    as_json : bool
+        Whether standard output is reserved for JSON, so that lines of the test go to standard error.
+
+    Raises
+    ------
+    SeatrialError
+        If the test cannot start, or has to end early.
     """
     faults = [finding.where for finding in before if finding.level == FAULT]
     if faults:
@@ -349,9 +394,10 @@ def _findings_of_test(
 
 
 def _link_test_finding(name: str, seconds: float, passed: bool) -> Finding:
-    """Return the finding on the link test of the autopilot ``name``.
+    """Return the finding on the link test of the autopilot ``name``: OK if it is passed, else a fault with remedy.
 
-    ``seconds`` is the time (wall) from our last frame to neutral outputs, and ``passed`` whether it was short enough.
+    ``seconds`` is the time (wall) from our last frame to neutral outputs, and ``passed`` is whether it was short enough
+    (at most 2 s).
     """
     from seatrial.bench.execution import ALLOWED_S
 

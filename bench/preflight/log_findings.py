@@ -12,17 +12,22 @@ from seatrial.daq.samples import MEASURED
 
 
 def log_findings(check_motion: Callable[[Path], list[Finding]], paths: Sequence[Path]) -> list[Finding]:
-    """Return the findings of all logs: on their devices, and on the motion if the package ident is installed.
-
-    A log without samples gives a fault. A log to which no check applies gives one finding without fault. With several
-    logs, the names of devices start with the name of the log.
+    """Check logs, and return the findings on their devices and on the recorded motion.
 
     Parameters
     ----------
-    check_motion
-        Function that returns the findings on the motion in a log. It raises SeatrialError if ident is not installed.
-    paths
+    check_motion : Callable
+        Function of the path of a log that returns the findings on the motion in it: whether sensors and thrusters
+        agree. If it raises SeatrialError (as it does if the package ident is not installed), a warning is returned in
+        place of its findings.
+    paths : sequence of Path
         The logs.
+
+    Returns
+    -------
+    list of Finding
+        Findings in the order of the logs. A log without samples gives a fault. A log to which no check applies gives
+        one finding of level OK. If there are several logs, the names of devices start with the name of the log.
 
     Raises
     ------
@@ -55,9 +60,10 @@ def log_findings(check_motion: Callable[[Path], list[Finding]], paths: Sequence[
 
 
 def _motion_findings(check_motion: Callable[[Path], list[Finding]], path: Path) -> list[Finding]:
-    """Return the findings on the motion in a log.
+    """Return the findings of the function ``check_motion`` on the motion in the log ``path``.
 
-    If the check fails, or the package ident is not installed, return one warning with the reason.
+    If it raises SeatrialError, for example because the package ident is not installed, return one warning with the
+    reason.
     """
     try:
         return check_motion(path)

@@ -22,10 +22,11 @@ CLOSE = 0.8  # fraction of the fence's radius beyond which a track is near the f
 
 
 def check_mission(mission: Mission, rig: Rig) -> Iterator[Finding]:
-    """Yield the findings on a mission: its limits with its duration, and whether its track stays inside the fence.
+    """Yield the findings on a mission that is to be run with a rig. No thruster is commanded.
 
-    A mission beyond the limits of the rig gives one fault and no further finding. If the rig has no `limits.radius_m`,
-    the track is not checked.
+    The first finding is whether its commands are within `limits.n_max` of the rig; beyond it there is this fault only.
+    The second finding is whether its predicted track stays inside the geofence. It is left out if the rig has no
+    `limits.radius_m`.
     """
     try:
         dry_run(mission, rig)
@@ -45,9 +46,11 @@ def check_mission(mission: Mission, rig: Rig) -> Iterator[Finding]:
 
 
 def _fence_finding(mission: Mission, rig: Rig, radius: float) -> Finding:
-    """Return the finding whether the predicted track stays inside a fence of ``radius`` [m] around the start.
+    """Return the finding whether the predicted track of a mission stays within ``radius`` [m] of the start (geofence).
 
-    It is a fault if the track leaves the fence, and a warning if the track comes near it (80 %) or is not predicted.
+    It is a fault if the track leaves the fence. It is a warning if the track goes beyond 80 % of the radius, or cannot
+    be predicted. Else it is OK. The track is that of the mission's design, with its 95 % band. Without a design it is
+    simulated with the rig's nominal vehicle.
     """
     if mission.prediction is not None:
         p = mission.prediction
@@ -85,33 +88,41 @@ def _fence_finding(mission: Mission, rig: Rig, radius: float) -> Finding:
 
 
 def _unpredicted_finding(mission: Mission, why: str, hint: str) -> Finding:
-    """Return the warning that the track of a mission is not predicted.
+    """Return the warning that the track of a mission could not be predicted, so that the geofence was not checked.
 
-    ``why`` is the predicate of the sentence "[vehicle] of the rig ...", and ``hint`` is the remedy.
+    ``why`` completes the sentence "[vehicle] of the rig ...", and ``hint`` is the remedy.
     """
     text = f"its track is not predicted: [vehicle] of the rig {why}"
     return Finding(WARNING, "track-not-predicted", "fence", mission.name, text, hint)
 
 
 def track(mission: Mission, rig: Rig) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Simulate the track of the rig's nominal vehicle from rest, heading north, without current.
+    """Simulate the track of a mission with the rig's nominal vehicle, from rest, heading north, without current.
 
     Parameters
     ----------
     mission : Mission
-        The commands.
+        Mission whose commands are simulated.
     rig : Rig
-        Its [vehicle] must have the parameters in `NEEDED`: masses, linear damping and c1 (SI). Quadratic damping and c2
-        are 0 if they are missing. The thrusters of the mission must be in the rig.
+        The rig. Its [vehicle] must have masses, linear damping and c1 (`NEEDED`, SI units); quadratic damping and c2
+        are 0 if they are missing. The thrusters of the mission must be in the rig; their positions give the yaw moment.
 
     Returns
     -------
     tuple of Array (n_samples,)
-        Time [s], and position x, y [m] north and east of the start. Positions are NaN after a divergence.
+        Time [s], 0.05 s apart, and position x, y [m] north and east of the start. Positions are NaN after a divergence.
+
+    Raises
+    ------
+    KeyError
+        If [vehicle] lacks a needed parameter.
+    SeatrialError
+        If the rig lacks a thruster of the mission.
 
     Notes
     -----
-    Model of surge, sway and yaw (Fossen 2011, 6.5) with linear and quadratic damping. The thrust is c1 n|n| + c2 n^2.
+    Model of surge, sway and yaw (Fossen 2011, 6.5) with linear and quadratic damping. The thrust is c1 n|n| + c2 n^2,
+    without lag or delay.
     """
     p = {"c2": 0.0, "d_uu": 0.0, "d_vv": 0.0, "d_rr": 0.0, **rig.vehicle}
     y_thruster = [rig.thruster(name).position_m[1] for name in mission.thrusters]
@@ -130,23 +141,24 @@ def track(mission: Mission, rig: Rig) -> tuple[FloatArray, FloatArray, FloatArra
 
 
 def _next_state(state: tuple[float, ...], thrust: float, moment: float, p: Mapping[str, float]) -> tuple[float, ...]:
-    """Return the state (x, y, psi, u, v, r) after one step of 0.05 s (SI). The new velocities move the position.
+    """Return the state of a simulated boat after one time step of 0.05 s. The new velocities move the position.
 
     Parameters
     ----------
     state : tuple of six floats
-        State before the step: position [m, m], heading [rad], velocity [m/s, m/s] and yaw rate [rad/s].
+        State before the step: position x north and y east [m], heading psi [rad], surge u and sway v [m/s], and yaw
+        rate r [rad/s].
     thrust : float
         Surge force of all thrusters [N].
     moment : float
         Yaw moment of all thrusters [N m].
     p : mapping of str to float
-        Parameters of [vehicle], with all damping.
+        Parameters of [vehicle] in the rig, with linear and quadratic damping (SI units).
 
     Returns
     -------
     tuple of six floats
-        The new state; NaN in all places if the simulation has diverged.
+        The new state; six times NaN if the simulation has diverged.
     """
     x, y, psi, u, v, r = state
     u_next = _next_velocity(u, thrust + p["m_v"] * v * r, p["m_u"], p["d_u"], p["d_uu"])
@@ -167,20 +179,20 @@ def _next_state(state: tuple[float, ...], thrust: float, moment: float, p: Mappi
 
 
 def _next_velocity(speed: float, force: float, mass: float, d: float, dd: float) -> float:
-    """Return the velocity in one degree of freedom after one step of the linearly implicit Euler method.
+    """Return the velocity of a boat in one degree of freedom after one time step of 0.05 s.
 
-    The implicit method is stable for any damping, even if the boat is very light.
+    The step uses the linearly implicit Euler method, which is stable for any damping, even if the boat is very light.
 
     Parameters
     ----------
     speed : float
         Velocity before the step [m/s or rad/s].
     force : float
-        Force or moment without damping [N or N m].
+        Force or moment on the boat, without that of the damping [N or N m].
     mass : float
         Mass or moment of inertia, with added mass [kg or kg m2].
     d, dd : float
-        Linear and quadratic damping.
+        Linear and quadratic damping [SI units].
     """
     slope = max(d + 2.0 * dd * abs(speed), 0.0)
     return speed + TRACK_STEP_S * (force - (d + dd * abs(speed)) * speed) / (mass + TRACK_STEP_S * slope)

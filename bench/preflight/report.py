@@ -15,18 +15,24 @@ FORMAT = "seatrial-check 1"
 
 
 class MotionChecks(Protocol):
-    """Interface of the checks that `seatrial.ident` provides for the command `check`.
+    """Interface of the checks of recorded motion that the package `seatrial.ident` provides for `seatrial check`.
 
-    `seatrial.command_line` puts an object of this kind into the context of the command. The package bench must not
-    import ident, which may not be installed. Both methods raise SeatrialError if ident is not installed.
+    `seatrial.command_line` puts an object of this kind into the context of the command, because the package bench must
+    not import ident, which may not be installed. Both methods raise SeatrialError if ident is not installed.
     """
 
     def check_log(self, path: Path) -> list[Finding]:
-        """Return the findings on sensors and thrusters from the motion in the log ``path``."""
+        """Return the findings on the motion in the log ``path``: whether its sensors and thrusters agree.
+
+        Raises SeatrialError if the package ident is not installed.
+        """
         ...
 
     def write_check_page(self, report: CheckReport, out: Path) -> None:
-        """Write the page (HTML) of the check ``report`` to the file ``out``, with curves from its logs."""
+        """Write the findings in ``report`` to the file ``out`` as a page (HTML), with curves from its logs.
+
+        Raises SeatrialError if the package ident is not installed.
+        """
         ...
 
 
@@ -36,7 +42,10 @@ def as_json(found: Sequence[Finding]) -> str:
 
 
 def dry_run_of(mission: Mission, rig: Rig) -> DryRun:
-    """Return the dry run of a mission: its commands, its duration, the fence of the rig, and its predicted track."""
+    """Return the content of a report on a mission that is not run: commands, duration, geofence and predicted track.
+
+    The geofence is `limits.radius_m` of the rig; None without one. The track is None if it cannot be predicted.
+    """
     t, n = mission.setpoints()
     return DryRun(
         mission.name, tuple(mission.thrusters), t, n, mission.end, rig.limits.radius_m, _predicted_track(mission, rig)
@@ -46,8 +55,9 @@ def dry_run_of(mission: Mission, rig: Rig) -> DryRun:
 def _predicted_track(mission: Mission, rig: Rig) -> PredictedTrack | None:
     """Return the predicted track of a mission; None if it cannot be predicted.
 
-    The prediction of the mission's design takes precedence over a simulation of the rig's nominal vehicle. A track
-    cannot be predicted if [vehicle] lacks a parameter, or the rig lacks a thruster of the mission.
+    It is the prediction of the mission's experiment design if there is one, else a simulation of the rig's nominal
+    vehicle. The simulation is not possible if [vehicle] of the rig lacks a parameter, or the rig lacks a thruster of
+    the mission.
     """
     if mission.prediction is not None:
         p = mission.prediction

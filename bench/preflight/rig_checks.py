@@ -24,20 +24,25 @@ POLL_WALL_S = 0.05  # wall s between two checks of the status
 
 
 def listen(rig: Rig, wall_s: float, path: Path, guard: SafetyGuard) -> Status:
-    """Record every device of a rig into a log without a command, and return the last status of the acquisition.
+    """Record every device of a rig at rest into a log, and return the last status of the acquisition.
 
-    Parameters and message rates are requested from autopilots.
+    No thruster is commanded. Autopilots are requested to send their parameters, and messages at the rates of the rig.
 
     Parameters
     ----------
     rig : Rig
         The rig.
     wall_s : float
-        Duration [wall s].
+        Duration of the recording [wall s].
     path : Path
-        The new log.
+        Path of the new log.
     guard : SafetyGuard
-        Safety guard that gets every status, so that it finds the sources of the limits.
+        Safety guard. It gets every status, so that it finds which devices report the limited quantities.
+
+    Raises
+    ------
+    SeatrialError
+        If the acquisition cannot start or fails.
     """
     clock = RunClock(rig.speed)
     with Acquisition(rig, path, clock=clock, ask=True) as acquisition:
@@ -49,9 +54,11 @@ def listen(rig: Rig, wall_s: float, path: Path, guard: SafetyGuard) -> Status:
 
 
 def check_ports(rig: Rig, status: Status) -> Iterator[Finding]:
-    """Yield the findings on silent devices, ports that cannot be opened, silent thrusters, and autopilots.
+    """Yield the findings on the ports of a rig after a recording at rest.
 
-    ``status`` is the last status of a recording at rest.
+    They are devices without a sample, ports with an error or a remark, devices that have fallen silent, autopilots, and
+    thrusters that are not reported. The latter are left out if no device at all has sent a sample. ``status`` is the
+    last status of the recording.
     """
     for device in rig.devices:
         port = status.ports.get(device.name)
@@ -90,9 +97,11 @@ def check_ports(rig: Rig, status: Status) -> Iterator[Finding]:
 
 
 def _silent_device_finding(device: Device, port: PortStatus | None) -> Finding:
-    """Return the fault of a device without a sample, with its probable cause: port, baud rate or output settings.
+    """Return the fault that a device has sent no sample, with its probable cause and a remedy.
 
-    The cause is the message of the port, if it has one. ``port`` is None if the device has no port in the status.
+    The cause is the error message of its ``port``, if it has one. Otherwise it is guessed from the counters of received
+    bytes and frames: power or cable, baud rate or protocol, or the messages that the device is set to send. ``port`` is
+    None if its state is not known.
     """
     text, advice = "nothing received", "check power, cable, port and baud rate"
     if port is not None and port.frames >= UNDERSTOOD:
@@ -104,9 +113,10 @@ def _silent_device_finding(device: Device, port: PortStatus | None) -> Finding:
 
 
 def _autopilot_findings(rig: Rig, device: Device, status: Status, port: PortStatus) -> Iterator[Finding]:
-    """Yield the findings on an autopilot: its link, parameters, rates, arming and position estimator.
+    """Yield the findings on an autopilot: its link, parameters, message rates, arming and position estimator.
 
-    Without a heartbeat there is only that fault. ``port`` is the status of its port.
+    ``status`` is the last status of a recording, and ``port`` the state of the autopilot's port in it. If no heartbeat
+    was received, this fault is the only finding.
     """
     link = status.links.get(device.name, LinkStatus())
     if not link.received:
@@ -188,16 +198,17 @@ def _autopilot_findings(rig: Rig, device: Device, status: Status, port: PortStat
 
 
 def armed_finding(name: str) -> Finding:
-    """Return the warning that the autopilot ``name`` is armed."""
+    """Return the finding, a warning, that the autopilot ``name`` is armed, with the advice to disarm it."""
     text = "it is armed: its outputs follow any command that it receives"
     return Finding(WARNING, ARMED, "link", name, text, "disarm it, unless a run follows")
 
 
 def check_computer(rig: Rig, status: Status) -> Iterator[Finding]:
-    """Yield the finding on the free space of the disk for logs: a fault, a warning or OK.
+    """Yield one finding on the free space of the disk to which logs are written: a fault, a warning or OK.
 
-    It is a fault below `[log] free_mb` of the rig, and a warning if the space lasts less than four more hours. The rate
-    of the log is that of the recording at rest.
+    It is a fault if the space is below `free_mb` in [log] of the rig. It is a warning if the space above that lasts for
+    less than four hours of logging. ``status`` is the last status of a recording, from which the size of a log per hour
+    is computed.
     """
     place = rig.log_directory
     while not place.exists() and place != place.parent:
@@ -229,26 +240,31 @@ def check_computer(rig: Rig, status: Status) -> Iterator[Finding]:
 
 
 def _wanted_limits(rig: Rig) -> list[str]:
-    """Return the names in [limits] that a rig like this should have: of a boat or bench, with or without a CAN bus."""
+    """Return the keys of the limits that [limits] of this rig should have.
+
+    They are "voltage_min_v", without a load cell (on a boat) also "radius_m", and with a thruster that no autopilot
+    drives also "current_a".
+    """
     on_bench = any(device.protocol in LOAD_CELLS for device in rig.devices)
     on_bus = any(thruster.output is None for thruster in rig.thrusters)  # an autopilot does not report motor currents
     return [*([] if on_bench else ["radius_m"]), "voltage_min_v", *(["current_a"] if on_bus else [])]
 
 
 def check_limits(rig: Rig, guard: SafetyGuard, status: Status) -> Iterator[Finding]:
-    """Yield the findings on the limits of a rig; none if it has no thruster.
+    """Yield the findings on the limits of a rig; no finding if the rig has no thruster.
 
-    Faults are limits whose quantity no device reports. Warnings are limits that the rig file exempts, and recommended
-    limits that it lacks. The last finding lists the limits that are watched.
+    Faults are limits whose quantity no device reports. Warnings are limits that are not watched because `unwatched` in
+    [limits] names them, and recommended limits that are not set. The last finding (OK) lists the limits that are
+    watched.
 
     Parameters
     ----------
     rig : Rig
         The rig with its limits.
     guard : SafetyGuard
-        Safety guard that got every status of the recording.
+        Safety guard that has got every status of a recording.
     status : Status
-        The last status.
+        The last status of the recording.
     """
     if not rig.thrusters:
         return

@@ -35,12 +35,12 @@ MAIN: dict[str, type] = {"nmea": Gnss, "ubx": Gnss, "vectornav": Ahrs, "mip": Ah
 
 
 def _is_attitude(sample: Sample) -> bool:
-    """Return whether a sample is of kind Ahrs and contains a heading, not only accelerations or rates."""
+    """Return whether a sample is of class Ahrs and contains a heading, and not only accelerations or rates."""
     return isinstance(sample, Ahrs) and not math.isnan(sample.yaw)
 
 
 def source_of(device: Device, sample: Sample) -> Source:
-    """Return the name and the node under which the newest sample of this kind is stored in the status.
+    """Return the key (name and node) under which the newest sample of this kind is stored in the status.
 
     Parameters
     ----------
@@ -52,10 +52,10 @@ def source_of(device: Device, sample: Sample) -> Source:
     Returns
     -------
     Source
-        Name, and node or None. The name is that of the device for its main kind of sample, and `DEVICE/KIND` in lower
-        case for every further kind, such as `autopilot/gnss`. The main kind of an autopilot or an NMEA 2000 bus is its
-        attitude; servo outputs of an autopilot also have the name of the device. The node is the number of the speed
-        controller or of the servo output, and None for other samples.
+        Name, and node or None. The name is that of the device for its main kind of sample, and `DEVICE/KIND` for every
+        further kind, with KIND in lower case, such as `autopilot/gnss`. The main kind of an autopilot or an NMEA 2000
+        bus is its attitude; servo outputs of an autopilot also have the name of the device. The node is the number of
+        the speed controller or of the servo output, and None for other samples.
     """
     if not device.sends_many_kinds:
         if isinstance(sample, MAIN.get(device.protocol, Sample)):
@@ -102,7 +102,13 @@ class DeviceLoop(threading.Thread):
         driver: DeviceDriver | None = None,
         on_lost: Callable[[str], None] = lambda reason: None,
     ) -> None:
-        """Prepare the thread of a port. The port is not opened, and the thread is not started."""
+        """Prepare the thread that serves the port of one device. It is not started, and the port is not opened.
+
+        `decoder` decodes the received bytes, and `sink` is the queue of the log. `setpoints` is the schedule of the
+        device's thrusters (None without one), and `driver` encodes the messages to the device (None if nothing is
+        sent). `on_lost` is called with a reason if the port is lost, or this thread or the computer was stopped, so
+        that an old command could have been repeated.
+        """
         super().__init__(name=f"port {device.name}", daemon=True)
         self.device = device
         self._port, self._decoder, self._clock, self._sink = port, decoder, clock, sink
@@ -130,7 +136,7 @@ class DeviceLoop(threading.Thread):
         self._rate = RateMeter(max(RATE_WINDOW_S * clock.speed, 10.0 / device.rate_hz))
 
     def wake(self) -> None:
-        """Wake the thread of the port from its wait, so that it checks the set-points and the driver now.
+        """Wake the thread of the port from its wait, so that it sends set-points and messages that are due now.
 
         Any thread may call this.
         """
@@ -138,14 +144,14 @@ class DeviceLoop(threading.Thread):
             os.write(self._wake_write, b"x")
 
     def end(self) -> None:
-        """Request the thread of the port to send zero, close the port and end. It does not wait; `join` does."""
+        """Request the thread of the port to send zero, close the port and end. The call does not wait; `join` does."""
         self._ending = True
         self.wake()
 
     def run(self) -> None:
-        """Open the port, serve it until `end` is called, send zero and close it. This is the code of the thread.
+        """Open the port of the device, serve it until `end` is called, send zero and close it (code of the thread).
 
-        After any error the port is closed and opened again. The wait before that grows with the number of failures in a
+        After any error the port is closed, and opened again after a wait that grows with the number of failures in a
         row.
         """
         failures = 0
@@ -169,23 +175,26 @@ class DeviceLoop(threading.Thread):
     def _retry_s(self, failures: int) -> float:
         """Return the time [wall s] to wait before the next attempt to open the port.
 
-        `failures` is the number of failed attempts in a row. The wait is short for a port that has commanded thrust,
-        because it still has to send zero.
+        `failures` is the number of failed attempts in a row: the wait grows with it from 0.05 to 1 s. It is at most
+        0.1 s for a port that has commanded thrust, because zero still has to be sent.
         """
         drives = self._setpoints is not None and bool(self._setpoints.held)
         return min(RETRY_S[min(failures, len(RETRY_S) - 1)], DRIVEN_RETRY_S if drives else math.inf)
 
     def is_at_zero(self, now: float) -> bool:
-        """Return whether zero was sent to all thrusters of the port and repeated, and the port is open.
+        """Return whether all thrusters of the port are at zero: it was sent and repeated, and the port is open.
 
-        True if the port has never commanded thrust. `now` is a monotonic time [s].
+        True also if the port has never sent a command. `now` is a monotonic time [s].
         """
         if self._setpoints is None or not self._setpoints.held:
             return True
         return self._open and self._setpoints.is_settled(now)
 
     def _reset_after_open(self) -> None:
-        """Reset the state of the decoder and of the driver after the port was opened, and zero the set-points."""
+        """Reset decoder and driver after the port was opened, and command zero if it has sent a command before.
+
+        Bytes and commands from before a loss of the port then have no effect.
+        """
         self._opened += 1
         self._open, self._problem = True, ""
         self._checked = time.monotonic()
@@ -200,8 +209,8 @@ class DeviceLoop(threading.Thread):
     def _close_lost_port(self, why: str) -> None:
         """Close the port after an error, and store the reason `why` as the fault of the port.
 
-        If the port was open and has commanded thrust, the set-points are first set to zero, and the function `on_lost`
-        of the acquisition process is called with the reason.
+        If the port was open and has sent a command, zero is commanded first, and the acquisition process is informed by
+        its function `on_lost`, so that it stops all thrust.
         """
         was_open, self._open, self._problem = self._open, False, why
         if was_open and self._setpoints is not None and self._setpoints.held:
@@ -210,10 +219,10 @@ class DeviceLoop(threading.Thread):
         self._port.close()
 
     def _step(self) -> None:
-        """Serve the port once. Wait for received bytes or for the next set-point, then read and send.
+        """Serve the port once: wait for received bytes or until something has to be sent, then read and send.
 
-        Set-points that are due, and messages of the driver, are sent. Zero is commanded if the thread or the computer
-        had stopped for a while.
+        Received bytes are decoded. Set-points and messages of the driver that are due are sent. Zero is commanded if
+        this thread or the computer was stopped for a while.
         """
         self._stepped = time.monotonic()
         wait = IDLE_S
@@ -237,11 +246,11 @@ class DeviceLoop(threading.Thread):
             self._poll_driver(self._driver)
 
     def _check_pause(self, setpoints: Setpoints, waited: float = 0.0) -> None:
-        """Command zero if this thread was stopped for more than 0.25 s (STUCK_S): it would repeat an old command.
+        """Command zero to the thrusters of `setpoints` if this thread was stopped for more than 0.25 s (STUCK_S, wall).
 
-        The pause is the time since the last check, minus the intended wait `waited` [wall s]. It does not count if zero
-        was already sent and repeated. The method is called at several places, because a pause can occur at any line of
-        the loop.
+        Otherwise it would repeat an old command. The pause is the time since the last check, minus the intended wait
+        `waited` [wall s]. It does not count if zero was already sent and repeated. The method is called at several
+        places, because a pause can occur at any line of the loop.
         """
         now = time.monotonic()
         paused, self._checked = now - self._checked - waited, now
@@ -250,16 +259,19 @@ class DeviceLoop(threading.Thread):
             self._on_lost(f"the acquisition process stood still for {paused:.1f} s")
 
     def _check_suspend(self, setpoints: Setpoints) -> None:
-        """Command zero if the computer was suspended since the last check, because an old command would be repeated.
+        """Command zero to the thrusters of `setpoints` if the computer was suspended since the last check.
 
-        A port that has never commanded a thruster is not affected.
+        Otherwise an old command would be repeated. Nothing is done if no command was ever sent.
         """
         if (slept := self._suspended.slept()) and setpoints.held:
             setpoints.zero(time.monotonic())
             self._on_lost(f"the computer was suspended for {slept:.1f} s")
 
     def _poll_driver(self, driver: DeviceDriver) -> None:
-        """Write the requests and heartbeats of the driver that are due to the port and to the log, with its events."""
+        """Send the requests and heartbeats of the driver that are due, and put them and its events into the log queue.
+
+        A driver is the encoder of the messages to one device.
+        """
         data = driver.poll(time.monotonic())
         t = self._clock.now()
         if data:
@@ -269,18 +281,19 @@ class DeviceLoop(threading.Thread):
             self._queue_for_log("", b"", t, [(Frame(event, t, NAN), t) for event in events])
 
     def _queue_for_log(self, direction: str, raw: bytes, t: float, frames: list[tuple[Frame, float]]) -> None:
-        """Put the bytes and samples of one read or write into the queue of the log, or count them as dropped.
+        """Put the bytes and samples of one read or write into the queue of the log.
 
-        `direction` is "rx" for received and "tx" for sent bytes, and empty without bytes. `t` is the run time [s] of
-        the read or write. Each frame has its estimated run time [s] beside it.
+        If the queue is full, they are counted as dropped. `direction` is "rx" for received and "tx" for sent bytes, and
+        empty without bytes. `t` is the run time [s] of the read or write. `frames` are the decoded samples, each with
+        its estimated run time [s].
         """
         if not self._sink.put(LogItem(self.device.name, direction, raw, t, frames)):
             self._dropped += max(len(frames), 1)
 
     def _wait_for_bytes(self, fd: int, seconds: float) -> bool:
-        """Wait for bytes at `fd`, for a wake-up or for the given time. Return whether there are bytes.
+        """Wait until there are bytes at the file descriptor `fd`, `wake` is called, or `seconds` (wall) have passed.
 
-        `seconds` is in wall time. If `fd` is negative, only a wake-up or the time ends the wait, and False is returned.
+        Return whether there are bytes. If `fd` is negative, no bytes are awaited, and False is returned.
         """
         fds = [self._wake_read] if fd < 0 else [fd, self._wake_read]
         ready, _, _ = select.select(fds, [], [], seconds)
@@ -289,9 +302,10 @@ class DeviceLoop(threading.Thread):
         return fd >= 0 and fd in ready
 
     def _decode_received(self, data: bytes, t_rx: float) -> None:
-        """Decode bytes that were received at run time `t_rx` [s].
+        """Decode the bytes `data` that were received from the port at run time `t_rx` [s].
 
-        Newest samples and counters are updated, and bytes and samples are put into the queue of the log.
+        The newest samples, the counters and the checks of the sensor are updated. Bytes and samples are put into the
+        queue of the log.
         """
         frames_before = self._decoder.frames
         frames = [
@@ -314,10 +328,11 @@ class DeviceLoop(threading.Thread):
         self._queue_for_log("rx", data, t_rx, frames)
 
     def _is_rated(self, sample: Sample) -> bool:
-        """Return whether a sample counts for the measured rate, which is compared with `rate_hz` of the rig.
+        """Return whether a sample counts for the measured rate of the device.
 
-        For a device with several kinds of samples only the attitudes count. On an NMEA 2000 bus without attitudes the
-        fixes count.
+        This rate is compared with `rate_hz` of the rig. All samples of a device with one kind of samples count. For a
+        device with several kinds (autopilot, NMEA 2000 bus) only the attitudes count; on an NMEA 2000 bus without
+        attitudes the position fixes count.
         """
         if not self._many_kinds:
             return True
@@ -326,10 +341,10 @@ class DeviceLoop(threading.Thread):
         return bool(self.device.is_rated(type(sample), yaw, self._attitudes))
 
     def _exclude_join_bytes(self) -> None:
-        """Exclude the bytes before the first valid frame from the unparsed bytes, once after the port was opened.
+        """Exclude the bytes that came before the first valid frame from the count of unparsed bytes.
 
-        The port may have been opened in the middle of a frame. If there are more than 256 such bytes (JOIN_BYTES), none
-        is excluded.
+        This is done once after each opening of the port, which may be in the middle of a frame. If there are more than
+        256 such bytes (JOIN_BYTES), none is excluded, because they are no rest of a frame.
         """
         if self._joining:
             self._joining = False
@@ -337,13 +352,17 @@ class DeviceLoop(threading.Thread):
             self._uncounted_bytes += before if before <= JOIN_BYTES else 0
 
     def _count_unparsed(self) -> int:
-        """Return the number of received bytes that belong to no valid frame, without the excluded ones."""
+        """Return the number of received bytes that belong to no valid frame.
+
+        The rest of a frame at each opening of the port is not counted (`_exclude_join_bytes`).
+        """
         return self._decoder.unparsed_bytes + self._port.unparsed_bytes - self._uncounted_bytes
 
     def _estimate_run_time(self, frame: Frame) -> float:
-        """Return the estimated run time [s] of a sample, by the clock map of the device.
+        """Return the estimated run time [s] at which the sample in `frame` was measured.
 
-        If the device has no clock, it is the time at which the sample was received.
+        It follows from the device's own time of the sample and the map from the device's clock to run time. If the
+        sample has no time of the device, it is the run time at which it was received.
         """
         if math.isnan(frame.t_device):
             return frame.t_rx
@@ -351,10 +370,10 @@ class DeviceLoop(threading.Thread):
         return self._clock_map.estimate(frame.t_device, frame.t_rx, self._unordered, type(frame.sample))
 
     def _send_setpoints(self, dues: list[Due]) -> None:
-        """Write the set-points that are due to the port and to the log.
+        """Send the set-points `dues`, which are due, to the thrusters of the port, and put them into the log queue.
 
-        Only fresh set-points are logged as commands, and not their repetitions. The run time at which all thrusters are
-        at zero is stored in `zeroed`.
+        Only new set-points are logged as commands; repetitions are logged as bytes. The run time from which all
+        thrusters have got zero is stored in `zeroed`. Nothing is done without a driver or due set-points.
         """
         if self._driver is None or self._setpoints is None or not dues:
             return
@@ -371,11 +390,17 @@ class DeviceLoop(threading.Thread):
 
     @property
     def zeroed(self) -> float:
-        """Run time [s] at which zero was written to every thruster of the port; NaN if a command has followed."""
+        """Run time [s] at which zero was sent to every thruster of the port.
+
+        It is NaN if no set-point was sent yet, or if another command than zero has followed.
+        """
         return self._zeroed
 
     def _send_final_zero(self) -> None:
-        """Close the port. If it is open, first send zero to every thruster three times, and the driver's last bytes."""
+        """Send zero to every thruster of the port three times, send the driver's last bytes, and close the port.
+
+        If the port is not open, nothing is sent. An error of the port is suppressed.
+        """
         with contextlib.suppress(PortError):
             if self._setpoints is not None and self._open:
                 for _ in range(3):
@@ -387,11 +412,11 @@ class DeviceLoop(threading.Thread):
         self._port.close()
 
     def latest(self) -> dict[Source, Latest]:
-        """Return the newest samples of the device as a new dictionary, by name and node (`source_of`)."""
+        """Return the newest sample of each kind and node of the device, by the key of `source_of`, as a new dict."""
         return dict(self._latest)
 
     def request(self, action: str, value: float) -> None:
-        """Pass a request of the operator to the driver of the device. Without a driver nothing happens.
+        """Pass a request of the operator to the driver of the device, which sends it. Without a driver nothing happens.
 
         Parameters
         ----------
@@ -406,24 +431,29 @@ class DeviceLoop(threading.Thread):
             self.wake()
 
     def is_stuck(self, now: float) -> bool:
-        """Return whether the thread of the port hangs under thrust: it did not check its set-points for 0.25 s.
+        """Return whether the thread of the port hangs under thrust: its loop has not run for 0.25 s (STUCK_S, wall).
 
-        `now` is a monotonic time [s]. False if the port is not open, or if zero was sent and repeated.
+        `now` is a monotonic time [s]. Return False if the port is not open, drives no thruster, or has sent and
+        repeated zero.
         """
         commanded = self._setpoints is not None and not self._setpoints.is_settled(now)
         return commanded and self._open and now - self._stepped > STUCK_S
 
     def link(self) -> LinkStatus | None:
-        """Return the state of the autopilot at the port; None without a driver, or if the device is no autopilot."""
+        """Return the state of the autopilot at the port; None if the device is no autopilot or gets no messages."""
         return None if self._driver is None else self._driver.link_at(time.monotonic())
 
     @property
     def hint(self) -> str:
-        """Advice to the user on the port or the link, in one line, such as a slow adapter; empty without advice."""
+        """Advice to the user on the port or the link, such as on a slow adapter, in one line; empty without advice."""
         return self._port.hint or ("" if self._driver is None else self._driver.hint)
 
     def health(self) -> PortHealth:
-        """Return the counters of the port since the start of the log: bytes, frames, errors, losses, clock."""
+        """Return the counters of the port since the start of the log, as they are written to the log every second.
+
+        They are bytes, frames, checksum errors, lost samples, reopenings, and bias and spread of the device clock (NaN
+        without one).
+        """
         decoder, port = self._decoder, self._port
         return PortHealth(
             port=self.device.port,
@@ -438,7 +468,7 @@ class DeviceLoop(threading.Thread):
         )
 
     def status(self, now: float) -> PortStatus:
-        """Return counters, rate and age of the samples, and the fault of the port at run time `now` [s].
+        """Return the state of the port at run time `now` [s]: counters, rate and age of the samples, and its fault.
 
         The live table and the safety guard use it.
         """
@@ -466,10 +496,10 @@ class DeviceLoop(threading.Thread):
         )
 
     def _message(self) -> str:
-        """Return the most severe fault of the device in one line; without a fault the remark of the decoder, or "".
+        """Return the most severe present fault of the port or its device in one line.
 
-        The order is: lost port, fault of the driver, no valid frame in the last 2000 bytes (MUTE_BYTES), faulty
-        samples.
+        The order is: lost port, fault that the driver reports, no valid frame in the last 2000 bytes (MUTE_BYTES),
+        implausible samples. Without a fault return the remark of the decoder on the received data, or an empty text.
         """
         if self._problem:
             return self._problem
@@ -490,12 +520,15 @@ class RateMeter:
     """
 
     def __init__(self, window: float) -> None:
-        """Start without a reading of the counter. `window` is the time [run s] over which the rate is averaged."""
+        """Prepare an estimator that has not read the counter yet.
+
+        `window` is the time [run s] over which the rate is averaged.
+        """
         self._window = window
         self._seen: list[tuple[float, int]] = []
 
     def rate(self, t: float, count: int) -> float:
-        """Return the rate over the last window.
+        """Take a value of the counter, and return the mean rate of the events over the last window of time.
 
         Parameters
         ----------
@@ -507,7 +540,8 @@ class RateMeter:
         Returns
         -------
         float
-            Rate [1/run s]. NaN if the counter is zero, or has not grown since the first read less than a window ago.
+            Rate [1/run s]. It is NaN if the counter is zero, at the first value above zero, and while the counter has
+            not grown since the oldest stored value and this value is less than a window old.
         """
         if count == 0:
             return math.nan

@@ -15,7 +15,7 @@ DISARM = b"V"  # the "magic close" of the kernel's watchdog API
 
 
 class HardwareWatchdog:
-    """Watchdog timer of the computer that is armed from the construction until `close`.
+    """Watchdog timer of the computer: until `close` the computer restarts if `beat` is not called for 10 s.
 
     Parameters
     ----------
@@ -34,9 +34,9 @@ class HardwareWatchdog:
     """
 
     def __init__(self, path: Path) -> None:
-        """Open the timer, which arms it, and set its time-out to 10 s (TIMEOUT_S).
+        """Open the computer's watchdog timer `path`, which arms it, and set its time-out to 10 s (TIMEOUT_S).
 
-        Raise OSError if it cannot be opened.
+        A timer with a fixed time-out keeps its own. Raise OSError if the device file cannot be opened.
         """
         self._file = os.open(path, os.O_WRONLY | os.O_CLOEXEC | os.O_NONBLOCK)
         with contextlib.suppress(OSError):  # some drivers have a fixed time-out
@@ -44,9 +44,10 @@ class HardwareWatchdog:
         self._next = -float("inf")
 
     def beat(self, now: float) -> None:
-        """Restart the time-out of the timer, at most once in 1 s (`BEAT_S`), so that the computer is not restarted.
+        """Restart the time-out of the watchdog timer, so that it does not restart the computer.
 
-        `now` is a monotonic time [s]. A failed write is ignored.
+        `now` is a monotonic time [s]. A call within 1 s (`BEAT_S`) of the last one that wrote does nothing. A failed
+        write is ignored.
         """
         if now >= self._next:
             self._next = now + BEAT_S

@@ -2,8 +2,8 @@
 
 | from | to | messages |
 |---|---|---|
-| parent | acquisition process | Configuration first; ParentAlive, Schedule, ZeroThrust, LogEvent, DriverRequest, Stop |
-| | | StreamSamples, once |
+| parent | acquisition process | Configuration first; ParentAlive, ScheduleSetpoints, ZeroThrust, LogEvent |
+| | | DriverRequest, Stop; StreamSamples, once |
 | acquisition process | parent | StatusReport, SampleBatch, then Failed or Closed as the last |
 | acquisition process | watchdog | WatchdogConfiguration first, then heartbeats of one byte: ACTIVE, IDLE, FINISHED |
 | watchdog | acquisition process | WatchdogReady first, then an answer of one byte to heartbeats |
@@ -33,7 +33,7 @@ ANSWER = b"a"  # answer of the watchdog to heartbeats
 
 @dataclass(frozen=True)
 class Configuration:
-    """Configuration of the acquisition: the first message of the parent.
+    """Configuration of the acquisition process: the first message that its parent sends to it.
 
     Attributes
     ----------
@@ -48,13 +48,13 @@ class Configuration:
     origin
         Raw monotonic time [s] and run time [s] of one instant (`RunClock.origin`).
     role
-        Value of LinkRole: the role towards autopilots.
+        Value of LinkRole: whether the process only listens to autopilots, requests data, or drives.
     attachments
-        Attachments of the log by name.
+        Attachments of the log: bytes by name.
     metadata
-        Metadata of the log by name.
+        Metadata of the log: texts by name.
     terminal
-        Inherited descriptor of the parent's standard error; -1 if it has none.
+        Inherited file descriptor of the parent's standard error; -1 if it has none.
     """
 
     rig_text: str
@@ -125,7 +125,7 @@ class LogEvent:
 
 @dataclass(frozen=True)
 class DriverRequest:
-    """Request of the operator that the acquisition process passes to the driver of a device.
+    """Request of the parent to the acquisition process: send a request of the operator to an autopilot.
 
     Attributes
     ----------
@@ -144,7 +144,7 @@ class DriverRequest:
 
 @dataclass(frozen=True)
 class StreamSamples:
-    """Request of the parent to the acquisition process: send it all further logged samples."""
+    """Request of the parent to the acquisition process: send all further logged samples to the parent."""
 
 
 @dataclass(frozen=True)
@@ -154,7 +154,7 @@ class Stop:
 
 @dataclass(frozen=True)
 class StatusReport:
-    """State of the acquisition, sent every 50 ms.
+    """Message of the acquisition process to the parent, every 50 ms: the state of the acquisition.
 
     Attributes
     ----------
@@ -167,14 +167,14 @@ class StatusReport:
 
 @dataclass(frozen=True)
 class SampleBatch:
-    """Logged samples that the acquisition process sends to the parent.
+    """Message of the acquisition process to the parent: samples that were written to the log.
 
     Attributes
     ----------
     samples
         The samples, oldest first.
     dropped
-        Number of samples, since the start, that could not be sent.
+        Number of samples, since the request for samples, that could not be sent to the parent.
     """
 
     samples: Sequence[StreamedSample]
@@ -209,7 +209,7 @@ class Closed:
 
 @dataclass(frozen=True)
 class WatchdogConfiguration:
-    """Configuration of the watchdog: the process to monitor, and the rig whose thrusters it brings to zero.
+    """First message of the acquisition process to the watchdog: the process to monitor, and the rig with the thrusters.
 
     Attributes
     ----------
@@ -220,7 +220,7 @@ class WatchdogConfiguration:
     pid
         Process id of the acquisition process.
     log
-        Absolute path of the log.
+        Absolute path of the log, beside which the watchdog writes its note.
     """
 
     rig_text: str
@@ -231,7 +231,7 @@ class WatchdogConfiguration:
 
 @dataclass(frozen=True)
 class WatchdogReady:
-    """Report of the watchdog at its start: it is ready, or it cannot work.
+    """First message of the watchdog to the acquisition process: it is ready, or it cannot work.
 
     Attributes
     ----------
@@ -250,9 +250,9 @@ _TYPES: dict[str, type[Message]] = {kind.__name__: kind for kind in Message.__ar
 
 
 def encode_message(message: Message) -> bytes:
-    """Return a message between processes as one line of JSON with its line end.
+    """Return a message between processes as one line of JSON, with the name of its type, its fields and a line end.
 
-    NaN and Infinity are written as these words, as Python's json does.
+    NaN and infinity are written as the words NaN and Infinity, as Python's json does.
     """
     values: dict[str, Any] = {name.name: getattr(message, name.name) for name in dataclasses.fields(message)}
     if isinstance(message, Configuration):
@@ -267,7 +267,7 @@ def encode_message(message: Message) -> bytes:
 
 
 def decode_message(line: bytes | bytearray) -> Message:
-    """Return the message that `encode_message` has written as one line of JSON."""
+    """Return the message between processes that `encode_message` has written as one line of JSON."""
     name, values = json.loads(line)
     kind = _TYPES[name]
     if kind is Configuration:
@@ -283,16 +283,19 @@ def decode_message(line: bytes | bytearray) -> Message:
 
 
 class AcquisitionChannel:
-    """One end of the socket between two processes. Any thread may call `send`; only one thread may call `receive`."""
+    """End of the socket by which two processes exchange messages.
+
+    Any thread may call `send`; only one thread may call `receive`.
+    """
 
     def __init__(self, sock: socket.socket) -> None:
-        """Take over a connected stream socket, which is closed by `close`."""
+        """Use the connected stream socket `sock` for messages. `close` closes it."""
         self._socket = sock
         self._lock = threading.Lock()
         self._buffer = bytearray()
 
     def fileno(self) -> int:
-        """Return the file descriptor of the channel's socket, for `select`."""
+        """Return the file descriptor of the socket, so that `select` can wait for messages of the other process."""
         return self._socket.fileno()
 
     def send(self, message: Message) -> None:
@@ -302,12 +305,14 @@ class AcquisitionChannel:
             self._socket.sendall(data)
 
     def receive(self) -> list[Message]:
-        """Wait for bytes from the other process, and return the messages that are complete. The list may be empty.
+        """Wait for bytes of the other process, and return the messages that are complete now, oldest first.
+
+        The list is empty if the bytes do not complete a message; they are kept for the next call.
 
         Raises
         ------
         EOFError
-            If the other process has closed its end.
+            If the other process has closed its end, or the socket has failed.
         """
         try:
             data = self._socket.recv(1 << 20)
@@ -321,16 +326,16 @@ class AcquisitionChannel:
         return [decode_message(line) for line in lines]
 
     def receive_first(self) -> Message:
-        """Wait for the first message of the other process, and return it.
+        """Wait for the first message of the other process, and return it. Raise EOFError if it closes its end before.
 
-        Raise EOFError if it closes its end before.
+        Further messages that arrive together with the first one are discarded.
         """
         while not (messages := self.receive()):
             pass
         return messages[0]
 
     def messages(self) -> Iterator[Message]:
-        """Yield all messages of the other process until it closes its end."""
+        """Yield the messages of the other process one after the other, with waits, until it closes its end."""
         while True:
             try:
                 yield from self.receive()
@@ -338,7 +343,7 @@ class AcquisitionChannel:
                 return
 
     def close(self) -> None:
-        """Close the socket of the channel. A `receive` that waits in another thread ends too."""
+        """Close the socket to the other process. A `receive` that waits in another thread ends with EOFError."""
         with contextlib.suppress(OSError):  # the other end may be closed already
             self._socket.shutdown(socket.SHUT_RDWR)
         self._socket.close()

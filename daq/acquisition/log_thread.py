@@ -20,11 +20,11 @@ QUEUE_ITEMS = 20_000  # reads and writes in the queue, at most
 WRITE_S = 0.01  # wall s between writes to the log
 HEALTH_S = 1.0  # wall s between writes of the counters
 STREAM_SAMPLES = 5_000  # samples that wait for the parent, at most
-DELETED = "the log was deleted while it is recorded: what comes now is lost"
+DELETED = "the log was deleted during the recording: further data are lost"
 
 
 class LogItem(NamedTuple):
-    """Bytes and decoded frames of one read from a port or one write to it, for the log.
+    """Bytes and decoded samples of one read from a port or one write to it, which wait to be written to the log.
 
     Attributes
     ----------
@@ -48,7 +48,7 @@ class LogItem(NamedTuple):
 
 
 class LogSink:
-    """Bounded queue between the threads of the ports and the log thread. `put` never waits.
+    """Queue of data for the log, between the threads of the ports and the log thread. It is limited; `put` never waits.
 
     Parameters
     ----------
@@ -62,14 +62,18 @@ class LogSink:
     """
 
     def __init__(self, limit: int = QUEUE_ITEMS) -> None:
-        """Make an empty queue for at most `limit` items with raw bytes."""
+        """Make an empty queue of data for the log.
+
+        `limit` is the largest number of reads and writes with raw bytes in it. Events are accepted up to twice this
+        number.
+        """
         self._items: deque[LogItem] = deque()
         self._limit = limit
 
     def put(self, item: LogItem) -> bool:
-        """Append the bytes and samples of one read or write to the queue of the log.
+        """Append the bytes and samples of one read or write, or an event, to the queue of the log.
 
-        Return False, without appending, if the queue is full.
+        Return True, or False without appending it if the queue is full.
         """
         if len(self._items) >= (self._limit if item.raw else 2 * self._limit):
             return False
@@ -77,7 +81,10 @@ class LogSink:
         return True
 
     def take(self) -> list[LogItem]:
-        """Remove and return all items of the queue, oldest first. Only the thread that writes the log may call this."""
+        """Remove and return all data that wait to be written to the log, oldest first.
+
+        Only the thread that writes the log may call this.
+        """
         out = []
         with contextlib.suppress(IndexError):
             while True:
@@ -86,7 +93,9 @@ class LogSink:
 
 
 class SampleStream:
-    """Bounded queue of logged samples for the parent. The log thread puts, the main thread takes, and neither waits.
+    """Queue of logged samples that are to be sent to the parent process. It has a limit, and its methods never wait.
+
+    The log thread calls `put`, and the main thread calls `take`.
 
     Parameters
     ----------
@@ -96,11 +105,11 @@ class SampleStream:
     Attributes
     ----------
     dropped : int
-        Samples for which the queue had no room.
+        Number of samples that were lost because the queue was full.
     """
 
     def __init__(self, limit: int = STREAM_SAMPLES) -> None:
-        """Make an empty queue for at most `limit` samples."""
+        """Make an empty queue for at most `limit` samples that are to be sent to the parent process."""
         self._samples: deque[StreamedSample] = deque()
         self._limit = limit
         self.dropped = 0
@@ -118,32 +127,32 @@ class SampleStream:
         return len(self._samples)
 
     def take(self, n_max: int) -> list[StreamedSample]:
-        """Remove and return the oldest samples of the queue, at most `n_max`."""
+        """Remove and return the oldest samples that wait to be sent to the parent process, at most `n_max`."""
         return [self._samples.popleft() for _ in range(min(n_max, len(self._samples)))]
 
 
 class LogThread(threading.Thread):
-    """Thread that writes the queue into the log. No other thread uses the recorder.
+    """Thread that writes the queued bytes and samples to the log. No other thread writes the log.
 
     Parameters
     ----------
     recorder : Recorder
         The open log. The thread closes it at its end.
     sink : LogSink
-        Queue of the items to write.
+        Queue of the bytes and samples to write.
     health : Callable
-        Function that returns the counters of each port by device; they are written every second.
+        Function that returns the counters of each port by name of the device; they are written every second.
     clock : RunClock
         The run clock.
 
     Attributes
     ----------
     messages : int
-        Samples written.
+        Number of samples written.
     stream : SampleStream or None
-        Queue for the parent; None unless the parent has requested the samples.
+        Queue of the samples for the parent process; None unless the parent has requested them.
     size : int
-        Bytes of the log.
+        Size of the log [bytes].
     failure : str
         Error that has ended the log; empty without one.
     alarm : str
@@ -153,7 +162,11 @@ class LogThread(threading.Thread):
     def __init__(
         self, recorder: Recorder, sink: LogSink, health: Callable[[], dict[str, PortHealth]], clock: RunClock
     ) -> None:
-        """Prepare the thread that writes the log. It is not started."""
+        """Prepare the thread that writes the log. It is not started.
+
+        `recorder` is the open log, which the thread closes at its end. `sink` is the queue of data to write. `health`
+        is a function that returns the counters of each port by name of the device. `clock` is the run clock.
+        """
         super().__init__(name="writer", daemon=True)
         self._recorder, self._sink, self._health_of, self._clock = recorder, sink, health, clock
         self._ending = threading.Event()
@@ -164,9 +177,10 @@ class LogThread(threading.Thread):
         self.alarm = ""
 
     def run(self) -> None:
-        """Run until `end` is called: write the queue every 10 ms, and the counters every second. Then close the log.
+        """Write the queued data to the log until `end` is called, then close the log. This is the code of the thread.
 
-        An error of the log ends the thread and is stored in `failure`.
+        Data are written every 10 ms, and the counters of the ports every second. An error of the log ends the thread
+        and is stored in `failure`.
         """
         set_realtime_priority(behind=1)  # below the ports and set-points, because this thread compresses data
         health_at = time.monotonic() + HEALTH_S
@@ -193,13 +207,16 @@ class LogThread(threading.Thread):
         self.size = self._recorder.size
 
     def end(self) -> None:
-        """Request the thread to write the rest of the queue, close the log and end. It does not wait; `join` does."""
+        """Request the log thread to write the rest of the queue, close the log and end.
+
+        The call does not wait; `join` does.
+        """
         self._ending.set()
 
     def _write_queue(self) -> None:
-        """Write all items of the queue to the log, and pass their samples on to the parent if it has requested them.
+        """Write all queued bytes, samples and events to the log, and pass samples on to the parent if requested.
 
-        Samples of transducers, which no receiver of the stream uses, are only written to the log.
+        Samples of transducers are only written to the log, because the parent does not use them.
         """
         for item in self._sink.take():
             if item.direction:
@@ -214,6 +231,6 @@ class LogThread(threading.Thread):
                         self.stream.put(StreamedSample(item.device, frame.sample, t))
 
     def _write_counters(self) -> None:
-        """Write the counters of all ports to the log."""
+        """Write the present counters of all ports (bytes, frames, errors) to the log."""
         for device, health in self._health_of().items():
             self._recorder.health(device, health, self._clock.now())

@@ -59,7 +59,7 @@ BATCH = 100  # samples in one message to the parent: about 25 kB, which a writab
 
 
 class Process:
-    """Acquisition process: its threads and the handling of the parent's messages.
+    """Acquisition process: it records all devices of a rig, commands their thrusters, and obeys its parent process.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ class Process:
     role : LinkRole
         Role towards autopilots: listen, request rates and parameters, or drive.
     heartbeat : Heartbeat, optional
-        Connection to the watchdog; None if no thrust will be commanded.
+        Sender of heartbeats to the watchdog; None if no thrust will be commanded.
     terminal : int
         File descriptor of the parent's standard error; -1 if it has none.
     """
@@ -89,7 +89,12 @@ class Process:
         heartbeat: Heartbeat | None = None,
         terminal: int = -1,
     ) -> None:
-        """Prepare the threads of all ports and of the log. No thread is started, and no port is opened."""
+        """Prepare the threads of all ports and of the log. No thread is started, and no port is opened.
+
+        `link` is the socket to the parent, `recorder` the open log, and `clock` the run clock. `role` is whether
+        autopilots are only listened to, asked for data, or driven. `heartbeat` sends to the watchdog; None if no thrust
+        will be commanded. `terminal` is the file descriptor of the parent's standard error; -1 without one.
+        """
         self._role, self._terminal = role, terminal
         self._parent = os.getppid()
         self._path = recorder.path
@@ -110,17 +115,17 @@ class Process:
         self._unrequested = self._parent_hangs = False
 
     def terminate(self, number: int, frame: FrameType | None) -> None:
-        """Handle the signal SIGTERM: note that the acquisition has to end.
+        """Handle the signal SIGTERM: store that the acquisition has to end.
 
-        The main thread ends it at its next check of time-outs. `number` and `frame` are not used.
+        The main thread then ends it at its next check of time-outs. `number` and `frame` are not used.
         """
         self._terminated = True
 
     def run(self) -> None:
-        """Run until there is a reason to end, then command zero and close the log.
+        """Run the acquisition until there is a reason to end, then command zero and close the log.
 
-        The reasons are: the parent requests the end, is gone or hangs, or an error occurs. All ports and the log have
-        threads of their own, which this method starts and ends.
+        The reasons are: the parent requests the end, is gone or hangs, SIGTERM, or an error. Each port and the log have
+        a thread of their own, which this method starts and ends.
         """
         self._writer.start()
         for loop in self._loops.values():
@@ -132,9 +137,10 @@ class Process:
         self._shut_down()
 
     def _serve(self) -> None:
-        """Send status, samples and heartbeats, handle messages and check time-outs, until there is a reason to end.
+        """Serve the parent and the watchdog until there is a reason to end, which is stored in `_end_reason`.
 
-        The status is sent to the parent every 50 ms (STATUS_S). The reason to end is stored in `_end_reason`.
+        Status and logged samples are sent to the parent every 50 ms (STATUS_S). Meanwhile messages of the parent are
+        handled, time-outs are checked, and heartbeats are sent to the watchdog.
         """
         status_at = 0.0
         while not self._end_reason:
@@ -150,7 +156,10 @@ class Process:
             self._send_heartbeat()
 
     def _make_loop(self, name: str) -> DeviceLoop:
-        """Return a new thread for the device `name`, with its port, decoder and driver. It is not started."""
+        """Return a new thread that will serve the port of the device `name`, with its decoder and driver.
+
+        The thread is not started.
+        """
         device = self._rig.device(name)
         decoder = make_decoder(device, self._rig)
         return DeviceLoop(
@@ -165,18 +174,19 @@ class Process:
         )
 
     def _role_of(self, name: str) -> LinkRole:
-        """Return the role of this process towards a device.
+        """Return the role of this process towards the autopilot `name`: listen, request data, or drive.
 
-        In a run it is the ground station only of autopilots that drive thrusters. Its heartbeats end with the run, and
-        meanwhile they would hide from an autopilot that the heartbeats of the operator's station are missing.
+        It is the role of the process, but towards an autopilot that drives no thruster the role is at most to request
+        data. Heartbeats of a driving ground station would hide from that autopilot that the heartbeats of the
+        operator's station are missing.
         """
         drives = self._role is not LinkRole.DRIVE or any(thruster.device == name for thruster in self._rig.thrusters)
         return self._role if drives else LinkRole.ASK
 
     def _receive_messages(self) -> None:
-        """Receive the waiting messages of the parent and handle them.
+        """Receive the waiting messages of the parent and handle them in their order.
 
-        Request the end if the parent has closed the socket.
+        If the parent has closed the socket, request the end of the acquisition.
         """
         try:
             messages = self._link.receive()
@@ -188,10 +198,11 @@ class Process:
             self._handle_message(message)
 
     def _send_heartbeat(self, at_once: bool = False) -> None:
-        """Send the heartbeat to the watchdog, unless the thread of a port hangs. Stop thrust if the watchdog fails.
+        """Send a heartbeat to the watchdog, unless the thread of a port hangs. Stop thrust if the watchdog has failed.
 
-        Without heartbeats the watchdog kills this process and sends zero itself. With `at_once` the heartbeat is sent
-        even if the last one was sent a moment ago. Without a watchdog nothing happens.
+        Without heartbeats the watchdog kills this process and sends zero itself. The heartbeat contains whether thrust
+        is commanded, or zero not yet repeated. With `at_once` it is sent even if the last one was sent a moment ago.
+        Without a watchdog nothing happens.
         """
         now = time.monotonic()
         if self._heartbeat is None or any(loop.is_stuck(now) for loop in self._loops.values()):
@@ -205,10 +216,10 @@ class Process:
     def _check_timeouts(self) -> None:
         """Request the end of the acquisition, or stop thrust, after a time-out or a failure.
 
-        The end is requested after SIGTERM, after a failure of the log, and if under thrust the parent or the runner
-        gives no sign of life for 0.25 s (SILENCE_S). Thrust is stopped if no data can be written to the log at present.
-        The method must be called after messages were received, so that a pause of this process does not count as one of
-        the parent.
+        The end is requested after SIGTERM and after a failure of the log. While thrust is commanded it is also
+        requested if no message of the parent, or no heartbeat of the mission's runner, has arrived for 0.25 s
+        (SILENCE_S, wall). Thrust is stopped if no data can be written to the log at present. The method must be called
+        after messages were received, so that a pause of this process does not count as one of the parent.
         """
         now = time.monotonic()
         if self._terminated:
@@ -233,15 +244,19 @@ class Process:
                 )
 
     def _request_end(self, reason: str, unrequested: bool) -> None:
-        """Store the reason to end the acquisition; only the first reason counts.
+        """Store the `reason` to end the acquisition, upon which the main loop ends. Only the first reason counts.
 
-        `unrequested` is whether it ends without a request of the parent.
+        `unrequested` is whether the acquisition ends without a request of the parent.
         """
         if not self._end_reason:
             self._end_reason, self._unrequested = reason, unrequested
 
     def _handle_message(self, message: Message) -> None:
-        """Do what a message of the parent requests. Every message also counts as a heartbeat of the parent."""
+        """Do what a message of the parent requests.
+
+        The requests are to schedule set-points, to command zero, to log an event, to pass a request on to an autopilot,
+        to send samples, and to end. A heartbeat is stored.
+        """
         match message:
             case ParentAlive():
                 self._runner_seen = self._parent_seen if message.runner else self._runner_seen
@@ -262,8 +277,8 @@ class Process:
     def _append_setpoints(self, message: ScheduleSetpoints) -> None:
         """Append set-points of the parent to the schedules of the devices, and wake the threads of their ports.
 
-        They are ignored after this process has stopped thrust by itself. The message also counts as a sign of life of
-        the runner.
+        They are ignored after this process has stopped thrust by itself. The message also counts as a heartbeat of the
+        mission's runner.
         """
         self._runner_seen = self._parent_seen
         nodes = {thruster.name: (thruster.device, thruster.node) for thruster in self._rig.thrusters}
@@ -287,15 +302,16 @@ class Process:
         return {name: loop.health() for name, loop in self._loops.items()}
 
     def _command_zero(self) -> None:
-        """Clear the schedules, command zero to all thrusters at once, and wake the threads of the ports."""
+        """Discard all scheduled set-points and command zero to all thrusters, which the ports' threads send at once."""
         for name, setpoints in self._setpoints.items():
             setpoints.zero(time.monotonic())
             self._loops[name].wake()
 
     def _stop_thrust(self, reason: str) -> None:
-        """Stop thrust without a request of the parent, and keep recording. The reason is logged as an event.
+        """Command zero to all thrusters without a request of the parent, and go on with the recording.
 
-        Thrust cannot start again in this run. Any thread may call this method.
+        Later set-points of this run are ignored. The `reason` is logged as an event and reported in the status. Any
+        thread may call this method.
         """
         with self._thrust:
             self._stopped = self._stopped or reason
@@ -303,7 +319,7 @@ class Process:
         self._log_event("stop", reason)
 
     def _log_event(self, kind: str, text: str) -> None:
-        """Put an event, with the present run time, into the queue of the log.
+        """Put an event, with the present run time, into the queue of the log, from which it is written.
 
         `kind` is a word such as "stop", and `text` describes the event in one line.
         """
@@ -313,8 +329,8 @@ class Process:
     def _shut_down(self) -> None:
         """Command zero, wait until it was repeated, end all threads, close the log and report the end to the parent.
 
-        The heartbeats to the watchdog go on until the ports are closed. If the parent is gone or hangs, the last line
-        of the run is printed here.
+        Autopilots that this run has armed are disarmed. The heartbeats to the watchdog go on until the ports are
+        closed. If the parent is gone or hangs, so that it cannot print the last line of the run, it is printed here.
         """
         self._command_zero()
         self._send_heartbeat(at_once=True)
@@ -366,9 +382,10 @@ class Process:
         return since > RETURN_S or all(loop.is_at_zero(now) for loop in self._loops.values())
 
     def _send_samples(self) -> None:
-        """Send the logged samples to the parent, in messages of 100 samples (BATCH), if it has requested them.
+        """Send the samples that were logged since the last call to the parent, if it has requested samples.
 
-        The method never waits for a parent that does not read, because this thread also checks the time-outs.
+        A message has up to 100 samples (BATCH). The method never waits for a parent that does not read, because this
+        thread also checks the time-outs; the samples then stay in the queue.
         """
         if (stream := self._writer.stream) is None:
             return
@@ -379,7 +396,10 @@ class Process:
                 self._link.send(SampleBatch(stream.take(BATCH), stream.dropped))
 
     def _report_status(self) -> None:
-        """Send the status to the parent, and new warnings to the log. Request the end if the parent is gone."""
+        """Send the status to the parent, and write new warnings to the log.
+
+        If the parent is gone, request the end of the acquisition.
+        """
         try:
             self._reporter.report(self._stopped, self._end_reason if self._unrequested else "")
         except OSError:
@@ -387,10 +407,10 @@ class Process:
 
 
 def _connect_watchdog(rig: Rig, path: Path) -> Heartbeat:
-    """Wait until the watchdog is ready, and return the connection to it.
+    """Wait until the watchdog process is ready, and return the sender of heartbeats to it.
 
-    The socket is the second argument of this process. SeatrialError is raised if the watchdog does not start or cannot
-    work. `path` is that of the log.
+    `rig` has the thrusters, and `path` is that of the log. The socket to the watchdog is the second argument of this
+    process. Raises SeatrialError if the watchdog does not start or cannot work.
     """
     try:
         return Heartbeat(socket.socket(fileno=int(sys.argv[2])), rig, path)
@@ -400,9 +420,10 @@ def _connect_watchdog(rig: Rig, path: Path) -> Heartbeat:
 
 
 def main() -> None:
-    """Receive the configuration from the parent, open the log, and run the acquisition until its end.
+    """Run the acquisition process: receive the configuration from the parent, open the log, and record until the end.
 
-    An error at the start is reported to the parent as a `Failed` message.
+    The arguments of the process are the file descriptors of the sockets to the parent and, if thrust will be commanded,
+    to the watchdog. An error at the start is reported to the parent as a `Failed` message.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     link = AcquisitionChannel(socket.socket(fileno=int(sys.argv[1])))

@@ -26,12 +26,12 @@ ERA = 1024 * 604_800.0  # s; the GPS week number repeats after this time
 
 
 class _RepeatedSample(NamedTuple):
-    """Values that successive samples of one kind, with the same known fields, have in common.
+    """Run of successive samples of one kind of a device that repeat exactly the same values.
 
     Attributes
     ----------
     key
-        Compared values; 0 stands for NaN.
+        Values of the compared fields of these samples; 0 stands for NaN.
     since
         Run time [s] of the first sample with these values.
     until
@@ -52,7 +52,7 @@ _SampleForm = tuple[type, tuple[bool, ...]]
 
 
 def _make_getter(fields: tuple[str, ...]) -> Callable[[Any], tuple[float, ...]]:
-    """Return a function that returns the values of the named fields of a sample as a tuple, also for a single field."""
+    """Return a function of a sample that returns the values of its named fields as a tuple, also for a single field."""
     get: Callable[[Any], Any] = attrgetter(*fields)
     return get if len(fields) > 1 else lambda sample: (get(sample),)
 
@@ -63,13 +63,13 @@ _WHOLE: dict[type, _SampleForm] = {kind: (kind, (True,) * len(limit.fields)) for
 
 
 class SensorHealth:
-    """Plausibility checks of the samples and counters of one device.
+    """Plausibility checks of the samples and counters of one device. They detect faults of the sensor.
 
-    `take` receives each sample and `count` the counters after each read. `message` then returns the present fault.
+    `take` receives each sample, and `count` the counters after each read. `message` then returns the present fault.
     """
 
     def __init__(self) -> None:
-        """Start the checks of a device without samples and without a fault."""
+        """Start the plausibility checks of one device. It has no samples and no fault yet."""
         self._same: dict[_SampleForm, _RepeatedSample] = {}
         self._last = self._now = 0.0
         self._jumps, self._jumped = 0, -math.inf
@@ -79,9 +79,9 @@ class SensorHealth:
         self._counters: deque[tuple[float, int, int]] = deque()
 
     def take(self, frame: Frame) -> None:
-        """Check the sample of a decoded frame for repeated values, spikes and a wrong date of a GNSS receiver.
+        """Check the sample in `frame`: repeated values, spikes of a load cell, or a wrong date of a GNSS receiver.
 
-        The result is returned by `message`.
+        Nothing is returned; `message` reports a fault.
         """
         sample, t = frame.sample, frame.t_rx
         kind = type(sample)
@@ -94,7 +94,7 @@ class SensorHealth:
             self._count_spikes(t, sample.flags)
 
     def count(self, t: float, frames: int, errors: int, jumps: int = 0) -> None:
-        """Store the counters of the decoder and of the clock map. This method must be called after every read.
+        """Store the counters of a device's decoder and of its clock map, after every read from its port.
 
         Parameters
         ----------
@@ -105,7 +105,7 @@ class SensorHealth:
         errors : int
             Wrong checksums so far.
         jumps : int
-            Jumps of the device clock so far.
+            Detected jumps of the device clock so far.
         """
         if jumps != self._jumps:
             self._jumps, self._jumped = jumps, t
@@ -123,15 +123,16 @@ class SensorHealth:
     def _is_stuck(self, form: _SampleForm) -> bool:
         """Return whether the samples of a form repeat the same values for too long, as a dead sensor does.
 
-        A form is the class of a sample and which of its fields have a value. The smallest number and duration are those
-        of STUCK_LIVE, for example 20 attitudes in 5 s. A form that is not sent any more is not stuck.
+        A form is the class of a sample together with which of its compared fields are not NaN; there must be a sample
+        of it. Too long is at least the number of samples and the time in STUCK_LIVE, for example 20 attitudes in 5 s.
+        Return False for a form that the device does not send any more.
         """
         same, limit = self._same[form], STUCK_LIVE[form[0]]
         still_sent = self._last - same.until < limit.seconds
         return still_sent and same.repeats >= limit.samples and same.until - same.since >= limit.seconds
 
     def message(self) -> str:
-        """Return the most severe present fault in one line; empty without a fault.
+        """Return the most severe present fault of the device's samples or counters in one line; empty without a fault.
 
         The order is: wrong checksums, saturation, spikes, repeated values, a jump of the clock, a wrong GPS era.
         """
@@ -152,10 +153,10 @@ class SensorHealth:
         return ""
 
     def _count_repeats(self, kind: type, values: tuple[float, ...], t: float) -> None:
-        """Count how often the values of successive samples of one kind repeat exactly.
+        """Count a sample: whether it repeats exactly the values of the previous sample of its kind.
 
-        `kind` is the class of the sample, `values` are its compared fields, and `t` is its run time [s]. Samples with
-        other missing fields (NaN) are counted separately.
+        `kind` is the class of the sample, `values` are its compared fields, and `t` is its run time [s]. Samples in
+        which other fields are NaN are compared and counted separately.
         """
         total = sum(values)
         if total == total:  # the usual case: no value is NaN

@@ -49,7 +49,7 @@ WATCHDOG_S = 5.0  # longest end of the watchdog, which tries to open ports for 3
 
 
 def _copy_of_stderr() -> int | None:
-    """Return a new descriptor of standard error; None if it is closed, as in a service."""
+    """Return a new file descriptor of standard error; None if standard error is closed, as in a service."""
     try:
         return os.dup(STDERR)
     except OSError:
@@ -57,9 +57,10 @@ def _copy_of_stderr() -> int | None:
 
 
 class Acquisition:
-    """Acquisition of all devices of a rig into a new log, by a process of its own, while the context lasts.
+    """Acquisition of all devices of a rig into a new log while the context lasts.
 
-    Any thread may call the methods. All methods except `alive` raise SeatrialError if the process has failed.
+    It is done by a process of its own, the acquisition process; this class is its interface in the parent process. Any
+    thread may call the methods. All methods except `alive` raise SeatrialError if the process has failed.
 
     Parameters
     ----------
@@ -97,7 +98,12 @@ class Acquisition:
         drive: bool = False,
         ask: bool = False,
     ) -> None:
-        """Prepare the acquisition. The process is started when the context begins."""
+        """Prepare the acquisition of all devices of a rig into the new log `path`.
+
+        The acquisition process is started when the context begins. `clock` is the run clock. `attachments` and
+        `metadata` of the log are bytes and texts by name. `drive` is whether thrust will be commanded; a watchdog
+        process is then started too. `ask` is whether data are requested from autopilots.
+        """
         self._drive = drive
         self._role = LinkRole.DRIVE if drive else LinkRole.ASK if ask else LinkRole.LISTEN
         self.rig, self.path, self.clock = rig, Path(path), clock
@@ -114,12 +120,14 @@ class Acquisition:
         self._watchdog: subprocess.Popen[bytes] | None = None
 
     def __enter__(self) -> Acquisition:
-        """Start the process, and wait until the log is open.
+        """Start the acquisition process, wait until the log is open, and return this object.
+
+        With `drive` a watchdog process is started too.
 
         Raises
         ------
         SeatrialError
-            If the process does not start or cannot open the log.
+            If the process does not start within 30 s (wall), cannot open the log, or gets no watchdog.
         """
         ours, theirs = socket.socketpair()
         self._stderr: IO[bytes] = tempfile.TemporaryFile()
@@ -152,7 +160,9 @@ class Acquisition:
     def _start_process(
         self, module: str, ends: Sequence[int], inherited: Sequence[int] = ()
     ) -> subprocess.Popen[bytes]:
-        """Start a module of this program as a process.
+        """Start a module of this program as a process of its own, and return the process.
+
+        Its standard output and error go to a temporary file, from which a crash is reported.
 
         Parameters
         ----------
@@ -187,19 +197,21 @@ class Acquisition:
                 raise
 
     def schedule(self, rows: Sequence[tuple[float, Mapping[str, float]]]) -> None:
-        """Append set-points. A set-point holds until the next one. A row whose time has passed is sent at once.
+        """Append set-points to the schedule of the acquisition process, which sends each at its run time.
 
-        If the process has stopped thrust by itself (`Status.stopped`), rows are ignored until a new run.
+        A set-point holds until the next one. A set-point whose time has passed is sent at once. If the process has
+        stopped thrust by itself (`Status.stopped`), set-points are ignored until a new run.
 
         Parameters
         ----------
         rows : sequence of tuple
-            Run time [s] and n_cmd by thruster, -1 to 1, positive forward.
+            Pairs of run time [s] and commands n_cmd by name of the thruster, -1 to 1, positive forward.
 
         Raises
         ------
         SeatrialError
-            If the rig lacks a thruster, or if a value is beyond `limits.n_max`.
+            If the rig lacks a thruster, a command is NaN or beyond `limits.n_max`, a time is not finite, or the process
+            has ended.
         """
         limit = min(self.rig.limits.n_max, 1.0)
         for t, row in rows:
@@ -210,7 +222,7 @@ class Acquisition:
         self._send_message(ScheduleSetpoints([(t, dict(row)) for t, row in rows]))
 
     def zero(self, reason: str) -> None:
-        """Clear the schedule and command zero to all thrusters at once; `reason` is logged as an event."""
+        """Discard all scheduled set-points and command zero to all thrusters at once; log `reason` as an event."""
         self._send_message(ZeroThrust(reason))
 
     def mark(self, kind: str, text: str) -> None:
@@ -218,38 +230,47 @@ class Acquisition:
         self._send_message(LogEvent(kind, text))
 
     def stream(self, take: Callable[[Sequence[StreamedSample], int], None]) -> None:
-        """Pass all further logged samples to a function, twenty times a second.
+        """Pass all samples that are logged from now on to a function, up to twenty times a second.
 
         Parameters
         ----------
         take : Callable
-            Called with new samples and with the number of dropped samples. The thread that receives the status calls
-            it, so that it must neither wait nor raise.
+            Function of the new samples and of the number of samples that could not be passed on so far. The thread that
+            receives the status calls it, so that it must neither wait nor raise.
         """
         self._take_samples = take
         self._send_message(StreamSamples())
 
     def request(self, device: str, action: str, value: float = 0.0) -> None:
-        """Send a request to an autopilot. Its answer is in `Status.links`.
+        """Send a request to an autopilot. The method does not wait; the answer will be in `Status.links`.
 
         Parameters
         ----------
         device : str
             Name of the autopilot.
         action : str
-            `arm`, `disarm`, `mode`, or `mute` (send no frame, except a zero command).
+            `arm`, `disarm`, `mode` (change the mode), or `mute` (send no frame to it, except a zero command).
         value : float
-            Number of the mode, or seconds to be mute.
+            Number of the mode for `mode`, wall seconds for `mute`; unused otherwise.
+
+        Raises
+        ------
+        SeatrialError
+            If the rig has no such device, or the acquisition process has ended.
         """
         self.rig.device(device)
         self._send_message(DriverRequest(device, action, value))
 
     def alive(self) -> None:
-        """Report that the runner works. Must be called every 0.1 s (wall) while thrust is commanded."""
+        """Report that the program that commands thrust is still working.
+
+        It must be called every 0.1 s (wall) while thrust is commanded. After 0.25 s without a call the acquisition
+        process commands zero and ends.
+        """
         self._alive.set()
 
     def status(self) -> Status:
-        """Return the newest status, which is about 50 ms (wall) old at most. After `stop` it is the last status.
+        """Return the newest status of the acquisition, at most about 50 ms (wall) old. After `stop` it is the last one.
 
         Raises
         ------
@@ -264,12 +285,12 @@ class Acquisition:
             return self._status
 
     def stop(self) -> None:
-        """Command zero, close the log and wait until it is closed. A second call does nothing.
+        """Command zero, close the log, and wait until the acquisition process has ended. A second call does nothing.
 
         Raises
         ------
         SeatrialError
-            If the process has failed or does not close the log.
+            If the process has failed, or does not close the log within 15 s (wall).
         """
         if self._stopped:
             return
@@ -284,9 +305,9 @@ class Acquisition:
         self._raise_failure()
 
     def _configuration(self, terminal: int) -> Configuration:
-        """Return the configuration, which is the first message to the acquisition process.
+        """Return the first message to the acquisition process: rig, path of the log, clock, role and log metadata.
 
-        `terminal` is the file descriptor of standard error that the process inherits, or -1.
+        `terminal` is the file descriptor of standard error that the process inherits; -1 if it is closed.
         """
         return Configuration(
             rig_text=self.rig.text,
@@ -312,9 +333,9 @@ class Acquisition:
             raise SeatrialError(f"the acquisition process ended{why}; the log is {self.path}") from None
 
     def _send_heartbeats(self) -> None:
-        """Send heartbeats to the acquisition process until the end. This is the code of a thread.
+        """Send a heartbeat to the acquisition process every 50 ms until the acquisition ends (code of a thread).
 
-        Each heartbeat contains whether the runner has called `alive` since the last one.
+        Each heartbeat contains whether `alive` was called since the last one.
         """
         set_realtime_priority()  # a busy machine must not delay the heartbeats, without which thrust ends
         while not self._stopping.wait(HEARTBEAT_S):
@@ -326,10 +347,11 @@ class Acquisition:
                 return
 
     def _receive_messages(self) -> None:
-        """Receive messages of the acquisition process until it closes the socket. Runs as a thread.
+        """Receive messages of the acquisition process until it closes the socket (code of a thread).
 
-        The newest status and the reason for the end are stored, and waiting threads are notified. Streamed samples are
-        passed to the function of `stream`. If the process ends without a last message, its crash is stored as an error.
+        The newest status and the reason for the end are stored, and threads that wait for them are notified. Logged
+        samples are passed to the function that `stream` got. If the process ends without a last message, its crash is
+        stored as an error.
         """
         closed = False
         for message in self._link.messages():
@@ -351,10 +373,11 @@ class Acquisition:
             self._changed.notify_all()
 
     def _describe_crash(self) -> str:
-        """Return the error message, in one line, for a process that has ended without a last message.
+        """Return the error message, in one line, for an acquisition process that has ended without a last message.
 
-        The message contains its exit status, the last line of its standard error, and the note of the watchdog if
-        there is one.
+        It contains the exit status of the process, the last line of its standard error, and the note that the watchdog
+        has written beside the log, if there is one. The method waits up to 2 s for the process and 5 s for the watchdog
+        to end (wall).
         """
         code = "none yet"
         with contextlib.suppress(subprocess.TimeoutExpired):
@@ -374,10 +397,10 @@ class Acquisition:
             raise SeatrialError(self._failure)
 
     def _wait_until(self, condition: Callable[[], bool], seconds: float, failure: str) -> None:
-        """Wait until `condition()` is true.
+        """Wait until the function `condition` returns true. It is called again after each message of the process.
 
-        SeatrialError is raised after `seconds` (wall), with `failure` in its message ("did not start"), or as soon as
-        the process fails.
+        Raises SeatrialError after `seconds` (wall), with the words `failure` in the message, such as "did not start",
+        or as soon as the acquisition process fails.
         """
         with self._changed:
             if not self._changed.wait_for(lambda: condition() or self._failure, timeout=seconds):
@@ -387,7 +410,10 @@ class Acquisition:
             self._raise_failure()
 
     def _release_processes(self) -> None:
-        """Wait for the end of the processes, kill one that does not end, and release all resources."""
+        """Close the socket, wait for the end of acquisition process and watchdog, and end the threads of this object.
+
+        A process that does not end in time (15 s, and 5 s for the watchdog) is killed.
+        """
         self._stopped = True
         self._stopping.set()
         self._link.close()  # a process that still runs then commands zero and closes the log

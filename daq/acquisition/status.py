@@ -50,7 +50,7 @@ class StreamedSample(NamedTuple):
 
 @dataclass(frozen=True)
 class PortStatus:
-    """State of one port. Counters start at the start of the log. Rates and ages refer to run time.
+    """State of the port of one device. Counters start at the start of the log. Rates and ages refer to run time.
 
     Attributes
     ----------
@@ -59,27 +59,27 @@ class PortStatus:
     protocol
         Name of its protocol, such as "vectornav".
     port
-        Device file or address.
+        Device file or network address of the port.
     expected
-        Samples per run second that the rig expects.
+        Samples per run second by the rig file (`rate_hz`).
     rate
-        Samples per run second over the last few seconds, NaN before the second sample.
+        Measured samples per run second over the last few seconds; NaN before the second sample.
     age
-        Run seconds since the last sample, infinite before the first.
+        Run seconds since the last sample; infinite before the first.
     samples
-        Decoded samples.
+        Number of decoded samples.
     frames
-        Valid frames.
+        Number of valid frames.
     checksum_errors
-        Frames with a wrong checksum.
+        Number of frames with a wrong checksum.
     unparsed_bytes
-        Received bytes that belong to no valid frame.
+        Number of received bytes that belong to no valid frame.
     dropped
-        Samples and reads for which the log queue had no room.
+        Number of samples and reads that were not logged, because the queue of the log was full.
     reconnects
         How often the port was opened again after a loss.
     bytes_in
-        Received bytes.
+        Number of received bytes.
     latency
         Mean of receive time minus estimated sample time [s]; NaN for a device without a clock.
     latency_spread
@@ -89,7 +89,7 @@ class PortStatus:
     remark
         Note for the user on a stream without a fault.
     stuck
-        Kinds of samples that repeat the same values, as a dead sensor does.
+        Class names of samples that repeat the same values, as those of a dead sensor do.
     open
         Whether the port is open: False before it was opened and after it was lost.
     """
@@ -126,7 +126,8 @@ class Status:
     ports
         State of each port, by name of the device.
     latest
-        Newest samples, by name and node; the node is None except for speed controllers and servo outputs.
+        Newest samples by `Source`: name of the device (and kind of the sample), and node. The node is None except for
+        speed controllers and servo outputs.
     commanded
         Command n_cmd, -1..1, of each thruster, as last sent; 0 before the first command.
     pending
@@ -148,8 +149,8 @@ class Status:
     links
         State of each autopilot, by name of the device.
     zeroed
-        Run time [s] at which zero was written to the port of a device, by name of the device. A device is missing if a
-        command has followed.
+        Run time [s] at which zero was sent to all thrusters of a device, by name of the device. A device is missing if
+        nothing was sent yet, or if another command has followed.
     alarm
         Why no data are written to the log at present; it is also the first of the warnings.
     hints
@@ -175,7 +176,7 @@ class Status:
 
 
 def count_senders(status: Status, device: str) -> tuple[int, int]:
-    """Count the senders of one device.
+    """Count the kinds of samples and the nodes of one device that have sent a sample so far.
 
     Parameters
     ----------
@@ -195,12 +196,12 @@ def count_senders(status: Status, device: str) -> tuple[int, int]:
 
 
 def fields_of(sample: Sample) -> list[Any]:
-    """Return the values of a sample in the order of its fields. It is ten times as fast as `dataclasses.astuple`."""
+    """Return the values of a sample in the order of its fields, ten times as fast as `dataclasses.astuple`."""
     return [getattr(sample, name) for name in type(sample).__slots__]
 
 
 def to_json(status: Status) -> dict[str, Any]:
-    """Return a status as a dictionary that `json.dumps` can write. NaN and infinity stay floats."""
+    """Return a status of the acquisition as a dictionary that `json.dumps` can write. NaN and infinity stay floats."""
     out = {field.name: getattr(status, field.name) for field in dataclasses.fields(status)}
     out["ports"] = [dataclasses.asdict(port) for port in status.ports.values()]
     out["links"] = {name: dataclasses.asdict(link) for name, link in status.links.items()}
@@ -212,7 +213,7 @@ def to_json(status: Status) -> dict[str, Any]:
 
 
 def from_json(data: dict[str, Any]) -> Status:
-    """Return the status from a dictionary that `to_json` has made and JSON has transported."""
+    """Return the status of the acquisition from a dictionary that `to_json` has made and JSON has transported."""
     ports = {port["name"]: PortStatus(**port | {"stuck": tuple(port["stuck"])}) for port in data["ports"]}
     latest: dict[Source, Latest] = {}
     for device, node, kind, values, t in data["latest"]:

@@ -16,7 +16,9 @@ from seatrial.daq.rig import Rig
 
 
 class StatusReporter:
-    """Reporter of the status to the parent. It also writes each warning, hint and loss of set-points once to the log.
+    """Reporter of the acquisition process: it sends the status to the parent, and logs warnings, hints and losses.
+
+    Each warning and hint is logged once, and each loss of set-points.
 
     Parameters
     ----------
@@ -29,9 +31,9 @@ class StatusReporter:
     clock : RunClock
         The run clock.
     loops : Mapping
-        Threads of the ports by device.
+        Threads of the ports, by name of the device.
     setpoints : Mapping
-        Schedules of set-points by device; only devices that drive thrusters have one.
+        Schedules of set-points, by name of the device; only devices that drive thrusters have one.
     writer : LogThread
         Thread that writes the log.
     event : Callable
@@ -49,7 +51,12 @@ class StatusReporter:
         writer: LogThread,
         event: Callable[[str, str], None],
     ) -> None:
-        """Store the objects whose state is reported. Nothing is sent."""
+        """Store the objects of the acquisition process whose state is reported. Nothing is sent.
+
+        `link` is the socket to the parent, and `path` the path of the log. `loops` are the threads of the ports, and
+        `setpoints` the schedules of thrusters, both by name of the device. `writer` is the log thread, and `event` a
+        function of a kind and a text that writes an event to the log.
+        """
         self._link, self._rig, self._path, self._clock = link, rig, path, clock
         self._loops, self._setpoints, self._writer, self._event = loops, setpoints, writer, event
         self._started = clock.now()
@@ -57,12 +64,12 @@ class StatusReporter:
         self._skipped = 0  # set-points whose loss is in the log
 
     def report(self, stopped: str, ended: str) -> None:
-        """Send the status to the parent, and write new warnings and hints to the log.
+        """Send the status to the parent, and write new warnings, hints and losses of set-points to the log.
 
         Parameters
         ----------
         stopped : str
-            Why the process has stopped thrust; empty if it has not.
+            Why the process has stopped thrust by itself; empty if it has not.
         ended : str
             Why the process ends without a request of the parent; else empty.
 
@@ -92,7 +99,7 @@ class StatusReporter:
             self._skipped = total
 
     def _count_skipped(self) -> int:
-        """Return the number of skipped set-points of all devices since the start."""
+        """Return the number of set-points of all devices that were skipped (never sent) since the start."""
         return sum(setpoints.skipped for setpoints in self._setpoints.values())
 
     def _status(self, stopped: str, ended: str) -> Status:

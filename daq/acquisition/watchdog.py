@@ -54,19 +54,19 @@ READ_BYTES = 4096
 
 
 class Heartbeat:
-    """Sender of the heartbeats of the acquisition process to the watchdog, with a check of the watchdog's answers.
+    """Sender of heartbeats from the acquisition process to the watchdog process, with a check of its answers.
 
     Only the constructor raises errors. Later failures are stored in `trouble`. The watchdog counts as hanging if it
-    does not answer for `ANSWER_S`.
+    does not answer for 1 s (`ANSWER_S`, wall).
 
     Attributes
     ----------
     trouble : str
-        Why the watchdog would not step in; empty while it works.
+        Why the watchdog could not command zero in an emergency; empty while it works.
     """
 
     def __init__(self, sock: socket.socket, rig: Rig, log: Path) -> None:
-        """Send the rig to the watchdog, and wait for up to `READY_S` until it is ready.
+        """Send the rig to the watchdog process, and wait for up to 20 s (`READY_S`, wall) until it is ready.
 
         Parameters
         ----------
@@ -75,12 +75,12 @@ class Heartbeat:
         rig : Rig
             The rig whose thrusters the watchdog brings to zero.
         log : Path
-            The log. The watchdog writes its note beside it.
+            Path of the log. In an emergency the watchdog writes a note beside it.
 
         Raises
         ------
         OSError, EOFError
-            If the watchdog does not start.
+            If the watchdog does not start in this time or ends.
         SeatrialError
             If the watchdog reports that it cannot work.
         """
@@ -97,16 +97,18 @@ class Heartbeat:
         sock.setblocking(False)
 
     def beat(self, active: bool, now: float, at_once: bool = False) -> None:
-        """Send a heartbeat, and read the answers to earlier heartbeats. At most one is sent in `HEARTBEAT_S`.
+        """Send a heartbeat to the watchdog, and read its answers to earlier heartbeats.
+
+        Nothing is done if the last heartbeat is less than 20 ms (`HEARTBEAT_S`, wall) old. Failures set `trouble`.
 
         Parameters
         ----------
         active : bool
-            Whether thrust is commanded.
+            Whether the watchdog must command zero if further heartbeats are missing: thrust is commanded.
         now : float
             Monotonic time [s].
         at_once : bool
-            Whether to send even if the last heartbeat is less than `HEARTBEAT_S` old.
+            Whether to send even if the last heartbeat is less than 20 ms old.
         """
         if at_once or now >= self._next:
             self._next = now + HEARTBEAT_S
@@ -114,10 +116,10 @@ class Heartbeat:
             self._hear(now)
 
     def _hear(self, now: float) -> None:
-        """Read the watchdog's answers to the heartbeats. Set `trouble` if there was no answer for 1 s (`ANSWER_S`).
+        """Read the watchdog's answers to the heartbeats. Set `trouble` if there was none for 1 s (`ANSWER_S`, wall).
 
-        `now` is a monotonic time [s]. If this process itself was stopped since the last call, the time without an
-        answer starts anew.
+        `now` is the present monotonic time [s]. If more than 0.5 s have passed since the last call, this process itself
+        was stopped, and the time without an answer counts from now.
         """
         with contextlib.suppress(OSError):
             if self._socket.recv(READ_BYTES):
@@ -129,7 +131,7 @@ class Heartbeat:
             self.trouble = f"the watchdog has not answered for {ANSWER_S:g} s"
 
     def end(self) -> None:
-        """Report to the watchdog that the acquisition process ends and monitoring is over.
+        """Report to the watchdog that the acquisition process ends, so that it must not be monitored any more.
 
         The thrusters must be at zero.
         """
@@ -150,7 +152,9 @@ class Heartbeat:
 
 
 class HeartbeatMonitor:
-    """Monitor of the heartbeats, which decides when the watchdog steps in. It reads no clock.
+    """Monitor of heartbeats from the acquisition process: it decides when the watchdog must command zero.
+
+    It reads no clock.
 
     Parameters
     ----------
@@ -159,14 +163,14 @@ class HeartbeatMonitor:
     """
 
     def __init__(self, now: float) -> None:
-        """Start at monotonic time `now` [s] without a heartbeat."""
+        """Start to monitor at monotonic time `now` [s]. No heartbeat was received yet, and no thrust is commanded."""
         self._last_heartbeat = self._looked = now
         self._active = False
 
     def look(self, now: float, words: bytes | None) -> str | None:
-        """Process the heartbeats that the watchdog has received, and decide whether it has to step in.
+        """Process the heartbeats that the watchdog has received, and decide whether it must step in and command zero.
 
-        It steps in only while thrust is commanded: if the socket is closed, or after 0.6 s (`HANG_S`) without a
+        It steps in only while thrust is commanded: if the socket is closed, or after 0.6 s (`HANG_S`, wall) without a
         heartbeat. A pause of the watchdog itself does not count.
 
         Parameters
@@ -174,7 +178,8 @@ class HeartbeatMonitor:
         now : float
             Monotonic time [s].
         words : bytes or None
-            Bytes that were read, which may be empty, or None if the socket is closed.
+            Heartbeats as bytes: `ACTIVE` (thrust is commanded), `IDLE` or `FINISHED`; empty if none has arrived. None
+            if the socket is closed.
 
         Returns
         -------
@@ -198,7 +203,7 @@ class HeartbeatMonitor:
 
 
 class FailsafeSender(threading.Thread):
-    """Thread that sends zero to the thrusters of one port, as soon as the port can be opened.
+    """Thread of the watchdog that sends zero to the thrusters of one device, as soon as its port can be opened.
 
     Parameters
     ----------
@@ -214,7 +219,10 @@ class FailsafeSender(threading.Thread):
     """
 
     def __init__(self, device: Device, rig: Rig) -> None:
-        """Prepare the thread for one port. The thread is not started, and the port is not opened."""
+        """Prepare the thread that sends zero to the thrusters of one device in an emergency.
+
+        It is not started, and the port is not opened. All modules that it needs are loaded now.
+        """
         super().__init__(name=f"failsafe {device.name}")
         self._device, self._rig = device, rig
         self._thrusters = [thruster for thruster in rig.thrusters if thruster.device == device.name]
@@ -229,7 +237,10 @@ class FailsafeSender(threading.Thread):
             self._frames = b"".join(pack_can(*vesc.encode_duty(t.node, 0.0)) for t in self._thrusters)
 
     def _prepare(self) -> None:
-        """Make a decoder and a driver. They are made again before use, because an old MAVLink signature is refused."""
+        """Make new encoder and decoder of the device's messages (driver and decoder).
+
+        They are made again before zero is sent, because an autopilot refuses an old MAVLink signature.
+        """
         from seatrial.daq.drivers import LinkRole, make_driver
         from seatrial.daq.protocol import make_decoder
 
@@ -243,9 +254,10 @@ class FailsafeSender(threading.Thread):
         return b"".join(data for data, _ in self._driver.zero(time.monotonic()))
 
     def run(self) -> None:
-        """Open the port, send zero for 1 s (`ZERO_S`), and close the port. After an error, retry for 3 s (`OPEN_S`).
+        """Open the port, send zero to its thrusters for 1 s (`ZERO_S`), and close the port (code of the thread).
 
-        The result is stored in `outcome`. This is the code of the thread.
+        After an error of the port this is tried again, until 3 s (`OPEN_S`) have passed. All times are wall seconds.
+        The result is stored in `outcome`.
         """
         deadline = time.monotonic() + OPEN_S
         if self._driver is not None:
@@ -265,7 +277,10 @@ class FailsafeSender(threading.Thread):
         self._port.close()
 
     def _send_zero(self) -> None:
-        """Send the command zero to the thrusters of the port repeatedly for 1 s (`ZERO_S`), and decode the replies."""
+        """Send zero to the thrusters of the port repeatedly for 1 s (`ZERO_S`, wall), and decode replies meanwhile.
+
+        Raises PortError if the port fails.
+        """
         until = time.monotonic() + ZERO_S
         while time.monotonic() < until:
             ready, _, _ = select.select([self._port.fileno()], [], [], POLL_S)
@@ -277,9 +292,10 @@ class FailsafeSender(threading.Thread):
 
 
 def main() -> None:
-    """Receive the rig from the acquisition process, prepare the ports, and monitor the process until it ends.
+    """Run the watchdog process: receive the rig from the acquisition process, and monitor that process until it ends.
 
-    If the hardware watchdog of the rig cannot be opened, the watchdog reports this and ends.
+    If it dies or hangs while thrust is commanded, zero is sent to its thrusters. If the hardware watchdog of the rig
+    cannot be opened, this is reported to the acquisition process, and the watchdog ends.
     """
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)  # the watchdog ends only when the acquisition process has ended
@@ -314,12 +330,13 @@ def _watch(sock: socket.socket, timer: HardwareWatchdog | None = None) -> str:
     sock : socket.socket
         Connection to the acquisition process.
     timer : HardwareWatchdog, optional
-        Watchdog timer of the computer, which is restarted meanwhile; None if the rig has none.
+        Watchdog timer of the computer, whose time-out is restarted meanwhile; None if the rig names none.
 
     Returns
     -------
     str
-        The reason to step in; empty if the process has finished.
+        Why the watchdog must command zero: the process died or hangs under thrust. It is empty if the process has
+        finished, or has died without thrust.
     """
     sock.setblocking(False)
     watch = HeartbeatMonitor(time.monotonic())
@@ -344,16 +361,18 @@ def _watch(sock: socket.socket, timer: HardwareWatchdog | None = None) -> str:
 
 
 def _step_in(pid: int, log: Path, reason: str, senders: list[FailsafeSender]) -> None:
-    """Kill the acquisition process if it hangs, send zero, and write the reason and the outcome beside the log.
+    """Act in an emergency: kill the acquisition process if it hangs, send zero to all thrusters, and write a note.
+
+    The note contains the time, the reason, and later the outcome of each port.
 
     Parameters
     ----------
     pid : int
         Process id of the acquisition process.
     log : Path
-        The log; the note is `LOG.stop`.
+        Path of the log, LOG. The note is the file `LOG.stop`.
     reason : str
-        Reason from `HeartbeatMonitor.look`. If it contains "died", nothing is killed.
+        Reason that `HeartbeatMonitor.look` has returned. If it contains "died", no process is killed.
     senders : list of FailsafeSender
         One sender for each port with thrusters; their threads are started here.
     """

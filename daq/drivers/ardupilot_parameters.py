@@ -59,7 +59,7 @@ class ParameterMismatch(NamedTuple):
     fatal: bool
 
     def __str__(self) -> str:
-        """Return the mismatch in one line, for the user."""
+        """Return the wrong or unanswered parameter in one line for the user: name, value, required value, effect."""
         if self.value is None:
             return (
                 f"{self.name} was not answered; the link may lose messages: repeat it closer to the boat, "
@@ -69,9 +69,10 @@ class ParameterMismatch(NamedTuple):
 
 
 def parameter_names(thrusters: Sequence[Thruster]) -> tuple[str, ...]:
-    """Return the names of the parameters to request for the thrusters behind one autopilot, each once.
+    """Return the names of the ArduPilot parameters on which the thrusters behind one autopilot depend, each once.
 
-    Thrusters that are not behind an autopilot add no names.
+    They are requested from the autopilot. A thruster without an RC output, which is not behind an autopilot, adds no
+    names; parameters of the whole vehicle are always in the result.
     """
     names = [*LINK_LOSS_PARAMETERS, "MOT_SLEWRATE", "MOT_THR_MIN", "MOT_THST_EXPO", "MOT_THST_ASYM", "MOT_THR_MAX"]
     names += ["MANUAL_STR_EXPO", "SCHED_LOOP_RATE", *FAILSAFE_PARAMETERS, *(name for name, _ in PADDLES.values())]
@@ -111,7 +112,8 @@ def check_parameters(
     Returns
     -------
     tuple of ParameterMismatch
-        The parameters that forbid thrust are first.
+        The wrong parameters, and those that this version of Rover has but that were not answered. Those that forbid
+        thrust (`fatal`) are first.
     """
     mismatches = [*_check_failsafes(parameters, own_system), *_check_mixing(parameters)]
     for thruster in thrusters:
@@ -127,9 +129,10 @@ def check_parameters(
 
 
 def _required_names(p: Mapping[str, float], thrusters: Sequence[Thruster]) -> list[str]:
-    """Return the names of the parameters that this version of Rover certainly has.
+    """Return the names of the needed parameters that this version of ArduPilot Rover certainly has.
 
-    If one of them is not answered, the message was lost. `p` are the values of the answered parameters by name.
+    If one of them is not answered, the message was lost. `p` are the values of the answered parameters by name; they
+    show whether the version is 4.7 or newer. `thrusters` are those behind the autopilot.
     """
     newer, _ = GROUND_STATION_NAMES
     # `_check_failsafes` checks one of the GROUND_STATION_NAMES, and `_check_thruster` the RCMAP parameter of its side.
@@ -140,9 +143,11 @@ def _required_names(p: Mapping[str, float], thrusters: Sequence[Thruster]) -> li
 
 
 def _check_failsafes(p: Mapping[str, float], own_system: int) -> list[ParameterMismatch]:
-    """Return the wrong parameters of failsafes, overrides and ground station.
+    """Return the wrong parameters of failsafes, RC overrides and ground station of an autopilot.
 
-    `p` are the values of the answered parameters by name, and `own_system` is the system id of our ground station.
+    `p` are the values of the answered parameters by name, and `own_system` is the system id of our ground station. If
+    they are not answered, RC_OVERRIDE_TIME, FS_GCS_ENABLE, FS_THR_ENABLE, FS_ACTION and the id of the ground station
+    count as wrong, the others as right.
     """
     mismatches = []
     override = p.get("RC_OVERRIDE_TIME")
@@ -195,7 +200,7 @@ def _check_failsafes(p: Mapping[str, float], own_system: int) -> list[ParameterM
 
 
 def _check_mixing(p: Mapping[str, float]) -> list[ParameterMismatch]:
-    """Return the wrong parameters between the channels and the outputs: mixing, ramps and curves.
+    """Return the wrong parameters of mixing, ramps and curves between RC channels and servo outputs of an autopilot.
 
     `p` are the values of the answered parameters by name. Except for PILOT_STEER_TYPE, a missing one counts as right.
     """
@@ -223,9 +228,11 @@ def _check_mixing(p: Mapping[str, float]) -> list[ParameterMismatch]:
 
 
 def _check_thruster(p: Mapping[str, float], thruster: Thruster) -> list[ParameterMismatch]:
-    """Return the wrong parameters of the channel and the servo output of one thruster; none without an output.
+    """Return the wrong parameters of the RC channel and the servo output of one thruster.
 
-    `p` are the values of the answered parameters by name.
+    The list is empty for a thruster without an output in the rig. `p` are the values of the answered parameters by
+    name. Of the missing ones, those that must have the value of the rig (function, channel and pulse widths) count as
+    wrong, the others as right.
     """
     output = thruster.output
     if output is None:

@@ -72,7 +72,7 @@ class LinkStatus:
         Answer to the last request, for example "arm: accepted" or "arm: failed (PreArm: ...)"; empty while it is
         awaited.
     alarm
-        Last text of severity critical or above.
+        Last text of severity critical or above; empty without one.
     receiver
         Whether the autopilot has received a transmitter since its start; None: it has not reported this.
     other_station_frames
@@ -128,7 +128,7 @@ class DeviceDriver(ABC):
         """
 
     def opened(self, now: float) -> None:
-        """Reset the driver's state of the link, because the port was opened for the first time or again.
+        """Discard what the driver has stored about the link to the device, because the port was opened (again).
 
         The default does nothing. `now` is wall time [s].
         """
@@ -162,15 +162,15 @@ class DeviceDriver(ABC):
     def shutdown_bytes(self, now: float) -> bytes:
         """Return the last bytes that the port sends to the device: after the last zero command and before it is closed.
 
-        The default returns no bytes.
+        `now` is wall time [s]. The default returns no bytes.
         """
         return b""
 
     def zero(self, now: float) -> list[tuple[bytes, list[Due]]]:
         """Encode the command zero for all thrusters of the port, for an emergency stop by the watchdog.
 
-        The result does not depend on earlier commands. It is a list of messages, as from `command`, each with an empty
-        list of set-points. The default returns no message.
+        The result does not depend on earlier commands. It is a list of messages (bytes), each with an empty list of
+        set-points. `now` is wall time [s]. The default returns no message.
         """
         return []
 
@@ -208,7 +208,7 @@ class DeviceDriver(ABC):
 
 @final
 class PollingDriver(DeviceDriver):
-    """Driver of a device that sends only on request.
+    """Driver of a device that sends only on request: it encodes the same request in each period.
 
     Parameters
     ----------
@@ -248,5 +248,5 @@ class PollingDriver(DeviceDriver):
         return self._request
 
     def wait(self, now: float) -> float:
-        """Return the wall time [s] from `now` until the next request is due."""
+        """Return the wall time [s] from `now` until the next request is due; 0 if it is late."""
         return max(self._due - now, 0.0)

@@ -36,23 +36,26 @@ class DronecanDriver(DeviceDriver):
         self._started = self._status_at = -1.0  # wall time [s] of the first and of the last NodeStatus
 
     def command(self, dues: Sequence[Due], held: Mapping[int, float], now: float) -> list[tuple[bytes, list[Due]]]:
-        """Encode one message with the commands of all controllers.
+        """Encode one DroneCAN message (esc.RawCommand) with the commands of all controllers of the bus.
 
         A NodeStatus precedes it if one is due (each second). `dues` are the set-points to send now, `held` are the
-        present commands, -1..1, by controller, and `now` is wall time [s]. The message is returned with the set-points
-        that it contains.
+        present commands, -1..1, by controller, and `now` is wall time [s]. A controller without a command gets zero.
+        The list has one pair: the bytes of the CAN frames, and the set-points `dues` that they contain.
         """
         setpoints = {**dict.fromkeys(self._nodes, 0.0), **held, **{due.node: due.n for due in dues}}
         return [(self._node_status_if_due(now) + self._encode_command(setpoints), list(dues))]
 
     def zero(self, now: float) -> list[tuple[bytes, list[Due]]]:
-        """Encode the command zero for all controllers of the bus: one message, with an empty list of set-points."""
+        """Encode the command zero for all controllers of the bus: one message, with an empty list of set-points.
+
+        `now` is not used.
+        """
         return [(self._encode_command(dict.fromkeys(self._nodes, 0.0)), [])]
 
     def _encode_command(self, setpoints: Mapping[int, float]) -> bytes:
-        """Encode an esc.RawCommand, as CAN frames, from the command, -1..1, of each controller.
+        """Encode a DroneCAN esc.RawCommand, as bytes of CAN frames, from the commands, -1..1, by controller number.
 
-        The command of a reversed controller changes its sign.
+        The command of a reversed controller changes its sign. Each call increases the transfer number.
         """
         signed = {node: -n if node in self._reversed else n for node, n in setpoints.items()}
         number, self._commands = self._commands % NUMBERS, self._commands + 1

@@ -98,7 +98,7 @@ class _Command:
 
 @final
 class MavlinkDriver(DeviceDriver):
-    """Driver of one autopilot. The decoder calls `receive` with each message that it accepts.
+    """Driver of one autopilot on a MAVLink link. The decoder calls `receive` with each message that it accepts.
 
     Parameters
     ----------
@@ -229,8 +229,9 @@ class MavlinkDriver(DeviceDriver):
     def _receive_timesync(self, m: Any, now: float) -> None:
         """Compute the round trip [s] from the autopilot's answer `m` to our TIMESYNC, and keep the shortest one.
 
-        The time stamps of the samples are late by about half of it. After 10 answers (TRIPS), the result is logged as
-        an event.
+        The answer arrived at wall time `now` [s]. A round trip that is not between 0 and 1 s is ignored. The time
+        stamps of the samples are late by about half of the round trip. After 10 answers (TRIPS), the result is logged
+        as an event.
         """
         trip = now - m.ts1 * 1e-9
         if 0.0 < trip < TIMESYNC_S and not trip >= self._status.round_trip:
@@ -346,9 +347,10 @@ class MavlinkDriver(DeviceDriver):
         self._requests.append((action, value))
 
     def _take_requests(self, now: float) -> None:
-        """Put the waiting requests of the operator into the queue of commands.
+        """Put the stored requests of the operator ("arm", "disarm", "mode", "leave") into the queue of commands.
 
-        A request to mute takes effect at wall time `now` [s] and is not queued.
+        A request to mute is not queued; it takes effect at wall time `now` [s]. A request to leave is queued as a
+        disarming if this program has armed the autopilot, and is else ignored.
         """
         while self._requests:
             action, value = self._requests.popleft()
@@ -401,9 +403,9 @@ class MavlinkDriver(DeviceDriver):
         return out
 
     def _is_muted(self, now: float) -> bool:
-        """Return whether the operator has muted the link at wall time `now` [s].
+        """Return whether sending is muted at wall time `now` [s], because the operator has requested it (`request`).
 
-        While zero is commanded, it is never muted.
+        While zero thrust is commanded, it is never muted.
         """
         return now < self._muted_until and any(self._held.values())
 
@@ -438,7 +440,7 @@ class MavlinkDriver(DeviceDriver):
         return b""
 
     def _encode_command(self, command: _Command) -> bytes:
-        """Encode a command to the autopilot as a frame (COMMAND_LONG).
+        """Encode a command to the autopilot as the bytes of one MAVLink frame (COMMAND_LONG).
 
         Its field `confirmation` is the number of earlier tries.
         """
@@ -484,7 +486,10 @@ class MavlinkDriver(DeviceDriver):
         return self._codec.encode("PARAM_REQUEST_READ", *address, names[turn // 2 % len(names)].encode(), -1)
 
     def wait(self, now: float) -> float:
-        """Return the wall time [s] from `now` until `poll` may have frames to send to the autopilot; at least 0."""
+        """Return the wall time [s] from `now` until `poll` may have frames to send to the autopilot; at least 0.
+
+        It is 0 if a request of the operator waits, and otherwise infinite in the role LISTEN.
+        """
         if self._requests:
             return 0.0
         if self._role is LinkRole.LISTEN:
@@ -507,7 +512,8 @@ class MavlinkDriver(DeviceDriver):
         """Encode the commands of all thrusters behind the autopilot as one frame (RC_CHANNELS_OVERRIDE).
 
         `dues` are the set-points to send now. `held` are the present commands, -1..1, by servo output; an output
-        without a command gets neutral. The list is empty if nothing is due or sending is muted. `now` is wall time [s].
+        without a command gets neutral. The list has one pair of frame and `dues`; it is empty if nothing is due or
+        sending is muted. `now` is wall time [s].
         """
         self._held = dict(held)
         return [(self._encode_override(now), list(dues))] if dues and not self._is_muted(now) else []
@@ -515,17 +521,17 @@ class MavlinkDriver(DeviceDriver):
     def zero(self, now: float) -> list[tuple[bytes, list[Due]]]:
         """Encode neutral for all thrusters behind the autopilot, and the command to disarm it, for an emergency stop.
 
-        The result is one message with an empty list of set-points. `now` is wall time [s].
+        The result is one pair: the bytes of both frames, and an empty list of set-points. `now` is wall time [s].
         """
         self._held = {}
         data = self._encode_override(now) + self._encode_command(_Command(ARM, (0.0,) * 7, "disarm", tries=1))
         return [(data, [])]
 
     def _encode_override(self, now: float) -> bytes:
-        """Encode the present commands of all thrusters behind the autopilot as one RC_CHANNELS_OVERRIDE.
+        """Encode the present commands of all thrusters behind the autopilot as one frame RC_CHANNELS_OVERRIDE.
 
-        Channels of the transmitter that drive no thruster are left as they are. `now` is stored as the wall time [s] of
-        sending.
+        A thruster without a command gets neutral. Channels of the transmitter that drive no thruster are left as they
+        are. `now` is stored as the wall time [s] of sending.
         """
         self._overridden = now
         channels = [IGNORED_LOW] * 8 + [IGNORED_HIGH] * 10
@@ -558,7 +564,7 @@ class MavlinkDriver(DeviceDriver):
         return DISARMED if self._disarmed else ", and not answered: it may still be armed"
 
     def message(self) -> str:
-        """Return the fault in the signing of the autopilot's frames, in one line; empty if there is none.
+        """Return the fault in the signing of the autopilot's frames, in one line for the user; empty if there is none.
 
         Either the autopilot signs its frames and the rig has no key, or its frames are not signed with the key of the
         rig.

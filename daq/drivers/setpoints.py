@@ -97,7 +97,7 @@ class Setpoints:
 
     @property
     def pending(self) -> int:
-        """Number of rows of the schedule that have not been sent yet."""
+        """Number of rows (a run time and the commands of that time) of the schedule that have not been sent yet."""
         return len(self._rows)
 
     @property
@@ -110,7 +110,8 @@ class Setpoints:
         """Return the set-points that the port has to send now, and remove them from the schedule.
 
         Commands are repeated every 20 ms (REPEAT_S) while thrust is commanded, and for 0.5 s (ZERO_FOR_S) afterwards.
-        If several set-points of a node are due, only the newest one is returned; the others count as skipped.
+        If several set-points of a node are due, only the newest one is returned; the others count as skipped. The list
+        is empty if nothing is due.
 
         Parameters
         ----------
@@ -140,7 +141,7 @@ class Setpoints:
             return out
 
     def written(self) -> None:
-        """Record that the last result of `due` has been written to the port."""
+        """Record that the set-points of the last call of `due` have been written to the port, for `is_settled`."""
         with self._lock:
             self._unwritten = False
 

@@ -12,12 +12,12 @@ from seatrial.daq.protocol import pack_can, vesc
 
 @final
 class VescDriver(DeviceDriver):
-    """Driver of VESC controllers. It sends duty commands, one frame per controller.
+    """Driver of VESC speed controllers on a CAN bus. It encodes duty commands, one frame per controller.
 
     Parameters
     ----------
     reversed_nodes
-        Nodes of the controllers whose commands change their sign.
+        Numbers of the controllers on the bus whose commands change their sign.
     """
 
     def __init__(self, reversed_nodes: frozenset[int]) -> None:

@@ -22,16 +22,16 @@ USUAL_REST_US = (1000.0, 1500.0)  # us; rest of an ESC for one direction, and of
 
 
 class _StandColumns(NamedTuple):
-    """Names of the columns of a thrust stand's table: thrust, command and speed of its motor.
+    """Names of the columns with thrust, command and shaft speed in the table of a thrust stand with one motor.
 
     Attributes
     ----------
     thrust : str
-        Column of the thrust.
+        Name of the column of the thrust.
     command : str
-        Column of the command of the motor, for example a pulse width.
+        Name of the column of the command of the motor, for example a pulse width.
     speed : str
-        Column of the shaft speed; "" if the table has none.
+        Name of the column of the shaft speed; "" if the table has none.
     """
 
     thrust: str
@@ -40,7 +40,9 @@ class _StandColumns(NamedTuple):
 
 
 def bench_candidates(table: Table, t: Column | None) -> list[Candidate]:
-    """Return the signals in a table of a thrust stand, as candidates for a guessed import map.
+    """Find thrust, command and shaft speed in a table of a thrust stand, as candidates for a guessed import map.
+
+    An import map assigns columns of a source file to signals of a log.
 
     Parameters
     ----------
@@ -52,8 +54,11 @@ def bench_candidates(table: Table, t: Column | None) -> list[Candidate]:
     Returns
     -------
     list of Candidate
-        ``force``, ``n_cmd_thruster`` and, if the table has a shaft speed, ``n_thruster``. The shaft speed gets a low
-        rank if its sign is missing or its rows are too far apart. The list is empty for any other table.
+        One candidate for each signal, with a caveat about what is assumed: ``force`` (the thrust; its sign is changed
+        if it is never positive), ``n_cmd_thruster`` (the command, scaled to -1 to 1) and, if the table has a shaft
+        speed, ``n_thruster`` (the speed divided by its largest magnitude). The map will not contain the shaft speed
+        (rank 5) if only the thrust changes its sign, or if the rows are more than 0.2 s apart. The list is empty for
+        any other table.
     """
     numbers = dict(_number_columns(table))
     found = _stand_columns(table, numbers)
@@ -86,7 +91,7 @@ def bench_candidates(table: Table, t: Column | None) -> list[Candidate]:
 
 
 def _number_columns(table: Table) -> Iterator[tuple[str, Column]]:
-    """Yield the name and the values (n,) of each column of a table that contains numbers.
+    """Yield the name and the values (n,) of each column of a table that contains numbers; NaN for an empty cell.
 
     Columns without a name, of text, without any finite number, or with a name that appears twice are skipped.
     """
@@ -101,11 +106,12 @@ def _number_columns(table: Table) -> Iterator[tuple[str, Column]]:
 
 
 def _stand_columns(table: Table, numbers: Mapping[str, Column]) -> _StandColumns | None:
-    """Find the columns of thrust, command and speed in the table of a thrust stand.
+    """Find the columns of thrust, command and shaft speed of a thrust stand by their names; None without them.
 
-    `numbers` has the values of the columns of numbers. The result is None if the table is from a boat, has no command
-    that changes, or has no thrust or more than one. Of several speeds the one with the most values other than zero is
-    taken; of several commands the first.
+    `numbers` has the values (n,) of the columns of numbers, by name. The result is None if a name has a side (left,
+    right) or a signal of motion, because the table is then from a boat. It is also None if there is no command that
+    changes, or not exactly one thrust. Of several commands the first is taken, and of several speeds the one with the
+    most values other than zero.
     """
     # A name of a side or of a signal of motion means that the table is from a boat. A stand may have an accelerometer.
     words = {name: read_name(name).words for name in numbers}
@@ -125,28 +131,29 @@ def _stand_columns(table: Table, numbers: Mapping[str, Column]) -> _StandColumns
 
 
 def _column_unit(table: Table, column: str) -> str:
-    """Return the unit of a column as an import map writes it, for example "rev/min"; "" without a unit.
+    """Return the unit of a column as an import map writes it, for example "rev/min"; "" if the column has no unit.
 
-    An unknown unit is returned as the column writes it.
+    The unit is stated by the source file or stands in the name of the column. An unknown unit is returned unchanged.
     """
     name = read_name(f"{column} [{table.units[column]}]" if column in table.units else column)
     return name.unit or name.no_unit
 
 
 def _force_unit(table: Table, column: str) -> str:
-    """Return the unit of a thrust column as an import map writes it; "" if it is not a unit of force.
+    """Return the unit of a thrust column as an import map writes it: "N", "kgf", "gf" or "lbf"; "" for any other unit.
 
-    Grams and kilograms count as forces on a thrust stand ("gf", "kgf"). A column without a unit gets "N".
+    Grams, kilograms and pounds are forces on a thrust stand. A column without a unit gets "N".
     """
     return _FORCE.get(_column_unit(table, column), "")
 
 
 def _command_scale(command: Column, response: Column, is_reversed: bool) -> tuple[str, str]:
-    """Return the import map's keys that scale a command (n,) to -1 .. 1, and the caveat about this scale.
+    """Return the keys of an import map that scale a command (n,) to -1 .. 1, as text, and the caveat about this scale.
 
-    Rest is the most frequent command at which the response (n,), a speed or a thrust, is about zero. Without such a row
-    it is the usual rest of an ESC, 1000 us, or 1500 us if `is_reversed` (both directions); 0 if the command is no
-    pulse.
+    Rest becomes 0, and the command farthest from rest becomes 1 or -1. Rest is the most frequent command at which the
+    `response` (n,), a speed or a thrust, is at most 3 % of its largest magnitude. Without such a row, rest of a pulse
+    width is 1000 us, or 1500 us if `is_reversed` (both directions); rest of another command is 0. A command is a pulse
+    width if its maximum is above 700.
     """
     known = np.isfinite(command) & np.isfinite(response)
     at_rest = known & (np.abs(response) <= REST_SHARE * np.nanmax(np.abs(response)))

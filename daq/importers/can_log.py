@@ -42,12 +42,14 @@ _HEAD_BYTES = 65536  # bytes in which the dialect is recognised
 
 
 def is_can_log(head: bytes) -> bool:
-    """Return whether a file with these first bytes is a CAN log: a BLF file, or a text in one of the known formats."""
+    """Return whether a file is a CAN log by its first bytes: a BLF file, or a text in one of the known formats."""
     return head.startswith(BLF) or bool(dialect_of(head))
 
 
 def read_frames(path: Path) -> list[BusFrame]:
     """Read the data frames of a CAN log (BLF, candump, ASC, ...), in the order of the file.
+
+    Error frames, remote requests and CAN FD frames are left out. Lines of a text that are no frames cause a warning.
 
     Raises
     ------
@@ -67,7 +69,7 @@ def read_frames(path: Path) -> list[BusFrame]:
 
 
 def _library_frames(path: Path, name: str) -> Iterator[BusFrame]:
-    """Yield the data frames that the reader `name` of python-can ("BLFReader" or "LogReader") finds in a file.
+    """Yield the data frames of a CAN log that python-can reads by its class `name`, "BLFReader" or "LogReader".
 
     Error, remote and CAN FD frames are skipped. Raise SeatrialError if python-can cannot read the file.
     """
@@ -91,14 +93,14 @@ def read_can(path: Path, options: SourceOptions) -> list[Table]:
     path
         The CAN log.
     options
-        With `dbc`, each message of that database becomes a table. With `rig`, the devices of the rig decode the log.
-        With `protocol`, the decoder of that protocol is used. Without any of them, every protocol is tried and the
-        one with the most samples is used.
+        The first of these options that is given is used. With `dbc`, each message of that database becomes a table.
+        With `rig`, the CAN devices of the rig decode the log. With `protocol`, the decoder of that protocol is used.
+        Without any of them, VESC, DroneCAN and NMEA 2000 are tried, and the one with the most samples is used.
 
     Returns
     -------
     list of Table
-        One table for each message of the DBC, or for each kind of sample.
+        One table for each message of the DBC file, or for each kind of decoded sample and each node.
 
     Raises
     ------
@@ -125,10 +127,10 @@ def read_can(path: Path, options: SourceOptions) -> list[Table]:
 
 
 def _samples_without_rig(frames: list[BusFrame], protocol: str) -> list[tuple[str, Frame]]:
-    """Decode CAN frames by one protocol, for example "vesc", without a rig file.
+    """Decode CAN frames by one protocol ("vesc", "dronecan", "nmea2000") without a rig file.
 
-    Return (bus, decoded sample with its times) for each sample; the list is empty if the log has no frame of the
-    protocol. The speed of a VESC is electrical: the number of pole pairs is unknown, so it is taken as one.
+    Return (name of the bus, decoded sample with its times) for each sample; the list is empty if no frame belongs to
+    the protocol. The speed of a VESC is electrical: the number of pole pairs is unknown, so it is taken as one.
     """
     decoders = {bus: _decoder_without_rig(protocol) for bus in {bus_frame.bus for bus_frame in frames}}
     return [
@@ -139,7 +141,7 @@ def _samples_without_rig(frames: list[BusFrame], protocol: str) -> list[tuple[st
 
 
 def _decoder_without_rig(protocol: str) -> Decoder:
-    """Return a decoder for all nodes of a CAN bus: "vesc", "dronecan", or NMEA 2000 for any other name."""
+    """Return a new decoder for all nodes of a CAN bus: VESC, DroneCAN, or NMEA 2000 for any other `protocol`."""
     if protocol == "vesc":
         return vesc.Decoder(dict.fromkeys(range(256), 1))  # one pole pair for every possible node
     return dronecan.Decoder(frozenset()) if protocol == "dronecan" else nmea2000.Decoder(0.0)
@@ -153,9 +155,10 @@ def _can_frame_bytes(frame: BusFrame) -> bytes:
 def _dbc_tables(path: Path, frames: list[BusFrame], database: Path) -> list[Table]:
     """Decode CAN frames by a DBC file (`database`): one table for each message, with a column for each of its signals.
 
-    The topic of a table is MESSAGE, or MESSAGE_SENDER if a PGN has several senders. It begins with the bus,
-    can0_MESSAGE, if the messages come from several buses. Frames that the DBC cannot decode are counted in the remark
-    of their table. Raise SeatrialError if no frame is in the DBC.
+    A signal that a frame lacks is NaN in its row. The topic of a table is MESSAGE, or MESSAGE_SENDER if several senders
+    send the same J1939 or NMEA 2000 message. It begins with the bus, can0_MESSAGE, if the messages come from several
+    buses. Frames that the DBC file does not define are ignored; frames that it cannot decode are counted in the remark
+    of their table. Raise SeatrialError if no frame can be decoded.
     """
     messages = dbc.load_dbc(str(database)).messages
     messages_by_name = {m.name: m for m in messages}
@@ -219,16 +222,16 @@ def _samples_of_rig(frames: list[BusFrame], rig: Rig) -> Iterator[tuple[Device, 
 
 
 class _FixedClock(NamedTuple):
-    """Clock for a recorder that converts an old log: it always shows the time of the log's first frame.
+    """Clock for a recorder that converts an old log: its time is always that of the log's first frame.
 
     Attributes
     ----------
     t : float
         Time of the first frame [s since 1970].
     speed : float
-        Rate of the clock, always 1.
+        Seconds of this clock in one second of wall time, always 1.
     origin : object
-        Always None.
+        Always None: no other process has to rebuild this clock.
     """
 
     t: float
@@ -241,7 +244,7 @@ class _FixedClock(NamedTuple):
 
 
 def import_can(path: Path, rig_path: Path, *, out: Path | None = None, force: bool = False) -> tuple[Path, str]:
-    """Convert a CAN log to an MCAP log as a live recording with the rig would have made it: raw bytes and samples.
+    """Convert a CAN log to an MCAP log with the raw bytes and samples that a live recording with the rig would have.
 
     Parameters
     ----------
@@ -250,19 +253,19 @@ def import_can(path: Path, rig_path: Path, *, out: Path | None = None, force: bo
     rig_path
         The rig file, whose CAN devices decode the frames.
     out
-        The log to write; by default named after `path`, in the current folder.
+        The log to write; by default it is named after `path`, in the current folder.
     force
         Whether an existing log is replaced.
 
     Returns
     -------
     tuple
-        The path of the log, and a summary in one line.
+        The path of the new log, and the numbers of samples and CAN frames as a text.
 
     Raises
     ------
     SeatrialError
-        If a file cannot be read, or no frame belongs to a device of the rig.
+        If a file cannot be read, no frame belongs to a device of the rig, or the log exists and `force` is not set.
     """
     rig = load_rig(rig_path)
     frames = sorted(read_frames(path), key=lambda frame: frame.t)

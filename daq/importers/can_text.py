@@ -37,7 +37,7 @@ class BusFrame(NamedTuple):
     Attributes
     ----------
     t : float
-        Time of the frame [s since 1970], or since the start of the log.
+        Time of the frame [s since 1970], or [s] since the start of a log without a date.
     bus : str
         Name or number of the bus, as the log writes it.
     word : int
@@ -89,7 +89,7 @@ _CANBOAT = re.compile(
 
 
 class _Dialect(NamedTuple):
-    """Text format of CAN logs, for example that of candump: its name, the pattern of a line, and the parser of a line.
+    """Text format (dialect) of CAN logs, for example that of candump: its name, the pattern and the parser of a line.
 
     Attributes
     ----------
@@ -98,8 +98,8 @@ class _Dialect(NamedTuple):
     form : re.Pattern
         Pattern of a line with a frame.
     frames : callable
-        Function that converts the named groups of a matching line to CAN frames. It may change the `_LogState` of the
-        log.
+        Function that takes the state of the log and the texts of the pattern's groups by name, and yields the CAN
+        frames of the line. It may change the state. It raises ValueError for an invalid number.
     """
 
     name: str
@@ -110,10 +110,12 @@ class _Dialect(NamedTuple):
 class _LogState:
     """State of the parser of one CAN log in text form: the values of its heading, and a counter of fast packets.
 
+    A fast packet is a message of NMEA 2000 above 8 bytes, which is sent as several frames.
+
     Attributes
     ----------
     start : float
-        Time that is added to the times of the frames [s since 1970].
+        Time that is added to the times of the frames [s since 1970]; 0 if the heading has no date.
     since_midnight : float
         Time of day of the start [s].
     base : int
@@ -156,7 +158,7 @@ def dialect_of(head: bytes) -> str:
 
 
 def read_text_frames(path: Path, dialect: str) -> list[BusFrame]:
-    """Read the data frames of a CAN log in text form. Warn about lines that are not frames.
+    """Read the data frames of a CAN log in text form. Warn if lines are neither frames nor part of the heading.
 
     Parameters
     ----------
@@ -168,12 +170,12 @@ def read_text_frames(path: Path, dialect: str) -> list[BusFrame]:
     Returns
     -------
     list of BusFrame
-        The frames in the order of the file, with times in s since 1970 or since the start of the log.
+        The frames in the order of the file, with times in s since 1970, or since the start of a log without a date.
 
     Raises
     ------
     SeatrialError
-        If the file cannot be read, its frames have no times, or most of its lines are not frames.
+        If the file cannot be read, its frames have no times, or more lines are unknown than there are frames.
     """
     dialect_of_log = next(known for known in _DIALECTS if known.name == dialect)
     log = _LogState()
@@ -206,10 +208,10 @@ def read_text_frames(path: Path, dialect: str) -> list[BusFrame]:
 
 
 def _with_continuous_times(log: _LogState, dialect: str, frames: list[BusFrame]) -> list[BusFrame]:
-    """Return CAN frames with times [s] that do not start again: the start of the log plus the time since then.
+    """Return CAN frames with continuous times: the start of the log (`log.start`) plus the time since then [s].
 
-    Times that count from the previous frame are summed. In formats with times of day, 24 h are added at each midnight.
-    `log` has the start, in s since 1970, or 0 if the log has no date.
+    Times that count from the previous frame are summed. In formats with times of day ("BusMaster", "Yacht Devices",
+    "N2K"), 24 h are added at each midnight. The start is in s since 1970, or 0 if the log has no date.
     """
     t, total = [frame.t for frame in frames], 0.0
     is_delta = log.is_delta
@@ -229,9 +231,10 @@ def _with_continuous_times(log: _LogState, dialect: str, frames: list[BusFrame])
 
 
 def _is_heading(log: _LogState, dialect: str, line: str) -> bool:
-    """Return whether a line of a CAN log that is no frame is part of the heading, a comment, or an event without data.
+    """Return whether a line of a CAN log without a data frame is a known one: a heading, a comment or an event.
 
-    The date, number base and time mode in a heading are stored in `log`.
+    The date, the number base and the mode of the times (absolute, or counted from the previous frame) in a heading are
+    stored in `log`.
     """
     if dialect == "ASC":
         return _is_asc_heading(log, line)
@@ -250,9 +253,10 @@ def _is_heading(log: _LogState, dialect: str, line: str) -> bool:
 
 
 def _is_asc_heading(log: _LogState, line: str) -> bool:
-    """Return whether a line of an ASC file is part of the heading, an event, or any text that begins without a digit.
+    """Return whether a line of an ASC file without a frame is a known one: a heading, an event, or a text.
 
-    The date, number base and time mode in a heading are stored in `log`.
+    An event begins with a time. A text is any line that begins without a digit. The date, the number base and the mode
+    of the times (absolute, or counted from the previous frame) in a heading are stored in `log`.
     """
     low = line.lower()
     if (date := _ASC_DATE.match(line)) is not None:
@@ -268,9 +272,10 @@ def _is_asc_heading(log: _LogState, line: str) -> bool:
 
 
 def _asc_date(parts: Fields) -> float:
-    """Return the date in the heading of an ASC file, taken as UTC [s since 1970]; 0 if the month is unknown.
+    """Return the date and time in the heading of an ASC file, taken as UTC [s since 1970]; 0 if the month is unknown.
 
-    `parts` are the groups of `_ASC_DATE`: year, month, day, h, m, s, and half ("am", "pm" or "").
+    `parts` are the texts of the heading by name: year, month, day, h, m, s, and half ("am", "pm", or "" for 24 h).
+    Raise ValueError for a day that does not exist.
     """
     month = next((k for k, name in enumerate(_MONTHS, 1) if re.match(name, parts["month"].lower())), 0)
     hours = int(parts["h"])
@@ -285,8 +290,8 @@ def _asc_date(parts: Fields) -> float:
 def _candump_frames(log: _LogState, parts: Fields) -> Iterator[BusFrame]:
     """Yield the CAN frame of a candump line; `parts` are its texts: time "t", "bus", "id" and hexadecimal "data".
 
-    CAN FD frames, remote requests and error messages yield no frame. A line without a time sets `log.has_no_times`.
-    Raise ValueError if the number of data bytes differs from the number that the line states.
+    CAN FD frames, remote requests, error messages and data above 8 bytes yield no frame. A line without a time sets
+    `log.has_no_times`. Raise ValueError if the number of data bytes differs from the number in the line.
     """
     text = parts["data"]
     if not parts["t"]:
@@ -304,9 +309,9 @@ def _candump_frames(log: _LogState, parts: Fields) -> Iterator[BusFrame]:
 
 
 def _text_seconds(text: str) -> float:
-    """Convert the time in a line of a CAN log to s: a number, or a date and a time of day, which are taken as UTC.
+    """Convert the time in a line of a CAN log to s: a number of seconds, or an ISO date and time in UTC.
 
-    An empty text gives 0. Raise ValueError for other texts.
+    A date and time give s since 1970. An empty text gives 0. Raise ValueError for other texts.
     """
     if "-" not in text:
         return float(text or "0")
@@ -317,7 +322,8 @@ def _text_seconds(text: str) -> float:
 def _asc_frames(log: _LogState, parts: Fields) -> Iterator[BusFrame]:
     """Yield the CAN frame of a line of a Vector ASC file; no frame for a remote request.
 
-    `parts` are the texts of the line, for example its "id" and "data", and `log` has their number base, 10 or 16.
+    `parts` are the texts of the line by name, for example "id" and "data". `log.base` is their number base, 10 or 16.
+    Data beyond 8 bytes are cut off. Raise ValueError for an invalid number.
     """
     data = bytes(int(part, log.base) for part in parts["data"].split())
     if parts["kind"] in "dD":
@@ -326,9 +332,11 @@ def _asc_frames(log: _LogState, parts: Fields) -> Iterator[BusFrame]:
 
 
 def _busmaster_frames(log: _LogState, parts: Fields) -> Iterator[BusFrame]:
-    """Yield the CAN frame of a BusMaster line, with the time since midnight [s]; no frame for a remote request.
+    """Yield the CAN frame of a BusMaster line with its time [s], which is usually the time of day.
 
-    `parts` are the texts of the line, for example its "id" and "data", and `log` has their number base, 10 or 16.
+    Remote requests and data above 8 bytes yield no frame. `parts` are the texts of the line by name, for example "id"
+    and "data". `log.base` is their number base, 10 or 16; an identifier with 0x is always hexadecimal. Raise ValueError
+    for an invalid number.
     """
     data = bytes(int(part, log.base) for part in parts["data"].split())
     word = int(parts["id"], 16 if parts["id"].startswith("0x") else log.base)
@@ -341,7 +349,8 @@ def _busmaster_frames(log: _LogState, parts: Fields) -> Iterator[BusFrame]:
 def _yacht_frames(log: _LogState, parts: Fields) -> Iterator[BusFrame]:
     """Yield the CAN frame of a line in Yacht Devices' RAW format, with the time since midnight [s].
 
-    `parts` are the texts of the line: time "t", "id" and "data". Data beyond 8 bytes are cut off.
+    `parts` are the texts of the line by name: time "t", "id" and "data". Data beyond 8 bytes are cut off. `log` is not
+    used.
     """
     hours, minutes, seconds = parts["t"].split(":")
     t = 3600.0 * int(hours) + 60.0 * int(minutes) + float(seconds)
@@ -349,9 +358,10 @@ def _yacht_frames(log: _LogState, parts: Fields) -> Iterator[BusFrame]:
 
 
 def _n2k_frames(log: _LogState, parts: Fields) -> Iterator[BusFrame]:
-    """Yield the CAN frames of a message in Actisense's N2K ASCII format, with the time since midnight [s].
+    """Yield the CAN frames of an NMEA 2000 message in Actisense's N2K ASCII format, with the time since midnight [s].
 
-    `parts` are the texts of the line, for example "pgn" and "data". A message above 8 bytes becomes several frames.
+    `parts` are the texts of the line by name, for example "pgn" and "data". A message above 8 bytes becomes several
+    frames (a fast packet), which increases the sequence number in `log`.
     """
     clock = parts["t"]
     t = 3600.0 * int(clock[:2]) + 60.0 * int(clock[2:4]) + float(clock[4:])
@@ -362,8 +372,9 @@ def _n2k_frames(log: _LogState, parts: Fields) -> Iterator[BusFrame]:
 def _canboat_frames(log: _LogState, parts: Fields) -> Iterator[BusFrame]:
     """Yield the CAN frames of an NMEA 2000 message in canboat's text format, with the time since 1970 [s].
 
-    `parts` are the texts of the line, for example "pgn" and "data". A message above 8 bytes becomes several frames.
-    Raise ValueError if the number of data bytes differs from the number that the line states.
+    `parts` are the texts of the line by name, for example "pgn" and "data". A message above 8 bytes becomes several
+    frames (a fast packet), which increases the sequence number in `log`. Raise ValueError if the number of data bytes
+    differs from the number in the line.
     """
     text = parts["t"]
     t = _text_seconds(text[:10] + "T" + text[11:])
@@ -375,10 +386,11 @@ def _canboat_frames(log: _LogState, parts: Fields) -> Iterator[BusFrame]:
 
 
 def _message_frames(log: _LogState, t: float, numbers: Sequence[int], data: bytes) -> Iterator[BusFrame]:
-    """Yield the CAN frames of a complete NMEA 2000 message at the time `t` [s]; above 8 bytes they are a fast packet.
+    """Yield the CAN frames of a complete NMEA 2000 message at the time `t` [s].
 
-    `numbers` are priority, PGN, source and destination address. A PGN above 0x3FFFF or an address above 255 gives no
-    frame. The sequence number in `log` is increased by each fast packet.
+    `numbers` are priority, PGN (number of the message), source and destination address. Data above 8 bytes become
+    several frames (a fast packet), which increases the sequence number in `log`. A PGN above 0x3FFFF or an address
+    above 255 yields no frame.
     """
     priority, pgn, source, to = numbers
     if pgn > LARGEST_PGN or source > 255 or to > 255:

@@ -1,4 +1,4 @@
-"""Recogniser of the clock of a table: the column of its times, their format, and a caveat if the format is a guess."""
+"""Recogniser of the clock of a table: the column with the times of its rows, their format, and a caveat about it."""
 
 from __future__ import annotations
 
@@ -99,7 +99,9 @@ class Clock(NamedTuple):
 
 
 def clock_of(table: Table) -> Clock:
-    """Find the column with the times of a table, and their format, by the names and values of the columns.
+    """Find the column with the times of a table's rows, and their format, by the names and values of the columns.
+
+    If no column has the name of a time, one of the first two columns is taken if it contains dates or rises evenly.
 
     Parameters
     ----------
@@ -146,10 +148,10 @@ def clock_of(table: Table) -> Clock:
 
 
 def _named_clock(table: Table, name: str, dates: Sequence[str], weeks: Sequence[str]) -> Clock:
-    """Return the format of the time column `name`, with a column of dates or GPS weeks if the times need one.
+    """Return the clock of a table whose time column is `name`: its format, and its column of dates or GPS weeks.
 
-    `dates` and `weeks` are names of such columns; the first of each is used. A GPS week completes times in s or ms,
-    with a caveat if it counts modulo 1024. A date completes times of day.
+    `dates` and `weeks` are names of columns of dates and GPS weeks; the first of each is used. A GPS week completes
+    times in s or ms, with a caveat if it counts modulo 1024. A date completes times of day.
     """
     form, caveat = _time_format(table, name)
     clock = Clock(name, form, caveat)
@@ -168,9 +170,10 @@ def _named_clock(table: Table, name: str, dates: Sequence[str], weeks: Sequence[
 
 
 def _digits_only_clock(table: Table, name: str) -> Clock | None:
-    """Return the time column `name` with its date column if both are digits only, as 130000.5 and 120524 (ddmmyy).
+    """Return the clock of a table whose times and dates are digits only, as 130000.5 (hhmmss) and 120524 (ddmmyy).
 
-    A date of 8 digits is yyyymmdd. Return None if the times are not of the form hhmmss, or no column of dates fits.
+    `name` is the column of the times. The column of the dates is found by its name; a date of 8 digits is yyyymmdd.
+    Return None if the times are not of this form, or no column of dates fits.
     """
     times = _typical_texts(table.text(name))
     if not times or not all(re.fullmatch(r"([01]\d|2[0-3])([0-5]\d){2}(\.\d+)?", text) for text in times):
@@ -189,7 +192,7 @@ def _digits_only_clock(table: Table, name: str) -> Clock | None:
 
 
 def _is_text(table: Table, name: str) -> bool:
-    """Return whether a column of a table contains texts that are not numbers."""
+    """Return whether a column of a table is text, so that it cannot be read as numbers."""
     try:
         table.numbers(name)
     except SeatrialError:
@@ -212,9 +215,9 @@ def row_seconds(table: Table, clock: Clock) -> Column | None:
 
 
 def _rises_evenly(values: Column) -> bool:
-    """Return whether the values of a column (n,) rise evenly, as the times of rows at a fixed rate.
+    """Return whether the values of a column (n,) rise evenly, as the times of rows at a fixed rate do.
 
-    It has more than 10 steps, all positive, which differ by less than half their mean.
+    They have more than 10 steps, all positive, and the largest step exceeds the smallest by less than half the mean.
     """
     steps = np.diff(values)
     return bool(len(steps) > 10 and np.all(steps > 0.0) and np.ptp(steps) < 0.5 * np.mean(steps))
@@ -223,8 +226,9 @@ def _rises_evenly(values: Column) -> bool:
 def _with_row_rate(table: Table, clock: Clock) -> Clock:
     """Add the rate of the rows [Hz] to a clock whose time stamps are coarser than the rows, as whole seconds at 10 Hz.
 
-    The rate is set only if all stamps except the first and the last have about the same number of rows. Otherwise the
-    clock gets a caveat. A clock whose times fall, are missing, or differ from row to row is returned unchanged.
+    The rate is set, with a caveat, if the stamps are even and all except the first and the last have about the same
+    number of rows. Otherwise the clock only gets a caveat. It is returned unchanged if times fall or are missing, if
+    most stamps have a single row, or if there are fewer than 7 stamps.
     """
     t = row_seconds(table, clock)
     if t is None or not np.all(np.diff(t) >= 0.0):  # also for NaN
@@ -246,10 +250,10 @@ def _with_row_rate(table: Table, clock: Clock) -> Clock:
 
 
 def _may_be_time(table: Table, name: str, rising: float = 0.5) -> bool:
-    """Return whether the values of a column allow that it is the time of the rows.
+    """Return whether a column may be the time of the rows, by its values.
 
-    More than the share `rising` (0 to 1) of the steps of numbers must be positive. Texts must contain digits and differ
-    from row to row.
+    More than the share `rising` (0 to 1) of the steps between its numbers must be positive; fewer than two numbers give
+    False. Texts must have a digit in the first 20 rows, and more than one different text per 1000 rows.
     """
     try:
         values = table.numbers(name)
@@ -310,7 +314,8 @@ def format_of_text(texts: Sequence[str]) -> tuple[str, str]:
     Returns
     -------
     tuple of str
-        ``iso`` or a strptime pattern, "" if no pattern fits; and the caveat, "" if the format is certain.
+        ``iso`` or a strptime pattern, "" if no pattern fits or all cells are blank; and the caveat, "" if the format is
+        certain.
     """
     tried = _typical_texts(texts)
     if not tried:
@@ -374,9 +379,9 @@ def _pattern_shapes(pattern: str) -> frozenset[str]:
 
 
 def _is_unpadded(pattern: str, texts: Sequence[str]) -> bool:
-    """Return whether a pattern reads milliseconds behind a colon, and a text has fewer than three digits for them.
+    """Return whether a pattern has milliseconds behind a colon that some texts write with fewer than 3 digits.
 
-    Such a logger leaves out leading zeros: 12:00:00:5 means 5 ms, not half a second.
+    Such a logger leaves out leading zeros, so that 12:00:00:5 means 5 ms. The pattern would read half a second.
     """
     return ":%f" in pattern and not all(re.search(r":\d{3}(\D|$)", text) for text in texts)
 
@@ -396,7 +401,7 @@ def _typical_texts(texts: Sequence[str]) -> list[str]:
 
 
 def _day_format(texts: Sequence[str]) -> str:
-    """Return the strptime pattern of dates without a time of day; "" if the texts are not such dates."""
+    """Return the first strptime pattern that reads texts as dates without a time of day; "" if none does."""
     tried = _typical_texts(texts)
     return next(iter(_fitting_patterns(tried, _DAYS)), "") if tried else ""
 
@@ -414,8 +419,9 @@ def _reads_all(read: Callable[[str], object], texts: Sequence[str]) -> bool:
 def _format_of_numbers(values: Column, name: Name) -> tuple[str, str]:
     """Return the format of times that are numbers (n,), by their size and their median step, and the caveat about it.
 
-    The format is a unit ("s", "ms", "us", "ns", "day"), "labview", "datenum" or "excel". The default is "s". The caveat
-    is "" if size and step are clear. `name` has the unit and the words in the name of the column.
+    The numbers must be finite, and at least two. The format is a unit ("s", "ms", "us", "ns", "day"), "labview",
+    "datenum" or "excel". The default is "s". The caveat is "" if size and step are clear. `name` has the unit and the
+    words in the name of the column.
     """
     top, steps = float(np.max(np.abs(values))), np.diff(values)
     step = float(np.median(steps))

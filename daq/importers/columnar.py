@@ -33,12 +33,13 @@ def read_matlab(path: Path, options: SourceOptions) -> list[Table]:
     Returns
     -------
     list of Table
-        One table for each topic and each length of columns. A remark lists the objects that cannot be read.
+        One table for each topic (name of a table) and each length of columns above 1. The remark of the first table
+        lists the objects that cannot be read.
 
     Raises
     ------
     SeatrialError
-        If the file cannot be read or contains no vectors of numbers.
+        If the file cannot be read, contains no vectors of numbers, or needs a package that is not installed.
 
     Notes
     -----
@@ -87,10 +88,10 @@ def read_matlab(path: Path, options: SourceOptions) -> list[Table]:
 
 
 def _merged_by_times(path: Path, tables: Sequence[Table]) -> list[Table]:
-    """Merge the tables of one signal each whose times are equal into one table, and return all tables.
+    """Merge tables that have a time and a single signal into one table if their times are equal, and return all tables.
 
-    Simulink's To Workspace blocks write one variable for each signal. Only signals of one table, as x and y, are
-    recognised as a position.
+    The merged table has the topic "" and comes after the other tables. Simulink's To Workspace blocks write one
+    variable for each signal. Only signals of one table, as x and y, are recognised as a position.
     """
     by_times: dict[bytes, list[Table]] = {}
     for table in tables:
@@ -108,10 +109,10 @@ def _merged_by_times(path: Path, tables: Sequence[Table]) -> list[Table]:
 
 
 def _vector_columns(vector: Vector) -> Iterator[tuple[str, Column]]:
-    """Yield name and values (n,) of a MATLAB vector, or of each column of a matrix: M[0], M[1], ...
+    """Yield name and values (n,) of a MATLAB vector, or of each column of a matrix M: M[0], M[1], ...
 
-    The longer side of a matrix is the time. A matrix of more than 16 columns, or an array of more dimensions, yields
-    nothing.
+    Time runs along the longer side of a matrix. A matrix of more than 16 columns, or an array of more dimensions,
+    yields nothing.
     """
     array = np.atleast_1d(np.squeeze(vector.values)).astype(np.float64)
     if array.ndim == 1:
@@ -166,8 +167,8 @@ def read_parquet(path: Path, options: SourceOptions) -> list[Table]:
     Returns
     -------
     list of Table
-        One table. Dates are in s since 1970, times of day in s since midnight, durations in s. A remark lists the
-        columns of other types.
+        One table, in a list. Dates are in s since 1970, times of day in s since midnight, durations in s. An empty cell
+        is NaN, in a column of text "". A remark lists the columns of other types, which are left out.
 
     Raises
     ------

@@ -22,7 +22,8 @@ def is_chain(place: int, size: int, end_of: Callable[[int], int]) -> bool:
     Returns
     -------
     bool
-        True for `RESYNC_MESSAGES` messages in a row, or for fewer messages that reach exactly the end of the log.
+        True for three messages in a row (`RESYNC_MESSAGES`), or for fewer messages of which the last ends exactly at
+        the end of the log.
     """
     for _ in range(RESYNC_MESSAGES):
         place = end_of(place)

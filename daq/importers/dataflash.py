@@ -41,7 +41,7 @@ NO_TYPE = 0  # MAV_TYPE of an unknown vehicle, whose modes have no names
 
 
 class _MessageConverter:
-    """Converter of DataFlash messages to samples, with one method for each type of message.
+    """Converter of the messages of an ArduPilot DataFlash log to samples, with one method for each type of message.
 
     `joined` completes the samples after the whole log has been read. If no shaft speed of the log is negative, the
     speeds are magnitudes, and each gets the sign of its output.
@@ -51,13 +51,16 @@ class _MessageConverter:
     vehicle : int
         MAV_TYPE of the vehicle, `NO_TYPE` (0) if unknown. The caller sets it before the first message.
     take : dict
-        Method for each type of message: it takes a message of DFReader and returns the samples in it.
+        Method for each type of message: it takes a message of DFReader and returns the list of samples in it.
     parameters : dict
         Parameters of the autopilot so far, by name.
     """
 
     def __init__(self, rig: Rig | None, device: Device | None) -> None:
-        """Prepare the conversion. The thrusters of `device` in `rig` name and scale the outputs; both may be None."""
+        """Prepare the conversion for the autopilot `device` of `rig`; both may be None.
+
+        The thrusters of the device select and scale the outputs. Without a rig, outputs are pulse widths only.
+        """
         self.vehicle = NO_TYPE  # MAV_TYPE
         thrusters = [t for t in rig.thrusters if device is not None and t.device == device.name] if rig else []
         self._outputs = {t.node: (t.output, -1.0 if t.reversed else 1.0) for t in thrusters if t.output is not None}
@@ -76,18 +79,19 @@ class _MessageConverter:
         self._pilot = Autopilot(0, 0, 3)
 
     def _on_imu(self, m: Any) -> Found:
-        """Store time, angular rates and specific forces of an IMU message, if it is of the first IMU. Return no sample.
+        """Store time, angular rates and specific forces of a DataFlash IMU message, if it is of the first IMU.
 
-        After the whole log has been read, `joined` adds them to the attitudes.
+        Return no sample. After the whole log has been read, `joined` adds the stored values to the attitudes.
         """
         if getattr(m, "I", 0) == 0:
             self._imu.append((m._timestamp, m.GyrX, m.GyrY, m.GyrZ, m.AccX, m.AccY, m.AccZ))
         return []
 
     def _on_gpa(self, m: Any) -> Found:
-        """Store the age [s] of a fix of the first receiver from a GPA message: its time minus the arrival of the fix.
+        """Store the age [s] of a fix from a DataFlash GPA message of the first receiver: time of message minus arrival.
 
-        Return no sample. After the whole log has been read, `joined` sets the fix back by this age.
+        An age that is negative or above 1 s is ignored. Return no sample. After the whole log has been read, `joined`
+        sets the fix back by its age.
         """
         age = getattr(m, "TimeUS", NAN) * 1e-6 - getattr(m, "SMS", NAN) * 1e-3
         if getattr(m, "I", 0) == 0 and 0.0 <= age < OLDEST_FIX_S:
@@ -97,8 +101,9 @@ class _MessageConverter:
     def joined(self, rows: list[Timed]) -> Iterator[Timed]:
         """Complete the samples of a DataFlash log after the whole log has been read, and yield them in order.
 
-        An attitude gets rates and specific forces of the IMU message nearest in time. If no shaft speed of the log is
-        negative, each gets the sign of its output. A fix gets the time of its arrival. Other samples are unchanged.
+        An attitude gets rates and specific forces of the IMU message nearest in time, if the log has IMU messages. If
+        no shaft speed of the log is negative, each gets the sign of its output. A fix gets the time of its arrival.
+        Other samples are unchanged.
         """
         times = np.array([row[0] for row in self._imu])
         middle = (times[1:] + times[:-1]) / 2
@@ -113,15 +118,15 @@ class _MessageConverter:
             yield Timed(Frame(sample, t_rx, t_device - age), row.t - age)
 
     def _on_att(self, m: Any) -> Found:
-        """Convert an ATT message to an AHRS sample with the attitude [rad].
+        """Convert a DataFlash ATT message to an AHRS sample with the attitude [rad].
 
-        Rates and accelerations are NaN until `joined` adds them.
+        Rates, specific forces and magnetic field are NaN; `joined` adds rates and specific forces later.
         """
         yaw, pitch, roll = (math.radians(angle) for angle in (m.Yaw, m.Pitch, m.Roll))
         return [Ahrs(wrap_angle(yaw), pitch, roll, *[NAN] * 6)]
 
     def _on_gps(self, m: Any) -> Found:
-        """Convert a GPS message of the first receiver to a fix; no sample for other receivers.
+        """Convert a DataFlash GPS message of the first receiver to a GNSS sample; no sample for other receivers.
 
         Values that its kind of fix does not determine are NaN: the position without a fix, the velocity below a 2D fix.
         """
@@ -146,7 +151,7 @@ class _MessageConverter:
         ]
 
     def _on_rcou(self, m: Any) -> Found:
-        """Convert an RCOU message to a Servo sample with the pulse width [us] of each output.
+        """Convert a DataFlash RCOU message to one Servo sample for each output, with its pulse width [us].
 
         With a rig these are the outputs of its thrusters. Each also has the command (-1 to 1) by the scale of the rig;
         without a pulse it is 0. Without a rig these are the outputs of 1 to 14 that have had a pulse.
@@ -164,16 +169,17 @@ class _MessageConverter:
         return found
 
     def _on_esc(self, m: Any) -> Found:
-        """Convert an ESC message to a sample with speed, current, voltage and temperature of a motor controller.
+        """Convert a DataFlash ESC message to a sample of a motor controller: speed, current, voltage, temperature.
 
-        The sample also has the last command of the output with the same number. Store whether a speed was negative.
+        The sample also has the last command of the output with the same number, NaN without one. Store whether a speed
+        was negative.
         """
         node = m.Instance + 1
         self._is_signed = self._is_signed or m.RPM < 0.0
         return [Esc(node, m.RPM, m.Curr, self._n.get(node, NAN), m.Volt, m.Temp)]
 
     def _on_bat(self, m: Any) -> Found:
-        """Convert a BAT message to voltage, current and charge (0 to 1, NaN if unknown) of the first battery.
+        """Convert a DataFlash BAT message to voltage, current and charge (0 to 1, NaN if unknown) of the first battery.
 
         Messages of other batteries give no sample.
         """
@@ -182,49 +188,49 @@ class _MessageConverter:
         return [Battery(m.Volt, m.Curr, getattr(m, "RemPct", NAN) * 0.01)]
 
     def _on_msg(self, m: Any) -> Found:
-        """Convert an MSG message, a text of the autopilot, to an event."""
+        """Convert a DataFlash MSG message, a text of the autopilot, to an event."""
         return [Event("statustext", str(m.Message))]
 
     def _on_mode(self, m: Any) -> Found:
-        """Convert a MODE message to the state of the autopilot with its new mode, and an event with the mode's name."""
+        """Convert a DataFlash MODE message to the autopilot's state with the new mode, and an event with its name."""
         self._pilot = replace(self._pilot, mode=m.ModeNum if hasattr(m, "ModeNum") else int(m.Mode))
         return [self._pilot, Event("autopilot", mode_name(self._pilot.mode, self.vehicle))]
 
     def _on_arm(self, m: Any) -> Found:
-        """Convert an ARM message to the state of the autopilot after arming or disarming, and an event."""
+        """Convert a DataFlash ARM message to the state of the autopilot after arming or disarming, and an event."""
         self._pilot = replace(self._pilot, armed=int(bool(m.ArmState)), state=3 + bool(m.ArmState))
         return [self._pilot, Event("autopilot", "armed" if self._pilot.armed else "disarmed")]
 
     def _on_ev(self, m: Any) -> Found:
-        """Convert an EV message to an event with the number of the autopilot's event (LogEvent of ArduPilot)."""
+        """Convert a DataFlash EV message to an event with the number of ArduPilot's event (LogEvent)."""
         return [Event("autopilot", f"event {m.Id} (LogEvent)")]
 
     def _on_err(self, m: Any) -> Found:
-        """Convert an ERR message to an event with the error code and the number of the autopilot's subsystem."""
+        """Convert a DataFlash ERR message to an event with error code and number of the autopilot's subsystem."""
         return [Event("autopilot", f"error {m.ECode} of subsystem {m.Subsys} (LogErrorSubsystem)")]
 
     def _on_parm(self, m: Any) -> Found:
-        """Store a parameter of the autopilot from a PARM message, by its name. Return no sample."""
+        """Store a parameter of the autopilot from a DataFlash PARM message, by its name. Return no sample."""
         self.parameters[str(m.Name)] = float(m.Value)
         return []
 
 
 def read_dataflash(path: Path, rig: Rig | None, device: Device | None) -> tuple[list[Timed], str, dict[str, float]]:
-    """Read the samples in a DataFlash log (BIN), which ArduPilot writes.
+    """Read the samples in a DataFlash log (BIN), which ArduPilot writes. Warn about damaged or unknown messages.
 
     Parameters
     ----------
     path
         The log.
     rig
-        The rig, which names and scales the outputs; None to read all outputs as pulse widths.
+        The rig, which selects and scales the outputs; None to read all outputs as pulse widths.
     device
         The autopilot of the rig; None without a rig.
 
     Returns
     -------
     tuple
-        The samples, a summary in one line, and the parameters of the autopilot.
+        The samples with their times, a summary in one line, and the parameters of the autopilot by name.
 
     Raises
     ------
@@ -352,17 +358,17 @@ def _file_of_whole_messages(path: Path, whole: bytes | None) -> Iterator[Path]:
 
 
 def firmware_type(texts: Iterable[str]) -> int | None:
-    """Return the MAV_TYPE (type of vehicle) of the first text that begins with an ArduPilot firmware; None without one.
+    """Return the MAV_TYPE (type of vehicle) of ArduPilot's firmware, by the messages of an autopilot; None if unknown.
 
-    For example "ArduRover V4.7.0" gives 10.
+    The first text that begins with the name of a firmware counts. For example "ArduRover V4.7.0" gives 10.
     """
     return next((number for text in texts for name, number in FIRMWARE.items() if text.startswith(name)), None)
 
 
 def _vehicle_of_log(log: Any) -> int:
-    """Return the MAV_TYPE (type of vehicle) by the text messages of a DataFlash log, `NO_TYPE` (0) if unknown.
+    """Return the MAV_TYPE (type of vehicle) by the text messages (MSG) of a DataFlash log, `NO_TYPE` (0) if unknown.
 
-    Read the log and rewind it to its beginning.
+    `log` is pymavlink's reader. It is read to the end and then rewound to the beginning.
     """
     texts = (str(getattr(message, "Message", "")) for message in iter(lambda: log.recv_match(type="MSG"), None))
     found = firmware_type(texts)

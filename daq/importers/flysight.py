@@ -41,7 +41,8 @@ def read_flysight(path: Path, options: SourceOptions) -> list[Table]:
     Returns
     -------
     list of Table
-        One table for each sensor. Times are in s since 1970, or in s since power-on if the file has no UTC.
+        One table for each sensor that has times. They are in s since 1970, or in s since power-on if the file has no
+        UTC. Rows with GPS time (TIME) make a table only if there is no other. A remark counts incomplete rows.
 
     Raises
     ------
@@ -116,9 +117,9 @@ def _sensor_rows(
 ) -> _SensorRows:
     """Convert the text cells of one FlySight sensor to a table, with the line number of each row.
 
+    `columns` are the names of the columns, "time" among them. Each of `rows` has its line number in front of its cells.
     Rows whose time cannot be read are left out. The remark of the table counts these and the `n_lost` incomplete rows.
-    A cell that is not a number becomes NaN. `columns` contains the column "time". Each of `rows` has its line number in
-    front.
+    A cell that is not a number becomes NaN.
     """
     at = columns.index(_TIME)
     t = np.array([_cell_seconds(row[at + 1]) for row in rows])
@@ -155,10 +156,10 @@ def _cell_number(cell: str) -> float:
 
 
 def _move_to_utc(sensors: list[_SensorRows]) -> None:
-    """Move the times since power-on of FlySight sensors to UTC, in place.
+    """Convert the times since power-on of FlySight sensors to UTC, in place.
 
-    The TIME rows give the conversion. Without them the fixes among the rows give an offset, with a remark. Without
-    fixes the times are not changed.
+    The TIME rows have both times and give the conversion. Without them the position fixes, which have UTC, and the rows
+    of the sensor before them give an offset, with a remark. Without fixes the times are not changed.
     """
     clock = next(
         (sensor for sensor in sensors if sensor.table.topic == _CLOCK and {"tow", "week"} <= set(sensor.table.names)),
@@ -188,10 +189,10 @@ def _move_to_utc(sensors: list[_SensorRows]) -> None:
 
 
 def _on_other_clock(t: Column, known: Column, delay: Column) -> Column:
-    """Convert times (n,) [s] to another clock by a straight line through the differences of both clocks.
+    """Convert times `t` (n,) [s] to another clock by a straight line through the measured differences of both clocks.
 
-    The differences `delay` (m,) [s] were measured at the times `known` (m,). Their median is added if there are fewer
-    than three of them, or all are of one time.
+    The differences `delay` (m,) [s], other clock minus clock of `t`, were measured at the times `known` (m,) of the
+    clock of `t`. Only their median is added if there are fewer than three of them, or all are of one time.
     """
     if len(known) < 3 or np.ptp(known) == 0.0:
         return np.asarray(t + np.median(delay))

@@ -98,12 +98,13 @@ def guess_map(path: Path, dbc: Path | None = None, folder: Path | None = None) -
     Returns
     -------
     Guess
-        The map, and the reason why no fit is possible.
+        The text of the map, and the reason why no fit is possible with it ("" if a fit should be possible).
 
     Raises
     ------
     SeatrialError
-        If the source cannot be read, or a text contains no table of numbers.
+        If the source cannot be read, is already a seatrial log, or is a text without a table of numbers; also if `dbc`
+        is given for a source that is no CAN log.
     """
     kind = source_kind(path)
     if kind.name == "ros" and _is_log(path):
@@ -153,7 +154,7 @@ def guess_map(path: Path, dbc: Path | None = None, folder: Path | None = None) -
 
 
 def _is_log(path: Path) -> bool:
-    """Return whether a file is a log of seatrial. A file that cannot be opened as a log is none."""
+    """Return whether a file is a log of seatrial; False also if it cannot be opened as a log."""
     try:
         with open_log(path) as log:
             return log.metadata.get("format") == LOG_FORMAT
@@ -169,8 +170,8 @@ def _toml_text(text: str) -> str:
 def _style_line(options: SourceOptions, kind: str) -> list[str]:
     """Return the line `csv = ...` of a guessed import map, in a list; an empty list if the source is not a text table.
 
-    The line has delimiter, decimal mark, encoding and header of the text. Its keys also drop cells without a number and
-    rows out of order.
+    `kind` is the kind of source, "csv" for a text table. The line has delimiter, decimal mark, encoding and header of
+    the text in `options.style`. Its keys also drop cells without a number and rows out of order.
     """
     if kind != "csv":
         return []
@@ -189,10 +190,10 @@ def _style_line(options: SourceOptions, kind: str) -> list[str]:
 
 
 def _main_clock(candidates: Sequence[Candidate], clocks: Clocks) -> Clock:
-    """Return the time column for [time] of a guessed import map: that of the first candidate whose table has one.
+    """Return the time column, with its format, for the table [time] of a guessed import map.
 
-    Without such a candidate it is the time column of any table, else an empty `Clock`. `clocks` has the time column of
-    each table, by the id of the table.
+    It is that of the first candidate whose table has one. Without such a candidate it is the time column of any table,
+    else an empty `Clock`. `clocks` has the time column of each table, by the id of the table.
     """
     found = [clocks[id(candidate.table)] for candidate in candidates]
     return next((clock for clock in (*found, *clocks.values()) if clock.column), Clock())
@@ -201,9 +202,9 @@ def _main_clock(candidates: Sequence[Candidate], clocks: Clocks) -> Clock:
 def _time_lines(tables: Sequence[Table], candidates: Sequence[Candidate], clocks: Clocks, main: Clock) -> list[str]:
     """Return the line `time = ...` of a guessed import map, after comments with the caveats about all time columns.
 
-    The line names the time column in `main`. It has `rate_hz` instead if the stamps are coarser than the rows, and a
-    guessed rate of 10 Hz without a time column. The list is empty if all tables have their own times. `clocks` has the
-    time column of each table, by the id of the table.
+    The line names the time column in `main`. It has the rate of the rows (`rate_hz`) instead if the time stamps are
+    coarser than the rows, and a guessed rate of 10 Hz without a time column. The list is empty if all tables have their
+    own times. `clocks` has the time column of each table, by the id of the table.
     """
     if not tables or all(table.t is not None for table in tables):
         return []
@@ -278,11 +279,12 @@ def _named_columns(table: Table, clocks: Clocks) -> Iterator[tuple[str, Name, fr
 
 
 def _column_candidates(table: Table, clocks: Clocks, together: Mapping[frozenset[str], Column]) -> Iterator[Candidate]:
-    """Yield the signals that the names of columns suggest, as candidates for a guessed import map.
+    """Yield the signals that the names of a table's columns suggest, as candidates for a guessed import map.
 
-    Tables with messages of a known type yield nothing here. `together` has the numbers of the left and right columns of
-    each quantity of thrusters, so that both sides get the same scale. `clocks` has the time column of each table, by
-    the id of the table.
+    These are commands, shaft speeds and forces of thrusters, and the signals of the boat's motion. Tables with messages
+    of a known type yield nothing here. `together` has the numbers of the left and right columns of each quantity of
+    thrusters, so that both sides get the same scale. `clocks` has the time column of each table, by the id of the
+    table.
     """
     message = table.kind.rpartition("/")[2]
     names: dict[str, tuple[str, Name]] = {}
@@ -318,10 +320,11 @@ def _column_candidates(table: Table, clocks: Clocks, together: Mapping[frozenset
 
 
 def _with_hold(taken: MapSignal, t: Column | None, values: Column, words: frozenset[str]) -> tuple[MapSignal, str]:
-    """Add to an input of a guessed map its hold ("linear" or "sampled") between its rows, judged by its values (n,).
+    """Add to an input of a guessed map its hold between rows ("linear" or "sampled"), judged by its values (n,).
 
     Return the input, and a caveat about the hold. The input is unchanged, without a caveat, if its times `t` (n,) [s]
-    are None or it has a hold already. `words` are the words of its name: words of a set-point exclude a shaft speed.
+    are None or it has a hold already. `words` are the words of its name: it may be a shaft speed only if "n" is among
+    them and no word of a set-point.
     """
     if t is None or "hold = " in taken.extra:
         return taken, ""
@@ -401,12 +404,18 @@ def _motion_candidates(
         (`seatrial.daq.importers.recognise.NAMES`).
     numbers
         Values (n,) by column.
+
+    Notes
+    -----
+    A position comes from x and y or from latitude and longitude, and a velocity from north and east components or from
+    speed and course. A latitude above 90 degrees gets a rank with which it is not chosen.
     """
 
     def pair(group: str, rank: int, a: str, b: str, unit: str, caveat: str = "") -> Iterator[Candidate]:
-        """Yield a candidate with the signals `a` and `b`, as x and y, if the table has both; nothing otherwise.
+        """Yield a candidate with the signals `a` and `b`, for example "x" and "y", if the table has both of them.
 
-        `unit` is the default for columns without a unit in their name. A lower `rank` is preferred.
+        `group` is their quantity, for example "position". A lower `rank` is preferred. `unit` is the default for
+        columns without a unit in their name. `caveat` is what is uncertain; "" if nothing is.
         """
         if a in names and b in names:
             taken = tuple(MapSignal(n, (names[n][0],), names[n][1].unit or unit) for n in (a, b))
@@ -472,8 +481,8 @@ def _motion_candidates(
 def _angle_unit(name: Name, values: Column) -> tuple[str, str]:
     """Return the unit of a heading or course (n,), "rad", "deg" or "cdeg", and the caveat about it.
 
-    The unit in the name of the column has priority. The size of the values and their jumps by a whole turn decide
-    otherwise. Without a value it is "rad".
+    The unit in the name of the column has priority. Otherwise the size of the values and their jumps by a whole turn
+    decide. Without a finite value it is "rad".
     """
     # Unwrapped radians can be as large as degrees. Only a jump by a whole turn, or a first value above one, is clear.
     good = values[np.isfinite(values)]
@@ -497,9 +506,10 @@ def _rate_unit(
 ) -> tuple[str, str]:
     """Return the unit of a yaw rate, "rad/s" or "deg/s", and the caveat about it.
 
-    The derivative of a heading in the same table shows the unit. The size of the yaw rate decides if there is no
-    heading, no column of times, or no correlation between the two rates. `numbers` has the values by column, `names`
-    the column and parsed name by meaning ("psi").
+    `column` is the column of the yaw rate, `numbers` has the values (n,) by column, and `names` the column and parsed
+    name by meaning ("psi" is the heading). `t` (n,) are the times of the rows [s]. The derivative of the heading shows
+    the unit. The size of the yaw rate decides if there is no heading, no times, or no correlation between the two
+    rates.
     """
     rate = numbers[column]
     if "psi" in names and t is not None:
@@ -536,8 +546,9 @@ def outputs(tables: Sequence[Table]) -> Iterator[Candidate]:
     Yields
     ------
     Candidate
-        Left and right outputs, by the parameters SERVOn_FUNCTION, or else outputs 1 and 3, ArduPilot's default; and the
-        shaft speed of each controller.
+        The left and the right output, if the source has both: those with the throttle functions in the parameters
+        SERVOn_FUNCTION, or else outputs 1 and 3, ArduPilot's default, if the boat has no steering output. Then the
+        shaft speed of each motor controller: n for one controller, n_left and n_right for two, else n_NUMBER.
     """
     nodes = {int(table.topic.rpartition("_")[2]): table for table in tables if table.kind == "Servo"}
     p = tables[0].parameters if tables else {}
@@ -567,9 +578,10 @@ def outputs(tables: Sequence[Table]) -> Iterator[Candidate]:
 
 
 def _servo_functions(tables: Sequence[Table]) -> dict[int, float]:
-    """Return the parameter SERVOn_FUNCTION by the number n of the output.
+    """Return the function of each servo output of an autopilot, the parameter SERVOn_FUNCTION, by its number n.
 
-    Outputs are those with a table of kind "Servo". An output whose parameter is not in the log is left out.
+    Outputs are those with a table of kind "Servo". An output whose parameter is not in the log is left out. The first
+    table has the parameters.
     """
     p = tables[0].parameters if tables else {}
     nodes = sorted(int(table.topic.rpartition("_")[2]) for table in tables if table.kind == "Servo")
@@ -577,7 +589,7 @@ def _servo_functions(tables: Sequence[Table]) -> dict[int, float]:
 
 
 def _controller_sort_key(table: Table) -> tuple[int, str]:
-    """Return the sort key of a motor controller's table: the number at the end of its topic (1 of esc_1), topic.
+    """Return the sort key of a motor controller's table: the number at the end of its topic (esc_1), then the topic.
 
     With several buses, the topic begins with the bus.
     """
@@ -585,10 +597,11 @@ def _controller_sort_key(table: Table) -> tuple[int, str]:
 
 
 def _pulse_scale(p: Mapping[str, float], node: int) -> tuple[str, str]:
-    """Return the import map's keys that scale an output's pulses to -1 .. 1, and the caveat about this scale.
+    """Return the keys of an import map that scale the pulses of an autopilot's output to -1 .. 1, and the caveat.
 
-    The parameters `p` of the autopilot give the scale: SERVOn_MIN, SERVOn_TRIM and SERVOn_MAX of the output `node`. The
-    default scale is used, with a caveat, if MIN is not below MAX.
+    The parameters `p` of the autopilot give the scale: SERVOn_MIN, SERVOn_TRIM, SERVOn_MAX and SERVOn_REVERSED of the
+    output `node`. The default scale (1100, 1500, 1900 us) is used, with a caveat, if MIN is not below MAX. Another
+    caveat is returned if TRIM is not in the middle. Otherwise the caveat is "".
     """
     low, rest, high = (p.get(f"SERVO{node}_{word}", usual) for word, usual in PULSE_US)
     if not low < high:
@@ -609,8 +622,9 @@ def _chosen_signals(candidates: Sequence[Candidate], clocks: Clocks, main: Clock
     """Choose the signals of a guessed import map. Return them, and the lines of the map.
 
     The lines are one for each chosen signal, then the other candidates as comments. Candidates are tried in the order
-    of their rank, then of the number of their rows, the largest first. A candidate is chosen if none of its signals has
-    been chosen before, it has times, and its thrusters fit those chosen before. `main` is the time column in [time] of
+    of their rank, then of the number of their rows, the largest first. A candidate is chosen if its rank is below
+    `UNCHOSEN_RANK` (5), none of its signals has been chosen before, it has times, and its thrusters have the same
+    quantity as those chosen before. `main` is the time column in [time] of
     the map, and `clocks` has that of each table, by the id of the table.
     """
 
@@ -659,10 +673,10 @@ def _chosen_signals(candidates: Sequence[Candidate], clocks: Clocks, main: Clock
 
 
 def _signal_line(table: Table, signal: MapSignal, clock: Clock, main: Clock) -> str:
-    """Return one signal of an import map as an inline table of TOML.
+    """Return one signal of an import map as an inline table of TOML: name, topic, columns, unit and further keys.
 
-    The line names the time column of its own table (`clock`) if it differs from `main`, the time column in [time] of
-    the map.
+    The line names the time column of the signal's own table (`clock`) if it differs from `main`, the time column in
+    [time] of the map.
     """
     keys = [f"name = {_toml_text(signal.name)}"]
     if table.topic:

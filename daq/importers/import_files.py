@@ -52,8 +52,8 @@ def import_files(
     Raises
     ------
     SeatrialError
-        If the import fails. Also, after the logs are written, if more than one row in 20 of a source is out of order
-        or has a wrong stamp.
+        If a file cannot be read by the map, or a log cannot be written. Also, after the logs are written, if too many
+        rows of a source are out of order or have wrong stamps: 5 or more, and more than 5 %.
     """
     import_map = load_import_map(map_path)
     groups = _files_of_logs(import_map, files)
@@ -94,15 +94,15 @@ def import_files(
 
 
 def _is_too_many(row: RowsLeftOut) -> bool:
-    """Return whether so many rows of a source were left out (above 5 %, at least 5) that the log is not useful."""
+    """Return whether so many rows of a source were left out that the log is not useful: at least 5 and above 5 %."""
     return too_many_rows_missing(row.n, row.n_rows)
 
 
 def _files_of_logs(import_map: ImportMap, files: Sequence[Path]) -> list[tuple[str, list[tuple[Path, Source]]]]:
     """Return for each log of an import its name without ending, and its source files, each with its [[file]] table.
 
-    Each file makes its own log, unless the import map merges all files into one. Raise SeatrialError if the map merges
-    files and a [[file]] does not match exactly one file, or a file is left over.
+    If the import map has no [[file]] table, each file makes its own log and gets the only source of the map. Otherwise
+    all files make one log. Raise SeatrialError if a [[file]] does not match exactly one file, or a file is left over.
     """
     if not import_map.merge:
         return [(path.stem, [(path, import_map.sources[0])]) for path in files]
@@ -155,10 +155,10 @@ class _SourceFile(NamedTuple):
 
 
 def _read_source(path: Path, source: Source) -> _SourceFile:
-    """Read one source file by its [[file]] table of the import map, and collect the remarks about it.
+    """Read one source file by its part of the import map (`source`), and collect the remarks about it.
 
-    Remarks are about tables with signals of the map, rows left out, held values, unknown inputs, and signals without
-    samples. Raise SeatrialError if the file cannot be read by the map.
+    Remarks are about tables with signals of the map, rows left out, held values, times at which inputs are unknown, and
+    signals without samples. Raise SeatrialError if the file cannot be read by the map.
     """
     kind = source_kind(path)
     tables = kind.read(path, source.options)
@@ -186,7 +186,7 @@ def _read_source(path: Path, source: Source) -> _SourceFile:
 def _remarks_by_topic(tables: Sequence[Table]) -> list[str]:
     """Return the remarks of tables as lines for the user. A remark that several tables share is one line.
 
-    This line begins with the topics of all these tables.
+    Each line begins with the topics of its tables, if they have topics.
     """
     topics: dict[str, list[str]] = {}
     for table in tables:
@@ -202,12 +202,12 @@ def held_lines(held: Sequence[Held]) -> list[str]:
     Parameters
     ----------
     held
-        The signals whose values the source holds.
+        The signals whose values the source holds (repeats in each row until the next measurement).
 
     Returns
     -------
     list of str
-        The lines.
+        The lines. Signals with equal numbers of samples and repeats are one group.
     """
     groups: dict[tuple[int, int], list[Held]] = {}
     for signal in held:
@@ -229,7 +229,7 @@ def left_out_line(row: RowsLeftOut) -> str:
 
 
 def _files_named_in_map(import_map: ImportMap) -> list[Path]:
-    """Return the DBC and rig files that an import map names. No log may replace them."""
+    """Return the DBC and rig files that an import map names. An import must not replace them by a log."""
     named = [path for source in import_map.sources for path in (source.options.dbc, source.options.rig)]
     return [path for path in named if path is not None]
 
@@ -239,8 +239,8 @@ def _write_piece(
 ) -> None:
     """Write one log, `target`: the signals and events of the source files within one interval of time (`piece`).
 
-    The metadata contain the digests of the import map and the files, and the numbers of rows left out. `reads` are the
-    files that are never replaced, even with `force`, which lets the import replace an existing log.
+    The metadata contain the digests of the import map and the files, and the numbers of rows left out. An existing log
+    is replaced only with `force`; the files `reads` (map and sources) are never replaced.
     """
     signals: list[SignalData] = []
     events = [(t, event) for source_file in data for t, event in source_file.events if piece.t_from <= t <= piece.t_to]

@@ -72,16 +72,16 @@ class TimeColumn:
 
     @property
     def is_text(self) -> bool:
-        """Return whether the times are read as text: dates (iso or a pattern), or numbers whose fraction needs care."""
+        """Whether the times are read as text: dates (iso or a strptime pattern), or numbers with the key `fraction`."""
         return self.format not in FORMATS_OF_TIME or self.format == "iso" or bool(self.fraction)
 
 
 @dataclass(frozen=True)
 class Signal:
-    """Conversion of a column to a signal: sign * (scale * cell + offset), then from `unit` to SI, then `frame` to NED.
+    """Conversion of a column of a source file to a signal: sign * (scale * cell + offset), then from `unit` to SI.
 
-    With `make`, the signal is computed from several columns with the units `units`. Scale, offset and sign then apply
-    to the computed signal.
+    Then the signal is converted from `frame` to NED. With `make`, the signal is computed from several columns with the
+    units `units`. Scale, offset and sign then apply to the computed signal.
 
     Attributes
     ----------
@@ -147,9 +147,10 @@ class Signal:
 
     @property
     def log_name(self) -> str:
-        """Name of a signal in the log, after conversion to NED.
+        """Name of the signal in the log, after conversion to NED.
 
-        In a frame ENU (east, north, up), x and y are exchanged, as are vx and vy; other names stay.
+        In the frame ENU (east, north, up), x and y are exchanged, also in vx and vy, and in speed_x and speed_y. Other
+        names stay.
         """
         return self.name if self.frame == "NED" else RENAMED.get(self.name, self.name)
 
@@ -266,7 +267,7 @@ def load_import_map(path: Path) -> ImportMap:
 
 
 def _keeping_repeats(source: Source) -> Source:
-    """Return a kind of source file that keeps repeated values by default, as import maps of the older format do."""
+    """Return a source of an import map with the default `repeats` = "keep", as in the older format of maps."""
     style = source.options.style
     return replace(source, options=replace(source.options, style=replace(style, repeats=style.repeats or "keep")))
 
@@ -274,9 +275,10 @@ def _keeping_repeats(source: Source) -> Source:
 def _boat_numbers(table: TomlTable | None, names: Sequence[str]) -> dict[str, float]:
     """Return the numbers of the boat in the table [geometry] or [scale] of an import map, by name.
 
-    Standard uncertainties ``NAME_sd`` are included if the table has them. `names` are the possible keys. The result is
-    empty without a table. Raise SeatrialError if a number is impossible or a key is unknown: c1 and length must be
-    positive, y_left must be less than y_right, and both within the length of the hull.
+    `names` are the keys that the table may have. Standard uncertainties ``NAME_sd`` are included if the table has them.
+    The result is empty if `table` is None. Raise SeatrialError if a number is impossible or a key is unknown: c1,
+    length and standard uncertainties must be positive, y_left less than y_right, and both at most `length` from the
+    middle.
     """
     if table is None:
         return {}
@@ -298,9 +300,9 @@ def _boat_numbers(table: TomlTable | None, names: Sequence[str]) -> dict[str, fl
 
 
 def _source_of_table(table: TomlTable, match: str, near: Path) -> Source:
-    """Parse one kind of source file from its table of the import map, a [[file]] or the whole map.
+    """Parse how source files are read, from a table [[file]] of an import map or from the whole map.
 
-    `match` is the pattern of its file name. Paths in the table are relative to the folder `near`. Raise SeatrialError
+    `match` is the pattern of the file name. Paths in the table are relative to the folder `near`. Raise SeatrialError
     if the table has no signal or a wrong key.
     """
     options = _reading_options(table, near)
@@ -319,7 +321,8 @@ def _source_of_table(table: TomlTable, match: str, near: Path) -> Source:
 def _reading_options(parent: TomlTable, near: Path) -> SourceOptions:
     """Parse the reading options in the tables [csv], [can] and [mavlink] of an import map.
 
-    Paths are relative to the folder `near`. A missing table gives the defaults. Raise SeatrialError for a wrong key.
+    `parent` is the whole map or a [[file]] of it. Paths are relative to the folder `near`. A missing table gives the
+    defaults. Raise SeatrialError for a wrong key.
     """
     can, mavlink = parent.table("can"), parent.table("mavlink")
     found = SourceOptions(
@@ -373,7 +376,7 @@ def _text_style(table: TomlTable | None) -> TextStyle:
 def _time_column(table: TomlTable) -> TimeColumn:
     """Parse the table [time] of an import map: the time column and its format, or the rate of the rows.
 
-    Raise SeatrialError unless it has either a column or a rate, or if its keys do not fit together.
+    Raise SeatrialError if it has neither or both of them, or if its keys do not fit together.
     """
     if table.has("column") == table.has("rate_hz"):
         raise table.error("column", f"give either column or rate_hz{table.misspelling_hint('column')}")
@@ -398,7 +401,8 @@ def _time_column(table: TomlTable) -> TimeColumn:
 def _time_format(table: TomlTable, key: str, usual: str) -> str:
     """Return the format of times at a key of an import map, by default `usual`. Raise SeatrialError if it is invalid.
 
-    Valid are units ("s", "ms", ...), "iso", days of a spreadsheet, GPS times, and strptime patterns.
+    Valid are units ("s", "ms", ...), "iso", "datenum", "excel", "excel1904", "labview", "gps", "gps_ms", and strptime
+    patterns (with %).
     """
     pattern = table.text(key, usual)
     if pattern not in (*FORMATS_OF_TIME, usual) and "%" not in pattern:
@@ -415,7 +419,7 @@ def _time_format(table: TomlTable, key: str, usual: str) -> str:
 
 
 def _time_origin(table: TomlTable) -> float:
-    """Return the key `origin` of the table [time], which is added to all times [s since 1970]; 0 without the key.
+    """Return the key `origin` of the table [time], a time that is added to all times [s since 1970]; 0 without it.
 
     A date and time without a zone is UTC. Raise SeatrialError if it is not in ISO form.
     """
@@ -432,8 +436,9 @@ def _time_origin(table: TomlTable) -> float:
 def _signal_of_table(table: TomlTable, frame: str) -> Signal:
     """Parse one signal from its table [[signal]] of an import map.
 
-    `frame` ("NED", "FRD", "ENU" or "FLU") is the default frame of the source. Raise SeatrialError for a wrong key, or
-    keys that do not fit together.
+    `frame` ("NED", "FRD", "ENU" or "FLU") is the default frame of the source; a position or velocity from latitude,
+    longitude, speed or course is always in NED by default. Raise SeatrialError for a wrong key, or keys that do not fit
+    together.
     """
     name = table.text("name")
     if not NAME.fullmatch(name):
@@ -489,8 +494,8 @@ def _signal_units(table: TomlTable, make: str, columns: Sequence[str], key: str)
     """Return the unit of a signal of an import map and, for a signal made of several columns, the units of the columns.
 
     `make` is the computed quantity, for example "north", or "" for a single column, for which the second result is
-    empty. `key` is the key of the columns, for messages. Raise SeatrialError for an unknown unit, a wrong number of
-    columns, or a unit of another quantity.
+    empty. `key` is the name of the columns' key in the map, for messages. Raise SeatrialError for an unknown unit, a
+    wrong number of columns, or a unit of another quantity.
     """
     known = f"known: {', '.join(UNITS)}"
     if not make:
@@ -509,10 +514,10 @@ def _signal_units(table: TomlTable, make: str, columns: Sequence[str], key: str)
 
 
 def _piece_of_table(table: TomlTable) -> Piece:
-    """Parse an interval of time that becomes a log, from a table [[log]]; t_from and t_to may be missing.
+    """Parse an interval of time that becomes a log, from a table [[log]] of an import map: name, t_from and t_to [s].
 
-    Without one of them the interval has no limit on that side. Raise SeatrialError for a name that is not safe in a
-    file name, or if t_to is not after t_from.
+    Without t_from or t_to the interval has no limit on that side. Raise SeatrialError if the name has other characters
+    than letters, digits, _, - and ., or if t_to is not after t_from.
     """
     name = table.text("name")
     if not re.fullmatch(r"[A-Za-z0-9_.-]+", name):

@@ -45,7 +45,7 @@ class InputHold(NamedTuple):
 
 
 def input_hold(t: Column, values: Column, *, may_be_shaft: bool) -> InputHold:
-    """Recognise how an input continues between the rows of a table, by its values.
+    """Recognise how an input (command or shaft speed) continues between the rows of a table, by its values.
 
     Parameters
     ----------
@@ -57,7 +57,8 @@ def input_hold(t: Column, values: Column, *, may_be_shaft: bool) -> InputHold:
     Returns
     -------
     InputHold
-        The hold and a caveat about it.
+        The hold and a caveat about it. The hold is "" if the values do not show it; the caveat then remarks on changes
+        only at every k-th row, if they are at most 2 s apart.
     """
     held = held_signals(t, {"input": values}).get("input")
     if held is not None:
@@ -79,7 +80,8 @@ def input_hold(t: Column, values: Column, *, may_be_shaft: bool) -> InputHold:
 def _lags_like_shaft(values: Column) -> bool:
     """Return whether the values of an input (n,) lag like the speed of a shaft: a change continues in the next row.
 
-    At least 3 changes from rest are needed. In 70 % of them the next row must add 5 % to 95 % of the change.
+    At least 3 changes after a constant value are needed. In 70 % of them the next row must add 5 % to 95 % of the
+    change.
     """
     if len(values) < 5:
         return False
@@ -98,7 +100,7 @@ def _lags_like_shaft(values: Column) -> bool:
 def _rows_per_change(values: Column) -> int:
     """Return the largest k such that the values of an input (n,) change only at every k-th row of its table.
 
-    The result is 1 if there are fewer than 12 changes, which may be regular by chance.
+    The result is 1 if there are fewer than 12 changes, because few changes may be regular by chance.
     """
     rows = np.flatnonzero(np.diff(values) != 0.0)
     if len(rows) < FEWEST_CHANGES:

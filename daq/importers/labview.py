@@ -27,7 +27,7 @@ _SINCE_1904 = 1e9  # s; an X that is greater counts from 1904
 
 
 def read_lvm(path: Path, options: SourceOptions) -> list[Table]:
-    """Read a LabVIEW measurement file as one table with its own times.
+    """Read a LabVIEW measurement file (.lvm) as one table with its own times.
 
     Parameters
     ----------
@@ -39,7 +39,8 @@ def read_lvm(path: Path, options: SourceOptions) -> list[Table]:
     Returns
     -------
     list of Table
-        One table. Times are in s since 1970, or since the start if the file has no date.
+        One table, in a list. Times are in s since 1970, or since the start if the file has no date. A remark counts the
+        rows that are incomplete or without a time, which are left out.
 
     Raises
     ------
@@ -79,7 +80,7 @@ def read_lvm(path: Path, options: SourceOptions) -> list[Table]:
 
 
 def _header_cells(lines: Sequence[Sequence[str]]) -> dict[str, Sequence[str]]:
-    """Return the cells of each header line of a LabVIEW file by the first cell of the line, without that cell.
+    """Return the cells of each header line of a LabVIEW file, without the first cell, by the text of this first cell.
 
     A line without cells is skipped. If a first cell repeats, the last line counts.
     """
@@ -125,7 +126,7 @@ class _SegmentRows:
     """
 
     def __init__(self, path: Path, decimal: str, x_columns: str, start: float) -> None:
-        """Begin without rows. The header of the LabVIEW file has decimal mark, kind of X and start [s since 1970]."""
+        """Begin without rows, with values from the header of the LabVIEW file. The class describes the parameters."""
         self._path, self._decimal, self._x_columns, self._start = path, decimal, x_columns.lower(), start
         self._names: list[str] = []
         self._units: dict[str, str] = {}
@@ -136,13 +137,14 @@ class _SegmentRows:
         self._segment: Mapping[str, Sequence[str]] = {}
 
     def begin(self, segment: Mapping[str, Sequence[str]]) -> None:
-        """Begin a segment of a LabVIEW file with the cells of its header, by name. `add` then adds its rows."""
+        """Begin a segment of a LabVIEW file: store the cells of its header by line name, for the rows that follow."""
         self._segment = segment
 
     def add(self, rows: Sequence[Sequence[str]]) -> None:
         """Add the rows of a segment of a LabVIEW file, each a list of cells. The first has the names of the columns.
 
-        Without rows nothing is added. A row with too few cells is left out and counted.
+        Without rows nothing is added. A row with too few cells is left out and counted. A cell that is not a number
+        becomes NaN. If the name of a column repeats, a number is added: "Force (2)".
 
         Raises
         ------
@@ -204,7 +206,10 @@ class _SegmentRows:
         return np.asarray(start + x if is_continued or not begin else begin + x - x0)
 
     def table(self) -> Table:
-        """Return the rows of all segments that have a time as one table. Raise SeatrialError if there are no rows."""
+        """Return the rows of all segments of the LabVIEW file that have a time as one table.
+
+        A remark counts the rows that were left out. Raise SeatrialError if there are no rows.
+        """
         if not self._t or not sum(map(len, self._t)):
             raise SeatrialError(f"{self._path}: no rows below the header, so there are no data")
         t, values = np.concatenate(self._t), np.concatenate(self._values)

@@ -68,14 +68,15 @@ class Vector(NamedTuple):
 
 
 def vectors(name: str, value: Any, left_out: list[str], topic: str = "", depth: int = 0) -> Iterator[Vector]:
-    """Yield all arrays of numbers in a variable of a MATLAB file, also those inside structs, cells and objects.
+    """Yield all arrays of numbers in a variable of a MATLAB file, also those inside structs and objects.
 
     Parameters
     ----------
     name
         Name of the variable, or of the field of a struct.
     value
-        Its value: array, text, dict (struct), list (cell or struct array) or MatlabObject.
+        Its value: array, text, dict (struct), list (cell or struct array) or MatlabObject. Text, single numbers and
+        cells yield nothing, except a cell of structs only, which is read as a struct array.
     left_out
         List to which the names and classes of objects without readable numbers are added.
     topic
@@ -91,7 +92,7 @@ def vectors(name: str, value: Any, left_out: list[str], topic: str = "", depth: 
     Raises
     ------
     SeatrialError
-        If structs are nested too deeply.
+        If structs are nested more than 30 deep.
     """
     place = f"{topic}.{name}" if topic else name
     if depth > DEEPEST:
@@ -115,8 +116,9 @@ def vectors(name: str, value: Any, left_out: list[str], topic: str = "", depth: 
 def _object_vectors(name: str, value: MatlabObject, left_out: list[str], topic: str, depth: int) -> Iterator[Vector]:
     """Yield the numbers in a MATLAB object: times, the columns of a table, or the properties of another class.
 
-    Parameters are those of `vectors`. An object without readable numbers is added to `left_out`. A single time yields
-    nothing.
+    `name` is the name of the variable or field, `topic` the variable to which the field belongs ("" for the variable
+    itself), and `depth` the number of structs around the object. The name and class of an object without readable
+    numbers are added to `left_out`. A single time yields nothing.
     """
     place = f"{topic}.{name}" if topic else name
     if (seconds := _object_seconds(value)) is not None:
@@ -187,7 +189,8 @@ def _table_columns(place: str, value: MatlabObject) -> Iterator[Vector]:
 def _row_times(value: Any, n_rows: int) -> NDArray[np.float64] | None:
     """Return the times of the rows of a MATLAB timetable, (n_rows,) [s]; None if their kind is unknown.
 
-    They are stored as a datetime or duration, or as a first time with a step or a rate.
+    Dates count from 1970. `value` has the times as a datetime or duration, or as a struct of a first time with a step
+    or a rate.
     """
     if (seconds := _object_seconds(value)) is not None:
         return seconds.ravel()
@@ -212,7 +215,10 @@ def _single_number(value: Any) -> float | None:
 
 
 def _simulink_signals(value: Mapping[str, Any]) -> list[Mapping[str, Any]] | None:
-    """Return the signals of a Simulink structure with time, each a dict with "values"; None for any other struct."""
+    """Return the signals of a Simulink structure with time (a struct as a dict), each a dict with "values".
+
+    Return None for any other struct, and for one with fewer than two times.
+    """
     signals, time = value.get("signals"), value.get("time")
     listed = [signals] if isinstance(signals, Mapping) else signals
     if not isinstance(time, np.ndarray) or time.size < 2 or not isinstance(listed, list) or not listed:
@@ -225,8 +231,9 @@ def _simulink_signals(value: Mapping[str, Any]) -> list[Mapping[str, Any]] | Non
 def _simulink_vectors(place: str, name: str, time: Any, signals: list[Mapping[str, Any]]) -> Iterator[Vector]:
     """Yield the times and the signals of a Simulink structure with time as columns of the topic `place`.
 
-    A signal is named after its label, or else its block, or else the variable `name`. With several unnamed signals,
-    signal k is named signals[k].
+    `time` has the times (n,) [s]. Each signal is a dict with "values". It is named after its label. A single signal
+    without a label has the name of the variable (`name`). Of several, one without a label has the name of its block, or
+    else signals[k]. Signals that are no arrays of numbers are left out.
     """
     t = np.ravel(time)
     yield Vector(place, "time", t)
@@ -246,10 +253,12 @@ def _simulink_vectors(place: str, name: str, time: Any, signals: list[Mapping[st
 def _struct_array_vectors(
     name: str, value: list[Mapping[str, Any]], left_out: list[str], topic: str, depth: int
 ) -> Iterator[Vector]:
-    """Yield the arrays of numbers in a MATLAB struct array.
+    """Yield the arrays of numbers in a MATLAB struct array, which is a list of dicts (`value`).
 
-    A field with one number in each struct becomes a column. If the array has no such field, each of the first 16
-    structs becomes a topic, VARIABLE[0]. Parameters are those of `vectors`.
+    A field with one number in each struct becomes a column, with one row for each struct. If the array has no such
+    field, each of the first 16 structs becomes a topic, VARIABLE[0]. `name` is the variable or field, `topic` the
+    variable to which the field belongs, `depth` the number of structs around it, and `left_out` collects unreadable
+    objects.
     """
     place = f"{topic}.{name}" if topic else name
     numbers = {field: [_single_number(struct.get(field)) for struct in value] for field in value[0]}
@@ -275,7 +284,8 @@ def scipy_value(value: Any, depth: int = 0) -> Any:
     Returns
     -------
     Any
-        A dict (struct), list (cell or struct array), text or array; None for other values.
+        A dict (struct), list (cell or struct array), text or array; None for other values, and for arrays that are
+        nested more than 30 deep.
     """
     if depth > DEEPEST or not isinstance(value, np.ndarray):
         return value if isinstance(value, str) else np.asarray(value) if np.isscalar(value) else None
@@ -314,9 +324,9 @@ class Hdf5Variables:
             self._read_objects(np.asarray(file[self._contents[0]][()], np.uint8).tobytes())
 
     def _read_objects(self, data: bytes) -> None:
-        """Store the classes, objects and properties of a MATLAB 7.3 file from the bytes of its list of objects.
+        """Store classes, objects and properties of a MATLAB 7.3 file from `data`, the first entry of its object list.
 
-        They are regions of 32-bit words after a header and the names.
+        They are regions of 32-bit words behind a header and the names.
         """
         words = np.frombuffer(data[: len(data) // 4 * 4], "<u4")
         n_names, ends = int(words[1]), [int(end) for end in words[2:7]]
@@ -339,10 +349,11 @@ class Hdf5Variables:
                 yield name, self._python_value(node, 0)
 
     def _python_value(self, node: Any, depth: int) -> Any:
-        """Convert a group or dataset of a MATLAB 7.3 file to a Python value.
+        """Convert a group or dataset (`node`) of a MATLAB 7.3 file to a Python value.
 
-        A struct becomes a dict or a list of dicts, a cell a list. Other values are text, arrays and objects. `depth` is
-        the number of structs, cells and objects around the value. Raise SeatrialError if it is above 30.
+        A struct becomes a dict or a list of dicts, a cell a list, text a str, an object a MatlabObject, and any other
+        value an array. `depth` is the number of structs, cells and objects around the value. Raise SeatrialError if it
+        is above 30.
         """
         if depth > DEEPEST:
             raise SeatrialError(
@@ -417,7 +428,7 @@ def _is_reference(values: Any) -> bool:
 
 
 def _datasets_of_group(group: Any) -> list[Any]:
-    """Return the datasets in a group of an HDF5 file, without the groups in it."""
+    """Return the datasets (arrays) in a group of an HDF5 file, without the groups in it."""
     return [part for part in group.values() if not hasattr(part, "items")]
 
 

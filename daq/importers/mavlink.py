@@ -51,19 +51,19 @@ def import_mavlink(
     system
         MAVLink system number; None for the first autopilot that sends a heartbeat.
     out
-        The log to write; by default named after `path`, in the current folder.
+        The log to write; by default it is named after `path`, in the current folder.
     force
         Whether an existing log is replaced.
 
     Returns
     -------
     tuple
-        The path of the log, and a summary in one line.
+        The path of the new log, and a summary in one line: numbers of samples, and differences from the rig.
 
     Raises
     ------
     SeatrialError
-        If the file cannot be read or contains no samples of the autopilot.
+        If the file cannot be read, contains no samples of the autopilot, or the log exists and `force` is not set.
     """
     rows, summary, parameters = read_autopilot(path, rig, system)
     device = _mavlink_device(rig)
@@ -94,12 +94,12 @@ def read_autopilot(path: Path, rig: Rig | None, system: int | None) -> tuple[lis
     Returns
     -------
     tuple
-        The samples, a summary in one line, and the parameters of the autopilot.
+        The samples with their times, a summary in one line, and the parameters of the autopilot by name.
 
     Raises
     ------
     SeatrialError
-        If the file cannot be read or contains no samples.
+        If the file cannot be read or contains no samples, or if the rig does not have exactly one MAVLink device.
     """
     try:
         data = path.read_bytes()
@@ -119,7 +119,10 @@ def is_tlog(head: bytes) -> bool:
 
 
 def _mavlink_device(rig: Rig | None) -> Device | None:
-    """Return the MAVLink device of a rig; None without a rig. Raise SeatrialError unless the rig has exactly one."""
+    """Return the MAVLink device (autopilot) of a rig; None without a rig.
+
+    Raise SeatrialError unless the rig has exactly one such device.
+    """
     if rig is None:
         return None
     found = [device for device in rig.devices if device.protocol == "mavlink"]
@@ -135,6 +138,8 @@ def read_tlog(
 ) -> tuple[list[Timed], str, dict[str, float]]:
     """Read the samples in a tlog, the log of MAVLink frames that a ground station writes.
 
+    If `system` is None and the tlog has further autopilots, warn that they are left out.
+
     Parameters
     ----------
     path
@@ -149,8 +154,8 @@ def read_tlog(
     Returns
     -------
     tuple
-        The samples, a summary in one line, and the parameters in the tlog. Device times are mapped onto the times at
-        which the ground station received the frames.
+        The samples with their times, a summary in one line, and the autopilot's parameters by name. Device times are
+        mapped onto the times at which the ground station received the frames.
 
     Raises
     ------
@@ -201,8 +206,8 @@ def read_tlog(
 def _refuse_two_autopilots(path: Path, rows: Sequence[Timed], system: int) -> None:
     """Raise SeatrialError if two autopilots send with the same MAVLink system number.
 
-    Then the boot times of attitudes or fixes run back by more than 0.05 s in more than 20 % of the samples, at least
-    ten times.
+    Then the times since boot of attitudes or fixes (`rows`, in the order of the file) run back by more than 0.05 s in
+    more than 20 % of the samples, at least ten times.
     """
     for kind in (Ahrs, Gnss):
         boot = np.array([row.frame.t_device for row in rows if isinstance(row.frame.sample, kind)])
@@ -229,7 +234,7 @@ def mismatches(p: Mapping[str, float], rig: Rig | None) -> list[ParameterMismatc
     Returns
     -------
     list of ParameterMismatch
-        The differences; empty without a rig.
+        The differences; empty without a rig. A parameter that is not in `p` is no difference.
     """
     device = _mavlink_device(rig)
     thrusters = [] if rig is None or device is None else [t for t in rig.thrusters if t.device == device.name]
@@ -242,7 +247,10 @@ def mismatches(p: Mapping[str, float], rig: Rig | None) -> list[ParameterMismatc
 
 
 def _other_systems_text(decoder: MavlinkDecoder) -> str:
-    """Return the part of an error message that lists the other MAVLink systems of a tlog and advises to choose one."""
+    """Return the part of an error message that lists the other MAVLink systems which the decoder found in a tlog.
+
+    It advises to choose one of them, or states that there is no other system.
+    """
     others = ", ".join(str(number) for number in sorted(decoder.foreign))
     return f"it contains systems {others}: choose one by --system" if others else "it contains no other MAVLink system"
 
@@ -250,7 +258,7 @@ def _other_systems_text(decoder: MavlinkDecoder) -> str:
 def _tlog_frames(data: bytes) -> Iterator[tuple[float, int, FrameHeader]]:
     """Yield (time [s since 1970], offset of the frame [bytes], header) of each complete MAVLink frame of a tlog.
 
-    Bytes between the frames, and frames with a wrong checksum, are skipped.
+    `data` are the bytes of the tlog. Bytes between the frames, and frames with a wrong checksum, are skipped.
     """
     at = 0
     while at + STAMP < len(data):
@@ -352,9 +360,9 @@ def _write_log_file(
 def _add_events_and_samples(
     writer: LogWriter, device: str, rows: Sequence[Timed], first: int, events: Sequence[tuple[str, str]]
 ) -> None:
-    """Write events at the time `first` [ns], then the samples of the device with their channels, to an MCAP log.
+    """Write events (kind and text) at the time `first` [ns since 1970], then the samples of a device, to a log.
 
-    An event is a kind and a text.
+    Samples are written at their time of receipt, in the given order, each to the topics of its kind.
     """
     event = writer.channel("/event", schema.EVENT)
     about = cdr_layout(schema.EVENT, b"")

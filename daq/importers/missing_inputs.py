@@ -24,14 +24,15 @@ _CONTROL = re.compile(r"control\[\d+\]")
 
 
 def stopped_motors(kind: str, columns: dict[str, Column]) -> str:
-    """Replace NaN by zero in the commands of stopped motors, in place.
+    """Replace NaN by zero in the commands of stopped motors of PX4 (topic or message ActuatorMotors), in place.
 
     Parameters
     ----------
     kind
-        Type of the messages. Other types than those of motors are not changed.
+        Type of the messages. Columns of other types than ActuatorMotors are not changed.
     columns
-        Columns of the topic by name, each (n,). A motor that never has a value does not exist and is not changed.
+        Columns of the topic by name, each (n,). The commands are control[0], control[1], ... A motor that never has a
+        value does not exist and is not changed.
 
     Returns
     -------
@@ -63,8 +64,9 @@ def input_gaps(t: Column, values: Column) -> Mask:
     Returns
     -------
     Mask
-        True in the first row of each gap of more than 3 rows and 0.5 s (n,). A column whose values are usually more
-        than a row apart has no gaps: the other rows belong to other columns, and its last value holds.
+        True in the first row of each gap of at least 3 rows and more than 0.5 s (n,). A column whose values are usually
+        more than a row apart has no gaps: the other rows belong to other columns, and its last value holds. A column
+        with fewer than 3 values has no gaps either.
     """
     found = np.zeros(len(values), bool)
     known = np.flatnonzero(np.isfinite(values))
@@ -88,7 +90,7 @@ def gap_lines(gaps: Mapping[str, list[tuple[float, float]]]) -> list[str]:
     Returns
     -------
     list of str
-        The lines; an input without gaps has none.
+        The lines, with the total time and the number of the gaps. Inputs without gaps are not in them.
     """
     groups: dict[tuple[tuple[float, float], ...], list[str]] = {}
     for name, found in gaps.items():

@@ -41,19 +41,19 @@ def import_raw(
     rate
         Rate [Hz] of the samples; None to use the times of the device.
     out
-        The log to write; by default named after `path`, in the current folder.
+        The log to write; by default it is named after `path`, in the current folder.
     force
         Whether an existing log is replaced.
 
     Returns
     -------
     tuple
-        The path of the log, and a summary in one line.
+        The path of the new log, and the numbers of samples and errors as a text.
 
     Raises
     ------
     SeatrialError
-        If the capture has no samples or no times, or the log cannot be written.
+        If the capture cannot be read, has no samples or no times, or the log cannot be written.
 
     Notes
     -----
@@ -98,15 +98,15 @@ def import_raw(
 
 
 def _signal_name(frame: Frame) -> str:
-    """Return the name of a decoded sample: that of a transducer (`xdr_ENGINE_0`), or else its kind ("gnss", "ahrs")."""
+    """Return the name of a decoded sample (frame): that of a transducer (`xdr_ENGINE_0`), or its kind ("gnss")."""
     return frame.sample.name if isinstance(frame.sample, Transducer) else _NAMES[type(frame.sample)]
 
 
 def _decoded_frames(decoder: Decoder, path: Path) -> tuple[list[Frame], str]:
     """Decode the captured bytes in a file. Return the decoded samples with their times, and the SHA-256 of the file.
 
-    A fix gets its UTC as device time, and samples before the first date get the date that follows. Raise SeatrialError
-    if the file cannot be read.
+    For NMEA and UBX, a fix gets its UTC as device time, and samples before the first date get the date that follows.
+    Raise SeatrialError if the file cannot be read.
     """
     frames: list[Frame] = []
     digest = hashlib.sha256()
@@ -127,11 +127,16 @@ def _decoded_frames(decoder: Decoder, path: Path) -> tuple[list[Frame], str]:
 def _without_duplicate_quantities(frames: Sequence[Frame]) -> tuple[list[Frame], int]:
     """Remove the quantities that a VectorNav sends twice: in ASCII without a time, and in binary with a time.
 
+    Parameters
+    ----------
+    frames
+        All samples of a capture, with their times.
+
     Returns
     -------
     tuple
         The samples, and the number of samples left out. A sample without a time keeps only the quantities that no
-        sample with a time has.
+        sample with a time has; it is left out if none remains. The magnetic field does not count.
     """
     timed = [frame.sample for frame in frames if math.isfinite(frame.t_device)]
     names = [
@@ -162,7 +167,7 @@ def _with_utc_as_device_time(frame: Frame) -> Frame:
 def _with_first_dates(frames: list[Frame]) -> list[Frame]:
     """Move the samples before the first date of a capture to the day of the samples that follow; return all samples.
 
-    Without any date they are on 1970-01-01.
+    Without any date in the capture they are on 1970-01-01.
     """
     times = [frame.t_device for frame in frames]
     near = nmea.DAY / 2 if any(t < 0.0 for t in times) else math.nan  # without any date: on 1970-01-01
@@ -174,11 +179,12 @@ def _with_first_dates(frames: list[Frame]) -> list[Frame]:
 
 
 def _with_corrected_dates(path: Path, frames: list[Frame]) -> list[Frame]:
-    """Correct the dates of a GNSS capture that are too early by years. Return the samples, and warn about them.
+    """Correct the dates of a GNSS capture that are too early by years. Return the samples. Warn about them.
 
     A receiver counts from a date of its firmware until it has received the week, and its week number starts again every
     1024 weeks. Both make its date too early by years, so the latest date is assumed to be right. Samples of other dates
-    are moved next to it by whole days. They are left out if their time of day is also wrong.
+    are moved next to it by whole days. They are left out if they would then overlap it or be more than 10 minutes away.
+    The samples are unchanged, without a warning, if no date jumps by more than 300 days. `path` is for the warning.
     """
     t = np.array([frame.t_device for frame in frames])
     known = np.flatnonzero(np.isfinite(t))
@@ -215,8 +221,9 @@ def _at_device_time(frame: Frame, t: float) -> Frame:
 def _times_by_rate(frames: Sequence[Frame], kinds: Sequence[str], rate: float) -> list[float]:
     """Return times [s] for the samples of a capture without times, by their rate [Hz]; the first time is 0.
 
-    Samples of the most frequent kind are 1/rate apart. A rarer sample has the time of the most frequent sample before
-    it. `kinds` has the kind of each sample.
+    `kinds` has the kind of each sample. Samples of the most frequent kind are 1/rate apart; so are those of a kind with
+    at most two samples fewer. A sample of a rarer kind has the time of the most frequent sample before it. Transducers
+    (XDR) never count as the most frequent kind.
     """
     numbers = Counter(kinds)
     most, n_most = max(
@@ -236,7 +243,7 @@ def _device_times(path: Path, frames: Sequence[Frame]) -> list[float]:
     """Return the device time [s] of each sample of a capture.
 
     A sample without a time (a heading between fixes) has that of the sample before. Samples before the first time have
-    the first time. Raise SeatrialError if no sample has a time.
+    the first time. Raise SeatrialError if no sample has a time. `path` is for the error message.
     """
     times = [frame.t_device for frame in frames]
     last = next((t for t in times if math.isfinite(t)), math.nan)

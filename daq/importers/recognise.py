@@ -72,11 +72,11 @@ Row = tuple[str, int, tuple[MapSignal, ...]]  # group, rank and signals of a can
 
 
 def _vector_row(group: str, names: str, fields: str, unit: str, rank: int, extra: str = "") -> Row:
-    """Return a table entry (group, rank, signals) for fields of a message that are signals of a model.
+    """Return an entry (group, rank, signals) of the table of known messages, for fields that are signals of a model.
 
     `group` is the quantity, for example "velocity". Of several entries of a group the lowest `rank` is preferred.
     `names` are the signals and `fields` the message fields, both separated by blanks, as "x y" and "position.x
-    position.y". `extra` are further keys of the import map.
+    position.y". `unit` is the unit of the fields. `extra` are further keys of the import map.
     """
     return (
         group,
@@ -86,19 +86,20 @@ def _vector_row(group: str, names: str, fields: str, unit: str, rank: int, extra
 
 
 def _heading_row(prefix: str, rank: int, names: str = "x y z w") -> Row:
-    """Return a table entry (group, rank, signals) for the heading in a quaternion of a message.
+    """Return an entry (group, rank, signals) of the table of known messages, for the heading in a quaternion.
 
-    The fields of the quaternion are `prefix` followed by the `names`, in the order x, y, z, w. A lower `rank` is
-    preferred.
+    The message fields of the quaternion are `prefix` followed by the `names`, in the order x, y, z, w. A lower `rank`
+    is preferred.
     """
     fields = tuple(f"{prefix}{axis}" for axis in names.split())
     return "heading", rank, (MapSignal("psi", fields, "", "yaw", 'angle = "unwrap"'),)
 
 
 def _fix_row(lat: str, lon: str, unit: str, rank: int) -> Row:
-    """Return a table entry (group, rank, signals) for a position from the message fields of latitude and longitude.
+    """Return an entry (group, rank, signals) of the table of known messages, for a position in latitude and longitude.
 
-    `unit` is that of both fields, for example "deg" or "degE7". A lower `rank` is preferred.
+    `lat` and `lon` are the message fields, and `unit` is that of both, for example "deg" or "degE7". A lower `rank` is
+    preferred.
     """
     extra = "" if unit == "deg" else f'units = ["{unit}", "{unit}"]'
     signals = (MapSignal("x", (lat, lon), "", "north", extra), MapSignal("y", (lat, lon), "", "east", extra))
@@ -320,7 +321,7 @@ def read_name(column: str) -> Name:
 
 
 def message_candidates(table: Table) -> list[Candidate]:
-    """Return the signals in a table of messages of a known type, as candidates for a guessed import map.
+    """Return the signals in a table of messages of a known type (ROS, PX4, seatrial), as candidates for a guessed map.
 
     Parameters
     ----------
@@ -330,7 +331,8 @@ def message_candidates(table: Table) -> list[Candidate]:
     Returns
     -------
     list of Candidate
-        Candidates whose columns are all in the table and have values; empty for an unknown type.
+        Candidates whose columns are all in the table and have values; empty for an unknown type. Candidates of a topic
+        of set-points or of a simulator's ground truth get a rank with which they are not chosen.
     """
     kind = table.kind.rpartition("/")[2]
     if table.kind.startswith("px4_msgs/"):
@@ -362,9 +364,10 @@ def _is_pose(table: Table) -> bool:
 
 
 def _twist_rows(table: Table, prefix: str) -> tuple[Row, ...]:
-    """Return the table entries (group, rank, signals) for ROS messages with a twist, whose fields begin with `prefix`.
+    """Return entries (group, rank, signals) like those of the table of known messages, for ROS messages with a twist.
 
-    For a topic or frame of the earth they are velocities over ground, else velocities and yaw rate in body axes.
+    The message fields begin with `prefix`. If the topic or the frame of `table` belongs to the earth, the entries are
+    velocities over ground (vx, vy); otherwise velocities and yaw rate in body axes (u, v, r).
     """
     linear = f"{prefix}linear.x {prefix}linear.y"
     if _EARTH.search(table.topic) or table.frame_id.strip("/") in _EARTH_FRAMES:
@@ -406,18 +409,18 @@ def wrapped_negative(values: Column) -> np.typing.NDArray[np.bool_]:
 
 
 def _is_of_16_bits(values: Column, high: np.typing.NDArray[np.bool_]) -> bool:
-    """Return whether the numbers flagged `high` can be negative numbers that a 16-bit counter stored as 65536 - n.
+    """Return whether the numbers flagged `high` (n,) can be negative numbers that a 16-bit counter stored as 65536 - n.
 
-    Then they span at most about three times the largest of the other numbers.
+    Then they differ by at most about three times the largest of the other numbers in `values` (n,).
     """
     top = float(np.max(values[high]))
     return top - float(np.min(values[high])) < 3.0 * float(np.max(values[~high])) + 1e-9
 
 
 def quantity(words: frozenset[str]) -> frozenset[str]:
-    """Return the words about a thruster without side and number, for example {"motor", "rpm"} of left_motor_rpm_1.
+    """Return the words of a thruster's name without side and number: {"motor", "rpm"} for left_motor_rpm_1.
 
-    They are equal for left and right of one quantity.
+    They are equal for the left and the right column of one quantity.
     """
     return frozenset(word.rstrip("0123456789") for word in words - SIDES) - {""}
 
@@ -430,14 +433,16 @@ def drive(words: frozenset[str], values: Column, unit: str) -> tuple[str, MapSig
     words
         Words of the names of column and topic.
     values
-        Numbers of the column and of the column of the other side, which has the same scale.
+        Numbers of the column and of the column of the other side, which gets the same scale; NaN without a value.
     unit
         Unit of the column as in a map; "" if unknown.
 
     Returns
     -------
     tuple or None
-        Group, signal (without its columns) and caveat; None if the column does not belong to a thruster.
+        Group ("force" or "drive"), signal without its columns, and caveat. The signal of a force is f_left, f_right or
+        X. That of a command or shaft speed is n, n_left or n_right, with a scale to -1 .. 1. The result is None if the
+        column does not belong to a thruster.
     """
     drive_words = words & DRIVES
     if not drive_words or words & _NOT_DRIVES:
@@ -464,7 +469,7 @@ def drive(words: frozenset[str], values: Column, unit: str) -> tuple[str, MapSig
         caveat = "; ".join(part for part in (WRAPPED.format(np.max(good)), caveat) if part)
 
     def found(unit: str, extra: str, *caveats: str) -> tuple[str, MapSignal, str]:
-        """Return group "drive", the signal n, n_left or n_right, and all caveats in one text.
+        """Return group "drive", the signal n, n_left or n_right, and its caveats joined to one text.
 
         `unit` is the unit of the signal, and `extra` are further keys of the import map.
         """

@@ -55,8 +55,9 @@ def read_bag(path: Path, options: SourceOptions) -> list[Table]:
     Returns
     -------
     list of Table
-        One table for each topic. The time of a message is the stamp of its header, or else its receipt
-        (`seatrial.daq.importers.stamps`). Each pair of frames in a TFMessage has its own topic: /tf:odom:base_link.
+        One table for each topic with numbers. The time of a message is the stamp of its header, or else its receipt;
+        wrong stamps are left out (`seatrial.daq.importers.stamps`). Each pair of frames in a TFMessage has its own
+        topic: /tf:odom:base_link. Messages of an unknown type are left out.
 
     Raises
     ------
@@ -155,7 +156,7 @@ def _readable_files(path: Path) -> Iterator[tuple[list[Path], str]]:
 
 
 def _sqlite_logs(path: Path) -> list[Path]:
-    """Return the log files that SQLite left beside a database, with messages that it must still add or remove.
+    """Return the log files (-wal, -journal) that SQLite left beside a database, with changes to be completed.
 
     An empty log is not returned. A symbolic link counts as a log.
     """
@@ -181,10 +182,11 @@ def _with_sqlite_logs(path: Path, copy: Path) -> Path:
 
 
 def _with_sqlite_logs_of_folder(path: Path, folder: Path) -> tuple[list[Path], list[str]]:
-    """Complete the databases of a ROS bag that is a folder with metadata.yaml. Return the folder to read, and remarks.
+    """Complete the databases (.db3) of a ROS bag that is a folder with metadata.yaml. Return folder and remarks.
 
     If a database in it has logs of SQLite, the returned folder is a copy inside `folder`: completed databases, and
-    links to all other files. Otherwise it is the bag itself, without remarks.
+    links to all other files. Otherwise it is the bag itself, without remarks. The folder, in a list, is what is then
+    read.
     """
     logs = {part.name: _sqlite_logs(part) for part in sorted(path.glob("*.db3"))}
     if not any(logs.values()):
@@ -270,11 +272,11 @@ class _TopicMessages:
         return MessageTimes(np.array(self.t_log), np.array(self.t_stamp))
 
     def table(self, path: Path, topic: str, times: EstimatedTimes) -> Table:
-        """Return the messages of the topic that have a time as a table, in the order of time.
+        """Return the messages of the ROS topic that have a time as a table, in the order of time.
 
-        `times` are the estimated times of measurement. Parts of an Imu that are not measured are left out. The position
-        of a fix without a satellite fix becomes NaN. NaN in commands of stopped motors becomes zero. The remark of the
-        table describes what is unusual.
+        `path` is the bag, and `times` are the estimated times of measurement. Parts of an Imu that are not measured are
+        left out. The position of a fix without a satellite fix becomes NaN. NaN in commands of stopped motors becomes
+        zero. The remark of the table describes what is unusual.
         """
         t = times.t
         order = np.argsort(t, kind="stable")[: int(np.sum(np.isfinite(t)))]
@@ -291,7 +293,7 @@ class _TopicMessages:
         return Table(path, topic, columns, t[order], self.kind, self.frame_id, remark, clock=clock, n_left_out=n_lost)
 
     def _two_sensors_remark(self) -> str:
-        """Return a remark if messages of several frames alternate, as each sensor has its own frame; "" otherwise.
+        """Return a remark if messages of several frame_ids (sensors) alternate in the topic, else "".
 
         Messages of one frame after another, without overlap in time, do not alternate.
         """
@@ -311,8 +313,8 @@ class _TopicMessages:
 def _leave_out_unmeasured(columns: dict[str, Column]) -> None:
     """Remove orientation, angular velocity or acceleration from the columns of ROS Imu messages if it is not measured.
 
-    Not measured means that in all messages its first covariance is -1 and its values are the defaults. `columns` is
-    changed in place.
+    Not measured means that in all messages its first covariance is -1 and its values are the defaults. `columns` has
+    the values (n,) by the name of the field and is changed in place.
     """
     # By the definition of the message, a first covariance of -1 marks such a part. Many drivers write -1 also for an
     # unknown covariance, so a part with other values than its default stays.

@@ -30,21 +30,22 @@ def row_times(table: Table, time: TimeColumn | None, *, lenient: bool = False) -
     Parameters
     ----------
     table
-        The rows.
+        The rows. Its remark gets a text about rows without a time and about changes of daylight saving time.
     time
         Source of the times; None if the table has its own times.
     lenient
-        Whether a row without a time gets NaN and is counted in a remark of the table. Otherwise it is an error.
+        Whether a row with a cell that is not a time gets NaN. Otherwise it is an error.
 
     Returns
     -------
     Column
-        Times [s] of the file's clock, shape (n,).
+        Times [s] of the file's clock, shape (n,), before the origin of the map is added. With a rate they begin at 0.
 
     Raises
     ------
     SeatrialError
-        If a cell has no time of this format; with ``lenient``, if too many cells have none.
+        If a cell has no time of this format; with ``lenient``, if too many cells have none. Also if ``time`` is None
+        and the table has no times of its own.
     """
     if time is not None and time.rate_hz:
         return np.arange(len(table)) / time.rate_hz
@@ -78,10 +79,10 @@ def row_times(table: Table, time: TimeColumn | None, *, lenient: bool = False) -
 
 
 def _seconds_of_numbers(raw: Column, weeks: Column, form: str) -> Column:
-    """Convert the numbers (n,) of a time column to s, shape (n,), by their format.
+    """Convert the numbers `raw` (n,) of a time column to s, shape (n,), by their format `form`.
 
-    The format is a unit of time ("ms"), days of a spreadsheet ("excel"), "labview", "gps" or "gps_ms". `weeks` (n,) are
-    the GPS weeks, which only the last two use.
+    The format is a unit of time ("ms"), days of a spreadsheet or of MATLAB ("excel", "datenum"), "labview", "gps" or
+    "gps_ms". `weeks` (n,) are the GPS weeks, which only the last two use.
     """
     if form in TIME_UNITS:
         return raw * TIME_UNITS[form]
@@ -110,9 +111,10 @@ def gps_seconds(weeks: Column, seconds: Column) -> Column:
 
 
 def _seconds_of_text(table: Table, time: TimeColumn, lenient: bool) -> Column:
-    """Convert the text cells of a time column to s (n,). A cell of another format becomes NaN if `lenient`.
+    """Convert the text cells of a time column to s (n,). With `lenient`, a cell of another format becomes NaN.
 
-    Raise SeatrialError for such a cell without `lenient`, or if too many cells are of another format.
+    Raise SeatrialError for such a cell without `lenient`, or if too many cells are of another format: all cells, or 5
+    and more than 5 %.
     """
     parse = _cell_parser(time)
     text = dated(table, time.date, time.column) if time.date else [cell.strip() for cell in table.text(time.column)]
@@ -159,17 +161,17 @@ def dated(table: Table, date: str, time: str) -> list[str]:
 def _may_leave_out_untimed_rows(untimed: NDArray[np.intp], t: Column, lenient: bool) -> bool:
     """Return whether the rows without a time (indices `untimed`) may be left out of a table (times `t`, shape (n,)).
 
-    This needs `lenient`, some row with a time, and fewer than 5 rows, or at most 5 %, without one. With more of them
-    the format is wrong.
+    This needs `lenient`, some row with a time, and fewer than 5 rows, or at most 5 %, without one. If more cells have
+    no time, the format is probably wrong.
     """
     return lenient and len(untimed) < len(t) and not too_many_rows_missing(len(untimed), len(t))
 
 
 def _continued_after_midnight(t: Column, form: str) -> Column:
-    """Return times of day (n,) [s] that go on beyond 24 h after midnight, instead of starting again at 0.
+    """Return times of day `t` (n,) [s] that go on beyond 24 h after midnight, instead of starting again at 0.
 
-    For a format without hours they go on after the full hour. `t` is changed in place. Times that are not all within
-    one day (or hour) are not changed.
+    `form` is their strptime pattern. For a pattern without hours they go on after the full hour. `t` is changed in
+    place. Times that are not all within one day (or hour) are not changed.
     """
     period = DAY if any(part in form for part in ("%H", "%I", "%c", "%X", "%T", "%s")) else HOUR
     if len(t) and np.all(t < period):
@@ -187,8 +189,9 @@ def _take_out_clock_changes(table: Table, t: Column, time: TimeColumn) -> None:
     """Remove the hour of a change between standard and daylight saving time from local times t (n,) [s], in place.
 
     The change is a step of one hour, forward or back, added to the usual step. It is at a full hour of a Sunday night
-    in spring or autumn. The rows after it are moved, with a remark. A step of an hour at any other time is a pause of
-    the logger, or a clock that was set. It is kept, with a remark.
+    in spring or autumn. The rows after it are moved, with a remark of the table. A step of an hour at any other time is
+    a pause of the logger, or a clock that was set. It is kept, with a remark. Nothing is done for fewer than 11 rows
+    with a time, or rows 60 s or more apart. `time` has the origin of the times.
     """
     known = np.flatnonzero(np.isfinite(t))
     steps = np.diff(t[known])
@@ -216,10 +219,10 @@ def _take_out_clock_changes(table: Table, t: Column, time: TimeColumn) -> None:
 
 
 def _may_daylight_time_change(t: float) -> bool:
-    """Return whether daylight saving time may begin or end at the local time of a row [s since 1970].
+    """Return whether daylight saving time may begin or end at the local time of a row, `t` [s since 1970].
 
-    This is between 0 and 5 o'clock on a Sunday in March, April, September, October or November; on any day if the time
-    has no date.
+    This is between 0 and 5 o'clock on a Sunday in March, April, September, October or November. For a time without a
+    date, below 2 days, every day may be the day of the change.
     """
     moment = datetime(1970, 1, 1) + timedelta(seconds=float(t))
     is_night = moment.hour <= _LAST_HOUR
@@ -262,11 +265,15 @@ def read_date(text: str, pattern: str) -> datetime:
 def _cell_parser(time: TimeColumn) -> Callable[[str], float]:
     """Return a function that converts a text cell of a time column to s. The function raises ValueError.
 
-    The format, and how digits behind the last point are read, are those of `time`. A date without a zone is UTC.
+    `time` has the format, and how digits behind the last point are read. ValueError means a text of another format. A
+    date without a zone is UTC.
     """
 
     def whole(text: str) -> float:
-        """Convert a cell of a time column to s by its format alone. Raise ValueError for another format."""
+        """Convert a cell of a time column to s by its format alone: a number, an ISO date, or a strptime pattern.
+
+        A date without a year is in 1970. Raise ValueError for another format.
+        """
         if time.format == "s":
             return float(text)
         iso = time.format == "iso"

@@ -26,11 +26,13 @@ def sample_tables(path: Path, rows: Sequence[tuple[str, float, Frame]]) -> list[
         The source file.
     rows
         Device, time [s] and decoded sample (with its times of receipt and of the device), in the order of the file.
+        Samples of other kinds than `MEASURED`, for example events, are left out.
 
     Returns
     -------
     list of Table
-        The tables, in the order of time. If there are several devices, topics begin with the name of the device.
+        The tables, each in the order of time. Columns without any value are left out. If there are several devices,
+        topics begin with the name of the device. The position of a fix below 2D is NaN.
     """
     found: dict[str, tuple[str, list[float], list[list[float]], list[str]]] = {}
     several = len({device for device, _, _ in rows}) > 1
@@ -65,12 +67,13 @@ def read_autopilot_log(path: Path, options: SourceOptions) -> list[Table]:
     path
         The log of an autopilot.
     options
-        `rig` names and scales the outputs, and `system` selects a MAVLink system.
+        `rig` is the rig file that names and scales the outputs, and `system` selects a MAVLink system.
 
     Returns
     -------
     list of Table
-        One table for each kind of sample and node. The first has the events of the log.
+        One table for each kind of sample and node, with the parameters and the type of the vehicle. The first has the
+        events of the log. Differences of the parameters from the rig are remarks.
 
     Raises
     ------

@@ -248,16 +248,17 @@ class _RowCounter:
         self._has_time = np.isfinite(t)  # a remark of the table counts the rows without a time
 
     def add(self, raw: Column, ordered: NDArray[np.bool_]) -> None:
-        """Count the rows of a signal: its values (n,), NaN for none, and the flags (n,) of rows with times in order."""
+        """Count the rows of one more signal: its values (n,), NaN for none, and flags (n,) of rows in order of time."""
         known = np.isfinite(raw)
         self._kept |= ordered & known
         self._valued |= known
         self._again[1:] &= (raw[1:] == raw[:-1]) | ~known[1:]
 
     def left_out(self) -> Iterator[RowsLeftOut]:
-        """Yield for the reasons "stamps" and "times out of order" the number of rows of the table that the log lacks.
+        """Yield the number of rows of the table that the log lacks, for wrong stamps and for times out of order.
 
-        Rows that are copies of the row before do not count. Nothing is yielded if no row is missing.
+        A row that is kept for any signal, has no value, or is a copy of the row before, does not count. Nothing is
+        yielded for a reason without missing rows.
         """
         table, t = self._table, self._t[self._has_time]
         if table.n_left_out:
@@ -270,7 +271,7 @@ class _RowCounter:
 def _is_of_two_sources(t: Column) -> bool:
     """Return whether times (n,) [s] that repeat look like those of two sources of unequal rate in one table.
 
-    Then some of the times, at regular intervals, have two rows, and most times have one. Stamps that are coarser than
+    Then most times have one row, and at least 5 of them, at regular intervals, have two. Stamps that are coarser than
     the rows have several rows at nearly every time.
     """
     times, number = np.unique(t, return_counts=True)
@@ -282,11 +283,11 @@ def _is_of_two_sources(t: Column) -> bool:
 
 
 def _without_held(table: Sequence[SignalData], places: Sequence[int]) -> Iterator[tuple[int, SignalData, Held]]:
-    """Remove the repeats of signals whose source repeats each measurement until the next one.
+    """Remove the repeats of signals whose source repeats each measurement in all rows until the next one.
 
-    Yield for each of these signals its index in `places`, the signal without repeats, and their number. Other signals
-    are not yielded, nor inputs whose values look like commands instead of measurements. `table` has signals with the
-    same times.
+    Yield for each of these signals its index, the signal without repeats, and the number of repeats. Other signals are
+    not yielded, nor inputs whose values look like commands instead of measurements. `table` has signals with the same
+    times, and `places` the index of each in the list of all signals.
     """
     t = table[0].t
     found = held_signals(t, {data.signal.name: data.values for data in table})
@@ -333,8 +334,9 @@ def _path_text(tables: Sequence[Table]) -> str:
 def _raw_values(table: Table, signal: Signal) -> Column:
     """Return the values of a signal (n,) before scale and sign, in the unit of its column.
 
-    A signal with `make` is computed from its columns, in SI units. A position is in metres from the first fix; a fix at
-    0, 0 is NaN. The angles of a quaternion of zeros are NaN.
+    A signal with `make` is computed from its columns, in SI units. A position is in metres north or east of the first
+    fix; a fix at 0, 0 is NaN. A velocity is 0 at speed 0, also without a course. The angles of a quaternion of zeros
+    are NaN.
     """
     if not signal.make:
         return table.numbers(signal.columns[0])
@@ -358,7 +360,8 @@ def _raw_values(table: Table, signal: Signal) -> Column:
 def _in_ned(signal: Signal, values: Column) -> tuple[Signal, Column]:
     """Convert a signal and its values (n,) from ENU (east, north, up; forward, left, up) to NED axes.
 
-    A signal of frame "NED" is unchanged. x and y are exchanged, and the sign of v, r and other components changes.
+    A signal of frame "NED" is unchanged. x and y exchange their names, psi becomes pi/2 - psi, and the sign of v, r and
+    other components changes.
     """
     if signal.frame == "NED":
         return signal, values
@@ -387,7 +390,7 @@ def _wrapped_or_unwrapped(values: Column, how: str) -> Column:
 def _changed_rows(values: Sequence[Column]) -> NDArray[np.bool_]:
     """Return the flags (n,) of rows of an imported table in which any of the columns (n,) differs from the row before.
 
-    The first row counts as changed. NaN after NaN is no change.
+    `values` has one or more columns. The first row counts as changed. NaN after NaN is no change.
     """
     new = np.zeros(len(values[0]), bool)
     new[:1] = True
@@ -397,10 +400,10 @@ def _changed_rows(values: Sequence[Column]) -> NDArray[np.bool_]:
 
 
 def _with_timeouts(t: Column, values: Column, timeout: float) -> tuple[Column, Column]:
-    """Insert a zero where an imported input times out, and return its times [s] and values (n,).
+    """Insert a zero where an imported input times out, and return its times [s] and values, then longer than (n,).
 
-    This is `timeout` [s] after each sample that no other sample follows within this time, also after the last one. With
-    a timeout of 0 nothing is inserted.
+    An input times out `timeout` [s] after each sample that no other sample follows within this time, also after the
+    last one. With a timeout of 0, or without samples, nothing is inserted.
     """
     if not timeout or not len(t):
         return t, values
@@ -411,8 +414,8 @@ def _with_timeouts(t: Column, values: Column, timeout: float) -> tuple[Column, C
 def _rows_in_order(table: Table, t: Column, source: Source) -> NDArray[np.bool_]:
     """Return the flags (n,) of the largest set of rows of a table whose times `t` (n,) [s] rise strictly.
 
-    Rows without a time (NaN) are not in it. Raise SeatrialError if rows are out of order and the import map does not
-    drop them.
+    Rows without a time (NaN) are not in it. If rows are out of order, raise SeatrialError unless the import map
+    (`source`) drops them, or the table is no text and the map has no key for this.
     """
     has_time = np.isfinite(t)
     behind = np.flatnonzero(np.diff(t[has_time]) <= 0.0)
@@ -442,13 +445,13 @@ def coarse_advice(rate: float) -> str:
     Returns
     -------
     str
-        The key of the map that replaces the stamps.
+        The advice, with the key of the import map that replaces the stamps by even times.
     """
     return f"time = {{ rate_hz = {rate:.4g} }} in the map replaces them by even times"
 
 
 def _longest_rising(t: Column) -> NDArray[np.bool_]:
-    """Select the most rows of an imported table whose times (n,) rise strictly, and return their flags (n,).
+    """Select the most rows of an imported table whose times `t` (n,), n > 0, rise strictly; return their flags (n,).
 
     A single time that is too large then costs only its own row (Fredman, Discrete Mathematics 11, 1975). Of equal
     times, only the first is selected.

@@ -25,7 +25,7 @@ class SourceKind(NamedTuple):
         Name of the kind, as in the metadata of logs: csv, ros, ulog, matlab, parquet, mavlink, can, labview or
         flysight.
     read : callable
-        Reader of its tables, from the path and the options of the map.
+        Function that takes the path of the source and the options of the map, and returns the tables of the source.
     """
 
     name: str  # in the metadata of logs
@@ -97,7 +97,7 @@ def source_kind(path: Path) -> SourceKind:
 
 
 def _bag_kind() -> SourceKind:
-    """Return the kind of source of a ROS bag, with its reader."""
+    """Return "ros", the kind of source of a ROS bag, with its reader."""
     from seatrial.daq.importers.ros import read_bag
 
     return SourceKind("ros", read_bag)

@@ -81,13 +81,13 @@ def message_times(topics: Mapping[str, MessageTimes]) -> dict[str, EstimatedTime
     Parameters
     ----------
     topics
-        Receipts and stamps by topic.
+        Receipts by the recorder and stamps of the source, by topic.
 
     Returns
     -------
     dict
-        Times by topic, all of one clock. Without any stamps they are the receipts. A message without a reliable time
-        has NaN.
+        Times by topic, all of one clock. They are the receipts if no topic has at least two stamps. A message without a
+        reliable time has NaN.
     """
     clean = {name: _without_zeros(times) for name, times in topics.items()}
     stamped = {n: times for n, times in clean.items() if np.isfinite(times.stamp + times.receipt).sum() > 1}
@@ -101,9 +101,9 @@ def message_times(topics: Mapping[str, MessageTimes]) -> dict[str, EstimatedTime
 
 
 def _without_zeros(times: MessageTimes) -> MessageTimes:
-    """Return the receipts and stamps of a topic with NaN for empty (zero) ones.
+    """Return the receipts and stamps of a topic with NaN in place of empty ones, which are 0.
 
-    All stamps become NaN if they are always empty, or if fewer than 10 % of them differ.
+    All stamps become NaN if all are empty, or if fewer than 10 % of them differ. Receipts that are all 0 are unchanged.
     """
     # Messages of a simulation are empty until its first clock message.
     receipt, stamp = times.receipt.copy(), times.stamp.copy()
@@ -119,8 +119,8 @@ def _without_zeros(times: MessageTimes) -> MessageTimes:
 def _receipt_rate(times: MessageTimes) -> float:
     """Return how fast the recorder's clock runs by the stamps of a topic: seconds of receipt per second of stamps.
 
-    The rate is a median over pieces of a tenth of the recording. A step or wrong stamps do not affect the median. It is
-    exactly 1 if the clocks drift by less than 0.2 s over the recording, or if the rate is not positive.
+    The rate is a median over pieces of a tenth of the recording, which a step or wrong stamps do not affect. It is
+    exactly 1 if the clocks drift by less than 0.2 s over the recording, if the rate is not positive, or without stamps.
     """
     known = np.isfinite(times.receipt + times.stamp)
     receipt, stamp = times.receipt[known], times.stamp[known]
@@ -135,10 +135,10 @@ def _receipt_rate(times: MessageTimes) -> float:
 
 
 def _running_median(values: Column) -> Column:
-    """Return the running median over 51 values (n,) of the offset between message stamps and their receipts.
+    """Return the running median (n,) of the offsets (n,) [s] between message stamps and their receipts.
 
-    If there are fewer values, it is over the largest odd number of them. The first and the last value are repeated
-    beyond the ends.
+    It is over 51 values, or over the largest odd number of values if there are fewer. The first and the last value are
+    repeated beyond the ends. Fewer than 3 values are returned unchanged.
     """
     window = min(SMOOTH, len(values) - 1 + len(values) % 2)
     if window < 3:
@@ -148,16 +148,16 @@ def _running_median(values: Column) -> Column:
 
 
 class _ReferenceClock:
-    """The clock that most stamps of a recording share, and its offset from the clock of the recorder.
+    """The clock that most stamps of a recording share (the reference), and its offset from the clock of the recorder.
 
-    The offset, called the level, is the receipt minus `rate` times the stamp [s].
+    The offset is called the level: the receipt minus `rate` times the stamp [s].
 
     Attributes
     ----------
     is_recorder : bool
         Whether the reference is the recorder's own clock.
     rate : float
-        Rate of the receipts by the reference [s/s]; 1 for clocks of equal rate.
+        Seconds of the recorder's clock per second of the reference; 1 for clocks of equal rate.
     set_back : bool
         Whether the recorder's clock was set back during the recording.
     shift : float
@@ -168,7 +168,7 @@ class _ReferenceClock:
     def __init__(self, stamped: Mapping[str, MessageTimes]) -> None:
         """Choose the clock that most stamps share, and measure its offset from the recorder without wrong stamps.
 
-        `stamped` has receipts and stamps of each topic with stamps.
+        `stamped` has receipts and stamps of each topic with at least two stamps.
         """
         rates = {name: _receipt_rate(times) for name, times in stamped.items()}
         sharing = [n for n, times in stamped.items() if rates[n] == 1.0 and self._agrees_with_recorder(times)]
@@ -202,11 +202,12 @@ class _ReferenceClock:
             self.shift = float(delay[~wrong].min()) if self.rate == 1.0 else float(delay[~wrong][0])
 
     def _store_branches(self, receipt: Column, level: Column) -> None:
-        """Store the level for each interval between two steps back of the recorder's clock (a branch), and set `shift`.
+        """Store the level separately for each interval between two steps back of the recorder's clock, and set `shift`.
 
         The level is the receipt minus `rate` times the stamp [s]. After a step back the same receipt may occur again
-        with another level, so each branch is interpolated on its own. `receipt` and `level` (n,) are in the order of
-        the stamps. `shift` is that of the first branch near the recorder's clock.
+        with another level, so each interval (a branch) is interpolated on its own. `receipt` and `level` (n,) are in
+        the order of the stamps. `shift` is that of the first branch near the recorder's clock, or else of the first
+        branch.
         """
         steps = np.flatnonzero(np.diff(level) < -STEP_S) + 1
         edges = [0, *steps.tolist(), len(level)]
@@ -235,9 +236,10 @@ class _ReferenceClock:
     def _stamp_steps(self, receipt: Column, stamp: Column, topic: Column, level: Column) -> Mask:
         """Return the flags (n,) of messages with wrong stamps, found by the steps of the level (receipt minus stamp).
 
-        Between two steps the level is about constant, a plateau. Steps of the stamps change the offset of their clock.
-        The offset with the most messages is right, and messages with another offset are wrong. Plateaus near the
-        recorder's clock count three times.
+        The messages of all topics are in the order of receipt; `topic` (n,) has the number of the topic of each.
+        Between two steps the level is about constant (a plateau). Steps of the stamps, not those of the receipts,
+        change the offset of their clock. The offset with the most messages is right, and messages with another offset
+        are wrong. Plateaus near the recorder's clock count three times. Without steps all flags are False.
         """
         allowed = STEP_S + STEP_RATE * np.diff(receipt)
         steps = np.flatnonzero(np.abs(np.diff(level)) > allowed) + 1
@@ -261,10 +263,10 @@ class _ReferenceClock:
         return wrong
 
     def level(self, receipt: Column) -> Column:
-        """Return receipt minus `rate` times stamp [s] (n,), as it was for messages received at the given times (n,).
+        """Return the level, receipt minus `rate` times stamp [s], as it was for messages received at the given times.
 
-        It is interpolated, but not over a step. If the recorder's clock was set back, it is NaN for receipts that
-        occurred twice, with different levels.
+        `receipt` has these times (n,) [s since 1970]. The level (n,) is interpolated, but not over a step. If the
+        recorder's clock was set back, it is NaN for receipts that occurred twice, with different levels.
         """
         if self.set_back:
             pause = [1.5 * float(np.quantile(np.abs(np.diff(own)), 0.99)) for own, _ in self._branches if len(own) > 1]
@@ -319,14 +321,15 @@ class _ReferenceClock:
         return EstimatedTimes(t, "; ".join([*remarks, *_wrong_remarks(topic_times, wrong, misfit - usual)]))
 
     def _shift_remark(self) -> str:
-        """Return the remark that the stamps come from another clock than the recorder's, with offset and rate."""
+        """Return the remark that stamps come from another clock than the recorder's, with its offset [s] and rate."""
         rate = "" if self.rate == 1.0 else f", at {1.0 / self.rate:.3g} times the rate of the recording"
         return f"its stamps are of another clock: moved by {self.shift:+.3f} s{rate}"
 
     def _times_of_receipts(self, topic_times: MessageTimes) -> EstimatedTimes:
-        """Return the times of a topic without stamps: its receipts, corrected by the stamps of the other topics.
+        """Return the times of a topic without stamps: its receipts, converted to the reference clock.
 
-        A message for which the correction is unknown has NaN, and the remark counts these messages.
+        The stamps of the other topics give the conversion. A message for which it is unknown has NaN, and the remark
+        counts these messages.
         """
         level = self.level(topic_times.receipt)
         offset = -self.shift if self.is_recorder else 0.0
@@ -341,8 +344,9 @@ class _ReferenceClock:
     def _times_of_another_clock(self, topic_times: MessageTimes, rate: float) -> EstimatedTimes:
         """Return the times of a topic whose stamps are of a clock of their own, converted to the reference clock.
 
-        The shortest delay of the receipts gives the offset. `rate` is the rate of the receipts by the stamps [s/s]; a
-        drift below 0.2 s is neglected. Wrong stamps become NaN, and the remark counts them.
+        The shortest delay between stamp and receipt gives the offset of the clock. `rate` is the rate of the receipts
+        by the stamps [s/s]; a drift below 0.2 s over the recording is neglected. Wrong stamps become NaN, and the
+        remark counts them.
         """
         on_reference = self._times_of_receipts(topic_times).t
         known = np.isfinite(on_reference + topic_times.stamp)
@@ -377,8 +381,9 @@ def _is_set_back(times: MessageTimes) -> bool:
 def _stamps_jump(receipt: Column, stamp: Column, topic: Column, k: int, jump: float, rate: float) -> bool:
     """Return whether the stamps stepped, not the receipts, at message k, where receipt minus stamp jumps by `jump` [s].
 
-    Each topic near message k votes for the clock whose interval at the step is more unusual. `topic` has the number of
-    the topic of each message, and `rate` is the rate of the receipts by the stamps [s/s].
+    Each topic near message k votes for the clock whose interval at the step is more unusual, with a weight of its
+    number of messages. `receipt`, `stamp` and `topic` (number of the topic) are of all messages (n,). `rate` is the
+    rate of the receipts by the stamps [s/s].
     """
     votes = 0.0
     for index in np.unique(topic[max(k - SMOOTH, 0) : k + SMOOTH]):
@@ -398,8 +403,9 @@ def _stamps_jump(receipt: Column, stamp: Column, topic: Column, k: int, jump: fl
 def _wrong_stamps(times: MessageTimes, misfit: Column, rate: float) -> Mask:
     """Return the flags (n,) of wrong stamps of a topic; a stamp of a message that is only late is not wrong.
 
-    `misfit` (n,) is the delay of the receipts beyond the usual delay [s], and `rate` the rate of the receipts by the
-    stamps [s/s].
+    `misfit` (n,) is the delay from stamp to receipt beyond the usual delay [s], NaN if unknown, and `rate` the rate of
+    the receipts by the stamps [s/s]. A stamp is wrong if its misfit is large and the interval of the stamps before it
+    is more unusual than that of the receipts. With fewer than 3 known misfits no stamp is wrong.
     """
     known = np.isfinite(misfit)
     receipt, stamp, late = times.receipt[known], rate * times.stamp[known], misfit[known]
@@ -431,7 +437,8 @@ def _wrong_stamps(times: MessageTimes, misfit: Column, rate: float) -> Mask:
 def _wrong_remarks(times: MessageTimes, wrong: Mask, misfit: Column) -> list[str]:
     """Return a list with the remark about wrong stamps of a topic: number, error and first occurrence.
 
-    The list is empty without wrong stamps. `misfit` (n,) is the delay of the receipts beyond the usual delay [s].
+    `wrong` (n,) flags these stamps. The list is empty without them. `misfit` (n,) is the delay from stamp to receipt
+    beyond the usual delay [s], NaN for an empty stamp.
     """
     if not np.any(wrong):
         return []

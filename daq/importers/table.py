@@ -29,7 +29,7 @@ class Table:
     columns : dict
         Columns of numbers by name, each (n,); NaN for a row without a value.
     t : Array (n,) or None
-        Times in order [s since 1970 or since the start]; None if the map names the source of the times.
+        Times in order [s since 1970 or since the start]; None if the import map names the column or rate of the times.
     kind : str
         Type of the messages, for example "sensor_msgs/msg/Imu" or "vehicle_attitude" (PX4); "" for other tables.
     frame_id : str
@@ -80,7 +80,7 @@ class Table:
 
     @property
     def full_remark(self) -> str:
-        """What is unusual about the table and its times, in one line with the topic in front; "" if nothing is."""
+        """What is unusual about the rows and times of the table, in one line behind the topic; "" if nothing is."""
         remarks = "; ".join(part for part in (self.remark, self.clock) if part)
         return f"{self.topic}: {remarks}" if self.topic and remarks else remarks
 
@@ -114,10 +114,10 @@ class Table:
         return self.columns[column]
 
     def text(self, column: str) -> list[str]:
-        """Return the cells of a column of the table as text, for times that are not numbers.
+        """Return the cells of a column of the table as texts (n,), for times that are not numbers.
 
-        A column of numbers gives the shortest texts with the same values. Raise SeatrialError if the table lacks the
-        column.
+        A column of numbers gives the shortest texts with the same values, "nan" for a cell without a value. Raise
+        SeatrialError if the table lacks the column.
         """
         return list(self.texts.get(column, ())) or [repr(value) for value in self.numbers(column).tolist()]
 
@@ -131,7 +131,7 @@ class Table:
 
 
 def clock_remark(t: Column) -> str:
-    """Return a remark if times run back in the order of a file: a clock was set, or there are two clocks.
+    """Return a remark if times run back in the order of a file, because a clock was set or there are two clocks.
 
     Parameters
     ----------
@@ -141,8 +141,8 @@ def clock_remark(t: Column) -> str:
     Returns
     -------
     str
-        The remark, with the number of steps back and the largest one; "" if no time runs back by more than
-        `CLOCK_STEP_S`.
+        The remark, with the number of steps back and the largest one [s]; "" if no time runs back by more than 0.5 s
+        (`CLOCK_STEP_S`).
     """
     back = -np.diff(t)
     far = back > CLOCK_STEP_S

@@ -61,7 +61,7 @@ class TextTable(Table):
     strict = True
 
     def __init__(self, path: Path, style: TextStyle) -> None:
-        """Read the header and the cells of a text file.
+        """Read the header and the cells of a text file in the style of an import map (delimiter, decimal mark, ...).
 
         Raise SeatrialError if it cannot be read as a table of this style.
         """
@@ -77,8 +77,8 @@ class TextTable(Table):
     def _read_numbers(self) -> bool:
         """Read the text file by numpy, which is fast, and return whether this was possible.
 
-        It is possible only if the file contains one header with unique names, and rows of plain finite numbers without
-        blank lines. Otherwise nothing is stored.
+        It is possible only if the file contains one header with unique names, and rows of plain finite numbers with
+        decimal points, without blank lines. Otherwise nothing is stored.
         """
         style = self._style
         if style.columns or style.decimal != "." or len(style.delimiter) != 1:
@@ -101,7 +101,7 @@ class TextTable(Table):
                     ndmin=2,
                 )
         except (ValueError, UnicodeError, OSError, csv.Error):
-            return False  # the other way reads it, or says what is wrong
+            return False  # _read_cells reads the file, or raises the error
         names = [name.strip() for name in header]
         plain = all(names) and len(set(names)) == len(names) == values.shape[1] and names[0] not in _COMMENTS
         # numpy skips blank lines, after which the numbers of the lines would be wrong
@@ -114,7 +114,10 @@ class TextTable(Table):
         return True
 
     def _read_cells(self) -> None:
-        """Read header and cells of the text file one by one. Raise SeatrialError if it is no table of this style."""
+        """Read and store header and cells of the text file one by one, as text.
+
+        Raise SeatrialError if the file cannot be read or is no table of this style.
+        """
         path, style = self.path, self._style
         self.lines, self._rows = [], []
         try:
@@ -135,10 +138,11 @@ class TextTable(Table):
             raise SeatrialError(f"{path}: cannot be read: {error.strerror}") from error
 
     def _read(self, file: Iterable[str]) -> None:
-        """Read header and rows of the text table from the lines of its file.
+        """Read and store header and rows of the text table from the lines of its file (behind the skipped lines).
 
         Comments, repeated headers, units and subheadings are skipped. The units are stored. Lines with a wrong number
-        of cells are noted in the remark or raise SeatrialError (`_note_ragged_lines`).
+        of cells are left out with a remark, or raise SeatrialError (`_note_ragged_lines`). SeatrialError is also raised
+        without a header or without rows.
         """
         watched = _WatchedLines(file)
         rows = _cells_of_lines(watched, self._style)
@@ -183,10 +187,10 @@ class TextTable(Table):
             self._add_remark(f"column '{name}' is {counted(self._header.count(name), 'time')} in the header: {_RENAME}")
 
     def _note_ragged_lines(self, ragged: Sequence[tuple[int, int]], is_cut: bool) -> None:
-        """Add a remark about the lines of the text table whose number of cells differs from the header.
+        """Add a remark about the lines of the text table whose number of cells differs from the header, or raise.
 
-        `ragged` has line and number of cells of each. Raise SeatrialError if the import map does not drop cells without
-        a number, or if these are more than 20 % of the lines. `is_cut`: the file has no line end at its end.
+        `ragged` has line and number of cells of each. Raise SeatrialError if the import map does not have nan = "drop",
+        or if these are more than 20 % of the lines. `is_cut` means that the last line of the file has no line end.
         """
         line, n_cells = ragged[0]
         width, n = len(self._header), len(ragged)
@@ -216,9 +220,10 @@ class TextTable(Table):
         return len(self.lines)
 
     def text(self, column: str) -> list[str]:
-        """Return the cells of a column of the text table. The file is read again if only its numbers were kept.
+        """Return the cells of a column of the text table as texts (n,).
 
-        Raise SeatrialError if the header lacks the column or has it twice.
+        If numpy has read the file, so that its cells were not kept, the file is read again. Raise SeatrialError if the
+        header lacks the column or has it twice.
         """
         if self._header.count(column) != 1:
             names = ", ".join(name or "(unnamed)" for name in self._header)
@@ -253,17 +258,19 @@ class TextTable(Table):
         Raises
         ------
         SeatrialError
-            If a cell is text. With ``nan = "drop"`` or ``"keep"``, only if the column has more text than numbers.
+            If the header lacks the column or has it twice, or if a cell is text. With ``nan = "drop"`` or ``"keep"``,
+            text is an error only if the column has more text than numbers.
         """
         if column not in self._numbers:
             self._numbers[column] = self._as_numbers(column)
         return self._numbers[column]
 
     def _as_numbers(self, column: str) -> Column:
-        """Convert the cells of a column to numbers (n,). An empty cell becomes NaN.
+        """Convert the cells of a column of the text table to numbers (n,).
 
-        A cell of text becomes NaN if the import map drops or keeps such cells (`nan`). Raise SeatrialError otherwise,
-        or if the column has more text than numbers.
+        An empty cell, or a word such as "nan", becomes NaN. Other text and infinite numbers become NaN if the import
+        map drops or keeps such cells (`nan`), with a remark. Raise SeatrialError otherwise, or if the column has more
+        text than numbers.
         """
         cells = self._without_units(column, [cell.strip() for cell in self.text(column)])
         decimal = self._style.decimal
@@ -294,13 +301,13 @@ class TextTable(Table):
         return found
 
     def _has_points(self) -> bool:
-        """Return whether the first 100 rows of the text table contain a number with a decimal point."""
+        """Return whether any cell in the first 100 rows of the text table is a number with a decimal point."""
         return any(_POINT.fullmatch(cell.strip()) for cells in self._rows[:LOOKED_AT] for cell in cells)
 
     def _without_units(self, column: str, cells: list[str]) -> list[str]:
-        """Return the cells of a column without their unit if all have the same unit (1.25 m), and store the unit.
+        """Return the cells of a column of a text table without their unit if all have the same unit (1.25 m).
 
-        Otherwise the cells are returned unchanged.
+        The unit is stored. Empty cells need no unit. Otherwise the cells are returned unchanged.
         """
         first = _WITH_UNIT.fullmatch(next((text for text in cells if text), ""))
         if first is None or not unit_of(first[2]):
@@ -316,7 +323,7 @@ _RENAME = 'name the columns in the map: csv.columns = ["...", ...], and csv.skip
 
 
 class _WatchedLines:
-    """Iterator over the lines of a file that notes whether the last line was cut off. Zero bytes are removed.
+    """Iterator over the lines of a text file that notes whether the last line was cut off. Zero bytes are removed.
 
     Attributes
     ----------
@@ -337,9 +344,9 @@ class _WatchedLines:
 
 
 def _numbers_of_plain_cells(cells: Sequence[str], decimal: str) -> list[float]:
-    """Convert the cells of a column of a text table to numbers (n,). `decimal` is the decimal mark.
+    """Convert the cells of a column of a text table to numbers (n,). `decimal` is the decimal mark, "." or ",".
 
-    Raise ValueError if a cell is not a plain number, also if it is empty.
+    Raise ValueError if a cell is not a plain number, also if it is empty. A thousands separator is not plain.
     """
     if any("_" in text for text in cells):  # Python's float also reads 1_000, which no instrument writes
         raise ValueError("_")
@@ -354,9 +361,10 @@ def to_number(text: str, decimal: str, has_thousands: bool = False) -> float:
     text
         The cell without blanks around it.
     decimal
-        The decimal mark.
+        The decimal mark, "." or ",".
     has_thousands
-        Whether a comma between digits without a decimal mark, 1,500, separates thousands.
+        Whether a comma in a number without a decimal point, 1,500, separates thousands. In a number with a decimal
+        mark, as 1,500.2, thousands may always be separated.
 
     Returns
     -------
@@ -386,7 +394,8 @@ def to_number(text: str, decimal: str, has_thousands: bool = False) -> float:
 def _cells_of_lines(file: Iterable[str], style: TextStyle) -> Iterator[tuple[int, list[str]]]:
     """Split the lines of a text table into cells. Yield the number, counted from 1, and the cells of each line.
 
-    Blank lines are skipped. The delimiter is that of `style`.
+    Blank lines are skipped. The delimiter is that of `style`. For cells in quotes with line ends, the number is that of
+    the last line.
     """
     if style.delimiter == BLANK:
         for number, line in enumerate(file, start=1):
@@ -454,7 +463,8 @@ def has_decimal_commas(head: bytes) -> bool:
     Returns
     -------
     bool
-        True if nearly all rows show this.
+        True if more than 90 % of the rows are numbers and have more cells between commas than the header; False for
+        fewer than 3 lines, or a header with another delimiter.
     """
     lines = head.decode("utf-8-sig", "ignore").splitlines()[:-1]
     widths = [line.count(",") + 1 for line in lines if line.strip()]
@@ -466,7 +476,7 @@ def has_decimal_commas(head: bytes) -> bool:
 
 
 def wide_encoding(head: bytes) -> str:
-    """Return the encoding of a text table with two bytes per character (Excel's "Unicode text").
+    """Return the encoding of a text table with two bytes per character (UTF-16, Excel's "Unicode text").
 
     Parameters
     ----------
@@ -476,7 +486,7 @@ def wide_encoding(head: bytes) -> str:
     Returns
     -------
     str
-        The encoding; "" for other texts.
+        "utf-16", "utf-16-le" or "utf-16-be"; "" for other texts.
     """
     if head.startswith((b"\xff\xfe", b"\xfe\xff")):
         return "utf-16"
@@ -535,10 +545,11 @@ def _joined_quoted_lines(lines: Sequence[str]) -> tuple[list[str], list[int]]:
 
 
 def _score_of_style(lines: list[str], style: TextStyle) -> tuple[float, TextStyle] | None:
-    """Return a score of how well a text is a table in this style, and the style with the place of the header.
+    """Return a score of how well the lines of a text are a table in this style, and the style with the header.
 
-    None means that the lines are not a table in this style. The score is the sum over the rows of the squared share of
-    numbers times the number of cells.
+    The style has the number of lines before the header or, without a header, names column_1, column_2, ... None means
+    that the lines are not a table in this style. The score is the sum over the rows of the squared share of numbers
+    times the number of cells.
     """
     rows = [next((cells for _, cells in _cells_of_lines(line.splitlines(keepends=True), style)), []) for line in lines]
     widths = Counter(len(cells) for cells in rows if cells).most_common(1)
@@ -575,10 +586,11 @@ def _score_of_style(lines: list[str], style: TextStyle) -> tuple[float, TextStyl
 
 
 def _header_above(rows: Sequence[list[str]], first: int, width: int, open_rows: bool, style: TextStyle) -> int | None:
-    """Return the index of the header above the first row of data (index `first`); None without a header.
+    """Return the index of the header above the first row of data (index `first`) of a text; None without a header.
 
     Rows of units and comments above the data are skipped. A header has `width` cells, or one less if all rows of data
-    end with a separator (`open_rows`), and hardly any numbers.
+    end with a separator (`open_rows`), or one more if its last cell is blank or its first is a comment mark. Fewer than
+    25 % of its cells are numbers.
     """
     above = [k for k in range(first) if rows[k]]
     while above:
@@ -601,9 +613,10 @@ def _n_filled(cells: Sequence[str]) -> int:
 
 
 def _share_of_numbers(cells: Sequence[str], style: TextStyle, with_times: bool = True) -> float:
-    """Return the share (0 to 1) of the cells of a row that are numbers, empty, or (`with_times`) times.
+    """Return the share (0 to 1) of the cells of a row of a text that are numbers, empty, or (`with_times`) times.
 
-    The share is 0 if no cell is a number or a time. A number may have a known unit behind it.
+    `style` has the decimal mark. The share is 0 if no cell is a number or a time. A number may have a known unit behind
+    it.
     """
     n, empty = 0, 0
     for cell in cells:

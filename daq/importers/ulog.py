@@ -38,13 +38,14 @@ def read_ulog(path: Path, options: SourceOptions) -> list[Table]:
     Returns
     -------
     list of Table
-        One table for each topic; the second instance of a topic is TOPIC_1. Times are in UTC [s since 1970] by the
-        first fix. In a log without a fix they are the time since the start of the autopilot.
+        One table for each topic; the second instance of a topic is TOPIC_1. Topics with gps in their name are always
+        read. Times are in UTC [s since 1970] by the first fix. In a log without a fix they are the time since the start
+        of the autopilot [s]. Positions of fixes below 2D are NaN.
 
     Raises
     ------
     SeatrialError
-        If the log cannot be read.
+        If the log cannot be read, or the package pyulog is not installed.
     """
     try:
         from pyulog import ULog
@@ -88,10 +89,10 @@ def read_ulog(path: Path, options: SourceOptions) -> list[Table]:
 
 
 def _require_few_columns(raw: bytes) -> None:
-    """Raise SeatrialError if the message formats of a PX4 log make more than `MOST_COLUMNS` (200,000) columns.
+    """Raise SeatrialError if the message formats in a PX4 log make more than 200,000 columns (`MOST_COLUMNS`).
 
-    A format may contain other formats, and a subscription makes columns of all nested fields. A damaged or malicious
-    log of some kilobytes could make columns that take gigabytes and hours.
+    `raw` are the bytes of the log. A format may contain other formats, and a subscription makes columns of all nested
+    fields. A damaged or malicious log of some kilobytes could make columns that take gigabytes and hours.
     """
     formats: dict[str, list[tuple[str, int]]] = {}  # type and array length of each field
     columns: dict[str, float] = {}  # number of columns of each format
@@ -139,12 +140,17 @@ def whole_records(raw: bytes) -> tuple[bytes | None, int]:
     Returns
     -------
     tuple
-        The remaining bytes, None if no record is torn; and the number of damaged places.
+        The remaining bytes, None if no record is torn; and the number of damaged places. A log with appended data is
+        not changed: None and 0.
     """
     sizes: dict[int, int] = {}  # bytes of the data of each subscription, by its number
 
     def end_of(place: int) -> int:
-        """Return the end [bytes] of the PX4 log record at the offset `place`; -1 if no record can begin there."""
+        """Return the end [bytes] of the PX4 log record at the offset `place`; -1 if no record can begin there.
+
+        That is so for an unknown type, a size of 0, an end beyond the file, or data of another size than the topic's
+        before.
+        """
         if place + RECORD.size > len(raw):
             return -1
         size, kind = RECORD.unpack_from(raw, place)
@@ -178,7 +184,10 @@ def whole_records(raw: bytes) -> tuple[bytes | None, int]:
 
 
 def _continues_beyond_end(raw: bytes, place: int) -> bool:
-    """Return whether the PX4 log record at the offset `place` [bytes] continues beyond the end of the file."""
+    """Return whether the PX4 log record at the offset `place` [bytes] continues beyond the end of the file.
+
+    This is also true if the file ends within the header of the record. `raw` are the bytes of the log.
+    """
     if place + RECORD.size > len(raw):
         return True
     size, kind = RECORD.unpack_from(raw, place)
@@ -186,7 +195,10 @@ def _continues_beyond_end(raw: bytes, place: int) -> bool:
 
 
 class _LimitedFile(io.BufferedReader):
-    """File that raises SeatrialError if more than 100 times its size and 16 MiB are read."""
+    """File to read that raises SeatrialError if more bytes than 100 times its size plus 16 MiB are read from it.
+
+    A reader of a damaged file could otherwise read the same bytes again without end.
+    """
 
     def __init__(self, path: Path) -> None:
         """Open the file and compute how many bytes may be read from it."""
@@ -196,7 +208,8 @@ class _LimitedFile(io.BufferedReader):
     def read(self, size: int | None = -1, /) -> bytes:
         """Read up to `size` bytes of the file; all for -1 or None.
 
-        Raise SeatrialError if all reads together exceed 100 times the size of the file and 16 MiB.
+        Raise SeatrialError if all reads together exceed 100 times the size of the file plus 16 MiB. Each read counts 16
+        bytes more.
         """
         data = super().read(size)
         self._bytes_left -= len(data) + 16
@@ -206,9 +219,9 @@ class _LimitedFile(io.BufferedReader):
 
 
 def _utc_offset(tables: list[Table]) -> float:
-    """Return UTC minus the time of the autopilot [s], by the first fix with a UTC in the topics of a PX4 log.
+    """Return UTC minus the time since the start of the autopilot [s], by the first fix with a UTC in a PX4 log.
 
-    The result is 0 if no topic with gps in its name has a UTC.
+    `tables` are the topics of the log. The result is 0 if no topic with gps in its name has a UTC.
     """
     for table in tables:
         utc: Column | None = table.columns.get("time_utc_usec") if "gps" in table.topic else None

@@ -120,10 +120,10 @@ def _write_in_order(
     first: int,
     events: Sequence[tuple[float, Event]],
 ) -> None:
-    """Write signals and events to an MCAP log in the order of time.
+    """Write imported signals and events to an MCAP log in the order of time.
 
-    `t_ns` are the times of the signals [ns since 1970], and `first` is the earliest of them. Events before it get this
-    time. The first event is the import, with the text `note`.
+    `t_ns` has the times (n,) of each signal [ns since 1970], and `first` is the earliest of them. The first event is
+    the import, with the text `note`. `events` have their times [s since 1970]; an event before `first` gets this time.
     """
     event, about = writer.channel("/event", schema.EVENT), cdr_layout(schema.EVENT, b"")
     writer.add(event, first, first, 0, about.pack(first, tail=(b"import", note.encode())))
@@ -206,7 +206,7 @@ def write_frames(
 
 
 def early_dates(first: float, last: float, written: Sequence[float]) -> str:
-    """Return a line about dates that are probably 1024 GPS weeks too early; "" if the dates are plausible.
+    """Return a line for the user if dates are probably 1024 GPS weeks too early; "" if the dates are plausible.
 
     Parameters
     ----------
@@ -266,7 +266,8 @@ def clock_steps(samples: Iterable[tuple[str, Frame, float]]) -> list[str]:
     Returns
     -------
     list of str
-        One line for each such device, with the number of steps back and the largest one [s].
+        One line for each such device, with the number of steps back and the largest one [s]. A step back is more than
+        0.5 s from one sample to the next of the same kind.
 
     Notes
     -----

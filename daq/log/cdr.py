@@ -58,13 +58,19 @@ class Field(NamedTuple):
 
 @cache
 def definition(type_name: str) -> str:
-    """Return the text that defines a message type `package/msg/Name`, from the files in daq/msg."""
+    """Return the text of the file in daq/msg that defines a message type `package/msg/Name`.
+
+    Raise FileNotFoundError if there is no such file.
+    """
     package, _, name = type_name.split("/")
     return resources.files("seatrial.daq").joinpath("msg", package, f"{name}.msg").read_text(encoding="utf-8")
 
 
 def _parse_fields(type_name: str) -> list[tuple[str, str]]:
-    """Return (type, name) of each field in the definition of a message type `package/msg/Name`, without constants."""
+    """Return (type, name) of each field in the definition of a message type `package/msg/Name`. Constants are left out.
+
+    The type is as in the definition, such as "float64[9]" or "std_msgs/Header".
+    """
     lines = (line.partition("#")[0] for line in definition(type_name).splitlines())
     pairs = [line.split(maxsplit=1) for line in lines if line.strip() and "=" not in line]
     return [(kind, name.strip()) for kind, name in pairs]
@@ -77,7 +83,7 @@ def _full_type_name(kind: str) -> str | None:
 
 @cache
 def full_definition(type_name: str) -> str:
-    """Return the definition of a message type and of all types that it uses, as MCAP's `ros2msg` encoding needs it.
+    """Return the definition of a message type and of all types that it uses, in the form of MCAP's `ros2msg` encoding.
 
     Parameters
     ----------
@@ -87,7 +93,8 @@ def full_definition(type_name: str) -> str:
     Returns
     -------
     str
-        The definitions, separated by lines of 80 "=".
+        The text of the definition of the type, then of each type that it uses, after a line of 80 "=" and a line with
+        the name of that type.
     """
     parts, pending, seen = [definition(type_name)], [type_name], {type_name}
     while pending:
@@ -101,9 +108,9 @@ def full_definition(type_name: str) -> str:
 
 
 def flatten(type_name: str, prefix: str = "") -> list[Field]:
-    """Return all fields of a message type in the order of the encoding; fields of nested types have dotted names.
+    """Return all fields of a message type `package/msg/Name` in the order of the CDR encoding.
 
-    `prefix` stands in front of each name.
+    A nested type is replaced by its fields, which get dotted names. `prefix` stands in front of each name.
     """
     found: list[Field] = []
     for kind, name in _parse_fields(type_name):
@@ -128,7 +135,7 @@ class CdrLayout:
     frame_id
         The `frame_id` of the header, without the final NUL.
     lacking
-        Names of fields that the older version of the type, which wrote the messages, did not have yet.
+        Names of fields that the messages do not have, because an older version of the type lacked them.
 
     Attributes
     ----------
@@ -146,7 +153,10 @@ class CdrLayout:
     """
 
     def __init__(self, type_name: str, frame_id: bytes, lacking: tuple[str, ...] = ()) -> None:
-        """Compute the byte layout of a message type whose header has this `frame_id`, without the `lacking` fields."""
+        """Compute the byte layout of the message type `type_name` whose header has this `frame_id`.
+
+        The fields in `lacking` are left out. Raise ValueError if the type does not begin with a header.
+        """
         fields = [field for field in flatten(type_name) if field.name not in lacking]
         if [field.name for field in fields[:3]] != [
             "header.stamp.sec",
@@ -175,16 +185,23 @@ class CdrLayout:
         self.dtype = np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": end})
 
     def pack(self, stamp_ns: int, *values: float | bytes, tail: tuple[bytes, ...] = ()) -> bytes:
-        """Encode one message of this layout as bytes.
+        """Encode one message of this layout as bytes in CDR.
 
         Parameters
         ----------
         stamp_ns
             Time stamp of the header [ns since 1970].
         values
-            Values of the fixed fields in order; arrays as bytes (see `doubles`).
+            Values of the fixed fields after the header, in order; arrays as bytes (see `doubles`).
         tail
-            Bytes of each field of variable size.
+            Bytes of each field of variable size; strings without the final NUL.
+
+        Raises
+        ------
+        struct.error
+            If the number of values is wrong, or a value does not fit its field.
+        ValueError
+            If the number of fields in `tail` is wrong.
         """
         sec, nanosec = divmod(stamp_ns, NANO)
         message = self._pack(ENCAPSULATION, sec, nanosec, self._n_frame, self._frame, *values)
@@ -197,6 +214,8 @@ class CdrLayout:
 
     def unpack_tail(self, message: bytes | memoryview) -> tuple[bytes, ...]:
         """Return the bytes of each string or sequence of variable size at the end of a message.
+
+        `message` is the whole message in CDR. Strings are returned without the final NUL.
 
         Raises
         ------
@@ -219,7 +238,7 @@ class CdrLayout:
 
 
 def doubles(*values: float) -> bytes:
-    """Return numbers as the bytes of an array of float64 (little endian), in the form that `CdrLayout.pack` needs."""
+    """Return numbers as the bytes of a float64 array (little endian), as `CdrLayout.pack` needs an array."""
     return struct.pack(f"<{len(values)}d", *values)
 
 
@@ -234,11 +253,14 @@ def cdr_layout(type_name: str, frame_id: bytes, lacking: tuple[str, ...] = ()) -
     frame_id
         The `frame_id` of the header, without the final NUL.
     lacking
-        Names of fields that the older version of the type, which wrote the messages, did not have yet.
+        Names of fields that the messages do not have, because an older version of the type lacked them.
     """
     return CdrLayout(type_name, frame_id, lacking)
 
 
 def stamps(rows: NDArray[np.void]) -> NDArray[np.float64]:
-    """Return the time stamps in the headers of decoded messages, shape (n,) [s since 1970]."""
+    """Return the time stamps in the headers of decoded messages, shape (n,) [s since 1970].
+
+    `rows` are the messages, shape (n,), with the columns "sec" and "nanosec".
+    """
     return np.asarray(rows["sec"] + rows["nanosec"] / NANO, dtype=np.float64)

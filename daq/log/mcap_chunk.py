@@ -1,7 +1,8 @@
 """MCAP chunks: decompression within limits, and search for their messages.
 
-The message indexes after a chunk only save time. Each entry is checked against the chunk, and the parts of the chunk
-that no entry covers are scanned record by record.
+A chunk is a record that contains a group of messages, usually compressed. The message indexes after a chunk only save
+time. Each entry is checked against the chunk, and the parts of the chunk that no entry covers are scanned record by
+record.
 """
 
 from __future__ import annotations
@@ -54,7 +55,7 @@ Offsets = NDArray[np.int64]
 
 
 class ChunkAt(NamedTuple):
-    """Position of the data of an MCAP chunk in the file, and their compression.
+    """Position of the data of an MCAP chunk (a group of messages) in the file, and their compression.
 
     Attributes
     ----------
@@ -78,21 +79,21 @@ class ChunkAt(NamedTuple):
 
 
 def chunk_at(head: bytes, start: int, stop: int, cut: bool = False) -> ChunkAt:
-    """Decode the header of an MCAP chunk record.
+    """Decode the header of an MCAP chunk record, and return position and compression of its data.
 
     Parameters
     ----------
     head
-        First bytes of the content of the record.
+        First bytes of the content of the record; `CHUNK_HEAD` bytes are enough.
     start, stop
         Bytes of the file between which the content lies.
     cut
-        Whether the chunk may end after the end of the file.
+        Whether the chunk may end after the end of the file. The length of the data is then not checked.
 
     Raises
     ------
     ValueError, or another error in DAMAGE
-        If the header is invalid, or if the chunk is larger than `MAX_CHUNK_BYTES`.
+        If the header is invalid, or if the chunk is larger than 64 MiB (MAX_CHUNK_BYTES).
     """
     _, _, size, checksum, n_name = _CHUNK.unpack_from(head)
     at = _CHUNK.size
@@ -108,6 +109,13 @@ def chunk_at(head: bytes, start: int, stop: int, cut: bool = False) -> ChunkAt:
 
 def unpack_chunk(packed: bytes | memoryview, chunk: ChunkAt) -> Buffer:
     """Decompress the data of an MCAP chunk and return its bytes, shape (size,).
+
+    Parameters
+    ----------
+    packed
+        The compressed data.
+    chunk
+        Compression, size and checksum of the chunk. A checksum of 0 is not checked.
 
     Raises
     ------
@@ -131,10 +139,10 @@ def unpack_chunk(packed: bytes | memoryview, chunk: ChunkAt) -> Buffer:
 
 
 def unpack_cut(packed: bytes, chunk: ChunkAt) -> Buffer:
-    """Decompress the existing data of an MCAP chunk whose end is missing. The result may be empty.
+    """Decompress the existing data (`packed`) of an MCAP chunk whose end is missing, and return its bytes, shape (n,).
 
-    zstd blocks have at most 128 KiB each; a compressed block that is cut gives nothing. A chunk without compression is
-    returned as it is.
+    The result may be empty: zstd blocks have at most 128 KiB each, and a block that is cut gives nothing. Data without
+    compression are returned as they are. The checksum is not checked.
 
     Raises
     ------
@@ -151,7 +159,7 @@ def unpack_cut(packed: bytes, chunk: ChunkAt) -> Buffer:
 
 
 class Messages(NamedTuple):
-    """Messages of some MCAP chunks, not yet decoded.
+    """Messages of some MCAP chunks (groups of messages in the file), not yet decoded.
 
     Attributes
     ----------
@@ -173,13 +181,13 @@ class Messages(NamedTuple):
         return self.heads["length"].astype(np.int64) - HEAD_BYTES
 
     def where(self, mask: NDArray[np.bool_]) -> Messages:
-        """Return the messages for which a mask (n,) is true; the same object if it is true for all."""
+        """Return the messages for which a mask (n,) is true. If it is true for all, the same object is returned."""
         return self if mask.all() else Messages(self.buffer, self.offsets[mask], self.heads[mask])
 
     def rows(self, dtype: np.dtype[np.void]) -> NDArray[np.void]:
         """Return the first bytes of the data of each message as an array of the numpy type `dtype`, shape (n,).
 
-        The caller checks first that no message is shorter than `dtype`.
+        The data are those after the head. The caller checks first that no message is shorter than `dtype`.
         """
         return rows_at(self.buffer, self.offsets + MESSAGE_HEAD.itemsize, dtype)
 
@@ -196,9 +204,9 @@ def scan(chunks: list[tuple[Buffer, bytes]], register: Callable[[int, bytes], No
     Parameters
     ----------
     chunks
-        Bytes of each chunk, and the entries of its message indexes (see `index_entries`).
+        Bytes of each chunk, and the entries of its message indexes as bytes (see `index_entries`). At least one chunk.
     register
-        Function that receives opcode and content of each schema and channel record.
+        Function that receives opcode and content of each schema and channel record in the chunks.
 
     Returns
     -------
@@ -207,7 +215,8 @@ def scan(chunks: list[tuple[Buffer, bytes]], register: Callable[[int, bytes], No
 
     Notes
     -----
-    The index of a chunk is used if all its entries are valid. Otherwise the records of the chunk are scanned.
+    The index of a chunk is used if all its entries are valid. The bytes of a chunk that no entry covers are scanned
+    record by record. A scan ends at the first invalid record.
     """
     buffer = chunks[0][0] if len(chunks) == 1 else np.concatenate([data for data, _ in chunks])
     bounds = np.cumsum([0, *(len(data) for data, _ in chunks)])
@@ -239,7 +248,8 @@ def scan(chunks: list[tuple[Buffer, bytes]], register: Callable[[int, bytes], No
 def index_entries(data: bytes, at: int) -> bytes:
     """Return the entries (time, offset) of the MCAP message index records in `data` from byte `at` on.
 
-    The entries are returned as bytes, 16 for each. The search ends at the first record that is no valid index.
+    The entries of all records are returned as one byte string, 16 bytes for each entry. The search ends at the first
+    record that is not a valid message index.
     """
     parts = []
     while at + HEADER + INDEX_HEAD <= len(data):
@@ -253,10 +263,10 @@ def index_entries(data: bytes, at: int) -> bytes:
 
 
 def _read_gap(view: memoryview, at: int, stop: int, register: Callable[[int, bytes], None]) -> list[int]:
-    """Scan the MCAP records between two offsets that no message index covers. Return the offsets of messages.
+    """Scan the MCAP records between the offsets `at` and `stop` of a byte buffer, which no message index covers.
 
-    Opcode and content of schemas and channels are passed to `register`. The scan ends at the first invalid record, and
-    after too many records that are no messages.
+    Return the offsets of the message records. Opcode and content of schemas and channels are passed to `register`. The
+    scan ends at the first invalid record, and after too many records that are not messages.
     """
     found: list[int] = []
     n_kinds = n_private = 0
@@ -279,7 +289,7 @@ def _read_gap(view: memoryview, at: int, stop: int, register: Callable[[int, byt
 
 
 def rows_at(buffer: Buffer, offsets: Offsets, dtype: np.dtype[Any]) -> NDArray[Any]:
-    """Return the items of type `dtype` that begin at the offsets of a byte buffer, shape (n,).
+    """Return the items of the numpy type `dtype` that begin at the `offsets` of a byte buffer, shape (n,).
 
     All items must lie within the buffer.
     """
@@ -287,9 +297,9 @@ def rows_at(buffer: Buffer, offsets: Offsets, dtype: np.dtype[Any]) -> NDArray[A
 
 
 def _records_at(buffer: Buffer, offsets: Offsets, size: int) -> NDArray[np.void]:
-    """Return the items of `size` bytes at the offsets of a byte buffer, shape (n,), without named fields.
+    """Return the items of `size` bytes at the `offsets` of a byte buffer, shape (n,), without named fields.
 
-    With named fields numpy would be slow here.
+    With named fields numpy would be slow here. All items must lie within the buffer.
     """
     starts: NDArray[np.void] = np.ndarray((len(buffer) - size + 1,), f"V{size}", buffer.data, strides=(1,))
     return starts[offsets]

@@ -1,10 +1,10 @@
 """Reader of one MCAP file: messages of selected channels and times, a few chunks at a time.
 
-The summary at the end of the file contains the positions of the chunks. The summary is used if its checksum is right
-and if its records cover the whole file. Otherwise the file is read once from beginning to end; the log of a killed run
-has no summary. Damaged parts are skipped and reported. The reader trusts no length in the file: the size of the file
-and fixed limits bound every record, and a chunk is used only if its checksum is right.
-Source: MCAP specification 0 (mcap.dev/spec).
+A chunk is a compressed group of messages, a channel the number of a topic in the file. The summary at the end of the
+file contains the positions of the chunks. The summary is used if its checksum is right and if its records cover the
+whole file. Otherwise the file is read once from beginning to end; the log of a killed run has no summary. Damaged parts
+are skipped and reported. The reader trusts no length in the file: the size of the file and fixed limits bound every
+record, and a chunk is used only if its checksum is right. Source: MCAP specification 0 (mcap.dev/spec).
 """
 
 from __future__ import annotations
@@ -86,6 +86,9 @@ Chunks = NDArray[np.void]
 class RawLog:
     """One MCAP file with its channels, schemas, metadata, attachments and warnings. `read` yields its messages.
 
+    A channel is one topic of the file, and a schema the definition of a message type. Messages are stored in chunks
+    (compressed groups).
+
     Attributes
     ----------
     path
@@ -93,7 +96,7 @@ class RawLog:
     warnings
         Faults of the parts that were read so far, one line each. `verify` reads the other parts.
     complete
-        Whether the file has its footer.
+        Whether the file has its footer, the last record of a file that was closed.
     profile
         Profile in the header of the file, such as "ros2".
     channels, schemas
@@ -112,7 +115,10 @@ class RawLog:
     """
 
     def __init__(self, path: Path) -> None:
-        """Open an MCAP file and read its index, from its summary or from all its records."""
+        """Open an MCAP file and read its index, from its summary or, without a valid one, from all its records.
+
+        Raise SeatrialError if the file cannot be opened, is empty or is no MCAP file.
+        """
         self.path = path
         self.warnings: list[str] = []
         self.complete = False  # whether the file has its footer
@@ -169,6 +175,8 @@ class RawLog:
     def _read(self, start: int, stop: int) -> bytes:
         """Return the bytes `start` to `stop` of the MCAP file; fewer bytes if the file is shorter now.
 
+        `stop` itself is not included. A closed file is opened again.
+
         Raises
         ------
         SeatrialError
@@ -204,9 +212,10 @@ class RawLog:
     def read(
         self, channels: Collection[int] | None = None, begin_ns: int = 0, end_ns: int = LAST_NS
     ) -> Iterator[Messages]:
-        """Yield the messages of the MCAP file in file order, a few chunks at a time.
+        """Yield the messages of the MCAP file in file order, a few chunks (compressed groups of messages) at a time.
 
-        Chunks without messages of these channels and times are not read.
+        Chunks without messages of these channels and times are not read. Damaged chunks are left out, with a warning.
+        If the file has far more messages than a real log of its size, the rest is left out, with a warning.
 
         Parameters
         ----------
@@ -229,8 +238,9 @@ class RawLog:
     def _bound_chunks(self) -> int:
         """Return how many chunks of the MCAP file, from the first on, may be decompressed. Warn if it is not all.
 
-        Compression reduces the data of instruments by a factor of some tens at most. Chunks beyond 256 MiB and beyond
-        256 times the size of the file are left out, because such a file would only cost time.
+        Compression reduces the data of instruments by a factor of some tens at most. Therefore the uncompressed chunks
+        together may have at most 256 MiB or 256 times the size of the file, whichever is more. A file with more would
+        only cost time.
         """
         total = np.cumsum(np.minimum(self._chunks["size"], MAX_CHUNK_BYTES))
         n = int(np.searchsorted(total, max(MAX_UNPACKED_BYTES, MAX_RATIO * self._size), side="right"))
@@ -240,9 +250,9 @@ class RawLog:
         return n
 
     def _has_too_many_messages(self, n_messages: int) -> bool:
-        """Return whether a file of this size has too many messages: more than 2 million and more than it has bytes.
+        """Return whether this number of messages is too large for a real log of this file's size, and warn if so.
 
-        Warn if so.
+        It is too large if it is above 2 million and above the number of bytes of the file.
         """
         if n_messages <= max(FEW_MESSAGES, self._size):  # a real message takes at least one compressed byte
             return False
@@ -250,16 +260,20 @@ class RawLog:
         return True
 
     def verify(self, begin_ns: int = 0, end_ns: int = LAST_NS) -> None:
-        """Read the unread chunks of the file in an interval of log times [ns since 1970], to complete `warnings`."""
+        """Read the unread chunks of the file in an interval of log times [ns since 1970], to complete `warnings`.
+
+        The messages are not returned.
+        """
         inside = (self._chunks["end_ns"] >= begin_ns) & (self._chunks["begin_ns"] <= end_ns)
         for number in np.flatnonzero(inside & (self._seen == 0)).tolist():
             with contextlib.suppress(*DAMAGE):
                 self._read_chunk(number)
 
     def _chunks_to_read(self, ids: NDArray[np.uint16], begin_ns: int, end_ns: int) -> Offsets:
-        """Return the numbers of the undamaged chunks that may have messages of the channels `ids` and log times.
+        """Return the numbers of the undamaged chunks that may have messages of some channels and log times, shape (n,).
 
-        The interval of log times is in ns since 1970.
+        `ids` are the numbers of the channels. `begin_ns` and `end_ns` limit the log times [ns since 1970]. A chunk
+        without message indexes may have messages of all channels.
         """
         chunk, channel = self._chunk_channels
         wanted = self._unindexed.copy()
@@ -268,14 +282,17 @@ class RawLog:
         return np.flatnonzero(wanted)
 
     def _batches(self, numbers: Offsets) -> Iterator[list[int]]:
-        """Split the numbers of chunks into lists of about 4 MiB of uncompressed data each, to be read together."""
+        """Split the numbers of chunks, shape (n,), into lists of chunks to read together.
+
+        The chunks of a list have about 4 MiB of uncompressed data (BATCH_BYTES).
+        """
         group = np.cumsum(self._chunks["size"][numbers]) // BATCH_BYTES
         for part in np.split(numbers, np.flatnonzero(np.diff(group)) + 1):
             if len(part):
                 yield part.tolist()
 
     def _read_messages(self, numbers: list[int], register: Callable[[int, bytes], None]) -> Messages:
-        """Return all messages of the chunks with these numbers. Damaged chunks are left out.
+        """Return all messages of the chunks with these numbers. Damaged chunks are left out, with a warning.
 
         Opcode and content of schemas and channels in the chunks are passed to `register`.
         """
@@ -286,7 +303,10 @@ class RawLog:
         return scan(chunks or [(np.zeros(0, np.uint8), b"")], register)
 
     def _read_chunk(self, number: int) -> tuple[Buffer, bytes]:
-        """Return the uncompressed bytes of the chunk with this number, and the entries of its message indexes.
+        """Return the uncompressed bytes of the chunk with this number, and the entries of its message indexes as bytes.
+
+        Messages outside any chunk also have a number, and their bytes are returned. The result may be kept in memory
+        for the next call.
 
         Raises
         ------
@@ -326,7 +346,11 @@ class RawLog:
         return found
 
     def _read_summary(self) -> bool:
-        """Read the index of the MCAP file from the summary at its end. Return False if it has no valid summary."""
+        """Read the index of the MCAP file from the summary at its end.
+
+        Return False, and use nothing, if the file has no summary, or if the summary is damaged or does not cover the
+        whole file.
+        """
         size = self._size
         try:
             opcode, length, start, _, checksum, magic = _END.unpack(self._read(max(0, size - _END.size), size))
@@ -340,14 +364,18 @@ class RawLog:
             return False
 
     def _checksum(self, start: int, stop: int) -> int:
-        """Return the CRC-32 of the bytes `start` to `stop` of the MCAP file."""
+        """Return the CRC-32 of the bytes `start` to `stop` of the MCAP file, without `stop` itself."""
         checksum = 0
         for at in range(start, stop, _BLOCK):
             checksum = zlib.crc32(self._read(at, min(at + _BLOCK, stop)), checksum)
         return checksum
 
     def _use_summary(self, summary: _Summary) -> bool:
-        """Use a decoded summary as the index of the MCAP file. Return False if it does not cover the whole file."""
+        """Use a decoded summary as the index of the MCAP file. Return False if it does not cover the whole file.
+
+        Chunks, channels, schemas, counts, span of log times, attachments and metadata are stored. A damaged attachment
+        or metadata record is left out, with a warning.
+        """
         chunks, statistics = summary.chunks, summary.statistics
         if statistics is None or (statistics.chunk_count, statistics.channel_count) != (
             len(chunks),
@@ -382,7 +410,8 @@ class RawLog:
     def _read_records(self) -> None:
         """Build the index of an MCAP file without a summary: read all its records in order, and then the chunks.
 
-        After a damaged record the search continues at the next whole chunk.
+        After a damaged record the search continues at the next whole chunk. Damaged parts, and a missing end of the
+        file, cause warnings.
         """
         found, whole = _FoundChunks(), True
         at, size = len(MCAP0_MAGIC), self._size
@@ -424,7 +453,8 @@ class RawLog:
         """Read the chunks of the MCAP file to count the messages of each channel and to find the channels.
 
         `found` has the chunks with their message indexes. With `only_new`, a chunk is not read if its message indexes
-        contain known channels only. The last chunk is always read, because it may be cut.
+        contain known channels only; its messages are counted by the indexes. The last chunk is always read, because it
+        may be cut. If the file has too many messages, the remaining chunks are left out, with a warning.
         """
         self._unindexed = np.ones(len(self._chunks), bool)
         pairs: tuple[list[int], list[int]] = ([], [])
@@ -460,7 +490,7 @@ class RawLog:
         self.span_ns = min(before[0], begin_ns), max(before[1], end_ns)
 
     def _next_chunk(self, at: int) -> int | None:
-        """Return the position [bytes] of the next complete zstd chunk at or after a byte of the file; None without one.
+        """Return the position [bytes] of the next complete zstd chunk at or after byte `at` of the file; None if none.
 
         The reader calls it after a damaged place, so that the chunks behind the damage are still read.
         """
@@ -513,9 +543,10 @@ class RawLog:
         return True
 
     def _keep_record(self, opcode: int, at: int, stop: int) -> None:
-        """Decode and keep the record at the bytes `at` to `stop` if it describes the file (channel, metadata, ...).
+        """Decode and keep the record at the bytes `at` to `stop` if it describes the file or contains an attachment.
 
-        If the kept records together would be larger than 64 MiB, the record is left out with a warning.
+        These are header, schema, channel, attachment and metadata records; others are ignored. If the kept records
+        together would be larger than 64 MiB, the record is left out with a warning.
 
         Raises
         ------
@@ -572,7 +603,7 @@ class RawLog:
             self._warn(f"a schema or channel is damaged and left out ({_error_line(error)})")
 
     def _warn(self, text: str) -> None:
-        """Add a warning about the file. After 20 warnings one line reports that there are more."""
+        """Add a warning about the file. After 20 warnings (MAX_WARNINGS), one line reports that there are more."""
         if len(self.warnings) < MAX_WARNINGS:
             self.warnings.append(text)
         elif len(self.warnings) == MAX_WARNINGS:
@@ -580,10 +611,20 @@ class RawLog:
 
 
 class _FoundChunks:
-    """List of the chunks that are found when an MCAP file is read from beginning to end."""
+    """List of the chunks that are found when an MCAP file is read from beginning to end.
+
+    Messages that follow each other outside any chunk are one item of the list, like a chunk.
+
+    Attributes
+    ----------
+    at : array of int
+        Position of each chunk record in the file [bytes].
+    counts : list of dict of int to int
+        Number of messages by channel, for each chunk, from its message indexes.
+    """
 
     def __init__(self) -> None:
-        """Begin with an empty list of chunks."""
+        """Begin with an empty list of chunks (groups of messages of an MCAP file)."""
         self.at, self._stop, self._index_bytes, self._size = (array("q") for _ in range(4))
         self._begin_ns, self._end_ns = array("Q"), array("Q")
         self.counts: list[dict[int, int]] = []  # for each chunk: messages by channel, from its message indexes
@@ -592,7 +633,8 @@ class _FoundChunks:
     def append(self, at: int, stop: int, size: int, begin_ns: int, end_ns: int) -> None:
         """Append a chunk to the list: the bytes `at` to `stop` of its record in the file, its size, and its log times.
 
-        The size is that of the uncompressed data [bytes]. The log times are in ns since 1970.
+        The size is that of the uncompressed data [bytes]. The log times are in ns since 1970. The chunk has no message
+        index yet.
         """
         columns = (self.at, self._stop, self._index_bytes, self._size, self._begin_ns, self._end_ns)
         for column, value in zip(columns, (at, stop, 0, size, begin_ns, end_ns), strict=True):
@@ -600,9 +642,18 @@ class _FoundChunks:
         self.counts.append({})
 
     def add(self, opcode: int, at: int, stop: int, head: bytes) -> bool:
-        """Add a record to the list of chunks. It lies at bytes `at` to `stop` of the file and begins with `head`.
+        """Add a record of an MCAP file to the list, if it is a chunk, a message, or a message index of the last chunk.
 
-        Messages outside any chunk that follow each other become one item.
+        Messages outside any chunk that follow each other become one item, up to 1 MiB.
+
+        Parameters
+        ----------
+        opcode
+            Kind of the record.
+        at, stop
+            Bytes of the file between which the record lies.
+        head
+            First bytes of the record.
 
         Returns
         -------
@@ -632,7 +683,10 @@ class _FoundChunks:
         return True
 
     def chunks(self) -> Chunks:
-        """Return all chunks of the list as an array of dtype _CHUNK, shape (n,)."""
+        """Return all chunks of the list as an array with the columns of _CHUNK, shape (n,).
+
+        The columns are positions in the file, sizes and log times.
+        """
         table = np.zeros(len(self.at), _CHUNK)
         table["at"], table["stop"], table["index_bytes"] = self.at, self._stop, self._index_bytes
         table["size"], table["begin_ns"], table["end_ns"] = self._size, self._begin_ns, self._end_ns
@@ -658,7 +712,7 @@ class _Summary:
     statistics
         Statistics record; None if there is none.
     chunks
-        Positions of the chunks, dtype _CHUNK, shape (n,).
+        Positions, sizes and log times of the chunks, with the columns of _CHUNK, shape (n,).
     chunk_channels
         Pairs of chunk and channel with messages, as two arrays of shape (n_pairs,).
     unindexed
@@ -671,7 +725,11 @@ class _Summary:
     """
 
     def __init__(self, read: Callable[[int, int], bytes], start: int, stop: int) -> None:
-        """Decode the summary of an MCAP file, at the bytes `start` to `stop` that `read` returns."""
+        """Decode the summary of an MCAP file, at the bytes `start` to `stop` of the file.
+
+        `read` returns the bytes of the file between two positions. Raise ValueError, or another error in DAMAGE, if a
+        record is invalid.
+        """
         self.start = start
         self.schemas: list[tuple[int, bytes]] = []
         self.channels: list[tuple[int, bytes]] = []
@@ -708,9 +766,10 @@ class _Summary:
         self.unindexed[self.chunk_channels[0]] = False
 
     def _add_record(self, opcode: int, data: bytes) -> None:
-        """Decode a record of the summary by its opcode and content, and store it. Records of other kinds are ignored.
+        """Decode a record of an MCAP summary by its opcode and content, and store it.
 
-        Stored are schemas, channels, statistics, and the positions of attachments and metadata.
+        Stored are schemas, channels, statistics, and the positions of attachments and metadata. Records of other kinds
+        are ignored.
         """
         if opcode == Opcode.SCHEMA:
             self.schemas.append((opcode, data))
@@ -771,17 +830,20 @@ def _chunk_indexes(
 
 
 def _check_name(name: str) -> None:
-    """Raise ValueError if the name of a topic, type or attachment has more than 65,536 characters."""
+    """Raise ValueError if the name of a topic, message type or attachment in a log has more than 65,536 characters."""
     if len(name) > MAX_NAME_CHARACTERS:
         raise ValueError(f"a name of {len(name)} characters is too long")
 
 
 def _ignore(opcode: int, data: bytes) -> None:
-    """Ignore a schema or channel record in a chunk, because all of them are known already."""
+    """Ignore a schema or channel record in a chunk of a log, because all of them are known already."""
 
 
 def _parse(read: Callable[[ReadDataStream], Record], data: bytes) -> Record:
-    """Decode the content of an MCAP record (`data`) by a function of the mcap package."""
+    """Decode the content of an MCAP record (`data`) by a function of the mcap package, and return the record.
+
+    An error of this function is passed on.
+    """
     return read(ReadDataStream(BytesIO(data)))
 
 

@@ -83,14 +83,14 @@ class DiskFull(SeatrialError):
 
 
 class LogWriter:
-    """Writer of one MCAP log file: metadata and attachments first, then channels and messages.
+    """Writer of one MCAP log file: metadata and attachments first, then channels (topics) and messages.
 
     The caller calls `tick` often, so that written messages reach the disk in time.
 
     Parameters
     ----------
     path
-        The new file. An existing file is never overwritten.
+        The new file. Its folder is created. An existing file is never overwritten.
     metadata
         Texts of the metadata record "seatrial", by name.
     attachments
@@ -101,8 +101,8 @@ class LogWriter:
     Raises
     ------
     SeatrialError
-        If the file cannot be created. After a failed write every method raises this error; the file is then closed, and
-        has a footer if the reserved disk space (ballast) had room for it.
+        If the file cannot be created. After a failed write every method but `close` raises this error; the file is then
+        closed, and has a footer if the reserved disk space (ballast) had room for it.
     """
 
     def __init__(
@@ -113,7 +113,11 @@ class LogWriter:
         attachments: Mapping[str, bytes],
         time_ns: int,
     ) -> None:
-        """Create the file of a log and write its header, metadata and attachments."""
+        """Create the file of a log and write its header, metadata and attachments.
+
+        `metadata` and `attachments` are by name; `time_ns` is the time of the attachments [ns since 1970]. Raise
+        SeatrialError if the file exists or cannot be created.
+        """
         self.path = path
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -161,6 +165,8 @@ class LogWriter:
     def channel(self, topic: str, type_name: str, metadata: Mapping[str, str] | None = None) -> int:
         """Register a topic of the log and return the number of its channel, which `add` needs.
 
+        Call it once for each topic; a second call gives another number.
+
         Parameters
         ----------
         topic
@@ -169,6 +175,11 @@ class LogWriter:
             Message type, `package/msg/Name`.
         metadata
             Further texts of the channel, such as unit and hold of an imported signal.
+
+        Raises
+        ------
+        SeatrialError
+            If the log is closed, an earlier write failed, or the log has 65,535 topics already.
         """
         self._require_open()
         if type_name not in self._schemas:
@@ -192,6 +203,11 @@ class LogWriter:
             Sequence number of the message.
         data
             Message in CDR.
+
+        Raises
+        ------
+        SeatrialError
+            If the log is closed, or if this or an earlier write failed. It is `DiskFull` if the disk is full.
         """
         if self._closed:
             self._require_open()
@@ -205,8 +221,8 @@ class LogWriter:
     def tick(self) -> None:
         """Flush waiting messages of the log and sync its file when it is time. The caller calls this often.
 
-        Messages are flushed after 0.25 s. At most 16 waiting messages are flushed after 0.1 s. The file is synced every
-        second of wall time.
+        Messages are flushed after 0.25 s (FLUSH_S), or after 0.1 s (FEW_FLUSH_S) if at most 16 wait. The file is synced
+        every second of wall time. SeatrialError is raised as by `add`, also if a sync failed.
         """
         self._require_open()
         now = time.monotonic()
@@ -223,7 +239,10 @@ class LogWriter:
             self._close_and_raise(self._syncer.error, complete=False)
 
     def flush(self) -> None:
-        """End the current chunk of the log and pass it to the operating system."""
+        """End the current chunk (group of messages) of the log and pass it to the operating system.
+
+        Also reserve more disk space for the end of the file if the log has grown. SeatrialError is raised as by `add`.
+        """
         self._require_open()
         with self._close_on_error():
             self._writer.flush()
@@ -234,7 +253,9 @@ class LogWriter:
             self._stream.ballast.grow((1 + steps) * BALLAST_BYTES)
 
     def close(self) -> None:
-        """Write the end of the log file, sync and close it. A second call has no effect.
+        """Write the end of the log file, sync and close it.
+
+        A second call, or a call after a failed write, has no effect.
 
         Raises
         ------
@@ -254,7 +275,10 @@ class LogWriter:
 
     @contextlib.contextmanager
     def _close_on_error(self) -> Iterator[None]:
-        """Close the log file and raise SeatrialError if a write within the `with` block fails."""
+        """Close the log file and raise SeatrialError if a write within the `with` block fails.
+
+        If the disk was full, but the reserved space had room for the records, the end of the file is written first.
+        """
         try:
             yield
         except OSError as error:  # records are lost: the indexes of the writer no longer agree with the file
@@ -263,9 +287,10 @@ class LogWriter:
             self._finish_with_ballast()
 
     def _finish_with_ballast(self) -> NoReturn:
-        """End the log file after the disk was full, and raise DiskFull. No record is lost if its end could be written.
+        """End the log file after the disk was full, and raise DiskFull.
 
-        The disk space that was reserved for the last records (the ballast) has made room for them.
+        The disk space that was reserved for the last records (the ballast) has made room for them. `DiskFull.complete`
+        is whether the end of the file could be written; no record is then lost.
         """
         assert self._stream.failure is not None
         complete = True
@@ -276,9 +301,9 @@ class LogWriter:
         self._close_and_raise(self._stream.failure, complete)
 
     def _close_and_raise(self, error: OSError, complete: bool) -> NoReturn:
-        """Close the log file and raise the error of a failed write.
+        """Close the log file and raise the error of a failed write: DiskFull if the disk is full, or SeatrialError.
 
-        `complete`: whether the file contains every message and its footer.
+        `complete` is whether the file contains every message and its footer.
         """
         self._close_file()
         self._failed = self._write_error(error, complete)
@@ -300,7 +325,7 @@ class LogWriter:
     def _write_error(self, error: OSError, complete: bool) -> SeatrialError:
         """Return the error for the user that a write to the log failed; `DiskFull` if the disk is full.
 
-        `complete`: whether the file contains every message and its footer.
+        `complete` is whether the file contains every message and its footer.
         """
         state = "closed and complete up to there" if complete else "whole up to its last record, but has no footer"
         text = (
@@ -321,10 +346,10 @@ class Output(Protocol):
 
 
 class RecordWriter:
-    """Encoder of the records of one MCAP file with zstd chunks.
+    """Encoder of the records of one MCAP file, with messages in zstd chunks (compressed groups).
 
-    A chunk ends at `flush`, or when it is longer than `chunk_bytes`. Errors of the stream pass through every method;
-    do not use the writer after an error.
+    A chunk ends at `flush`, or when it is longer than `chunk_bytes`. Errors of the stream pass through every method; do
+    not use the writer after an error.
 
     Parameters
     ----------
@@ -334,10 +359,19 @@ class RecordWriter:
         Number of uncompressed bytes after which a chunk ends.
     profile, library
         Texts of the header record.
+
+    Attributes
+    ----------
+    n_chunks : int
+        Number of chunks written so far.
     """
 
     def __init__(self, stream: Output, *, chunk_bytes: int, profile: str, library: str) -> None:
-        """Begin an MCAP file: write its magic bytes and its header record to `stream`."""
+        """Begin an MCAP file: write its magic bytes and its header record to `stream`.
+
+        `chunk_bytes` is the number of uncompressed bytes after which a chunk ends. `profile` and `library` are texts of
+        the header.
+        """
         self._stream, self._chunk_bytes = stream, chunk_bytes
         self._compressor = zstandard.ZstdCompressor()
         # Records that the summary repeats at the end, as bytes: objects for a day of chunks would take gigabytes.
@@ -370,7 +404,19 @@ class RecordWriter:
         self._metadata_index += _encode_record(MetadataIndex(offset=at, length=len(record), name=name))
 
     def add_attachment(self, create_ns: int, log_ns: int, name: str, media_type: str, data: bytes) -> None:
-        """Write an attached file to the MCAP file immediately. Its times are in ns since 1970."""
+        """Write an attached file to the MCAP file immediately.
+
+        Parameters
+        ----------
+        create_ns, log_ns
+            Times of creation and of recording [ns since 1970].
+        name
+            Name of the attached file.
+        media_type
+            Kind of the content, such as "application/toml".
+        data
+            Content.
+        """
         at = self._stream.tell()
         record = _encode_record(Attachment(create_ns, log_ns, name, media_type, data))
         self._stream.write(record)
@@ -379,9 +425,16 @@ class RecordWriter:
         self._attachment_index += _encode_record(index)
 
     def register_schema(self, name: str, encoding: str, data: bytes) -> int:
-        """Add the definition of a message type to the MCAP file, and return the number of its schema.
+        """Add the definition of a message type to the MCAP file, and return the number of its schema, from 1.
 
-        `encoding` is the language of the definition, for example "ros2msg".
+        Parameters
+        ----------
+        name
+            Name of the type, `package/msg/Name`.
+        encoding
+            Language of the definition, for example "ros2msg".
+        data
+            Text of the definition.
         """
         self._n_schemas += 1
         record = _encode_record(Schema(id=self._n_schemas, name=name, encoding=encoding, data=data))
@@ -390,10 +443,23 @@ class RecordWriter:
         return self._n_schemas
 
     def register_channel(self, topic: str, encoding: str, schema: int, metadata: Mapping[str, str]) -> int:
-        """Add a topic to the MCAP file and return the number of its channel.
+        """Add a topic to the MCAP file and return the number of its channel, from 1.
 
-        `schema` is the number of the schema of its messages, 0 for none. `encoding` is that of the messages, for
-        example "cdr". Raise SeatrialError if the file has 65,535 channels already.
+        Parameters
+        ----------
+        topic
+            Name of the topic.
+        encoding
+            Encoding of its messages, for example "cdr".
+        schema
+            Number of the schema (message type) of its messages, 0 for none.
+        metadata
+            Texts of the channel, by name.
+
+        Raises
+        ------
+        SeatrialError
+            If the file has 65,535 channels already.
         """
         if self._n_channels == MAX_CHANNELS:
             raise SeatrialError(f"a log holds at most {MAX_CHANNELS} topics; leave some of them out")
@@ -404,9 +470,20 @@ class RecordWriter:
         return self._n_channels
 
     def add_message(self, channel: int, log_ns: int, data: bytes, stamp_ns: int, sequence: int) -> None:
-        """Append a message to the current chunk of the MCAP file; a full chunk is written.
+        """Append a message to the current chunk of the MCAP file. A full chunk is written.
 
-        `log_ns` and `stamp_ns` are its times of receipt and of measurement [ns since 1970].
+        Parameters
+        ----------
+        channel
+            Number of the channel.
+        log_ns
+            Time of receipt [ns since 1970].
+        data
+            Encoded message.
+        stamp_ns
+            Time of the measurement [ns since 1970].
+        sequence
+            Sequence number.
         """
         head = _MESSAGE.pack(_MESSAGE_CODE, HEAD_BYTES + len(data), channel, sequence, log_ns, stamp_ns)
         record = head + data
@@ -422,9 +499,9 @@ class RecordWriter:
         self._held += len(record)
 
     def flush(self) -> None:
-        """End the current chunk and write it to the MCAP file with its message indexes.
+        """End the current chunk (group of messages) and write it to the MCAP file with its message indexes.
 
-        A chunk without messages stays open.
+        A chunk without messages is not written; its other records stay for the next flush.
         """
         if not self._offsets:
             return
@@ -462,7 +539,10 @@ class RecordWriter:
         self._parts, self._offsets, self._held = [], [], 0
 
     def finish(self) -> None:
-        """Write the last chunk and the end of the MCAP file, which consists of summary and footer."""
+        """Write the last chunk and the end of the MCAP file, which consists of summary and footer.
+
+        Nothing may be added after it. The stream is not closed.
+        """
         self.flush()
         end = _encode_record(DataEnd(0))
         start = self._stream.tell() + len(end)
@@ -502,10 +582,23 @@ class RecordWriter:
 def _message_indexes(
     channels: NDArray[np.uint16], times: NDArray[np.uint64], offsets: NDArray[np.int64], at: int
 ) -> tuple[bytes, dict[int, int]]:
-    """Encode the message indexes of an MCAP chunk, one record per channel. Return them, and their offsets in the file.
+    """Encode the message indexes of an MCAP chunk: one record for each channel, with time and offset of its messages.
 
-    The offsets are by channel, and `at` is that of the first record. `channels`, `times` [ns since 1970] and `offsets`
-    in the chunk are those of its messages, shape (n,).
+    Parameters
+    ----------
+    channels
+        Channel of each message of the chunk, shape (n,).
+    times
+        Log time of each message [ns since 1970], shape (n,).
+    offsets
+        Offset of each message in the uncompressed chunk [bytes], shape (n,).
+    at
+        Position of the first index record in the file [bytes].
+
+    Returns
+    -------
+    tuple of bytes and dict
+        The records, and the position of each record in the file [bytes] by channel.
     """
     order = np.argsort(channels, kind="stable")
     entries = np.stack((times[order], offsets[order].astype(np.uint64)), axis=1).astype("<u8")

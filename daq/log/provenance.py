@@ -19,9 +19,10 @@ _PACKAGES = ("seatrial", "mcap", "numpy", "pyserial", "python-can", "zstandard")
 
 @cache
 def git_hash() -> str:
-    """Return the git commit of the running source code, for the metadata of a log.
+    """Return the git commit of the running source code, 40 hexadecimal digits, for the metadata of a log.
 
-    The suffix `-dirty` marks a tree with uncommitted changes. The result is "none" outside a git repository.
+    The suffix `-dirty` marks a tree with uncommitted changes. The result is "none" outside a git repository, and if git
+    fails.
     """
     folder = Path(__file__).resolve().parents[1]
     if not (folder.parent / ".git").exists():
@@ -51,9 +52,10 @@ def _operator() -> str:
 
 
 def collect_provenance() -> dict[str, str]:
-    """Return the origin of a log for its metadata, as texts by name.
+    """Return the provenance (origin) of a log for its metadata, as texts by name.
 
-    It consists of software versions, git hash, host, operator, time (UTC) and command line of this process.
+    It consists of git commit ("git"), host, operating system ("platform"), Python version, operator, present time in
+    UTC ("started"), command line of this process, and package versions ("version.numpy" and others; "none" if missing).
     """
     return {
         "git": git_hash(),

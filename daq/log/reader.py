@@ -49,7 +49,7 @@ _WHOLE = (0, LAST_NS)
 
 
 def open_log(path: Path | str) -> Log:
-    """Open a log, which may be whole, killed or damaged, with all its segments, to read its samples.
+    """Open a log, which may be whole, killed or damaged, with all its segments (files), to read its samples.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def import_library(name: str) -> Any:
     Parameters
     ----------
     name
-        Name of the library, for example "pandas". It belongs to the extra ``tables``.
+        Name of the library, for example "pandas". It is one of those that ``pip install 'seatrial[tables]'`` installs.
 
     Raises
     ------
@@ -89,7 +89,7 @@ def import_library(name: str) -> Any:
 
 
 class Log:
-    """One recorded log (MCAP), with all its segments. Times are times of the run clock [s since 1970].
+    """One recorded log (MCAP), with all its segments (files). Times are times of the run clock [s since 1970].
 
     Attributes
     ----------
@@ -98,7 +98,7 @@ class Log:
     paths
         All segments.
     complete
-        Whether every segment has its footer.
+        Whether every segment has its footer, the last record of a file that was closed.
     metadata
         Texts that the recorder wrote, by name.
     attachments
@@ -108,7 +108,10 @@ class Log:
     """
 
     def __init__(self, path: Path) -> None:
-        """Open the log that begins with the MCAP file `path`, and read its index and metadata."""
+        """Open the log that begins with the MCAP file `path`, and read its index and metadata.
+
+        Raise SeatrialError if the file cannot be read or is no MCAP file.
+        """
         self.path = path
         self._file = open_raw(path)
         self.paths = [raw.path for raw in self._file.files]
@@ -140,8 +143,8 @@ class Log:
     def part(self, begin: float, end: float) -> Log:
         """Return a view of the log with the messages of an interval of time only.
 
-        Messages outside the interval are not read. `counts`, `sources`, `nodes` and `sha256` remain those of the
-        whole log.
+        Messages outside the interval are not read. `counts`, `sources`, `nodes` and `sha256` remain those of the whole
+        log. The view uses the same open files as the log. A part of a view has only the overlap of both intervals.
 
         Parameters
         ----------
@@ -177,12 +180,15 @@ class Log:
 
     @property
     def duration(self) -> float:
-        """Time from the first message of the log to the last [s]."""
+        """Time from the receipt of the first message to that of the last [s]; 0 if the log has no messages."""
         return self.end - self.start
 
     @cached_property
     def sha256(self) -> str:
-        """SHA-256 of the log in hexadecimal digits. For several segments the bytes of all, in order, are hashed."""
+        """SHA-256 of the log in hexadecimal digits.
+
+        For a log of several segments (files), the bytes of all, in order, are hashed.
+        """
         digest = hashlib.sha256()
         for path in self.paths:
             with path.open("rb") as file:
@@ -213,8 +219,8 @@ class Log:
     def vehicle(self) -> Mapping[str, float]:
         """Known model parameters of the boat, by name.
 
-        The values are from the [vehicle] table of the rig. For an imported log they are from the [geometry] and
-        [scale] tables of the import map.
+        The values are from the [vehicle] table of the rig. For an imported log they are from the [geometry] and [scale]
+        tables of the import map. The mapping is empty if the log has neither.
 
         Raises
         ------
@@ -236,15 +242,19 @@ class Log:
         return dict(sorted(found.items()))
 
     def types(self) -> dict[str, str]:
-        """Return the message type of each topic of the log that has messages; "?" if the type is unknown."""
+        """Return the message type of each topic of the log that has messages, by topic.
+
+        The type is `package/msg/Name`, or "?" if it is unknown.
+        """
         schemas = self._file.schemas
         names = {c.topic: schemas[c.schema_id].name for c in self._file.channels.values() if c.schema_id in schemas}
         return {name: names.get(name, "?") for name in self.counts}
 
     def rate_and_gap(self, topic: str) -> tuple[float, float]:
-        """Return mean rate [Hz] and longest gap [s] of the time stamps of a topic. Both are NaN for a single time.
+        """Return mean rate [Hz] and longest gap [s] of the time stamps of a topic.
 
-        Raise KeyError if the log has no messages of the topic.
+        Both are NaN if the topic has a single time, or no message in the interval of a view (`part`). Raise KeyError if
+        the log has no messages of the topic.
         """
         return self._spacing[topic].rate_and_gap()
 
@@ -252,8 +262,8 @@ class Log:
     def clock_steps(self) -> dict[str, tuple[int, float]]:
         """Number and length of the steps back of the time stamps, by topic: (number of steps, longest step [s]).
 
-        Only steps of more than 0.5 s from one message to the next count. They show that a clock was set, or that the
-        stamps are from two clocks. Topics without such steps are left out, and so are events.
+        Only steps of more than 0.5 s (CLOCK_STEP_S) from one message to the next count. They show that a clock was set,
+        or that the stamps are from two clocks. Topics without such steps are left out, and so are events.
         """
         found = {topic: (item.n_back, item.longest_back) for topic, item in self._spacing.items() if item.n_back}
         found.pop("/event", None)
@@ -261,7 +271,7 @@ class Log:
 
     @cached_property
     def _spacing(self) -> dict[str, _StampStatistics]:
-        """Rate, gaps and backward steps of the time stamps of each topic, from one pass through the log."""
+        """Statistics of the time stamps of each topic (rate, gaps, backward steps), from one pass through the log."""
         found = {topic: _StampStatistics() for topic in self.counts}
         topics = {number: channel.topic for number, channel in self._file.channels.items()}
         for messages in self._file.read(None, *self._span_ns):
@@ -273,7 +283,7 @@ class Log:
     def to_pandas(self, rate: float = 10.0) -> Any:
         """Resample all numbers of the log to one time grid, and return them as a pandas.DataFrame.
 
-        `seatrial.daq.log.resample` has the rules.
+        `seatrial.daq.log.resample` describes how values are averaged, held and interpolated.
 
         Parameters
         ----------
@@ -288,7 +298,7 @@ class Log:
         Raises
         ------
         SeatrialError
-            If pandas is not installed, or if the log has no samples.
+            If pandas is not installed, if the log has no samples, or if the grid has too many rows.
         """
         pandas = import_library("pandas")
         table = resample(self, rate)
@@ -300,7 +310,7 @@ class Log:
     def to_xarray(self, rate: float = 10.0) -> Any:
         """Resample all numbers of the log to one time grid, and return them as an xarray.Dataset.
 
-        `seatrial.daq.log.resample` has the rules.
+        `seatrial.daq.log.resample` describes how values are averaged, held and interpolated.
 
         Parameters
         ----------
@@ -315,7 +325,7 @@ class Log:
         Raises
         ------
         SeatrialError
-            If xarray is not installed, or if the log has no samples.
+            If xarray is not installed, if the log has no samples, or if the grid has too many rows.
         """
         xarray = import_library("xarray")
         table = resample(self, rate)
@@ -327,7 +337,7 @@ class Log:
         """Return the names of the devices in the log that have samples of a kind, for example `Gnss`.
 
         For `Scalar` they are the names of the signals. For `PortHealth` they are the devices with counters of their
-        port.
+        port. The list is empty if there are none.
         """
         if kind is PortHealth:
             return [name.split("/")[2] for name in self.counts if name.startswith("/health/")]
@@ -340,13 +350,17 @@ class Log:
         return [pair[0] for pair in pairs if len(pair) == 2 and pair[1] == last and pair[0] not in ("raw", "health")]
 
     def nodes(self, kind: type[Esc] | type[Command] | type[Servo], source: str) -> list[int]:
-        """Return the sorted ids of the motor controllers on the bus of a device that have samples of a kind."""
+        """Return the sorted ids of the motor controllers (or servo outputs) of a device that have samples of a kind.
+
+        `source` is the name of the device. The list is empty if there are none.
+        """
         return sorted(node for name, node in self._devices_and_nodes(kind) if name == source)
 
     def _devices_and_nodes(self, kind: type[Measured] | type[PortHealth]) -> list[tuple[str, int]]:
-        """Return (device, id of the motor controller) for each controller that has samples of a kind.
+        """Return (device, id of the motor controller or servo output) for each that has samples of a kind.
 
-        The pairs are read from the names of the topics.
+        The kind is one of NODE_TOPICS: `Esc`, `Command`, `Servo`. The pairs are read from the names of the topics. A
+        topic with an id that is not a number of at most 9 digits is ignored.
         """
         last = schema.NODE_TOPICS[kind]
         parts = [name.split("/")[1:] for name in self.counts]
@@ -365,20 +379,22 @@ class Log:
         source
             Name of the device, or of the signal for `Scalar`.
         node
-            Controller id, for the kinds in `NODE_TOPICS`. It may be None if the device has a single controller.
+            Id of the controller or servo output, for `Esc`, `Command` and `Servo`. It may be None if the device has a
+            single one. Other kinds do not use it.
         begin, end
             Interval of the time of receipt [s since 1970]: `begin <= t_rx < end`. Samples outside are not read.
 
         Returns
         -------
         Array (n,)
-            Structured array with the columns t, t_rx, t_device and the fields of the sample. `t` is the estimated
-            time of the sample [s since 1970] and never decreases.
+            Structured array with the columns t, t_rx, t_device and the fields of the sample. `t` is the estimated time
+            of the sample [s since 1970] and never decreases. The array is read-only within `keeping_tables`.
 
         Raises
         ------
         SeatrialError
-            If the log has no such samples, or if the memory is too small for them.
+            If the log has no such samples, if they cannot be decoded, if `node` is None and the device has several
+            controllers, or if the memory is too small.
         """
         if kind is Esc or kind is Command or kind is Servo:
             node = self._only_node(kind, source, node)
@@ -404,19 +420,24 @@ class Log:
     def _read_table(
         self, kind: type[Measured], topic: str, source: str, span: tuple[int, int], join: bool = True
     ) -> NDArray[np.void]:
-        """Read the table of one topic from the file.
+        """Read the samples of one topic from the files of the log, as a structured array (n,).
 
         Parameters
         ----------
         kind
             Class of the samples.
         topic, source
-            Topic, and name of its device.
+            Topic, and name of its device or signal.
         span
-            Interval of log times [ns since 1970].
+            Interval of log times [ns since 1970], without its end.
         join
             Whether to add the columns of the companion topics of an AHRS: device times and magnetic field. If the
             messages have no ascending sequence numbers, the columns are not added and stay NaN.
+
+        Raises
+        ------
+        SeatrialError
+            If the topic has no messages, or messages that cannot be decoded.
         """
         rows = self._new_table(kind, topic, source, join)
         try:
@@ -427,9 +448,10 @@ class Log:
         return self._with_ascending_times(rows.done(), topic, span)
 
     def _new_table(self, kind: type[Measured], topic: str, source: str, join: bool = True) -> _TopicTable:
-        """Return an empty table for the messages of a topic; for an AHRS also for its device times and magnetic field.
+        """Return a table without rows, which collects the messages of a topic.
 
-        `kind` is the class of the samples, and `source` the name of the device.
+        `kind` is the class of the samples, and `source` the name of the device. For an AHRS, the table also collects
+        the topics with device times and magnetic field if `join` is true.
 
         Raises
         ------
@@ -439,10 +461,10 @@ class Log:
         return _AhrsTable(self, topic, source, join) if kind is Ahrs else _SampleTable(self, kind, topic)
 
     def _read_tables(self, span: tuple[int, int]) -> dict[tuple[str, tuple[int, int]], NDArray[np.void]]:
-        """Read the tables of all topics of the log in one pass, because each chunk of the file contains all topics.
+        """Read the samples of all topics of the log in one pass, because each chunk of the file contains all topics.
 
-        `span` is the interval of log times [ns since 1970]. The result is by topic and interval. Tables with errors are
-        left out. `table` then reads the topic alone and raises the error.
+        `span` is the interval of log times [ns since 1970]. Return a structured array (n,) by topic and interval.
+        Topics with errors are left out. `table` then reads the topic alone and raises the error.
         """
         rows: dict[str, _TopicTable] = {}
         for kind in (*MEASURED, Command):
@@ -469,9 +491,10 @@ class Log:
         return tables
 
     def _only_node(self, kind: type[Esc] | type[Command] | type[Servo], source: str, node: int | None) -> int:
-        """Return `node`, or the id of the only motor controller of a device if `node` is None.
+        """Return `node`, or the id of the only motor controller (or servo output) of a device if `node` is None.
 
-        The result is 0 if the device has no controller. SeatrialError is raised if it has several.
+        `kind` is the class of its samples, and `source` the name of the device. The result is 0 if the device has no
+        controller. SeatrialError is raised if it has several.
         """
         nodes = self.nodes(kind, source)
         if node is None and len(nodes) == 1:
@@ -481,10 +504,10 @@ class Log:
         return 0 if node is None else node
 
     def _with_ascending_times(self, table: NDArray[np.void], topic: str, span: tuple[int, int]) -> NDArray[np.void]:
-        """Correct times in the column `t` of a table so that they never decrease, and return the table.
+        """Correct times in the column `t` of a table in place so that they never decrease, and return the table.
 
-        A time that is less than the time before gets that time. Raise SeatrialError if the table is empty although it
-        covers the whole log (`span`): no message of the topic is readable.
+        A time that is less than the time before gets that time. Raise SeatrialError if the table of the topic is empty
+        although it covers the whole log (`span`, in ns): no message of the topic is readable.
         """
         if not len(table) and span == _WHOLE:
             raise self._error(f"no message on {topic} is readable")
@@ -493,9 +516,9 @@ class Log:
         return table
 
     def events(self) -> list[tuple[float, str, str]]:
-        """Return all events of the log as (time [s since 1970], kind, text), in the order of the file.
+        """Return all events of the log as (time stamp [s since 1970], kind, text), in the order of the file.
 
-        The list is empty if the log has no events.
+        The list is empty if the log has no events. Raise SeatrialError if an event cannot be decoded.
         """
         if "/event" not in self.counts:
             return []
@@ -506,9 +529,10 @@ class Log:
         return found
 
     def health(self, device: str) -> list[tuple[float, PortHealth]]:
-        """Return the counters of the port of a device over time, as (time [s since 1970], counters).
+        """Return the counters of the port of a device over time, as (time stamp [s since 1970], counters).
 
-        Raise SeatrialError if the log has no counters of the device.
+        The order is that of the file. Raise SeatrialError if the log has no counters of the device, or if they cannot
+        be decoded.
         """
         found = []
         for t, row, (port,) in self._decoded_messages(f"/health/{device}", schema.HEALTH):
@@ -519,9 +543,10 @@ class Log:
         return found
 
     def raw(self, device: str) -> Iterator[tuple[float, str, bytes]]:
-        """Yield the bytes of the port of a device as (time [s since 1970], "rx" or "tx", data), in file order.
+        """Yield the bytes of the port of a device as (time [s since 1970], direction, data), in the order of the file.
 
-        Raise SeatrialError if the log has no bytes of the device.
+        The direction is "rx" for bytes read from the port and "tx" for bytes written to it. Raise SeatrialError if the
+        log has no bytes of the device, or if they cannot be decoded.
         """
         for t, row, (data,) in self._decoded_messages(f"/raw/{device}", schema.RAW):
             yield t, _DIRECTIONS[min(int(row["direction"]), 1)], data
@@ -574,10 +599,17 @@ class Log:
     def _channel_numbers(self, topic: str, type_name: str = "") -> list[int]:
         """Return the numbers of the MCAP channels that contain the messages of a topic.
 
+        Parameters
+        ----------
+        topic
+            Name of the topic.
+        type_name
+            Required message type, `package/msg/Name`; any type if it is empty.
+
         Raises
         ------
         SeatrialError
-            If the topic has no messages, or if its message type is not `type_name`.
+            If the topic has no messages, or if its message type is not the required one in CDR.
         """
         found = [number for number, channel in self._file.channels.items() if channel.topic == topic]
         if not found or topic not in self.counts:
@@ -592,9 +624,10 @@ class Log:
         return found
 
     def _missing_fields(self, topic: str, type_name: str) -> tuple[str, ...]:
-        """Return the fields that the messages of a topic lack, because an older version of seatrial wrote the log.
+        """Return the names of the fields that the messages of a topic lack, because an older version wrote the log.
 
-        `type_name` is the message type, for example "seatrial_msgs/msg/Gnss".
+        `type_name` is the message type, for example "seatrial_msgs/msg/Gnss". Raise SeatrialError if the topic has no
+        messages.
         """
         channels = [self._file.channels[number] for number in self._channel_numbers(topic)]
         written = [self._file.schemas[c.schema_id].data for c in channels if c.schema_id in self._file.schemas]
@@ -604,7 +637,17 @@ class Log:
     def _decode_rows(self, messages: Messages, topic: str, type_name: str) -> NDArray[np.void]:
         """Decode the fields of fixed size of messages of a topic to a structured array, shape (n,).
 
-        These are all fields before the first string or sequence.
+        These are the header and all fields before the first string or sequence. Fields that older logs lack are left
+        out.
+
+        Parameters
+        ----------
+        messages
+            The messages, in CDR.
+        topic
+            Name of the topic.
+        type_name
+            Message type, `package/msg/Name`.
 
         Raises
         ------
@@ -639,7 +682,8 @@ class Log:
     def _decoded_messages(self, topic: str, type_name: str) -> Iterator[tuple[float, np.void, tuple[bytes, ...]]]:
         """Yield (time stamp [s since 1970], fields of fixed size, strings and bytes) of each message of a topic.
 
-        The order is that of the file. Raise SeatrialError if the topic has no messages of the type `type_name`.
+        The order is that of the file. Raise SeatrialError if the topic has no messages, if they do not have the type
+        `type_name`, or if a message cannot be decoded.
         """
         for messages in self._file.read(self._channel_numbers(topic, type_name), *self._span_ns):
             rows = self._decode_rows(messages, topic, type_name)
@@ -655,22 +699,23 @@ class Log:
 def _span_ns(begin: float, end: float, within: tuple[int, int]) -> tuple[int, int]:
     """Convert an interval from s to ns since 1970, and cut it to the interval `within` [ns].
 
-    A negative limit becomes 0, and one beyond 64 bits becomes the largest time.
+    A negative limit becomes 0, and a limit beyond 64 bits (also infinity) becomes the largest time. If the intervals do
+    not overlap, the first result is not below the second.
     """
     first, last = (LAST_NS if t >= LAST_NS / NANO else max(0, round(t * NANO)) for t in (begin, end))
     return max(first, within[0]), min(last, within[1])
 
 
 def _layout_for_length(type_name: str, n_frame: int, lacking: tuple[str, ...]) -> CdrLayout | None:
-    """Return the byte layout of a message type whose `frame_id` has `n_frame` bytes; None if this length is invalid.
+    """Return the CDR byte layout of a message type whose `frame_id` has `n_frame` bytes, the final NUL included.
 
-    The length includes the final NUL and is 1 to 256. `lacking` are fields that an older version did not write.
+    Return None unless the length is 1 to 256. `lacking` are fields that an older version did not write.
     """
     return cdr_layout(type_name, b"\0" * (int(n_frame) - 1), lacking) if 1 <= n_frame <= MAX_FRAME_ID else None
 
 
 def _table_type(kind: type[Measured], integers: Collection[str] = ()) -> np.dtype[np.void]:
-    """Return the numpy type of a table of samples of a kind: t, t_rx, t_device and the fields of the class.
+    """Return the numpy type of the rows of a table of samples: t, t_rx, t_device and the fields of the class `kind`.
 
     All columns are floats, except for those in `integers`, which are 64-bit integers.
     """
@@ -679,12 +724,12 @@ def _table_type(kind: type[Measured], integers: Collection[str] = ()) -> np.dtyp
 
 
 class _GrowingArray:
-    """Array to which rows are appended. It has at most an eighth more memory than its rows need.
+    """Array to which rows are appended. At most an eighth more memory than its rows need is reserved.
 
     Parameters
     ----------
     dtype
-        Type of the rows.
+        Type of a row.
     """
 
     def __init__(self, dtype: np.dtype[Any]) -> None:
@@ -697,7 +742,7 @@ class _GrowingArray:
         return self._all[: self._n]
 
     def append_rows(self, n: int) -> NDArray[Any]:
-        """Append `n` rows to the array and return them, for the caller to fill.
+        """Append `n` rows to the array and return them, shape (n,), for the caller to fill.
 
         Raise MemoryError if the memory is too small.
         """
@@ -713,7 +758,7 @@ class _GrowingArray:
 
 
 class _TopicTable:
-    """Table of the samples of a topic that grows while the messages of its `channels` are read.
+    """Table of the samples of a topic. It grows while the messages of its `channels` are read.
 
     Attributes
     ----------
@@ -745,14 +790,20 @@ class _SampleTable(_TopicTable):
     """Table of the samples of a topic in which each message is one sample."""
 
     def __init__(self, log: Log, kind: type[Measured], topic: str) -> None:
-        """Begin a table without rows for the samples of a kind on a topic. Raise SeatrialError for another type."""
+        """Begin a table without rows for the samples of class `kind` on a topic of a log.
+
+        Raise SeatrialError if the topic has no messages, or messages of another type.
+        """
         self._kind, self._type_name = kind, schema.TYPES[kind]
         fixed = cdr_layout(self._type_name, b"").dtype
         whole = [name for name in schema.field_names(kind) if fixed[name].kind in "iu"]
         super().__init__(log, topic, log._channel_numbers(topic, self._type_name), _table_type(kind, whole))
 
     def take(self, messages: Messages) -> None:
-        """Add the next messages of the topic to the table, each of which is one sample."""
+        """Add the next messages of the topic to the table, each of which is one sample.
+
+        Raise SeatrialError if they cannot be decoded.
+        """
         rows = self._log._decode_rows(messages, self.topic, self._type_name)
         part = self._table.append_rows(len(rows))
         part["t"] = stamps(rows)
@@ -762,7 +813,7 @@ class _SampleTable(_TopicTable):
 
 
 class _NotNumberedError(SeatrialError):
-    """Error of Imu messages whose sequence numbers do not ascend.
+    """Error that the sequence numbers of the Imu messages of an AHRS do not ascend.
 
     Another program wrote such messages, and they cannot be joined with other topics by sequence number.
     """
@@ -778,11 +829,16 @@ class _AhrsTable(_TopicTable):
     topic, source
         Topic of the Imu messages, and name of the device.
     join
-        Whether to add the columns of the companion topics (device times and magnetic field); else they stay NaN.
+        Whether to add the columns of the companion topics (device times and magnetic field). They are NaN if it is
+        False, and where a companion message is missing.
     """
 
     def __init__(self, log: Log, topic: str, source: str, join: bool) -> None:
-        """Begin a table without rows, and find the channels of Imu, device times and magnetic field in the log."""
+        """Begin a table without rows, and find the channels of Imu, device times and magnetic field in the log.
+
+        Raise SeatrialError if the log lacks the Imu messages. A missing companion topic (device times or magnetic
+        field) is left out; both are if `join` is False.
+        """
         self._source, self._numbers = source, {"imu": log._channel_numbers(topic, schema.IMU)}
         for name, (type_name, _) in _COMPANIONS.items() if join else ():
             with contextlib.suppress(SeatrialError):
@@ -797,7 +853,8 @@ class _AhrsTable(_TopicTable):
         """Add the next Imu messages of the AHRS, with the device time and magnetic field of the same sequence number.
 
         Messages of these companion topics that arrive before their Imu message wait for the next call.
-        `_NotNumberedError` is raised if the sequence numbers do not ascend.
+        `_NotNumberedError` is raised if the sequence numbers do not ascend and there are companion topics.
+        SeatrialError is raised if a message cannot be decoded.
         """
         parts = {n: messages.where(np.isin(messages.heads["channel"], g)) for n, g in self._numbers.items()}
         imu = parts.pop("imu")
@@ -844,6 +901,9 @@ class _UnmatchedCompanions(NamedTuple):
     ) -> _UnmatchedCompanions:
         """Write the waiting and the new messages into the rows of the AHRS table with the same sequence number.
 
+        Of two messages with one number, the first is used. Messages without a row are dropped, except for new ones
+        after the last row.
+
         Parameters
         ----------
         sequence, columns
@@ -856,7 +916,7 @@ class _UnmatchedCompanions(NamedTuple):
         Returns
         -------
         _UnmatchedCompanions
-            New messages with numbers after the last row of the table.
+            New messages with numbers after the last row of the table, which wait for the next call.
         """
         sequence = np.append(self.sequence, sequence)
         columns = {name: np.append(self.columns.get(name, ()), column) for name, column in columns.items()}
@@ -871,7 +931,15 @@ class _UnmatchedCompanions(NamedTuple):
 
 
 class _StampStatistics:
-    """Rate, longest gap and backward steps of the time stamps of a topic, computed from batches of stamps."""
+    """Rate, longest gap and backward steps of the time stamps of a topic, computed from batches of stamps.
+
+    Attributes
+    ----------
+    n_back : int
+        Number of steps back of more than 0.5 s (CLOCK_STEP_S) from one stamp to the next.
+    longest_back : float
+        Longest step back [s]; 0 if there is none.
+    """
 
     def __init__(self) -> None:
         """Begin the statistics of a topic without any time stamp."""
@@ -879,9 +947,9 @@ class _StampStatistics:
         self.n_back, self.longest_back = 0, 0.0  # steps back in the order of the file
 
     def add(self, t: NDArray[np.float64]) -> None:
-        """Add the next time stamps of the topic [s], shape (n,).
+        """Add the next time stamps of the topic [s], shape (n,), at least one.
 
-        They must follow the stamps before, except for jitter.
+        They are in the order of the file, and later than the stamps before, except for jitter.
         """
         steps = -np.diff(np.append(self._newest, t))
         self.n_back += int(np.sum(steps > CLOCK_STEP_S))
@@ -893,7 +961,10 @@ class _StampStatistics:
         self._first, self._last = min(self._first, t[0]), max(self._last, t[-1])
 
     def rate_and_gap(self) -> tuple[float, float]:
-        """Return mean rate [Hz] and longest gap [s] of all time stamps added; both are NaN for a single time."""
+        """Return mean rate [Hz] and longest gap [s] of all time stamps added.
+
+        Both are NaN with fewer than two stamps, or if all are equal.
+        """
         if self._n < 2 or self._first == self._last:
             return float("nan"), float("nan")
         return float((self._n - 1) / (self._last - self._first)), float(self._gap)

@@ -33,7 +33,7 @@ class ReservedSpace:
     """
 
     def __init__(self, folder: Path) -> None:
-        """Create a file without a name in `folder`, which has 0 bytes at first."""
+        """Create a file without a name in `folder`, which has 0 bytes at first. Raise OSError if this fails."""
         name = folder / f".seatrial-ballast-{os.getpid()}-{id(self):x}"
         self._fd = os.open(name, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
         name.unlink()
@@ -77,18 +77,22 @@ class WholeRecordStream:
     Attributes
     ----------
     failure
-        Error of the first failed write, even if the ballast has made room for its records; None before.
+        Error of the first failed write, even if the reserved space (the ballast) has made room for its records; None
+        before.
     ballast
         Reserved space of the disk for the last records.
 
     Raises
     ------
     OSError
-        If the file cannot be created or the ballast cannot be reserved.
+        If the file exists or cannot be created, or if the ballast cannot be reserved.
     """
 
     def __init__(self, path: Path) -> None:
-        """Create the output file and reserve disk space for its last records."""
+        """Create the output file `path` and reserve disk space for its last records.
+
+        Raise OSError if the file exists or cannot be created, or if the disk has too little space.
+        """
         self._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
         # Without this a loss of power may remove the name of the file, and with the name the whole file.
         for folder in (path.parent, path.absolute().parent.parent):
@@ -108,13 +112,15 @@ class WholeRecordStream:
         return self._size
 
     def write(self, data: bytes) -> int:
-        """Write whole records to the file and return their number of bytes. On a full disk, use the reserved space.
+        """Write whole records to the file and return their number of bytes.
+
+        On a full disk, the reserved space (the ballast) is released and the write is repeated; `failure` has the error.
 
         Raises
         ------
         OSError
-            If the records do not fit even without the ballast, or after any other failure. The file then ends with
-            the last record before them.
+            If the records do not fit even without the ballast, or after any other failure. The file then ends with the
+            last record before them.
         """
         try:
             self._write_all(data)
@@ -135,7 +141,10 @@ class WholeRecordStream:
         return len(data)
 
     def _write_all(self, data: bytes) -> None:
-        """Write all bytes at the end of the file. Raise OSError, also after a part of the bytes is written."""
+        """Write all bytes at the end of the file. The size that `tell` returns does not change.
+
+        Raise OSError on failure; a part of the bytes may then be written.
+        """
         view = memoryview(data)
         at = self._size
         while view:
@@ -162,7 +171,10 @@ class WholeRecordStream:
 
 
 def sync_folder(folder: Path) -> None:
-    """Wait until the names of the log files in a folder are on the disk, if the operating system supports this."""
+    """Wait until the names of the files in a folder are on the disk, so that a loss of power cannot remove a new file.
+
+    Nothing happens, and no error is raised, if the operating system does not support this.
+    """
     with contextlib.suppress(OSError):
         fd = os.open(folder, os.O_RDONLY)
         try:
@@ -172,12 +184,12 @@ def sync_folder(folder: Path) -> None:
 
 
 class FileSyncer(threading.Thread):
-    """Thread that syncs an output file to the disk on request. On a memory card one sync can take a second.
+    """Thread that syncs an output file to the disk on request, because one sync can take a second on a memory card.
 
     Attributes
     ----------
     error
-        Error of the sync that failed; the thread has ended then. None before.
+        Error of the sync that failed; the thread has then ended. None before.
     """
 
     def __init__(self, stream: WholeRecordStream) -> None:
@@ -200,11 +212,11 @@ class FileSyncer(threading.Thread):
                 return
 
     def request(self) -> None:
-        """Request one sync of the file; the call returns at once."""
+        """Request one sync of the file. The call returns at once. Requests during a sync become one further sync."""
         self._wanted.set()
 
     def end(self) -> None:
-        """Stop the sync thread and wait until it has ended."""
+        """Stop the sync thread and wait until it has ended. A request that the thread has not taken up is dropped."""
         self._ending = True
         self._wanted.set()
         self.join()

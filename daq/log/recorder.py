@@ -31,7 +31,10 @@ _DIRECTIONS = {"rx": 0, "tx": 1}
 
 
 class Clock(Protocol):
-    """Interface to the run clock, `seatrial.daq.clock.RunClock`, with the parts that the recorder uses."""
+    """Interface to the run clock, `seatrial.daq.clock.RunClock`, with the parts that the recorder uses.
+
+    The run clock is the time of a run. It is faster than wall time only on simulated devices.
+    """
 
     @property
     def speed(self) -> float:
@@ -61,20 +64,27 @@ class Recorder:
     metadata
         Further texts of the metadata, by name.
     patient
-        Whether recording goes on after a full disk. A patient recorder ends its file if the disk is full. It keeps
-        new messages in memory, `paused` contains the reason, and a new segment begins when there is room. The caller
-        should write little while `paused` is not empty.
+        Whether recording goes on after a full disk. A patient recorder ends its file if the disk is full. It keeps new
+        messages in memory, `paused` contains the reason, and a new segment begins when there is room. The caller should
+        write little while `paused` is not empty. If it is False, a full disk raises an error.
+
+    Attributes
+    ----------
+    first_path : Path
+        Path of the first segment.
+    paused : str
+        Reason why nothing is written to the disk at present; empty if recording is not paused.
 
     Raises
     ------
     SeatrialError
-        If a file cannot be created or written.
+        If a file cannot be created or written. The methods that write raise it too.
 
     Notes
     -----
     Each segment has all metadata and attachments that a reader needs. If the log is larger than `keep_gb`, the oldest
-    segments are deleted. The first segment stays, because it has the beginning and the name of the log.
-    The log time of a message is the time of receipt, but never earlier than the log time of the message before.
+    segments are deleted. The first segment stays, because it has the beginning and the name of the log. The log time of
+    a message is the time of receipt, but never earlier than the log time of the message before.
     """
 
     def __init__(
@@ -87,7 +97,11 @@ class Recorder:
         metadata: Mapping[str, str] | None = None,
         patient: bool = False,
     ) -> None:
-        """Create the first file of the log at `path`. A `patient` recorder goes on when a full disk has room again."""
+        """Create the first file of the log at `path`, with the rig file, the attachments and the metadata.
+
+        A `patient` recorder goes on when a full disk has room again. A watchdog's note beside an earlier log of the
+        same name is deleted. Raise SeatrialError if the file exists or cannot be created.
+        """
         origin = json.dumps(clock.origin)
         about = {"format": LOG_FORMAT, "rig": rig.name, "speed": repr(clock.speed), "origin": origin}
         self._metadata = {**collect_provenance(), **about, **(metadata or {})}
@@ -110,7 +124,7 @@ class Recorder:
     def _begin_segment(self, path: Path, number: int) -> None:
         """Create a file of the log, the segment `path`, with all metadata and attachments.
 
-        `number` is 0 for the first segment.
+        `number` is that of the segment, 0 for the first. Raise SeatrialError if the file cannot be created.
         """
         about = {**self._metadata, "segment": str(number)}
         self._writer = LogWriter(path, metadata=about, attachments=self._attachments, time_ns=self._log_ns)
@@ -135,6 +149,8 @@ class Recorder:
     def write(self, device: str, frame: Frame, t: float) -> None:
         """Write one sample, event or set of port counters of a device to the log.
 
+        During a pause it is kept in memory.
+
         Parameters
         ----------
         device
@@ -142,7 +158,12 @@ class Recorder:
         frame
             The sample with its time of receipt.
         t
-            Estimated time of the sample by the run clock [s since 1970].
+            Estimated time of the sample by the run clock [s since 1970]. NaN stands for the time of receipt.
+
+        Raises
+        ------
+        SeatrialError
+            If the file cannot be written.
         """
         sample = frame.sample
         if isinstance(sample, Event):
@@ -167,20 +188,27 @@ class Recorder:
     def write_raw(self, device: str, direction: str, data: bytes, t: float) -> None:
         """Write bytes of a device's port to the log, with the time t [s since 1970].
 
-        The direction is "rx" for bytes read from the port, and "tx" for bytes written to it.
+        The direction is "rx" for bytes read from the port, and "tx" for bytes written to it. SeatrialError is raised if
+        the file cannot be written.
         """
         log_ns, stamp_ns = self._log_and_stamp_ns(t, t)
         message = cdr_layout(schema.RAW, device.encode()).pack(stamp_ns, _DIRECTIONS[direction], tail=(data,))
         self._add_message(f"/raw/{device}", schema.RAW, log_ns, stamp_ns, 0, message)
 
     def event(self, t: float, kind: str, text: str) -> None:
-        """Write an event to the log at time t [s since 1970]: its kind, such as "warning", and its description."""
+        """Write an event to the log at time t [s since 1970]: its kind, such as "warning", and its description.
+
+        NUL characters in the texts are left out. SeatrialError is raised if the file cannot be written.
+        """
         log_ns, stamp_ns = self._log_and_stamp_ns(t, t)
         message = cdr_layout(schema.EVENT, b"").pack(stamp_ns, tail=(_encode_text(kind), _encode_text(text)))
         self._add_message("/event", schema.EVENT, log_ns, stamp_ns, 0, message)
 
     def health(self, device: str, health: PortHealth, t: float) -> None:
-        """Write the counters of a device's port (bytes, frames, errors, ...) to the log at time t [s since 1970]."""
+        """Write the counters of a device's port (bytes, frames, errors, ...) to the log at time t [s since 1970].
+
+        SeatrialError is raised if the file cannot be written.
+        """
         log_ns, stamp_ns = self._log_and_stamp_ns(t, t)
         message = cdr_layout(schema.HEALTH, device.encode()).pack(
             stamp_ns,
@@ -199,8 +227,9 @@ class Recorder:
     def tick(self) -> None:
         """Do the periodic work of the recorder when it is due. The caller calls this at least every 50 ms.
 
-        The work: flush and sync the segment, begin the next segment, delete the oldest segments, and check whether a
-        full disk has room again.
+        The work is: flush and sync the segment, begin the next segment at the limits of size or time in the rig, delete
+        the oldest segments, and, during a pause, check whether a full disk has room again. SeatrialError is raised if a
+        file cannot be created or written.
         """
         if self.paused:
             if time.monotonic() >= self._retry_at:
@@ -221,8 +250,8 @@ class Recorder:
     def _delete_segment(self, segment: _FinishedSegment, keep: float) -> None:
         """Delete a finished file of the log, and record the deletion, or its failure, as an event.
 
-        `keep` is the limit of the log's size [GB], for the text of the event. A file that has replaced the segment in
-        the meantime is not deleted.
+        `keep` is the limit of the log's size [GB], for the text of the event. If another file has replaced the segment
+        in the meantime, nothing is deleted or recorded.
         """
         self._size_before -= segment.size
         try:
@@ -235,7 +264,7 @@ class Recorder:
         self.event(self._log_ns / NANO, "disk", text)
 
     def close(self) -> None:
-        """End the log and close its file.
+        """End the log and close its file. During a pause, first try to write the kept messages.
 
         Raises
         ------
@@ -253,7 +282,7 @@ class Recorder:
     def _pause_if_full(self) -> Iterator[None]:
         """Pause the recorder if the disk is full within the `with` block and the recorder is patient.
 
-        A recorder that is not patient raises the error.
+        A recorder that is not patient raises DiskFull. Other errors are passed on.
         """
         try:
             yield
@@ -263,7 +292,10 @@ class Recorder:
             self._pause(error)
 
     def _pause(self, error: DiskFull) -> None:
-        """Pause the recorder because of a full disk: store the reason in `paused`, and the time of the first retry."""
+        """Pause the recorder because of a full disk: store the reason in `paused`, and the time of the first retry.
+
+        `error.complete` is whether the ended file contains all messages; otherwise the last ones are noted as lost.
+        """
         self.paused = self.paused or f"{self._writer.path.parent}: the disk is full, nothing is written now"
         self._lost_some = not error.complete
         self._paused_at = time.monotonic()
@@ -272,7 +304,8 @@ class Recorder:
     def _resume(self) -> None:
         """End the pause of the recorder if the disk has room: write the kept messages to a new segment.
 
-        Otherwise the recorder stays paused. The duration of the pause is recorded as an event.
+        Room means 2 MiB (ROOM_BYTES), and that the segment can be created. Otherwise the recorder stays paused. The
+        duration of the pause is recorded as an event.
         """
         self._retry_at = time.monotonic() + RETRY_S
         if free_bytes(self.first_path) < ROOM_BYTES:
@@ -291,7 +324,8 @@ class Recorder:
     def _begin_next_segment(self) -> None:
         """Begin the next file (segment) of the log, and note the finished one for a later deletion.
 
-        Numbers whose file exists are skipped.
+        Numbers whose file exists are skipped. The first segment is never noted. Raise SeatrialError if the file cannot
+        be created.
         """
         before, number = self._size_before + self._writer.size, self._number + 1
         past = self._writer.path
@@ -304,9 +338,10 @@ class Recorder:
                 self._past.append(_FinishedSegment(past, past.stat().st_size, _file_identity(past)))
 
     def _log_and_stamp_ns(self, t_log: float, t_stamp: float) -> tuple[int, int]:
-        """Convert log time and time stamp from s to ns since 1970. The log time never decreases from call to call.
+        """Convert log time (time of receipt) and time stamp of a message from s to ns since 1970.
 
-        A time stamp that is NaN or outside 1970 to 2038 becomes the log time.
+        The log time never decreases from call to call. A log time that is NaN or outside 1970 to 2038 becomes the one
+        before. A time stamp that is NaN or outside 1970 to 2038 becomes the log time.
         """
         self._log_ns = max(self._log_ns, self._to_ns(t_log, self._log_ns))
         return self._log_ns, self._to_ns(t_stamp, self._log_ns)
@@ -320,7 +355,18 @@ class Recorder:
     def _add_message(self, topic: str, type_name: str, log_ns: int, stamp_ns: int, sequence: int, data: bytes) -> None:
         """Write a message in CDR to the current file of the log, or keep it in memory during a pause.
 
-        `log_ns` and `stamp_ns` are its times of receipt and of measurement [ns since 1970].
+        A new topic is registered first. If the disk is full, a patient recorder pauses; another one raises DiskFull.
+
+        Parameters
+        ----------
+        topic, type_name
+            Topic of the message, and its type `package/msg/Name`.
+        log_ns, stamp_ns
+            Times of receipt and of measurement [ns since 1970].
+        sequence
+            Sequence number.
+        data
+            Message in CDR.
         """
         if self.paused:
             self._kept.append(_KeptMessage(topic, type_name, log_ns, stamp_ns, sequence, data))
@@ -360,7 +406,10 @@ class _FinishedSegment(NamedTuple):
 
 
 def _file_identity(path: Path) -> tuple[int, ...]:
-    """Return numbers that distinguish a finished file from other files: device, inode, time of change [ns], size."""
+    """Return numbers that distinguish a finished file from others: device, inode, time of change [ns], size [bytes].
+
+    A symbolic link is not followed. Raise OSError if the file does not exist.
+    """
     # The inode alone is not sufficient: the file system reuses the inode of a deleted file.
     about = path.stat(follow_symlinks=False)
     return about.st_dev, about.st_ino, about.st_mtime_ns, about.st_size
@@ -394,13 +443,16 @@ class _KeptMessage(NamedTuple):
 
 
 def free_bytes(path: Path) -> int:
-    """Return the free space [bytes] of the disk to which a log is written, by its nearest parent folder that exists."""
+    """Return the free space [bytes] of the disk to which a log is written.
+
+    `path` is the log; its folders need not exist yet. The space is that of its nearest parent folder that exists.
+    """
     folder = next((parent for parent in path.absolute().parents if parent.is_dir()), Path("/"))
     return shutil.disk_usage(folder).free
 
 
 def check_room(path: Path, megabytes: float) -> None:
-    """Raise SeatrialError if the disk of a new log has too little free space.
+    """Check that the disk of a new log has enough free space.
 
     Parameters
     ----------
@@ -423,6 +475,9 @@ def check_room(path: Path, megabytes: float) -> None:
 
 
 def _encode_text(text: str) -> bytes:
-    """Encode a text for a CDR message, as UTF-8 without NUL characters, which would end the text."""
+    """Encode a text for a CDR message, as UTF-8 without NUL characters, which would end the text.
+
+    A character that UTF-8 cannot encode becomes "?".
+    """
     # A NUL would end the string; a lone surrogate cannot be encoded in UTF-8.
     return text.replace("\0", "").encode("utf-8", errors="replace")

@@ -24,9 +24,9 @@ class RecoveredLog(NamedTuple):
     messages
         Number of copied messages.
     files
-        Number of segments that were read.
+        Number of segments (files of the log) that were read.
     warnings
-        Faults of these segments; empty if the log was whole.
+        Faults of these segments, one line each; empty if the log was whole.
     """
 
     messages: int
@@ -35,22 +35,29 @@ class RecoveredLog(NamedTuple):
 
 
 def recover_log(path: Path, out: Path, force: bool = False) -> RecoveredLog:
-    """Recover a killed or damaged log: copy all readable records of all its segments to one new log.
+    """Recover a killed or damaged log: copy all readable records of all its segments (files) to one new log.
+
+    A watchdog's note beside an earlier log `out` is deleted.
 
     Parameters
     ----------
     path
         First segment of the log. The log is not changed.
     out
-        The new log.
+        File of the new log. Its folder is created if it does not exist.
     force
         Whether an existing file `out` may be replaced.
+
+    Returns
+    -------
+    RecoveredLog
+        Numbers of messages and segments, and the faults of the log.
 
     Raises
     ------
     SeatrialError
-        If `path` is no log, if no message is readable, if `out` is one of the segments or exists already, or if `out`
-        cannot be written.
+        If `path` is no log, if no message is readable, if `out` is one of the segments, if `out` exists and `force` is
+        False, or if `out` cannot be written.
     """
     log = open_raw(path)
     try:
@@ -75,7 +82,7 @@ def recover_log(path: Path, out: Path, force: bool = False) -> RecoveredLog:
 def _copy_records(log: RawLog | SegmentedLog, part: Path) -> int:
     """Copy metadata, attachments, schemas, channels and messages of a log to the new MCAP file `part`.
 
-    Return the number of messages.
+    The file is synced to the disk. Return the number of copied messages.
     """
     n_messages = 0
     with part.open("xb") as file:

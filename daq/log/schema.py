@@ -1,4 +1,4 @@
-"""Conversion between samples and messages: topics and message types of a sample, and its columns from decoded rows.
+"""Conversion between samples and messages: topics and message types of a sample, and its columns from decoded messages.
 
 docs/formats/log.md has the table of topics; the files in daq/msg define the messages.
 """
@@ -81,9 +81,10 @@ class Message(NamedTuple):
     type_name
         Message type, package/msg/Name.
     frame_id
-        Frame of the header, such as "ahrs_frd_ned".
+        Name of the coordinate frame, or of the device, in the header, such as "ahrs_frd_ned".
     values
-        Values of the fixed fields, in the form that `cdr.CdrLayout.pack` needs: numbers, and arrays as bytes.
+        Values of the fixed fields after the header, in the form that `cdr.CdrLayout.pack` needs: numbers, and arrays as
+        bytes.
     """
 
     topic: str
@@ -117,7 +118,7 @@ def topic(kind: type[Measured], source: str, node: int | None = None) -> str:
     source
         Name of the device, or of the signal for `Scalar`.
     node
-        Controller id, for the kinds in `NODE_TOPICS`; unused for other kinds.
+        Id of the controller or servo output, for `Esc`, `Command` and `Servo` (`NODE_TOPICS`); unused for other kinds.
     """
     if kind is Scalar:
         return f"/signal/{source}"
@@ -127,14 +128,22 @@ def topic(kind: type[Measured], source: str, node: int | None = None) -> str:
 
 
 def messages(device: str, frame: Frame) -> list[Message]:
-    """Convert one sample of a device to its messages. The first of them contains t_rx and t_device.
+    """Convert one sample of a device to its messages in a log. The first of them contains t_rx and t_device.
 
-    A `Transducer` becomes the message of a `Scalar` with the name of the transducer instead of the device.
+    An `Ahrs`, a `Gnss`, and a `LoadCell` with a force also become standard ROS messages on topics of their own. A
+    `Transducer` becomes the message of a `Scalar` with the name of the transducer instead of the device.
+
+    Parameters
+    ----------
+    device
+        Name of the device, or of the signal for `Scalar`.
+    frame
+        The sample with its times.
 
     Raises
     ------
     TypeError
-        If the sample is an event or a set of port counters, which are no measurements.
+        If the sample is an event or a set of port counters, which are not measurements.
     """
     sample = frame.sample
     if isinstance(sample, Ahrs):
@@ -156,15 +165,16 @@ def messages(device: str, frame: Frame) -> list[Message]:
 
 @cache
 def _ahrs_topics(device: str) -> tuple[str, str, str, str]:
-    """Return the frame_id of an AHRS, and its topics: device times, Imu and magnetic field."""
+    """Return the frame_id of an AHRS, and the topics of its device times, its Imu messages and its magnetic field."""
     return f"{device}_frd_ned", f"/{device}/device_time", f"/{device}/imu", f"/{device}/mag"
 
 
 def _ahrs_messages(device: str, s: Ahrs, times: tuple[float, float]) -> list[Message]:
-    """Return the messages of a sample of an AHRS: device times, Imu and, if it is known, the magnetic field.
+    """Return the messages of a sample of an AHRS: device times, Imu and, if any part of it is known, magnetic field.
 
     `times` are t_rx and t_device [s]. The covariances of the Imu message mark unknown quantities: -1 in the first
-    element if neither of the three is known, and a variance of 1e6 rad2 for roll and pitch of a compass.
+    element of the orientation without a yaw, and of rates or accelerations if one of the three is unknown; and a
+    variance of 1e6 rad2 for roll and pitch of a compass.
     """
     frame_id, time, imu, mag = _ahrs_topics(device)
     has_yaw = s.yaw == s.yaw  # False for NaN; faster than math.isnan, for every sample
@@ -184,7 +194,11 @@ def _ahrs_messages(device: str, s: Ahrs, times: tuple[float, float]) -> list[Mes
 
 
 def _gnss_messages(device: str, s: Gnss) -> list[Message]:
-    """Return the standard ROS messages of a GNSS sample: NavSatFix, and TwistStamped if the velocity is known."""
+    """Return the standard ROS messages of a GNSS sample: NavSatFix, and TwistStamped for a known velocity.
+
+    TwistStamped needs a fix and a velocity north and east; an unknown velocity down becomes zero. The variances of the
+    position follow from `sigma_h`; without it they are marked as unknown.
+    """
     # NavSatStatus: -1 no fix, 0 fix, 2 ground-based augmentation (differential and RTK); service 1 is GPS.
     status = -1 if s.fix < 2 else 2 if s.fix >= 4 else 0
     variance = s.sigma_h * s.sigma_h
@@ -202,7 +216,9 @@ def _gnss_messages(device: str, s: Gnss) -> list[Message]:
 def imu_columns(rows: NDArray[np.void]) -> Columns:
     """Convert decoded ROS Imu messages, shape (n,), to the columns of an `Ahrs` table, except the magnetic field.
 
-    Unknown angles are NaN. Angular rates [rad/s] and accelerations [m/s2] are copied without change.
+    The columns are yaw, pitch and roll [rad], the rates p, q and r [rad/s], and the specific force ax, ay and az
+    [m/s2], each with shape (n,). Angles that the covariance marks as unknown are NaN. Rates and specific forces are not
+    changed.
     """
     yaw, pitch, roll = euler_angles(*(rows[f"orientation.{axis}"] for axis in "xyzw"))
     unknown = rows["orientation_covariance"][:, 0] == -1.0
@@ -221,7 +237,8 @@ def imu_columns(rows: NDArray[np.void]) -> Columns:
 def own_columns(kind: type[Measured], rows: NDArray[np.void]) -> Columns:
     """Convert decoded messages of a kind of samples, shape (n,), to the columns of its table, with t_rx and t_device.
 
-    The kind is any but `Ahrs`. Speed and kind of fix (2D, 3D) that an older log lacks are computed.
+    The kind is any but `Ahrs`. The columns `speed` and `dimensions` (of the fix, 2 or 3) of `Gnss`, which older logs
+    lack, are computed from velocity and kind of fix.
     """
     columns: Columns = {name: rows[name] for name in rows.dtype.names or ()}
     if kind is Gnss and "speed" not in columns:  # a log of an older version: same rule as the defaults of `Gnss`

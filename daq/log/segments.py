@@ -23,9 +23,15 @@ SHARED_METADATA = ("origin", "rig", "host")  # metadata that are equal in all se
 
 
 def open_raw(path: Path) -> RawLog | SegmentedLog:
-    """Open the MCAP log that begins at `path`, with all its segments, without decoding its messages.
+    """Open the MCAP log that begins at `path`, with all its segments (files), without decoding its messages.
 
-    Later segments that cannot be read or that belong to another run are left out, with a warning.
+    Later segments that cannot be read or that belong to another run are left out, with a warning. Missing segments also
+    cause a warning. A file whose metadata have no run clock is opened alone.
+
+    Returns
+    -------
+    RawLog or SegmentedLog
+        The file, or the log of several segments; both have the same interface.
 
     Raises
     ------
@@ -65,7 +71,7 @@ def open_raw(path: Path) -> RawLog | SegmentedLog:
 
 
 def _recorder_metadata(raw: RawLog) -> dict[str, str]:
-    """Return the texts that the recorder wrote into a file of a log: run clock, rig, host, ...
+    """Return the texts that the recorder wrote into a file of a log, by name: run clock ("origin"), rig, host, ...
 
     The result is empty if the file has none.
     """
@@ -75,7 +81,7 @@ def _recorder_metadata(raw: RawLog) -> dict[str, str]:
 class SegmentedLog:
     """Log of several segments (MCAP files) that are read as one, with the interface of `RawLog`.
 
-    Equal channels of different files become one channel. Only one file is open at a time.
+    Equal channels (topics) of different files become one channel. Only one file is open at a time.
 
     Parameters
     ----------
@@ -86,7 +92,10 @@ class SegmentedLog:
     """
 
     def __init__(self, files: list[RawLog], warnings: list[str]) -> None:
-        """Join the channels, message counts and times of the segments of a log."""
+        """Join the channels, message counts and times of the segments of a log.
+
+        `files` are the segments in order, and `warnings` further warnings about the log.
+        """
         self.files = files
         self.path = files[0].path
         self._warnings = warnings
@@ -112,11 +121,17 @@ class SegmentedLog:
 
     @property
     def warnings(self) -> list[str]:
-        """Warnings about all files of the log, for the parts that have been read so far, and about missing segments."""
+        """Warnings about the log, one line each: about the parts of its files read so far, then about missing segments.
+
+        A warning about a file begins with the name of the file.
+        """
         return [f"{raw.path.name}: {text}" for raw in self.files for text in raw.warnings] + self._warnings
 
     def verify(self, begin_ns: int = 0, end_ns: int = LAST_NS) -> None:
-        """Read the unread chunks of all files in an interval of log times [ns since 1970], to complete `warnings`."""
+        """Read the unread chunks of all files in an interval of log times [ns since 1970], to complete `warnings`.
+
+        The messages are not returned, and the files are closed.
+        """
         for raw in self.files:
             raw.verify(begin_ns, end_ns)
             raw.close()
@@ -124,10 +139,16 @@ class SegmentedLog:
     def read(
         self, channels: Collection[int] | None = None, begin_ns: int = 0, end_ns: int = LAST_NS
     ) -> Iterator[Messages]:
-        """Yield the messages of all files of the log, one file after the other.
+        """Yield the messages of all files of the log, one file after the other, some at a time.
 
-        `channels` are the numbers of the channels, None for all. The interval of log times [ns since 1970] does not
-        contain `end_ns` itself.
+        A file without messages in the interval is not read.
+
+        Parameters
+        ----------
+        channels
+            Numbers of the channels in the log; None for all channels.
+        begin_ns, end_ns
+            Interval of log times [ns since 1970], without `end_ns` itself.
         """
         for raw, numbers in zip(self.files, self._numbers, strict=True):
             renumbered = np.zeros(1 << 16, np.uint16)
@@ -141,9 +162,10 @@ class SegmentedLog:
             raw.close()
 
     def _log_channel_number(self, channel: Channel, schema: Schema | None) -> int:
-        """Return the number that a channel of one file has in the whole log. A new channel gets the next number.
+        """Return the number that a channel (topic) of one file has in the whole log. A new channel gets a new number.
 
-        Channels with equal topic, encoding, metadata and schema are the same.
+        Channels with equal topic, encoding, metadata and schema (message type) are the same. `schema` is None if the
+        file lacks it.
         """
         content = ("", b"") if schema is None else (schema.name, schema.data)
         key = (channel.topic, channel.message_encoding, tuple(sorted(channel.metadata.items())), content)
@@ -167,7 +189,10 @@ class SegmentedLog:
 
 
 def segment_path(first: Path, number: int) -> Path:
-    """Return the path of a later segment of a log. Numbers begin at 1; `first` is the first segment."""
+    """Return the path of a later segment (file) of a log, such as run.1.mcap for run.mcap and number 1.
+
+    `first` is the first segment. Numbers begin at 1.
+    """
     return first.with_suffix(f".{number}{first.suffix}")
 
 
@@ -185,16 +210,19 @@ def segments(path: Path) -> dict[int, Path]:
 
 
 def first_segments(folder: Path) -> list[Path]:
-    """Return the first segment of each log in a folder, sorted by name."""
+    """Return the first segment (file) of each log in a folder, sorted by name.
+
+    They are the files *.mcap without the later segments NAME.1.mcap, NAME.2.mcap, ... of an existing NAME.mcap.
+    """
     paths = sorted(folder.glob("*.mcap"))
     later = {segment for path in paths for segment in segments(path).values()}
     return [path for path in paths if path not in later]
 
 
 def first_segment_of(path: Path) -> Path | None:
-    """Return the first segment of a log if `path` has the name of a later segment.
+    """Return the first segment NAME.mcap of a log if `path` has the name of a later segment, such as NAME.2.mcap.
 
-    None if `path` has no such name, or if the first segment does not exist.
+    Return None if `path` has no such name, or if the first segment does not exist.
     """
     match = re.fullmatch(r"(.+)\.\d{1,6}", path.stem)
     first = path.with_name(f"{match[1]}{path.suffix}") if match else path

@@ -35,10 +35,10 @@ class Log(Protocol):
     path: Path
 
     def sources(self, kind: type[Any]) -> list[str]:
-        """Return the names of the devices or signals that have samples of a kind."""
+        """Return the names of the devices (signals, for `Scalar`) of the log that have samples of the class `kind`."""
 
     def nodes(self, kind: type[Any], source: str) -> list[int]:
-        """Return the ids of the motor controllers of a device that have samples of a kind."""
+        """Return the ids of the motor controllers of the device `source` that have samples of the class `kind`."""
 
     def table(self, kind: type[Any], source: str, node: int | None = None) -> NDArray[np.void]:
         """Return the samples of a device or signal of the log as a structured array, shape (n,)."""
@@ -56,7 +56,7 @@ class LogTable(NamedTuple):
     Attributes
     ----------
     name
-        Device, node and kind, such as "esc_1_command"; a signal has its own name.
+        Name of device, controller (if any) and class in lower case, such as "esc_1_command"; a signal has its own name.
     kind
         Class of the samples.
     rows
@@ -84,7 +84,7 @@ class Resampled(NamedTuple):
     columns
         Values (n,) of each column by its name; NaN for unknown values.
     units
-        Unit of each column, by name; empty if the column has none.
+        Unit of each column, by its name; the text is empty if the column has no unit.
     """
 
     t: Array
@@ -93,7 +93,11 @@ class Resampled(NamedTuple):
 
 
 def log_tables(log: Log) -> Iterator[LogTable]:
-    """Yield the table of samples of each device, controller and signal of a log, in the order of `KINDS`."""
+    """Yield the table of samples of each device, controller and signal of a log, in the order of `KINDS`.
+
+    `Esc`, `Command` and `Servo` have a table for each controller or servo output, other classes one for each device or
+    signal.
+    """
     for kind in KINDS:
         for source in log.sources(kind):
             for node in log.nodes(kind, source) if kind in NODE_TOPICS else [None]:
@@ -120,19 +124,21 @@ def resample(log: Log, rate: float) -> Resampled:
     Returns
     -------
     Resampled
-        Columns have the name TABLE_COLUMN; the column of a signal has the name of the signal.
+        Columns have the name TABLE_COLUMN; the column of a signal has the name of the signal. Columns of times, and
+        columns without a finite number, are left out.
 
     Raises
     ------
     SeatrialError
-        If the log has no samples, or if the grid has too many rows.
+        If the log has no samples, or if the grid has more than 50 million rows (MAX_ROWS).
 
     Notes
     -----
     Held quantities keep the value of the last sample: commands, servo outputs, states of the autopilot, whole numbers,
     and signals with hold "zero" or "sampled". Other quantities are averaged over the samples in the interval around
-    each time of the grid. Without a sample in this interval they are interpolated linearly. Angles [rad] and
-    longitudes are averaged and interpolated over the shortest way.
+    each time of the grid. Without a sample in this interval they are interpolated linearly, but not over a long gap (2
+    s and five usual intervals), in which they are NaN. Angles [rad] and longitudes are averaged and interpolated over
+    the shortest way.
     """
     tables = [table for table in log_tables(log) if len(table.rows)]
     if not tables:
@@ -164,9 +170,10 @@ def resample(log: Log, rate: float) -> Resampled:
 
 
 def _hold_last_value(grid: Array, t: Array, values: Array) -> Array:
-    """Return the value of the last sample at each time of a grid (n,) [s], NaN before the first sample.
+    """Return the value of the last sample at each time of a grid, shape (n,); NaN before the first sample.
 
-    `t` and `values` are the times [s] and values (m,) of the samples.
+    `grid` are the times of the grid [s], shape (n,). `t` and `values` are the times [s] and values of the samples,
+    shape (m,).
     """
     newest = np.searchsorted(t, grid + 1e-9, side="right") - 1
     return np.where(newest >= 0, values[np.maximum(newest, 0)], np.nan)
@@ -175,19 +182,24 @@ def _hold_last_value(grid: Array, t: Array, values: Array) -> Array:
 def _average_and_interpolate(grid: Array, t: Array, values: Array, step: float, period: float) -> Array:
     """Average the samples around each time of the grid, and interpolate linearly where there is no sample.
 
-    The result (n,) is NaN before the first sample, after the last one, and in gaps longer than `GAP_S` and than five
-    usual intervals.
-
     Parameters
     ----------
     grid
         Times of the grid [s], shape (n,).
     t, values
-        Times [s] and values of the samples, shape (m,).
+        Times [s] and values of the samples, shape (m,), without NaN.
     step
         Step of the grid [s].
     period
-        Period of an angle; 0 for other quantities. An angle that leaves the range of one turn is taken as unwrapped.
+        Period of an angle, such as 2 pi; 0 for other quantities. Samples within one turn (0 to `period`, or half of it
+        to both sides of 0) are taken as wrapped, and the result is wrapped to this range. Other samples are taken as
+        unwrapped.
+
+    Returns
+    -------
+    Array (n,)
+        NaN before the first sample, after the last one, and in gaps that are longer than 2 s (GAP_S) and than five
+        usual intervals.
     """
     within = (-0.5 * period, 0.5 * period), (0.0, period)  # the possible ranges of a wrapped angle
     turn = next(((low, high) for low, high in within if low <= values.min() and values.max() <= high + 1e-9), None)

@@ -17,15 +17,18 @@ NOTE_BEGINNING = re.compile(r"\d{4}-\d\d-\d\dT\S+ watchdog: ")  # the beginning 
 
 
 def note_path(log: Path) -> Path:
-    """Return the path of the file LOG.stop beside a log, in which a watchdog notes that it stopped the run."""
+    """Return the path of the file LOG.stop beside a log, in which a watchdog notes that it stopped the run.
+
+    `log` is the first file of the log, such as run.mcap; its note is run.mcap.stop.
+    """
     return log.with_name(f"{log.name}.stop")
 
 
 def write_note(log: Path, text: str) -> None:
-    """Write a watchdog's note beside a log: what it did after the logging process stopped.
+    """Write a watchdog's note (the file LOG.stop) beside a log: what it did after the logging process stopped.
 
-    An earlier note is replaced. No note is written, and no error is raised, if the disk is full or if the path is not a
-    regular file.
+    An earlier note is replaced. If the file cannot be written, or is a symbolic link or a pipe without a reader, no
+    note is written and no error is raised.
     """
     # A watchdog must never wait or fail here: a pipe without a reader would block, and a symbolic link may lead to a
     # file of another user.
@@ -35,7 +38,10 @@ def write_note(log: Path, text: str) -> None:
 
 
 def read_note(log: Path) -> str:
-    """Return a watchdog's note beside a log, as one line of at most 500 characters; "" if there is none."""
+    """Return the note of a watchdog (the file LOG.stop) beside a log, as one line of at most 500 characters.
+
+    The text is empty if there is no note, or if it cannot be read.
+    """
     path = note_path(log)
     try:
         text = path.read_bytes()[: 4 * MAX_CHARACTERS].decode("utf-8", errors="replace") if path.is_file() else ""
@@ -45,9 +51,10 @@ def read_note(log: Path) -> str:
 
 
 def discard_note(log: Path) -> None:
-    """Delete the watchdog's note beside an earlier log of the same name, so that the new log does not show it.
+    """Delete the watchdog's note (the file LOG.stop) beside an earlier log of the same name.
 
-    A file of the same name that is not the note of a watchdog stays.
+    Otherwise the new log would show it. A file of the same name that is not the note of a watchdog stays. No error is
+    raised if the file cannot be deleted.
     """
     if NOTE_BEGINNING.match(read_note(log)):
         with contextlib.suppress(OSError):

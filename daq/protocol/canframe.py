@@ -18,12 +18,28 @@ FRAME_BYTES = CAN_FRAME.size
 
 
 def pack_can(arbitration_id: int, data: bytes) -> bytes:
-    """Encode a CAN frame with a 29-bit identifier as the 16 bytes of `struct can_frame`."""
+    """Encode a CAN frame with a 29-bit identifier as the 16 bytes of the `struct can_frame` of Linux.
+
+    Parameters
+    ----------
+    arbitration_id
+        CAN identifier, below 2^29. This is not checked.
+    data
+        At most 8 bytes. This is not checked.
+    """
     return CAN_FRAME.pack(arbitration_id | EXTENDED, len(data), data)
 
 
 def unpack_can(frame: bytes) -> tuple[int, bytes] | None:
-    """Return identifier and data of a `struct can_frame`. Return None unless it is a data frame with a 29-bit id."""
+    """Return identifier and data of a CAN frame, given as the 16 bytes of the `struct can_frame` of Linux.
+
+    Return None for a remote frame, for an error frame, and for a frame with an 11-bit identifier.
+
+    Raises
+    ------
+    struct.error
+        If `frame` does not have 16 bytes.
+    """
     word, length, data = CAN_FRAME.unpack(frame)
     if not word & EXTENDED or word & (REMOTE | ERROR):
         return None
@@ -31,16 +47,18 @@ def unpack_can(frame: bytes) -> tuple[int, bytes] | None:
 
 
 class FrameDecoder(ABC):
-    """Base class of the decoders of a CAN bus: it splits bytes into frames and has the counters.
+    """Base class of the decoders of a CAN bus: it splits bytes into CAN frames and has the counters of the stream.
+
+    A subclass decodes one CAN frame to samples in `_decode_can_frame`.
 
     Attributes
     ----------
     frames : int
-        Decoded messages.
+        Number of decoded messages.
     checksum_errors : int
-        Messages of several frames with a wrong checksum.
+        Number of messages of several frames with a wrong checksum.
     unparsed_bytes : int
-        Bytes of frames that belong to no valid message.
+        Number of bytes of frames that belong to no valid message.
     remark : str
         Advice about the stream for the user, in one line; empty if there is none.
     """
@@ -55,9 +73,22 @@ class FrameDecoder(ABC):
         self._buffer = bytearray()
 
     def feed(self, data: bytes, t_rx: float) -> list[Frame]:
-        """Decode bytes of a CAN bus: a sequence of 16-byte `struct can_frame`, which may be split at any byte.
+        """Decode bytes of a CAN bus: a sequence of 16-byte `struct can_frame` of Linux, which may be split at any byte.
 
-        Return the samples that these bytes complete. `t_rx` is the run time [s] of receipt.
+        Remote frames and error frames are ignored. A frame with a length above 8 counts as unparsed bytes. The bytes of
+        an incomplete frame at the end are kept for the next call.
+
+        Parameters
+        ----------
+        data
+            Bytes of one read.
+        t_rx
+            Run time [s] of receipt.
+
+        Returns
+        -------
+        list of Frame
+            The samples that these bytes complete.
         """
         self._buffer += data
         whole = len(self._buffer) - len(self._buffer) % FRAME_BYTES
@@ -71,9 +102,9 @@ class FrameDecoder(ABC):
         return out
 
     def reset(self) -> None:
-        """Discard an incomplete CAN frame and all received values, because the port was reopened.
+        """Discard an incomplete CAN frame and all values from earlier frames, because the port was reopened.
 
-        The counters are kept.
+        The counters are kept; the bytes of the incomplete frame count as unparsed.
         """
         self.unparsed_bytes += len(self._buffer)
         self._buffer.clear()
@@ -82,6 +113,8 @@ class FrameDecoder(ABC):
     @abstractmethod
     def _decode_can_frame(self, identifier: int, extended: bool, data: bytes, t_rx: float) -> list[Frame]:
         """Decode one CAN data frame by the protocol of the subclass, and return the samples that it completes.
+
+        The list is empty if the frame completes no sample.
 
         Parameters
         ----------
@@ -97,4 +130,4 @@ class FrameDecoder(ABC):
 
     @abstractmethod
     def _forget_state(self) -> None:
-        """Discard all values that the subclass has received, because the port was reopened."""
+        """Discard all values that the subclass keeps from earlier CAN frames, because the port was reopened."""

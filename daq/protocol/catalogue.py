@@ -29,16 +29,19 @@ class DeviceType(NamedTuple):
     description
         Description of the device, for lists of devices.
     bus
-        Kind of the port: SERIAL, CAN or NET.
+        Kind of the port: SERIAL, CAN, or NET (a serial device or a socket).
     make
         Function that returns a new decoder for a device of a rig.
     options
-        Keys of [[device]] that the protocol has beside the common ones. seatrial.daq.config.rig_file checks the keys of
-        built-in protocols. The keys of other protocols are passed on in `Device.settings`.
+        Keys of a [[device]] table of the rig file that only this protocol uses, beside the keys of all protocols.
+        seatrial.daq.config.rig_file checks the keys of built-in protocols. The keys of other protocols are passed on in
+        `Device.settings`.
     bauds
-        Baud rates that `seatrial devices` tries, the commonest first. Empty if the protocol cannot be recognised.
+        Baud rates [bit/s] that `seatrial devices` tries, the commonest first. Empty if `seatrial devices` cannot
+        recognise the protocol.
     module
-        Python module that the protocol needs. The extra with the protocol's name installs it. Empty if it needs none.
+        Python module that the protocol needs. The optional dependency (extra) with the protocol's name installs it.
+        Empty if the protocol needs no module.
     """
 
     description: str
@@ -73,29 +76,40 @@ def _make_mip(device: Device, rig: Rig) -> Decoder:
 
 
 def _make_nmea(device: Device, rig: Rig) -> Decoder:
-    """Return a new decoder of NMEA 0183, with the magnetic declination of the device in the rig."""
+    """Return a new decoder of NMEA 0183, with the magnetic declination of the device in the rig.
+
+    If several devices of the rig send NMEA, the names of its transducers end with the name of the device.
+    """
     from seatrial.daq.protocol import nmea
 
     return nmea.Decoder(device.declination, _signal_ending(device, rig))
 
 
 def _make_ubx(device: Device, rig: Rig) -> Decoder:
-    """Return a new decoder of a u-blox receiver, with the magnetic declination of the device in the rig."""
+    """Return a new decoder of a u-blox receiver, with the magnetic declination of the device in the rig.
+
+    If several devices of the rig send NMEA, the names of its transducers end with the name of the device.
+    """
     from seatrial.daq.protocol import ubx
 
     return ubx.Decoder(device.declination, _signal_ending(device, rig))
 
 
 def _signal_ending(device: Device, rig: Rig) -> str:
-    """Return the ending of the names under which the log stores the transducers (XDR) of a device.
+    """Return the ending of the names under which the log stores the transducers (NMEA sentence XDR) of a device.
 
-    It is `_DEVICE` if several devices of the rig send NMEA, since their transducers may have equal names; else empty.
+    The ending is `_NAME`, with the name of the device, if several devices of the rig have the protocol nmea or ubx,
+    since their transducers may have equal names. Otherwise it is empty.
     """
     return f"_{device.name}" if sum(other.protocol in ("nmea", "ubx") for other in rig.devices) > 1 else ""
 
 
 def _make_loadcell(device: Device, rig: Rig) -> Decoder:
-    """Return a new decoder of a load cell, with the pattern, saturation and calibration of the device."""
+    """Return a new decoder of a load cell, with the pattern, saturation and calibration of the device.
+
+    Without a calibration its forces are NaN. It discards the first line after each opening of the port, which may be
+    incomplete. Raise ValueError if the pattern is invalid.
+    """
     from seatrial.daq.protocol import loadcell
 
     force = device.calibration.force if device.calibration else None
@@ -103,7 +117,11 @@ def _make_loadcell(device: Device, rig: Rig) -> Decoder:
 
 
 def _make_openscale(device: Device, rig: Rig) -> Decoder:
-    """Return a new decoder of an OpenScale board, with the saturation and calibration of the device."""
+    """Return a new decoder of an OpenScale board, with the saturation and calibration of the device.
+
+    Without a calibration its forces are those that the board computes. It discards the first line after each opening of
+    the port, which may be incomplete.
+    """
     from seatrial.daq.protocol import openscale
 
     force = device.calibration.force if device.calibration else None
@@ -111,7 +129,10 @@ def _make_openscale(device: Device, rig: Rig) -> Decoder:
 
 
 def _make_mantracourt(device: Device, rig: Rig) -> Decoder:
-    """Return a new decoder of a Mantracourt converter, with the query, saturation and calibration of the device."""
+    """Return a new decoder of a Mantracourt converter, with the query, saturation and calibration of the device.
+
+    Without a calibration its forces are NaN.
+    """
     from seatrial.daq.protocol import mantracourt
 
     force = device.calibration.force if device.calibration else None
@@ -119,7 +140,10 @@ def _make_mantracourt(device: Device, rig: Rig) -> Decoder:
 
 
 def _make_vesc(device: Device, rig: Rig) -> Decoder:
-    """Return a new decoder of VESC controllers, with pole pairs and direction of the thrusters behind a device."""
+    """Return a new decoder of VESC controllers, with the pole pairs of the thrusters that the device drives.
+
+    The sign of rpm and duty of reversed thrusters is changed.
+    """
     from seatrial.daq.protocol import vesc
 
     thrusters = [thruster for thruster in rig.thrusters if thruster.device == device.name]
@@ -130,21 +154,27 @@ def _make_vesc(device: Device, rig: Rig) -> Decoder:
 
 
 def _make_mavlink(device: Device, rig: Rig) -> Decoder:
-    """Return a new decoder of an autopilot and of the thrusters behind it."""
+    """Return a new decoder of an autopilot, with the servo outputs of the thrusters that the device drives."""
     from seatrial.daq.protocol import mavlink
 
     return mavlink.make_decoder(device, rig)
 
 
 def _make_dbc(device: Device, rig: Rig) -> Decoder:
-    """Return a new decoder of the signals of a DBC file. Raise SeatrialError if the file cannot be read."""
+    """Return a new decoder of the signals of the device in its DBC file.
+
+    Raise SeatrialError if the file cannot be read, or if it lacks a message or a signal.
+    """
     from seatrial.daq.protocol import dbc
 
     return dbc.Decoder(dbc.load_dbc(device.dbc), device.signals)
 
 
 def _make_dronecan(device: Device, rig: Rig) -> Decoder:
-    """Return a new decoder of the DroneCAN controllers of the thrusters behind a device."""
+    """Return a new decoder of the DroneCAN controllers of the thrusters that a device drives.
+
+    The sign of the rpm of reversed thrusters is changed. `index_offset` of the device is used.
+    """
     from seatrial.daq.protocol import dronecan
 
     thrusters = [thruster for thruster in rig.thrusters if thruster.device == device.name]
@@ -194,11 +224,20 @@ BUILT_IN: dict[str, DeviceType] = {
 class DeviceTypes(Mapping[str, DeviceType]):
     """Mapping from the names of protocols to their descriptions: the built-in protocols, then those of other packages.
 
-    The package of a protocol is imported when its description is read. `SeatrialError` is raised if the import fails.
+    The package of a protocol is imported when its description is read. `SeatrialError` is raised if the import fails,
+    or if two packages add protocols with the same name.
     """
 
     def __getitem__(self, name: str) -> DeviceType:
-        """Return the description of the protocol `name`. Raise KeyError if no package has the protocol."""
+        """Return the description of the protocol `name`.
+
+        Raises
+        ------
+        KeyError
+            If no package has the protocol.
+        SeatrialError
+            If the package of the protocol cannot be imported, or if it adds an object that is not a DeviceType.
+        """
         if name in BUILT_IN:
             return BUILT_IN[name]
         return load_plugin(plugins(GROUP)[name], DeviceType)
@@ -227,7 +266,8 @@ class DeviceTypes(Mapping[str, DeviceType]):
     def usable(self) -> dict[str, DeviceType]:
         """Return the descriptions of the protocols whose libraries are installed, by name.
 
-        A package that cannot be imported is left out with a warning.
+        If the package that adds a protocol cannot be imported, the protocol is left out with a warning. A protocol
+        whose library is missing is left out without a warning.
         """
         rows = {name: BUILT_IN.get(name) or load_or_warn(plugins(GROUP)[name], DeviceType) for name in self}
         return {name: row for name, row in rows.items() if row is not None and row.installed}
@@ -237,7 +277,10 @@ DEVICES = DeviceTypes()
 
 
 def serial_protocols() -> tuple[str, ...]:
-    """Return the names of the protocols of serial devices whose libraries are installed."""
+    """Return the names of the protocols of serial devices whose libraries are installed.
+
+    Protocols that also work on a socket (bus NET), such as mavlink, are not included.
+    """
     return tuple(name for name, row in DEVICES.usable().items() if row.bus == SERIAL)
 
 
@@ -246,6 +289,8 @@ def make_decoder(device: Device, rig: Rig) -> Decoder:
 
     Raises
     ------
+    KeyError
+        If the protocol is unknown.
     SeatrialError
         If the protocol of another package cannot be imported, or a file of the device cannot be read.
     """

@@ -44,12 +44,13 @@ class _MessageSignals(NamedTuple):
 
 
 def load_dbc(path: str) -> Any:
-    """Return the cantools database of a DBC file.
+    """Return the database (of the library cantools) that a DBC file contains.
 
     Raises
     ------
     SeatrialError
-        If the file cannot be read, is not a DBC file, or contains a factor or an offset that is implausibly large.
+        If the file cannot be read, is not a regular file or not a DBC file, or if a signal has a factor or an offset
+        with which its values could exceed 1e100 (LARGEST).
     """
     import cantools  # imported here because the import is slow and only CAN needs it
 
@@ -79,7 +80,7 @@ def is_j1939(message: Any) -> bool:
 
 
 def pgn_bits(identifier: int) -> int:
-    """Return the bits of a 29-bit CAN identifier that contain the message number of J1939 (PGN), at their places.
+    """Return the bits of a 29-bit CAN identifier that contain the message number of J1939 (PGN), without shifting them.
 
     The bits of priority, sender and destination are zero in the result.
     """
@@ -87,7 +88,7 @@ def pgn_bits(identifier: int) -> int:
 
 
 def number(message: Any, name: str, raw: float, field: str = "") -> float:
-    """Convert the raw number of a signal to its unit.
+    """Convert the raw number of a signal in a DBC file to its unit.
 
     Parameters
     ----------
@@ -98,17 +99,19 @@ def number(message: Any, name: str, raw: float, field: str = "") -> float:
     raw
         Raw number of the signal, without factor and offset.
     field
-        Field of `Esc` that the signal is mapped to; empty if there is none.
+        Field of `Esc` that the signal is mapped to; empty if there is none. A signal of the field "rpm" is a shaft
+        speed.
 
     Returns
     -------
     float
-        Value in the unit of the DBC file. NaN if the raw number means "error" or "not available".
+        Value in the unit of the DBC file. It is NaN if the message belongs to J1939 or NMEA 2000 and the raw number of
+        a whole-number signal means "error" or "not available".
 
     Notes
     -----
-    The codes of J1939 apply to a shaft speed (by its unit, or by `field`) also in NMEA 2000: gateways forward the
-    codes unchanged, and no shaft turns at 16,000 rev/min.
+    The codes of J1939 apply to a shaft speed (by its unit, or by `field`) also in NMEA 2000: gateways forward the codes
+    unchanged, and no shaft turns at 16,000 rev/min.
     """
     signal = message.get_signal_by_name(name)
     is_speed = field == "rpm" or (signal.unit or "").lower() in _SPEED_UNITS
@@ -118,9 +121,11 @@ def number(message: Any, name: str, raw: float, field: str = "") -> float:
 
 
 def _first_code(message: Any, signal: Any, is_speed: bool) -> int:
-    """Return the lowest raw number of a signal of cantools that means "error" or "not available".
+    """Return the lowest raw number of a signal in a DBC file that means "error" or "not available".
 
-    A shaft speed (`is_speed`) and the signals of J1939 have more such numbers than those of NMEA 2000.
+    In J1939, and for a shaft speed (`is_speed`), an unsigned signal of 8 bits or more has such numbers from 0xFB in its
+    highest byte on. Of other signals they are the highest 3 numbers, or 2 with 4 to 7 bits, or 1 with fewer bits.
+    `message` and `signal` are objects of cantools.
     """
     # PGNs of page 1 belong to NMEA 2000. Other PGNs, and those of manufacturers, occur in both standards.
     is_nmea2000 = bool(message.frame_id & _PAGE_1)
@@ -133,9 +138,11 @@ def _first_code(message: Any, signal: Any, is_speed: bool) -> int:
 class Decoder(FrameDecoder):
     """Decoder of CAN frames to `Esc` samples, by a DBC database and the signals to read from it.
 
-    Each message that contains an rpm gives one sample. If no signal is mapped to rpm, each configured message gives one
-    sample. Current, voltage, temperature and duty from other messages of the same node are the newest received values,
-    or NaN if they are older than 2 s (`STALE`).
+    Each CAN frame that contains an rpm gives one sample for each node (speed controller) whose rpm it contains. If no
+    signal is mapped to rpm, each frame of a configured message gives one sample for each of its nodes. Current,
+    voltage, temperature and duty from other messages of the same node are the newest received values, or NaN if they
+    are older than 2 s (`STALE`). Frames of other messages are ignored. A message of J1939 or NMEA 2000 is recognised by
+    its PGN, any other message by its whole CAN identifier. `t_device` of the samples is NaN.
 
     Parameters
     ----------
@@ -151,7 +158,10 @@ class Decoder(FrameDecoder):
     """
 
     def __init__(self, database: Any, signals: Sequence[DbcSignal]) -> None:
-        """Find the messages of the signals in the database. Raise SeatrialError if one is missing."""
+        """Find the messages of the signals to read in the cantools database.
+
+        Raise SeatrialError if the database lacks a message or a signal.
+        """
         super().__init__()
         self._exact: dict[tuple[int, bool], _MessageSignals] = {}
         self._by_pgn: dict[int, _MessageSignals] = {}
@@ -170,9 +180,11 @@ class Decoder(FrameDecoder):
                 self._exact[message.frame_id, message.is_extended_frame] = _MessageSignals(message, selected)
 
     def _decode_can_frame(self, identifier: int, extended: bool, data: bytes, t_rx: float) -> list[Frame]:
-        """Decode one CAN frame if the rig reads signals from its message, else return no sample.
+        """Decode one CAN frame if the rig reads signals from its message; return no sample otherwise.
 
-        Return one sample for each node (speed controller) whose values it completes.
+        The values are stored. Return one sample for each node (speed controller) whose rpm the frame contains, or, if
+        the rig reads no rpm, for each node with any value in it. A frame that cannot be decoded counts as unparsed
+        bytes.
         """
         configured = self._exact.get((identifier, extended))
         if configured is None and extended:
@@ -196,9 +208,10 @@ class Decoder(FrameDecoder):
         return [Frame(self._newest_sample(node, t_rx), t_rx, NAN) for node in nodes]
 
     def _scaled_value(self, message: Any, signal: DbcSignal, raw: dict[str, Any]) -> float | None:
-        """Return the value of a signal, times its scale and plus its offset in the rig, or None if the frame lacks it.
+        """Return the value of a signal, times the scale and plus the offset that the rig gives for this signal.
 
-        `raw` are the raw numbers of the frame's signals by name.
+        Return None if the frame lacks the signal, and NaN if the signal reports "not available". `message` is the
+        message of cantools, and `raw` are the raw numbers of the frame's signals by name.
         """
         if signal.signal not in raw:  # the signal belongs to another multiplexer value
             return None
@@ -206,9 +219,9 @@ class Decoder(FrameDecoder):
         return signal.scale * value + signal.offset
 
     def _newest_sample(self, node: int, t_rx: float) -> Esc:
-        """Return a sample of the newest values of a speed controller. Values older than 2 s (STALE) are NaN.
+        """Return a sample of the newest values of a speed controller, given by its number `node`.
 
-        `t_rx` is the present run time [s].
+        Values that are older than 2 s (STALE) at the run time `t_rx` [s], or were never received, are NaN.
         """
         newest = self._newest[node].items()
         return Esc(node, **{name: value for name, (value, t) in newest if t_rx - t <= STALE})
@@ -219,7 +232,11 @@ class Decoder(FrameDecoder):
 
 
 def _find_by_name(name: str | int, rows: Sequence[Any], label: str) -> Any:
-    """Return the message or signal of that name. Raise SeatrialError with the known names if there is none."""
+    """Return the message or signal of cantools in `rows` whose name is `name`.
+
+    If there is none, raise SeatrialError with all names in `rows`. `label` is the word for the missing thing in this
+    message, such as "message".
+    """
     for row in rows:
         if row.name == name:
             return row

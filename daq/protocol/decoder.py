@@ -13,16 +13,16 @@ from seatrial.daq.samples import Frame
 
 
 class Decoder(Protocol):
-    """Interface of all decoders: counters of the stream, and the conversion of bytes to samples.
+    """Interface of all decoders of protocols: counters of the stream, and the conversion of bytes to samples.
 
     Attributes
     ----------
     frames
-        Complete frames with a correct checksum.
+        Number of complete frames with a correct checksum.
     checksum_errors
-        Complete frames with a wrong checksum.
+        Number of complete frames with a wrong checksum.
     unparsed_bytes
-        Bytes outside valid frames, without the line ends between frames.
+        Number of bytes outside valid frames, without the line ends between frames.
     remark
         Advice about the stream for the user, in one line; empty if there is none.
     """
@@ -50,7 +50,7 @@ class Decoder(Protocol):
         ...
 
     def reset(self) -> None:
-        """Discard an incomplete frame, because the port was reopened. The counters of the stream stay."""
+        """Discard an incomplete frame, because the port was reopened. The counters of the stream are kept."""
         ...
 
 
@@ -61,7 +61,8 @@ class DatagramDecoder(Decoder, Protocol):
     Attributes
     ----------
     accepted
-        Frames of the device itself; if a key is given, only frames with a correct signature.
+        Number of received frames that the device itself sent. If the decoder has a signing key, only frames with a
+        correct signature count.
     """
 
     accepted: int  # frames of the device itself; if a key is given, only frames with a correct signature

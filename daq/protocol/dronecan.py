@@ -31,16 +31,16 @@ _BEGINS, _ENDS, _TOGGLE, _NUMBER = 0x80, 0x40, 0x20, 0x1F  # bits of the last by
 
 @dataclass(frozen=True)
 class MessageType:
-    """Data type of a broadcast message.
+    """Data type of a broadcast message of DroneCAN.
 
     Attributes
     ----------
     number
         Data type id, which is a part of the CAN identifier.
     signature
-        Data type signature, from which the checksum starts.
+        Data type signature, from which the initial value of the checksum is computed.
     longest
-        Number of bytes of its longest message.
+        Largest number of bytes of a message of this type.
     """
 
     number: int
@@ -49,7 +49,7 @@ class MessageType:
 
     @cached_property
     def seed(self) -> int:
-        """Initial value of the checksum of a transfer, computed from the signature."""
+        """Initial value of the checksum of a message in several CAN frames, computed from the signature."""
         return crc16_ccitt(struct.pack("<Q", self.signature))
 
 
@@ -59,29 +59,38 @@ NODE_STATUS = MessageType(341, 0x0F0868D0C1A7C6F1, 7)
 
 
 class Decoder(FrameDecoder):
-    """Decoder of esc.Status to `Esc` samples.
+    """Decoder of the DroneCAN message esc.Status, the state of a speed controller, to `Esc` samples.
 
     The rpm in the message is the speed of the shaft, because the controller accounts for the poles. The message has no
-    duty. `t_rx` of a sample is the time of receipt of the transfer's first frame. A transfer that lacks a frame counts
-    as unparsed bytes. A transfer with a wrong checksum counts as a checksum error.
+    duty. `t_rx` of a sample is the time of receipt of the first CAN frame of its transfer (all frames of one message),
+    and `t_device` is NaN. A transfer that lacks a frame counts as unparsed bytes. A transfer with a wrong checksum or a
+    wrong length counts as a checksum error. Other messages are ignored.
 
     Parameters
     ----------
     reversed_nodes
         Nodes whose rpm changes its sign, so that positive means forward.
     index_offset
-        Difference between the index of a controller in its status and its index in a command. The index in the command
-        is the node of the sample.
+        Index of a controller in its status minus its index in a command. The index in the command is the node of the
+        sample.
     """
 
     def __init__(self, reversed_nodes: frozenset[int] = frozenset(), index_offset: int = 0) -> None:
-        """Store the reversed nodes and the index offset. No frame is received yet."""
+        """Start without received frames.
+
+        `reversed_nodes` are the nodes whose rpm changes its sign. `index_offset` is the index of a controller in its
+        status minus its index in a command.
+        """
         super().__init__()
         self._reversed, self._offset = reversed_nodes, index_offset
         self._assembler = Assembler(STATUS)
 
     def _decode_can_frame(self, identifier: int, extended: bool, data: bytes, t_rx: float) -> list[Frame]:
-        """Decode one frame with a 29-bit identifier. Return the sample of the esc.Status that it completes, if any."""
+        """Decode one CAN frame. Return the sample of the esc.Status that it completes, or an empty list.
+
+        A frame with an 11-bit identifier is ignored. The sample has the time of receipt of the first frame of its
+        message.
+        """
         if not extended:
             return []
         out = []
@@ -95,7 +104,10 @@ class Decoder(FrameDecoder):
         return out
 
     def _take_counts(self) -> None:
-        """Add the numbers of errors and unparsed bytes of the assembler to those of the decoder, and reset them."""
+        """Add the error counters of the assembler (checksum errors, unparsed bytes) to those of the decoder.
+
+        The counters of the assembler are then set to 0.
+        """
         self.unparsed_bytes += self._assembler.unparsed_bytes
         self.checksum_errors += self._assembler.checksum_errors
         self._assembler.unparsed_bytes = self._assembler.checksum_errors = 0
@@ -107,10 +119,22 @@ class Decoder(FrameDecoder):
 
 
 def unpack(payload: bytes, reversed_nodes: frozenset[int] = frozenset(), index_offset: int = 0) -> Esc:
-    """Decode the 14 bytes of an esc.Status (parameters: `Decoder`).
+    """Decode an esc.Status of DroneCAN, the state of a speed controller.
 
-    The last fields are rpm (18 bits), power rating (7 bits) and index (5 bits). The node of the sample is the index
-    minus ``index_offset``, modulo 32. An index below the offset thus becomes a node that no command contains.
+    Parameters
+    ----------
+    payload
+        The 14 bytes of the message. Its last fields are rpm (18 bits), power rating (7 bits) and index (5 bits).
+    reversed_nodes
+        Nodes whose rpm changes its sign, so that positive means forward.
+    index_offset
+        Index of a controller in its status minus its index in a command.
+
+    Returns
+    -------
+    Esc
+        The node is the index minus `index_offset`, modulo 32. An index below the offset thus becomes a node that no
+        command contains. The duty is NaN, because the message lacks it.
     """
     _, voltage, current, kelvin, low = _HEAD.unpack_from(payload)
     node = (payload[13] >> 2) - index_offset & 0x1F
@@ -120,7 +144,23 @@ def unpack(payload: bytes, reversed_nodes: frozenset[int] = frozenset(), index_o
 
 
 def encode(esc: Esc, source: int, number: int) -> list[tuple[int, bytes]]:
-    """Encode an esc.Status of node `source`, 1..127, as the frames (identifier, data) of its transfer `number`."""
+    """Encode the state of a speed controller as an esc.Status of DroneCAN.
+
+    Parameters
+    ----------
+    esc
+        State. Its node, modulo 32, is the index in the message. NaN as rpm is sent as zero, other NaN as NaN. The duty
+        is not sent.
+    source
+        Node of the sender, 1..127.
+    number
+        Number of the transfer, modulo 32.
+
+    Returns
+    -------
+    list of tuple of int and bytes
+        CAN identifier (29 bits) and data of each frame.
+    """
     values = (esc.voltage, esc.current, esc.temperature + KELVIN)  # DSDL defines NaN for unknown values
     rpm = round(0.0 if esc.rpm != esc.rpm else min(max(esc.rpm, -131072), 131071)) & 0x3FFFF
     payload = _HEAD.pack(0, *values, rpm & 0xFFFF) + bytes((rpm >> 16 << 6, (esc.node & 0x1F) << 2))
@@ -128,7 +168,7 @@ def encode(esc: Esc, source: int, number: int) -> list[tuple[int, bytes]]:
 
 
 def encode_command(commands: Mapping[int, float], source: int, number: int) -> list[tuple[int, bytes]]:
-    """Encode an esc.RawCommand as frames (identifier, data).
+    """Encode the commands of speed controllers as an esc.RawCommand of DroneCAN.
 
     Parameters
     ----------
@@ -137,7 +177,12 @@ def encode_command(commands: Mapping[int, float], source: int, number: int) -> l
     source
         Our node, 1..127.
     number
-        Number of the transfer.
+        Number of the transfer, modulo 32.
+
+    Returns
+    -------
+    list of tuple of int and bytes
+        CAN identifier (29 bits) and data of each frame.
 
     Raises
     ------
@@ -158,14 +203,18 @@ def encode_command(commands: Mapping[int, float], source: int, number: int) -> l
 def _command_bits(value: int) -> str:
     """Return the 14 bits of a command as text of "0" and "1", in the order of DroneCAN.
 
-    The low byte is first, and each byte begins with its highest bit. A negative value is in two's complement.
+    `value` is -8192..8191; a negative one is in two's complement. The low byte is first, and each byte begins with its
+    highest bit.
     """
     word = value & (1 << _BITS) - 1
     return f"{word & 0xFF:08b}{word >> 8:06b}"
 
 
 def decode_command(payload: bytes) -> list[float]:
-    """Return the commands, -1..1, that an esc.RawCommand contains, in the order of the controllers' indices from 0."""
+    """Return the commands, -1..1, that an esc.RawCommand contains, in the order of the controllers' indices from 0.
+
+    `payload` are the bytes of the message. Each command has 14 bits; fewer bits at the end are ignored.
+    """
     bits = "".join(f"{byte:08b}" for byte in payload)
     words = [bits[at : at + _BITS] for at in range(0, len(bits) - _BITS + 1, _BITS)]
     values = [int(word[8:] + word[:8], 2) for word in words]
@@ -173,9 +222,21 @@ def decode_command(payload: bytes) -> list[float]:
 
 
 def encode_node_status(uptime_s: float, source: int, number: int) -> list[tuple[int, bytes]]:
-    """Encode a NodeStatus, by which a node reports each second that it works, as frames (identifier, data).
+    """Encode a NodeStatus, by which a DroneCAN node reports each second that it works.
 
-    `uptime_s` is the time since the start [s], `source` our node, 1..127, and `number` the number of the transfer.
+    Parameters
+    ----------
+    uptime_s
+        Time since the start of the node [s].
+    source
+        Our node, 1..127.
+    number
+        Number of the transfer, modulo 32.
+
+    Returns
+    -------
+    list of tuple of int and bytes
+        CAN identifier (29 bits) and data of each frame.
     """
     payload = struct.pack("<IBH", int(uptime_s) & 0xFFFFFFFF, 0, 0)
     return frames_of(NODE_STATUS, payload, source, number)
@@ -184,9 +245,25 @@ def encode_node_status(uptime_s: float, source: int, number: int) -> list[tuple[
 def frames_of(
     kind: MessageType, payload: bytes, source: int, number: int, priority: int = 16
 ) -> list[tuple[int, bytes]]:
-    """Split a broadcast message of node ``source``, 1..127, into the frames (identifier, data) of a transfer.
+    """Split a broadcast message of DroneCAN into the CAN frames of a transfer.
 
-    A frame with a lower ``priority`` number, 0..31, is sent before others on a busy bus.
+    Parameters
+    ----------
+    kind
+        Type of the message.
+    payload
+        Bytes of the message. A message of more than 7 bytes is sent in several frames, with a checksum before it.
+    source
+        Node of the sender, 1..127.
+    number
+        Number of the transfer, modulo 32.
+    priority
+        Priority, 0..31. On a busy bus a frame with a lower number is sent before others.
+
+    Returns
+    -------
+    list of tuple of int and bytes
+        CAN identifier (29 bits) and data of each frame.
     """
     identifier = priority << 24 | kind.number << 8 | source
     body = payload
@@ -197,13 +274,16 @@ def frames_of(
 
 
 def _tail_byte(k: int, n_parts: int, number: int) -> int:
-    """Return the last byte of frame `k`, from 0, of a transfer with `n_parts` frames: flags and transfer number."""
+    """Return the last byte of CAN frame `k`, from 0, of a DroneCAN transfer with `n_parts` frames.
+
+    It contains three flags (first frame, last frame, toggle: odd `k`) and the number of the transfer, modulo 32.
+    """
     return _BEGINS * (k == 0) | _ENDS * (k == n_parts - 1) | _TOGGLE * (k & 1) | number & _NUMBER
 
 
 @dataclass
 class _Transfer:
-    """Received part of a transfer.
+    """Received part of a DroneCAN transfer. A transfer is one message in one or more CAN frames.
 
     Attributes
     ----------
@@ -227,7 +307,7 @@ class _Transfer:
 
 
 class Assembler:
-    """Assembler of frames to messages of one type, for all nodes of a bus.
+    """Assembler of CAN frames to DroneCAN messages of one type, for all nodes of a bus.
 
     Parameters
     ----------
@@ -237,9 +317,9 @@ class Assembler:
     Attributes
     ----------
     checksum_errors
-        Transfers with a wrong checksum.
+        Number of transfers with a wrong checksum. A transfer is one message in one or more frames.
     unparsed_bytes
-        Bytes of frames whose transfer was not completed.
+        Number of bytes of frames whose transfer was not completed.
     """
 
     def __init__(self, kind: MessageType) -> None:
@@ -252,10 +332,23 @@ class Assembler:
     def take(self, identifier: int, data: bytes, t_rx: float) -> Iterator[tuple[bytes, float]]:
         """Add a CAN frame with a 29-bit identifier to the transfer of its sender.
 
+        A frame of another message type, of a service, or without data is ignored. A frame that does not continue the
+        transfer of its sender is discarded, together with this transfer, and counts as unparsed bytes.
+
+        Parameters
+        ----------
+        identifier
+            CAN identifier.
+        data
+            Data of the frame, at most 8 bytes.
+        t_rx
+            Run time [s] of receipt.
+
         Yields
         ------
         tuple of bytes and float
-            The message that the frame completes, and the time of receipt [s] of the first frame of its transfer.
+            The message, if the frame completes it and the checksum is correct, and the time of receipt [s] of the first
+            frame of its transfer.
         """
         if identifier >> 8 & 0xFFFF != self._kind.number or identifier & _SERVICE or not data:
             return
@@ -279,7 +372,11 @@ class Assembler:
             yield from self._finish_transfer(source, transfer)
 
     def _finish_transfer(self, source: int, transfer: _Transfer) -> Iterator[tuple[bytes, float]]:
-        """Yield the message of a complete transfer if its checksum is correct. A single frame has no checksum."""
+        """Yield the message of a complete DroneCAN transfer and the time of receipt [s] of its first frame.
+
+        If the checksum is wrong, count an error and yield nothing. A transfer of a single frame has no checksum.
+        `source` is the node that sent the transfer; the transfer is removed from the list of incomplete ones.
+        """
         del self._transfers[source]
         payload = bytes(transfer.data)
         if transfer.frames > 1:
@@ -290,11 +387,11 @@ class Assembler:
         yield payload, transfer.t_rx
 
     def _drop_transfer(self, source: int) -> None:
-        """Discard the incomplete transfer of a node. Its frames count as unparsed."""
+        """Discard the incomplete DroneCAN transfer of node `source`, if there is one. Its frames count as unparsed."""
         if (transfer := self._transfers.pop(source, None)) is not None:
             self.unparsed_bytes += FRAME_BYTES * transfer.frames
 
     def forget(self) -> None:
-        """Discard all incomplete DroneCAN transfers. Their frames count as unparsed."""
+        """Discard the incomplete DroneCAN transfers of all nodes. Their frames count as unparsed."""
         for source in list(self._transfers):
             self._drop_transfer(source)

@@ -18,18 +18,22 @@ T = TypeVar("T")
 
 
 class StreamDecoder(ABC, Generic[T]):
-    """Decoder of a stream of frames: it buffers bytes and searches for the next frame.
+    """Base class of the decoders of a stream of frames: it buffers bytes and searches for the next frame.
 
     A subclass defines the first byte of a frame in `sync` and decodes one frame in `_decode_frame`.
 
     Attributes
     ----------
+    sync : re.Pattern
+        Pattern of the first byte of a frame.
+    between : bytes
+        Bytes that are allowed between frames, such as line ends. They do not count as unparsed.
     frames : int
-        Frames with a correct checksum.
+        Number of frames with a correct checksum.
     checksum_errors : int
-        Complete frames with a wrong checksum.
+        Number of complete frames with a wrong checksum.
     unparsed_bytes : int
-        Bytes outside valid frames, without those that are allowed between frames.
+        Number of bytes outside valid frames, without those that are allowed between frames.
     remark : str
         Advice about the stream for the user, in one line; empty if there is none.
     """
@@ -50,7 +54,8 @@ class StreamDecoder(ABC, Generic[T]):
     def feed(self, data: bytes, t_rx: float) -> list[T]:
         """Decode the bytes of one read that returned at run time `t_rx` [s].
 
-        Return the items that they complete, which are samples or CAN frames.
+        Return the items that they complete, which are samples or CAN frames. An incomplete frame at the end is kept for
+        the next call.
         """
         buffer = self._buffer
         buffer += data
@@ -75,7 +80,10 @@ class StreamDecoder(ABC, Generic[T]):
         return out
 
     def reset(self) -> None:
-        """Discard an incomplete frame of the stream, because the port was reopened. The counters are kept."""
+        """Discard an incomplete frame of the stream, because the port was reopened. Its bytes count as unparsed.
+
+        The counters are kept.
+        """
         self._count_skipped(self._buffer, 0, len(self._buffer))
         self._before += len(self._buffer)
         self._buffer.clear()
@@ -90,20 +98,22 @@ class StreamDecoder(ABC, Generic[T]):
 
     @abstractmethod
     def _decode_frame(self, buffer: bytearray, start: int, t_rx: float) -> int:
-        """Decode the frame that begins at `start` and append its samples to `self._out`.
+        """Decode the frame that begins at index `start` of the buffer, and append its samples to `self._out`.
 
-        Return the length of the frame in bytes, 0 if more bytes are needed, or -1 if no frame begins at `start`. The
-        result must not depend on the number of bytes received after the frame.
+        The function of a subclass also counts the frame or its checksum error. `t_rx` is the run time of receipt [s].
+        Return the length of the frame in bytes, 0 if more bytes are needed, or -1 if no valid frame begins at `start`.
+        The result must not depend on the number of bytes received after the frame.
         """
 
 
 class Sentence(NamedTuple):
-    """Result of reading one NMEA-style sentence.
+    """Result of reading one sentence of NMEA 0183 or VectorNav: a line of text `$body*checksum`.
 
     Attributes
     ----------
     length
-        Length [bytes]; 0 if more bytes are needed, -1 if no valid sentence begins here.
+        Length [bytes] with the first byte of the line end; 0 if more bytes are needed, -1 if no valid sentence begins
+        here.
     body
         Text between `$` and `*`; None without a valid sentence.
     bad_checksum
@@ -116,9 +126,23 @@ class Sentence(NamedTuple):
 
 
 def take_sentence(buffer: bytearray, start: int) -> Sentence:
-    """Read the sentence that begins with the `$` at `start` and ends with CR or LF.
+    """Read a sentence of NMEA 0183 or VectorNav, which begins with `$` and ends with CR or LF.
 
     The sentence is `$body*hh` with an XOR checksum (NMEA 0183), or `$body*hhhh` with a CRC-16 (VectorNav).
+
+    Parameters
+    ----------
+    buffer
+        Received bytes.
+    start
+        Index of the `$` in the buffer.
+
+    Returns
+    -------
+    Sentence
+        Length and text of the sentence. The length is 0 if the end of the line has not been received, and -1 if the
+        line is not a valid sentence: it has a wrong checksum or none, 256 bytes (SENTENCE_MAX) without an end, or a
+        byte that is not allowed.
     """
     stop = _STOP.search(buffer, start + 1, start + SENTENCE_MAX)
     if stop is None:
@@ -153,6 +177,9 @@ def crc16_ccitt(data: bytes, seed: int = 0xFFFF) -> int:
 
 
 def sentence(body: str) -> bytes:
-    """Encode a text without `$` and checksum as a sentence of NMEA 0183: `$body*hh` and CR LF."""
+    """Encode a text without `$` and checksum as a sentence of NMEA 0183: `$body*hh` and CR LF.
+
+    Raise UnicodeEncodeError if the text is not ASCII.
+    """
     data = body.encode("ascii")
     return b"$%b*%02X\r\n" % (data, xor(data))

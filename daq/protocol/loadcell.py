@@ -19,13 +19,13 @@ DEFAULT_PATTERN = r"^(?P<counts>-?\d+)$"
 
 
 def compile_pattern(pattern: str) -> Any:
-    """Return the compiled regular expression of a reading.
+    """Return the regular expression of a load cell's lines of text, compiled by the library RE2.
 
     Raises
     ------
     ValueError
         If `pattern` is not a regular expression of RE2 (RE2 has no look-around and no back-references), or if it lacks
-        the group ``counts``.
+        the named group ``counts``, whose text is the reading.
     """
     import re2  # imported here because only a load cell with lines of text needs it
 
@@ -43,18 +43,26 @@ def compile_pattern(pattern: str) -> Any:
 class Decoder(LineDecoder):
     """Decoder of the text lines of a load cell to `LoadCell` samples.
 
-    A reading that is saturated or a spike gets a flag and is kept; the user of the log may exclude it.
+    A saturated reading, or a spike (a false number that a disturbed HX711 converter returns), gets a flag and is kept;
+    the user of the log may exclude it. A line that does not match the pattern counts as unparsed bytes. `t_device` is
+    NaN.
 
     Parameters
     ----------
     pattern
-        Regular expression with a named group `counts` (`compile_pattern`).
+        Regular expression with a named group `counts`, whose text is the reading (`compile_pattern`). It has to match a
+        part of the line.
     saturation
-        Largest reading of the converter [counts]; None if it is unknown.
+        Largest reading of the converter [counts]; None if it is unknown, and saturation is then not detected.
     force
-        Calibration from counts to N; None if there is none, and the force is NaN.
+        Function that converts counts to N; None if there is no calibration, and the force is then NaN.
     skip_first
         Whether to discard the first line after `reset`, which may be incomplete.
+
+    Raises
+    ------
+    ValueError
+        If the pattern is invalid.
     """
 
     def __init__(
@@ -64,14 +72,22 @@ class Decoder(LineDecoder):
         force: Callable[[float], float] | None = None,
         skip_first: bool = False,
     ) -> None:
-        """Compile the pattern of the lines and store the calibration. Raise ValueError for an invalid pattern."""
+        """Compile the pattern of the lines, and start without received lines. Raise ValueError for an invalid pattern.
+
+        `saturation` is the largest reading [counts], `force` the calibration from counts to N, and `skip_first` whether
+        to discard the first line after a reset.
+        """
         super().__init__(skip_first)
         self._pattern = compile_pattern(pattern)
         self._flags = FlagDetector(saturation)
         self._force = force
 
     def _decode_line(self, line: bytes, t_rx: float) -> Frame | None:
-        """Convert one line of a load cell to a sample. Return None if the line does not match the pattern."""
+        """Convert one text line of a load cell to a sample with counts, force [N] and flags (saturated, spike).
+
+        Return None if the line does not match the pattern, or if its group `counts` is not a number. Without a
+        calibration the force is NaN. `t_rx` is the run time of receipt [s].
+        """
         match = self._pattern.search(line.rstrip(b"\r").decode("latin-1"))
         if match is None:
             return None
@@ -84,5 +100,8 @@ class Decoder(LineDecoder):
 
 
 def encode(counts: float) -> bytes:
-    """Encode a reading as a line that the default pattern matches."""
+    """Encode a reading [counts], rounded to a whole number, as a line of text that the default pattern matches.
+
+    Raise ValueError for NaN.
+    """
     return b"%d\r\n" % round(counts)

@@ -17,19 +17,26 @@ _NUMBER = re.compile(rb"[+-]?\d{1,12}(\.\d{0,9})?\Z")
 
 
 class Decoder(LineDecoder):
-    """Decoder of the answers to `LoadCell` samples. `counts` is the answer in the unit of the converter.
+    """Decoder of the answers of a Mantracourt strain-gauge converter to `LoadCell` samples.
 
-    The driver of the device sends `request` for each reading at the rate of the rig file. An echo of the request is
-    counted as unparsed.
+    `counts` is the answer in the unit of the converter. The driver of the device sends `request` for each reading at
+    the rate of the rig file. An answer that is not a number, such as a refusal or an echo of the request, counts as
+    unparsed. A refusal also sets `remark`.
 
     Parameters
     ----------
     saturation
-        Largest reading of the converter [counts]; None if it is unknown.
+        Largest reading of the converter [counts]; None if it is unknown, and saturation is then not detected.
     force
-        Calibration from counts to N; without it the force is NaN. The unit of SYS is a setting of the converter.
+        Function that converts counts to N; None if there is no calibration, and the force is then NaN. The unit of the
+        answer to SYS is a setting of the converter.
     query
         Text of the request without CR.
+
+    Attributes
+    ----------
+    request : bytes
+        Request with CR.
     """
 
     end = b"\r"
@@ -40,14 +47,22 @@ class Decoder(LineDecoder):
         force: Callable[[float], float] | None = None,
         query: str = DEFAULT_QUERY,
     ) -> None:
-        """Store the request of the driver, the saturation and the calibration."""
+        """Start without received answers.
+
+        `saturation` is the largest reading [counts], `force` the calibration from counts to N, and `query` the text of
+        the request without CR.
+        """
         super().__init__()
         self.request = query.encode("ascii") + b"\r"
         self._flags = FlagDetector(saturation)
         self._force = force
 
     def _decode_line(self, line: bytes, t_rx: float) -> Frame | None:
-        """Convert one answer of the converter to a sample. Return None if it is not a number: a refusal or an echo."""
+        """Convert one answer of the converter to a sample with counts, force [N] and flags (saturated, spike).
+
+        Return None if the answer is not a number: an echo of the request, or the refusal `?`, which also sets `remark`.
+        Without a calibration the force is NaN. `t_rx` is the run time of receipt [s].
+        """
         line = line.lstrip(b"\n")
         if line == b"?":
             self.remark = f"the converter refuses {self.request[:-1].decode('ascii')}: check `query` in the rig"
@@ -60,5 +75,5 @@ class Decoder(LineDecoder):
 
 
 def encode(counts: float) -> bytes:
-    """Encode a reading as the converter sends it."""
+    """Encode a reading as the converter sends it: sign, seven digits, point, four decimals and CR."""
     return b"%+013.4f\r" % counts

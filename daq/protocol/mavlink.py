@@ -49,13 +49,20 @@ TimedSamples = list[
 
 
 def make_decoder(device: Device, rig: Rig) -> MavlinkDecoder:
-    """Return a new decoder of an autopilot of the rig. The driver of the link sets its signing key with `secure`."""
+    """Return a new decoder of the MAVLink frames of an autopilot of the rig.
+
+    The device needs MAVLink settings. The decoder has no signing key; the driver of the link sets one with `secure`.
+    """
     assert device.mavlink is not None
     return MavlinkDecoder(make_sample_converter(device, rig), device.mavlink.system_id, device.mavlink.component_id)
 
 
 def make_sample_converter(device: Device, rig: Rig) -> SampleConverter:
-    """Return a new converter of messages to samples for an autopilot of the rig and the thrusters behind it."""
+    """Return a new converter of MAVLink messages to samples, for an autopilot of the rig and the thrusters behind it.
+
+    If the autopilot drives no thruster of the rig, each servo output that had a pulse gives samples. The settings of
+    the device decide between fixes of the receiver ("raw") and the position estimate of the autopilot ("fused").
+    """
     thrusters = [thruster for thruster in rig.thrusters if thruster.device == device.name]
     outputs = {thruster.node: thruster.output for thruster in thrusters if thruster.output is not None}
     reversed_nodes = frozenset(thruster.node for thruster in thrusters if thruster.reversed)
@@ -64,10 +71,11 @@ def make_sample_converter(device: Device, rig: Rig) -> SampleConverter:
 
 
 class MavlinkDecoder(StreamDecoder[Frame]):
-    """Decoder of the frames of one autopilot to samples.
+    """Decoder of the MAVLink frames of one autopilot to samples.
 
-    Frames of other systems are counted in `foreign` and ignored. If a key is given, frames without a correct signature
-    are counted in `unsigned` and ignored. Frames whose message is not in the dialect count as frames.
+    Frames of other systems are counted in `foreign` and ignored; frames of other components of the same system are
+    ignored. If the codec has a signing key, frames without a correct signature are counted in `unsigned` and ignored.
+    Frames whose message is not in the dialect count as frames.
 
     Parameters
     ----------
@@ -76,7 +84,7 @@ class MavlinkDecoder(StreamDecoder[Frame]):
     system, component
         Ids of the autopilot. System 0 stands for all systems.
     codec
-        Converter of frames to messages; None for unsigned frames.
+        Converter of frames to messages, which checks signatures; None for unsigned frames.
 
     Attributes
     ----------
@@ -85,13 +93,13 @@ class MavlinkDecoder(StreamDecoder[Frame]):
     foreign
         Number of frames of each other system, by its id.
     unsigned
-        Frames of the autopilot that were ignored because of their signature.
+        Number of frames of the autopilot that were ignored because of their signature.
     signed
-        Frames of the autopilot with a signature, checked or not.
+        Number of frames of the autopilot with a signature, checked or not.
     lost
-        Frames of the autopilot that are missing by their sequence numbers.
+        Number of frames of the autopilot that are missing by their sequence numbers.
     accepted
-        Messages of the autopilot; if a key is given, only correctly signed ones.
+        Number of decoded messages of the autopilot; if the codec has a signing key, only correctly signed ones.
     """
 
     sync = re.compile(rb"[\xfd\xfe]")
@@ -101,7 +109,11 @@ class MavlinkDecoder(StreamDecoder[Frame]):
     def __init__(
         self, samples: SampleConverter, system: int = 1, component: int = 1, codec: Codec | None = None
     ) -> None:
-        """Set all counters to 0. The parameters are those of the class."""
+        """Set all counters to 0.
+
+        `samples` converts messages to samples, `system` and `component` are the ids of the autopilot (system 0: all
+        systems), and `codec` converts frames to messages (None: unsigned frames).
+        """
         super().__init__()
         mode_name(0)  # imports modules for half a second; done here, because a later import would delay commands
         self.foreign: dict[int, int] = {}  # number of frames by id of another system
@@ -116,15 +128,18 @@ class MavlinkDecoder(StreamDecoder[Frame]):
         self._ids: dict[int, bool] = {}  # message id -> whether the message is used
 
     def secure(self, codec: Codec) -> None:
-        """Decode frames and check their signatures with `codec`, which contains the signing key, from now on."""
+        """From now on, decode frames and check their signatures with `codec`, which contains the signing key."""
         self._codec = codec
 
     def begin_datagram(self) -> None:
-        """Discard an incomplete MAVLink frame, because the next datagram may come from another sender."""
+        """Discard an incomplete MAVLink frame, because the next datagram may come from another sender.
+
+        Its bytes count as unparsed. Values from earlier frames are kept.
+        """
         super().reset()
 
     def reset(self) -> None:
-        """Discard an incomplete MAVLink frame and all received values, because the port was reopened.
+        """Discard an incomplete MAVLink frame and all values from earlier frames, because the port was reopened.
 
         The counters are kept.
         """
@@ -133,10 +148,11 @@ class MavlinkDecoder(StreamDecoder[Frame]):
         self._sequence = -1
 
     def _decode_frame(self, buffer: bytearray, start: int, t_rx: float) -> int:
-        """Decode the frame at `start` and append its samples to `self._out`.
+        """Decode the MAVLink frame that begins at index `start` of the buffer, and append its samples to `self._out`.
 
-        Frames of other systems are counted, and frames of other components are ignored. Return the length of the frame
-        in bytes, 0 if more bytes are needed, or -1 if no valid frame begins there.
+        Frames of other systems are counted, and frames of other components are ignored. `t_rx` is the run time of
+        receipt [s]. Return the length of the frame in bytes, 0 if more bytes are needed, or -1 if no valid frame begins
+        there.
         """
         header = parse_header(buffer, start)
         if isinstance(header, int):
@@ -158,22 +174,30 @@ class MavlinkDecoder(StreamDecoder[Frame]):
         return header.total
 
     def _count_lost(self, sequence: int) -> None:
-        """Update `lost`, the number of lost frames of the autopilot, from the sequence number of a new frame."""
+        """Update `lost`, the number of lost frames of the autopilot, from the sequence number (0..255) of a new frame.
+
+        The first frame counts none as lost. A gap of 128 frames or more does not count, because it means an older frame
+        or a restart of the autopilot.
+        """
         gap = (sequence - self._sequence - 1) % 256 if self._sequence >= 0 else 0
         self.lost += gap if gap < 128 else 0  # a larger gap means an older frame or a restart
         self._sequence = sequence
 
     def _is_used(self, message_id: int) -> bool:
-        """Return whether the message with this id is decoded: it gives samples, or the driver of the link needs it."""
+        """Return whether the message with this id is decoded: it gives samples, or the driver of the link needs it.
+
+        The id is that of a MAVLink message. The result is stored for the next call.
+        """
         used = self._ids.get(message_id)
         if used is None:
             used = self._ids[message_id] = message_name(message_id) in {*self._samples.wanted, *SERVICE}
         return used
 
     def _decode(self, frame: bytes, t_rx: float) -> None:
-        """Decode a frame of the autopilot, append its samples, and pass its message to the listener.
+        """Decode a frame of the autopilot, append its samples to `self._out`, and pass its message to the listener.
 
-        A frame without the required signature is counted and ignored.
+        If the codec has a signing key and the signature is missing or wrong, the frame is counted in `unsigned` and
+        ignored. `t_rx` is the run time of receipt [s].
         """
         message = self._codec.decode(frame)
         if message is None:
@@ -194,10 +218,21 @@ def message_name(message_id: int) -> str:
 
 
 def mode_name(mode: int, vehicle: int = BOAT, autopilot: int = ARDUPILOT) -> str:
-    """Return the name of an autopilot's mode, such as "MANUAL", from its number (HEARTBEAT.custom_mode).
+    """Return the name of an autopilot's mode, such as "MANUAL".
 
-    The name depends on the vehicle (MAV_TYPE) and the autopilot (MAV_AUTOPILOT). An unknown mode has the name "mode 7",
-    with its number.
+    Parameters
+    ----------
+    mode
+        Number of the mode (HEARTBEAT.custom_mode).
+    vehicle
+        Kind of vehicle (MAV_TYPE), on which the names of ArduPilot's modes depend.
+    autopilot
+        Kind of autopilot (MAV_AUTOPILOT): the names of PX4, or else those of ArduPilot, are used.
+
+    Returns
+    -------
+    str
+        Name. A mode without a name is "mode 7", with its number.
     """
     from pymavlink import mavutil
 
@@ -209,8 +244,8 @@ def mode_name(mode: int, vehicle: int = BOAT, autopilot: int = ARDUPILOT) -> str
 def vehicle_name(autopilot: int, vehicle: int) -> str:
     """Return the name of an autopilot's software from its heartbeat: "ArduPilot Rover", "PX4", ...
 
-    The parameters are the numbers MAV_AUTOPILOT and MAV_TYPE. The name is empty for an unknown vehicle of ArduPilot. It
-    contains the number of any other autopilot.
+    The parameters are the numbers MAV_AUTOPILOT and MAV_TYPE. The name is empty for an unknown vehicle of ArduPilot.
+    For any other autopilot it is "autopilot 3 (MAV_AUTOPILOT)", with its number.
     """
     if autopilot == PX4:
         return "PX4"
@@ -218,11 +253,17 @@ def vehicle_name(autopilot: int, vehicle: int) -> str:
 
 
 class SampleConverter:
-    """Converter of the messages of one autopilot to samples. It reads no clock.
+    """Converter of the MAVLink messages of one autopilot to samples. It reads no clock.
 
-    An attitude waits for the IMU message of the same moment, and both become one `Ahrs`. If their times differ, each
-    becomes one `Ahrs`, in which the missing values are NaN. A repeated fix is dropped. The loss of the fix becomes one
-    sample without a device time. The rpm of ESC_TELEMETRY has no sign; it gets the sign of the output's command.
+    An attitude waits for the IMU message of the same moment (within 5 ms), and both become one `Ahrs`. If there is
+    none, each becomes one `Ahrs`, in which the missing values are NaN. A fix that the autopilot sends again is dropped.
+    The loss of the fix becomes one sample without a device time. The rpm of ESC_TELEMETRY has no sign; it gets the sign
+    of the output's command.
+
+    Attributes
+    ----------
+    wanted
+        Function that converts a message to samples, by name of the message.
     """
 
     def __init__(
@@ -236,11 +277,12 @@ class SampleConverter:
         Parameters
         ----------
         outputs
-            Thruster outputs of the rig by servo number. If it is None, each output that had a pulse gives samples.
+            Thruster outputs of the rig by number of the servo output. If it is None, each output that had a pulse gives
+            samples, without a command.
         reversed_nodes
-            Servo numbers of reversed thrusters.
+            Numbers of the servo outputs of reversed thrusters, whose command and rpm change their sign.
         gnss
-            "raw" for the fixes of the receiver (GPS_RAW_INT), "fused" for the estimate of the autopilot
+            "raw" for the fixes of the receiver (GPS_RAW_INT), "fused" for the position estimate of the autopilot
             (GLOBAL_POSITION_INT).
         """
         self.wanted: dict[str, Callable[[Any], TimedSamples]] = {
@@ -257,7 +299,7 @@ class SampleConverter:
         self.forget()
 
     def forget(self) -> None:
-        """Discard all values from earlier messages, because the autopilot may have restarted."""
+        """Discard all values from earlier MAVLink messages, because the autopilot may have restarted."""
         self._boot = math.nan  # s since boot, of the newest attitude
         self._utc_of_boot = math.nan  # s since 1970
         # An attitude that waits for its IMU message, and its time [s since boot].
@@ -275,19 +317,20 @@ class SampleConverter:
         self._chunks: tuple[int, str] = (0, "")  # id and received part of a long text
 
     def take(self, message: Any) -> TimedSamples:
-        """Return the samples that a message of the autopilot completes, each with its time [s since boot] or NaN.
+        """Return the samples that a MAVLink message of the autopilot completes, each with its time [s since boot].
 
-        A message that gives no sample returns an empty list.
+        The time is NaN if the message has none. The list is empty for a message that completes no sample. `message` is
+        an object of pymavlink, or `EscStatus`.
         """
         handler = self.wanted.get(message.get_type())
         return [] if handler is None else handler(message)
 
     def _to_boot_time(self, usec: int, wraps: bool = False) -> float:
-        """Convert a time of a message [us] to s since the start of the autopilot (boot).
+        """Convert a time in a MAVLink message [us] to s since the start of the autopilot (boot).
 
-        The time counts from boot or, if it is large, from 1970 (UTC). The result is NaN if it is UTC and the UTC of the
-        boot is unknown. If `wraps` is true, the time since boot has 32 bits; the result is then nearest to the newest
-        attitude.
+        The time counts from boot or, if it is at least 10^14, from 1970 (UTC). The result is NaN if it is UTC and the
+        UTC of the boot is unknown. If `wraps` is true, the message has only the low 32 bits of a time since boot; the
+        result is then the time nearest to that of the newest attitude.
         """
         if usec >= UNIX_US:
             return usec * 1e-6 - self._utc_of_boot
@@ -297,9 +340,9 @@ class SampleConverter:
         return t
 
     def _check_restart(self, t: float) -> float:
-        """Return a time since boot [s] unchanged. If it is clearly earlier than before, the autopilot has restarted.
+        """Return a time since boot [s] unchanged. If the autopilot has restarted, discard all values from before.
 
-        All values from before the restart are then discarded.
+        It has restarted if the time is more than 1 s (RESTART_S) before that of the newest attitude.
         """
         if self._boot - t > RESTART_S:
             ardupilot = self._ardupilot
@@ -308,7 +351,11 @@ class SampleConverter:
         return t
 
     def _heartbeat(self, m: Any) -> TimedSamples:
-        """Return the state of the autopilot from a HEARTBEAT, and an event if its mode or arming has changed."""
+        """Return the state of the autopilot from a HEARTBEAT, and an event if its mode or arming has changed.
+
+        The first HEARTBEAT also gives an event. The list is empty if a component that is not an autopilot sent the
+        message.
+        """
         if m.autopilot == INVALID:
             return []
         self._ardupilot = m.autopilot == ARDUPILOT
@@ -322,7 +369,10 @@ class SampleConverter:
         return samples
 
     def _ekf(self, m: Any) -> TimedSamples:
-        """Return the state of the autopilot with the flags of EKF_STATUS_REPORT; nothing before the first heartbeat."""
+        """Return the state of the autopilot with the flags of its estimator from EKF_STATUS_REPORT.
+
+        Before the first HEARTBEAT the flags are stored, and the list is empty.
+        """
         self._ekf_flags = m.flags
         if self._pilot is None:
             return []
@@ -330,7 +380,7 @@ class SampleConverter:
         return [(self._pilot, NAN)]
 
     def _system_time(self, m: Any) -> TimedSamples:
-        """Store the UTC at which the autopilot was started, from SYSTEM_TIME. Return no sample.
+        """Store the UTC at which the autopilot was started (boot), from a message SYSTEM_TIME. Return no sample.
 
         Nothing is stored if the autopilot does not have the UTC yet.
         """
@@ -342,8 +392,9 @@ class SampleConverter:
     def _attitude(self, m: Any) -> TimedSamples:
         """Return the samples that an ATTITUDE message completes; each is an `Ahrs`.
 
-        The attitude is joined with the IMU message of the same moment. It waits for this message if IMU messages arrive
-        at present; the list may therefore be empty.
+        The attitude is joined with the IMU message of the same moment (within 5 ms). It waits for this message if an
+        IMU message has been received in the last second; the list may therefore be empty. An earlier attitude or IMU
+        message that has waited in vain is returned too.
         """
         self._boot = t = self._check_restart(_since_boot(m.time_boot_ms))
         samples: TimedSamples = [self._attitude_waits] if self._attitude_waits is not None else []
@@ -363,18 +414,18 @@ class SampleConverter:
         return samples
 
     def _raw_imu(self, m: Any) -> TimedSamples:
-        """Return the samples that a RAW_IMU message (specific force and magnetic field) completes.
+        """Return the `Ahrs` samples that a RAW_IMU message (specific force and magnetic field) completes.
 
         There are none unless the autopilot is ArduPilot, because the units of other autopilots are not defined.
         """
         return self._take_milli_imu(m, self._to_boot_time(m.time_usec)) if self._ardupilot else []
 
     def _scaled_imu(self, m: Any) -> TimedSamples:
-        """Return the samples that a SCALED_IMU message (specific force and magnetic field) completes."""
+        """Return the `Ahrs` samples that a SCALED_IMU message (specific force and magnetic field) completes."""
         return self._take_milli_imu(m, _since_boot(m.time_boot_ms))
 
     def _take_milli_imu(self, m: Any, t: float) -> TimedSamples:
-        """Return the samples that an IMU message in milli-g and milligauss completes.
+        """Return the `Ahrs` samples that an IMU message with values in milli-g and milligauss completes.
 
         `t` is the time of the message [s since boot].
         """
@@ -382,15 +433,16 @@ class SampleConverter:
         return self._take_imu(t, accel, tuple(1e-7 * b for b in (m.xmag, m.ymag, m.zmag)))
 
     def _highres_imu(self, m: Any) -> TimedSamples:
-        """Return the samples that a HIGHRES_IMU message, in m/s2 and gauss, completes."""
+        """Return the `Ahrs` samples that a HIGHRES_IMU message, in m/s2 and gauss, completes."""
         field = tuple(1e-4 * b for b in (m.xmag, m.ymag, m.zmag))
         return self._take_imu(self._to_boot_time(m.time_usec), (m.xacc, m.yacc, m.zacc), field)
 
     def _take_imu(self, t: float, accel: tuple[float, ...], field: tuple[float, ...]) -> TimedSamples:
         """Return the samples that specific force and magnetic field of an IMU message complete; each is an `Ahrs`.
 
-        They are joined with the attitude of the same moment, or wait for it. `t` is the time [s since boot], `accel`
-        the specific force [m/s2], and `field` the magnetic field [T]. A field of zero means that it is unknown.
+        They are joined with the attitude of the same moment (within 5 ms), or wait for it. `t` is the time [s since
+        boot], `accel` the specific force [m/s2], and `field` the magnetic field [T]. A field of zero means that it is
+        unknown, and becomes NaN. An earlier attitude or IMU message that has waited in vain is returned too.
         """
         self._imu_at = self._check_restart(t)
         imu = (t, accel, field if any(field) else (NAN, NAN, NAN))
@@ -405,7 +457,11 @@ class SampleConverter:
         return samples if waiting is None else [*samples, waiting]
 
     def _gps_raw_int(self, m: Any) -> TimedSamples:
-        """Return the fix of the autopilot's receiver (GPS_RAW_INT) as a `Gnss` sample; none for a repetition."""
+        """Return the fix of the autopilot's GNSS receiver (GPS_RAW_INT) as a `Gnss` sample.
+
+        The list is empty for a message with the time and type of the newest fix. Without a fix, the time, the position
+        and the velocity of the sample are NaN.
+        """
         if (m.time_usec, m.fix_type) == self._fix:
             return []
         self._fix = m.time_usec, m.fix_type
@@ -438,7 +494,11 @@ class SampleConverter:
         ]
 
     def _global_position(self, m: Any) -> TimedSamples:
-        """Return the autopilot's position estimate (GLOBAL_POSITION_INT) as a `Gnss` sample; none for a repetition."""
+        """Return the autopilot's position estimate (GLOBAL_POSITION_INT) as a `Gnss` sample.
+
+        The list is empty for a message with the time of the last one. If latitude and longitude are 0, the position is
+        NaN. The fix is 3, or 0 if the flags of the estimator (EKF_STATUS_REPORT) report no absolute position.
+        """
         t = self._check_restart(_since_boot(m.time_boot_ms))
         if m.time_boot_ms == self._fix[0]:
             return []
@@ -455,7 +515,8 @@ class SampleConverter:
     def _servo_outputs(self, m: Any) -> TimedSamples:
         """Return a `Servo` sample (pulse width and command) for each servo output that drives a thruster of the rig.
 
-        Without a rig, all outputs that had a pulse are returned.
+        The command is 0 without a pulse. If no thruster outputs are known (`outputs` is None), each output that had a
+        pulse gives a sample with NaN as command. `m` is a message SERVO_OUTPUT_RAW.
         """
         t = self._to_boot_time(m.time_usec, wraps=True)
         samples: TimedSamples = []
@@ -472,9 +533,10 @@ class SampleConverter:
         return samples
 
     def _esc_telemetry(self, m: Any) -> TimedSamples:
-        """Return an `Esc` sample for each speed controller that has new values in an ESC_TELEMETRY message.
+        """Return an `Esc` sample for each speed controller with new values in an ESC_TELEMETRY message.
 
-        The rpm in the message has no sign; it gets the sign of the output's command.
+        The rpm in the message has no sign; it gets the sign of the output's newest command, if there is one. This
+        command becomes the duty. The samples have no time.
         """
         first = int(m.get_type().split("_")[2])
         samples: TimedSamples = []
@@ -490,7 +552,11 @@ class SampleConverter:
         return samples
 
     def _esc_status(self, m: Any) -> TimedSamples:
-        """Return an `Esc` sample for each speed controller in ESC_STATUS that exists: with a voltage, or in the rig."""
+        """Return an `Esc` sample for each speed controller in an ESC_STATUS message that exists.
+
+        A controller exists if it has a voltage or belongs to a thruster of the rig. The rpm of a reversed thruster
+        changes its sign. The newest command of the output becomes the duty.
+        """
         samples: TimedSamples = []
         for k in range(4):
             node = m.first + k + 1
@@ -502,7 +568,10 @@ class SampleConverter:
         return samples
 
     def _battery(self, m: Any) -> TimedSamples:
-        """Return a `Battery` sample of the first battery from BATTERY_STATUS; none if it reports no cell voltage."""
+        """Return a `Battery` sample, without a time, from a BATTERY_STATUS message.
+
+        The list is empty for any battery but the first (id 0), and for a message without a cell voltage.
+        """
         cells = [v for v in (*m.voltages, *m.voltages_ext) if v not in (0, 0xFFFF)]
         if m.id != 0 or not cells:
             return []
@@ -510,13 +579,20 @@ class SampleConverter:
         return [(_battery(sum(cells) * 1e-3, m.current_battery, m.battery_remaining), NAN)]
 
     def _sys_status(self, m: Any) -> TimedSamples:
-        """Return a `Battery` sample from SYS_STATUS; none once BATTERY_STATUS has been received, which is better."""
+        """Return a `Battery` sample, without a time, from a SYS_STATUS message.
+
+        The list is empty if the voltage is unknown, and once a BATTERY_STATUS has been received, whose values are
+        better.
+        """
         if self._has_battery or m.voltage_battery in (0, 0xFFFF):
             return []
         return [(_battery(m.voltage_battery * 1e-3, m.current_battery, m.battery_remaining), NAN)]
 
     def _status_text(self, m: Any) -> TimedSamples:
-        """Return a text message of the autopilot as an event, when the last part of the text has been received."""
+        """Return a text message of the autopilot (STATUSTEXT) as an event "statustext" with the text "SEVERITY: TEXT".
+
+        A long text arrives in parts of 50 characters. The list is empty until its last part has been received.
+        """
         number, received = self._chunks
         chunk = printable(m.text)
         text = received + chunk if m.id and m.id == number and m.chunk_seq else chunk
@@ -529,7 +605,7 @@ class SampleConverter:
 
 
 def _since_boot(ms: int) -> float:
-    """Convert a time since boot in whole milliseconds to seconds.
+    """Convert a time since boot of an autopilot in whole milliseconds to seconds.
 
     Half a millisecond is added, because the autopilot truncates the time.
     """
@@ -537,9 +613,10 @@ def _since_boot(ms: int) -> float:
 
 
 def _untruncate_velocity(velocity: int) -> float:
-    """Convert a velocity [cm/s] of a message to m/s, without the bias of truncation.
+    """Convert a velocity [cm/s] in a MAVLink message to m/s, without the bias of truncation.
 
-    ArduPilot and PX4 truncate it towards zero to whole cm/s. Half a cm/s is therefore added to its magnitude.
+    ArduPilot and PX4 truncate it towards zero to whole cm/s. Half a cm/s is therefore added to its magnitude. Zero
+    remains zero.
     """
     return (velocity + math.copysign(0.5, velocity)) * 0.01 if velocity else 0.0
 
@@ -547,12 +624,15 @@ def _untruncate_velocity(velocity: int) -> float:
 def _with_imu(ahrs: Ahrs, imu: tuple[float, tuple[float, ...], tuple[float, ...]]) -> Ahrs:
     """Return an attitude with the specific force [m/s2] and magnetic field [T] of an IMU message.
 
-    `imu` is a tuple of time, specific force (3,) and magnetic field (3,).
+    `imu` is a tuple of time [s], specific force (3,) and magnetic field (3,).
     """
     (ax, ay, az), (mx, my, mz) = imu[1], imu[2]
     return replace(ahrs, ax=ax, ay=ay, az=az, mx=mx, my=my, mz=mz)
 
 
 def _battery(voltage: float, centiampere: int, percent: int) -> Battery:
-    """Return the state of a battery from voltage [V], current [0.01 A] and charge [%]; negative values are unknown."""
+    """Return the state of a battery from its voltage [V], current [0.01 A] and remaining charge [%].
+
+    A negative current or charge means that it is unknown, and becomes NaN.
+    """
     return Battery(voltage, NAN if centiampere < 0 else centiampere * 0.01, NAN if percent < 0 else percent * 0.01)

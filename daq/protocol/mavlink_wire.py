@@ -26,7 +26,7 @@ ESC_STATUS_SEED = 10  # CRC_EXTRA of the message
 
 
 def crc16(data: bytes, crc: int = 0xFFFF) -> int:
-    """Return CRC-16/MCRF4XX, the checksum of MAVLink. `crc` is the checksum of the preceding bytes, if any."""
+    """Return CRC-16/MCRF4XX, the checksum of MAVLink. `crc` is the checksum of the bytes before `data`, if any."""
     return int(fastcrc.crc16.mcrf4xx(data, crc))
 
 
@@ -66,7 +66,7 @@ class EscStatus(NamedTuple):
 
     @staticmethod
     def get_type() -> str:
-        """Return the name of the message, as messages of pymavlink do."""
+        """Return "ESC_STATUS", the name of the message. Messages of pymavlink have the same method."""
         return "ESC_STATUS"
 
 
@@ -74,7 +74,10 @@ _ESC_STATUS = struct.Struct("<Q4i4f4fB")
 
 
 def _unpack_esc_status(payload: bytes) -> EscStatus:
-    """Decode the payload of ESC_STATUS. Missing bytes at its end are zero, because MAVLink 2 omits trailing zeros."""
+    """Decode the payload of the MAVLink message ESC_STATUS.
+
+    Missing bytes at its end are zero, because MAVLink 2 omits trailing zeros. Surplus bytes are ignored.
+    """
     values = _ESC_STATUS.unpack(payload.ljust(_ESC_STATUS.size, b"\0")[: _ESC_STATUS.size])
     return EscStatus(values[0], values[1:5], values[5:9], values[9:13], values[13])
 
@@ -112,7 +115,9 @@ class FrameHeader(NamedTuple):
 def parse_header(buffer: bytes | bytearray, start: int) -> FrameHeader | int:
     """Return the header of the MAVLink frame that begins at index `start` of the buffer.
 
-    Return 0 if more bytes are needed, and -1 if no frame can begin there.
+    The byte at `start` has to be the first byte of a frame of MAVLink 1 (0xFE) or 2 (0xFD). Return 0 if more bytes are
+    needed. Return -1 if no frame can begin there: MAVLink 2 with a flag other than "signed", or MAVLink 1 with a
+    message that the dialect lacks or a payload that is too long.
     """
     is_version_2 = buffer[start] == MARKER_2
     size = HEADER_2 if is_version_2 else HEADER_1
@@ -135,7 +140,10 @@ def parse_header(buffer: bytes | bytearray, start: int) -> FrameHeader | int:
 
 @functools.cache
 def _seed_and_length(message_id: int) -> tuple[int, int] | None:
-    """Return checksum seed (CRC_EXTRA) and longest payload [bytes] of a message, or None if the dialect lacks it."""
+    """Return the checksum seed (CRC_EXTRA) and the longest payload [bytes] of a MAVLink message, given by its id.
+
+    Return None if the dialect lacks the message.
+    """
     if message_id == ESC_STATUS:
         return ESC_STATUS_SEED, _ESC_STATUS.size
     kind = dialect().mavlink_map.get(message_id)
@@ -148,7 +156,14 @@ def is_known(message_id: int) -> bool:
 
 
 def has_correct_checksum(frame: bytes, header: FrameHeader) -> bool:
-    """Return whether the checksum of a frame is correct.
+    """Return whether the checksum of a MAVLink frame is correct. The signature is not checked.
+
+    Parameters
+    ----------
+    frame
+        All bytes of the frame.
+    header
+        Header of the frame, from `parse_header`.
 
     Notes
     -----
@@ -165,7 +180,15 @@ def has_correct_checksum(frame: bytes, header: FrameHeader) -> bool:
 
 
 class Codec:
-    """Converter between frames and messages at our end of a MAVLink link. Frames are signed if there is a key."""
+    """Converter between frames and messages at our end of a MAVLink link.
+
+    If there is a signing key, sent frames are signed, and received frames need a correct signature.
+
+    Attributes
+    ----------
+    system : int
+        Our system id.
+    """
 
     def __init__(
         self, system: int, component: int, key: bytes | None = None, now_unix: float = EPOCH_2015, link: int = 0
@@ -175,7 +198,7 @@ class Codec:
         Parameters
         ----------
         system, component
-            Our ids.
+            Our system id and component id, which sent frames contain.
         key
             Signing key, 32 bytes; None for unsigned frames.
         now_unix
@@ -198,7 +221,11 @@ class Codec:
         return self._key is not None
 
     def decode(self, frame: bytes) -> Any | None:
-        """Return the message of a complete MAVLink frame, or None if a required signature is missing or wrong."""
+        """Return the message (object of pymavlink, or `EscStatus`) of a complete MAVLink frame.
+
+        Return None if pymavlink cannot decode the frame, or if there is a signing key and the signature is missing or
+        wrong. With a signing key, ESC_STATUS is always rejected, because pymavlink cannot check its signature.
+        """
         if frame[0] == MARKER_2 and frame[7:10] == b"\x23\x01\x00":
             # pymavlink lacks ESC_STATUS and cannot check its signature. It is rejected if a signature is required.
             return None if self._key is not None else _unpack_esc_status(frame[HEADER_2 : HEADER_2 + frame[1]])
@@ -208,7 +235,11 @@ class Codec:
             return None
 
     def encode(self, name: str, *fields: Any) -> bytes:
-        """Encode message `name`, for example `COMMAND_LONG`, as a frame. Its fields are in pymavlink's order."""
+        """Encode message `name`, for example `COMMAND_LONG`, as a MAVLink frame, signed if there is a key.
+
+        `fields` are the values of its fields in pymavlink's order. Each call increments the sequence number of our
+        frames.
+        """
         kind = getattr(dialect(), f"MAVLink_{name.lower()}_message")
         data: bytes = kind(*fields).pack(self._mav)
         self._mav.seq = (self._mav.seq + 1) % 256
@@ -216,7 +247,17 @@ class Codec:
 
 
 def encode_esc_status(system: int, component: int, sequence: int, status: EscStatus) -> bytes:
-    """Encode ESC_STATUS as an unsigned frame of MAVLink 2. `sequence`, 0 to 255, is the counter of frames."""
+    """Encode ESC_STATUS, the state of four speed controllers, as an unsigned frame of MAVLink 2.
+
+    Parameters
+    ----------
+    system, component
+        Ids of the sender.
+    sequence
+        Sequence number of the sender's frames, 0 to 255.
+    status
+        State of the controllers.
+    """
     payload = _ESC_STATUS.pack(status.time_usec, *status.rpm, *status.voltage, *status.current, status.first)
     payload = payload.rstrip(b"\0") or b"\0"
     body = struct.pack("<BBBBBBHB", len(payload), 0, 0, sequence, system, component, ESC_STATUS, 0) + payload

@@ -31,14 +31,19 @@ Fields = dict[int, bytes]
 
 
 def checksum(packet: bytes) -> bytes:
-    """Return the two bytes of Fletcher's checksum of a MIP packet, which is given without its checksum."""
+    """Return the two bytes of Fletcher's checksum of a MIP packet. `packet` is the packet without its checksum."""
     return bytes((sum(packet) & 0xFF, sum(itertools.accumulate(packet)) & 0xFF))
 
 
 def packet(data_set: int, fields: Fields) -> bytes:
-    """Encode a MIP packet of a data set with sync bytes and checksum.
+    """Encode a MIP packet with sync bytes and checksum.
 
-    `fields` are the bytes of each field by descriptor.
+    Parameters
+    ----------
+    data_set
+        Number of the data set, for example 0x80 (SENSOR).
+    fields
+        Content of each field, without length and descriptor, by its descriptor.
     """
     payload = b"".join(bytes((len(data) + 2, kind)) + data for kind, data in fields.items())
     body = SYNC + bytes((data_set, len(payload))) + payload
@@ -46,23 +51,24 @@ def packet(data_set: int, fields: Fields) -> bytes:
 
 
 class Decoder(StreamDecoder[Frame]):
-    """Decoder of MIP packets to `Ahrs` and `Gnss` samples.
+    """Decoder of the MIP packets of a MicroStrain inertial sensor to `Ahrs` and `Gnss` samples.
 
-    Each filter packet with an attitude gives one `Ahrs` with the newest rates, accelerations and magnetic field of the
-    sensor packets. If the filter sends no attitude, each sensor packet gives one `Ahrs` instead. `t_device` of a fix is
-    its UTC. `t_device` of an `Ahrs` is NaN.
+    Each filter packet with a valid attitude gives one `Ahrs` with the newest rates, accelerations and magnetic field of
+    the sensor packets. If the filter has sent no attitude for 1 s (FILTER_S), each sensor packet gives one `Ahrs`
+    instead. Each GNSS packet with a position field gives one `Gnss`. `t_device` of a fix is its UTC. `t_device` of an
+    `Ahrs` is NaN.
     """
 
     sync = re.compile(rb"\x75")
 
     def __init__(self) -> None:
-        """Start without received packets."""
+        """Start the decoder of a MicroStrain sensor without received MIP packets."""
         super().__init__()
         self._filtered = -math.inf  # s, t_rx of the last attitude of the filter
         self._vectors: dict[str, tuple[tuple[float, ...], float]] = {}  # name -> newest values, t_rx [s]
 
     def reset(self) -> None:
-        """Discard an incomplete MIP packet and all received values, because the port was reopened.
+        """Discard an incomplete MIP packet and all values from earlier packets, because the port was reopened.
 
         The counters are kept.
         """
@@ -71,9 +77,10 @@ class Decoder(StreamDecoder[Frame]):
         self._vectors.clear()
 
     def _decode_frame(self, buffer: bytearray, start: int, t_rx: float) -> int:
-        """Decode the packet at `start` and append its samples.
+        """Decode the MIP packet that begins at index `start` of the buffer, and append its samples to `self._out`.
 
-        Return its length in bytes, 0 if more bytes are needed, or -1 if no valid packet begins there.
+        Return its length in bytes, 0 if more bytes are needed, or -1 if no valid packet begins there. `t_rx` is the run
+        time of receipt [s].
         """
         if len(buffer) < start + 4:
             return 0 if SYNC.startswith(buffer[start : start + 2]) else -1
@@ -100,10 +107,10 @@ class Decoder(StreamDecoder[Frame]):
         return length
 
     def _take_sensor_packet(self, fields: Fields, t_rx: float) -> None:
-        """Store rates, accelerations and magnetic field of a sensor packet, received at run time `t_rx` [s].
+        """Store rates, accelerations and magnetic field of a MIP sensor packet, received at run time `t_rx` [s].
 
-        If the filter has sent no attitude for 1 s (FILTER_S), a sample is appended, with the attitude of this packet if
-        it has one.
+        If the filter has sent no attitude for 1 s (FILTER_S), an `Ahrs` sample is appended, with the attitude of this
+        packet or, if it has none, NaN. `fields` are the bytes of the packet's fields by descriptor.
         """
         for name, kind in (("accel", 0x04), ("rate", 0x05), ("mag", 0x06)):
             if kind in fields:  # the vectors may arrive in separate packets with different rates
@@ -112,9 +119,10 @@ class Decoder(StreamDecoder[Frame]):
             self._append_sample(_attitude_angles(fields, quaternion=0x0A, euler=0x0C), t_rx)
 
     def _take_filter_packet(self, fields: Fields, t_rx: float) -> None:
-        """Append a sample for a filter packet with a valid attitude, received at `t_rx` [s].
+        """Append an `Ahrs` sample for a MIP filter packet with a valid attitude, received at run time `t_rx` [s].
 
-        If the filter reports that it has lost the attitude, the sensor packets give samples from now on.
+        If its attitude is invalid, no sample is appended, and the sensor packets give samples from now on. A packet
+        without an attitude does nothing. `fields` are the bytes of the packet's fields by descriptor.
         """
         angles = _attitude_angles(fields, quaternion=0x03, euler=0x05)
         if angles != _NAN3:
@@ -124,7 +132,11 @@ class Decoder(StreamDecoder[Frame]):
             self._filtered = -math.inf
 
     def _append_sample(self, angles: tuple[float, ...], t_rx: float) -> None:
-        """Append one `Ahrs` with these angles (roll, pitch, yaw) [rad] and the newest vectors in SI units."""
+        """Append one `Ahrs` sample with these angles (roll, pitch, yaw) [rad] and no device time.
+
+        The newest rates, accelerations and magnetic field are added in SI units; those older than 1.5 s (STALE_S) at
+        run time `t_rx` [s] are NaN.
+        """
         roll, pitch, yaw = angles
         ax, ay, az = (G * a for a in self._newest_vector("accel", t_rx))
         mx, my, mz = (GAUSS * b for b in self._newest_vector("mag", t_rx))
@@ -134,7 +146,7 @@ class Decoder(StreamDecoder[Frame]):
     def _newest_vector(self, name: str, t_rx: float) -> tuple[float, ...]:
         """Return the newest vector (3,) "accel" [g], "rate" [rad/s] or "mag" [gauss] of the sensor packets.
 
-        It is NaN if it is older than 1.5 s (STALE_S) at run time `t_rx` [s].
+        It is NaN if it was never received, or is older than 1.5 s (STALE_S) at run time `t_rx` [s].
         """
         values, when = self._vectors.get(name, (_NAN3, -math.inf))
         return values if t_rx - when <= STALE_S else _NAN3
@@ -157,9 +169,9 @@ def _split_fields(payload: bytes) -> Fields | None:
 
 
 def _unpack_valid(form: struct.Struct, data: bytes | None) -> tuple[float, ...] | None:
-    """Return the numbers at the beginning of a field of a MIP packet.
+    """Return the numbers at the beginning of a field of a MIP packet, in the format `form`.
 
-    Return None if the field is missing, too short or flagged as invalid.
+    Return None if the field is missing (None), too short, or flagged as invalid by the two bytes after the numbers.
     """
     if data is None or len(data) < form.size:
         return None
@@ -171,7 +183,8 @@ def _unpack_valid(form: struct.Struct, data: bytes | None) -> tuple[float, ...] 
 def _attitude_angles(fields: Fields, quaternion: int, euler: int) -> tuple[float, ...]:
     """Return roll, pitch and yaw [rad] from a packet's fields, by Euler angles or else by the quaternion.
 
-    `quaternion` and `euler` are the descriptors of these fields. The angles are NaN if the packet lacks both fields.
+    `fields` are the bytes of each field by descriptor. `quaternion` and `euler` are the descriptors of the two fields.
+    The angles are NaN if neither field is present and valid.
     """
     if (angles := _unpack_valid(_V3, fields.get(euler))) is not None:
         return _NAN3 if math.isnan(sum(angles)) else angles  # a filter without a heading flags NaN as valid
@@ -184,7 +197,11 @@ def _attitude_angles(fields: Fields, quaternion: int, euler: int) -> tuple[float
 
 
 def _gnss_sample(fields: Fields) -> Gnss:
-    """Return the fix of a GNSS packet, which must have the field 0x03 (position). Values flagged as invalid are NaN."""
+    """Return the fix of a MIP GNSS packet, whose fields must include 0x03 (position). Invalid values are NaN.
+
+    `fields` are the bytes of each field by descriptor. Without a valid position, the sample has only the UTC and the
+    number of satellites, with `fix` 0.
+    """
     lat, lon, _, height, h_acc, _, valid = _LLH.unpack(fields[0x03])
     kind, n_sat, _, info_valid = (
         _INFO.unpack(fields[0x0B]) if len(fields.get(0x0B, b"")) == _INFO.size else (0, 0, 0, 1)

@@ -60,7 +60,7 @@ _FULL_TURN = 360.0  # deg; a larger heading, for example 999.9, means that there
 
 
 class Decoder(StreamDecoder[Frame]):
-    """Decoder of a stream of NMEA sentences to `Gnss` and `Ahrs` samples.
+    """Decoder of a stream of NMEA sentences to `Gnss`, `Ahrs` and `Transducer` samples.
 
     Parameters
     ----------
@@ -74,34 +74,43 @@ class Decoder(StreamDecoder[Frame]):
     sync = re.compile(rb"\$")
 
     def __init__(self, declination: float | None = None, signal_ending: str | None = None) -> None:
-        """Start without received sentences. The parameters are those of the class."""
+        """Start without received sentences.
+
+        `declination` is the true heading minus the magnetic heading [rad], None if it is unknown. `signal_ending` is
+        the ending of the names of transducers, None to leave transducers out.
+        """
         super().__init__()
         self._sentences = Sentences(declination, signal_ending)
 
     @property
     def two_receivers(self) -> str:
-        """Note for the user that two receivers send in the same stream, in one line; empty if there is only one."""
+        """Note for the user that two receivers send in the same stream, in one line.
+
+        It is empty as long as fewer than 5 positions differed from another position with the same time and kind of
+        sentence.
+        """
         return self._sentences.epochs.remark
 
     def flush(self) -> list[Frame]:
-        """Return the GNSS sample of the last epoch at the end of the stream.
+        """Return the GNSS sample of the last epoch (the sentences with the same time) at the end of the stream.
 
-        The list is empty if it was returned before.
+        The list is empty if it was returned before, or if the epoch has no position sentence.
         """
         return self._sentences.epochs.flush()
 
     def reset(self) -> None:
-        """Discard an incomplete sentence and the incomplete epoch, because the port was reopened.
+        """Discard an incomplete sentence and the values from earlier sentences, because the port was reopened.
 
-        The counters are kept.
+        The counters and the date are kept.
         """
         super().reset()
         self._sentences.forget()
 
     def _decode_frame(self, buffer: bytearray, start: int, t_rx: float) -> int:
-        """Decode the NMEA sentence that begins at index `start` of the buffer, and append its samples.
+        """Decode the NMEA sentence that begins at index `start` of the buffer, and append its samples to `self._out`.
 
-        Return its length in bytes, 0 if more bytes are needed, or -1 if no valid sentence begins there.
+        Return its length in bytes, 0 if more bytes are needed, or -1 if no valid sentence begins there. `t_rx` is the
+        run time of receipt [s].
         """
         length, body, bad = take_sentence(buffer, start)
         self.checksum_errors += bad
@@ -116,7 +125,7 @@ class Decoder(StreamDecoder[Frame]):
         return length
 
     def _filter_frames(self, frames: list[Frame]) -> list[Frame]:
-        """Return the samples to keep, here all of them. A subclass may drop some."""
+        """Return the samples of an NMEA sentence to keep, here all of them. A subclass may drop some."""
         return frames
 
 
@@ -127,6 +136,8 @@ class Sentences:
     ----------
     declination
         True heading minus magnetic heading [rad], positive to the east. None if it is unknown.
+    signal_ending
+        Ending of the signal names of transducers (XDR). None if transducers are to be left out.
 
     Attributes
     ----------
@@ -139,13 +150,17 @@ class Sentences:
     def __init__(self, declination: float | None = None, signal_ending: str | None = None) -> None:
         """Start without received sentences.
 
-        `signal_ending` is the ending of the names of transducers, None for none.
+        `declination` is the true heading minus the magnetic heading [rad], None if it is unknown. `signal_ending` is
+        the ending of the names of transducers, None to leave transducers out.
         """
         self.epochs = Epochs()
         self.headings = Headings(declination, signal_ending)
 
     def take(self, body: bytes, t_rx: float) -> list[Frame] | None:
-        """Return the samples that a sentence completes, or None if its fields are invalid.
+        """Return the samples that an NMEA sentence completes, or None if its fields are invalid.
+
+        The list is empty for a sentence of an unknown kind. A heading sentence with a time gets its UTC as `t_device`,
+        or NaN as long as the received positions had no fix.
 
         Parameters
         ----------
@@ -165,15 +180,19 @@ class Sentences:
         return frames
 
     def forget(self) -> None:
-        """Discard all values from earlier NMEA sentences, because the port was reopened."""
+        """Discard the incomplete epoch of NMEA sentences and the values for the next heading.
+
+        The decoder calls it because the port was reopened. The date is kept.
+        """
         self.epochs.forget()
         self.headings.forget()
 
 
 def encode(gnss: Gnss) -> bytes:
-    """Encode a fix as the sentences GGA, RMC, VTG and GST of one epoch.
+    """Encode a fix as the NMEA sentences GGA, RMC, VTG and GST of one epoch.
 
-    The resolution of the time is 1 ms. The resolution of the position is 1e-7 minutes (0.2 mm).
+    The resolution of the time is 1 ms. The resolution of the position is 1e-7 minutes (0.2 mm). The UTC has to be a
+    number. The position is empty without a fix or with NaN. Other fields are empty if their values are NaN.
     """
     milliseconds = round(gnss.utc * 1000.0)
     when = datetime.datetime.fromtimestamp(milliseconds // 1000, datetime.UTC)
@@ -233,7 +252,7 @@ class _Epoch:
     position
         Latitude and longitude [deg], by kind of sentence.
     values
-        Other values by name, in SI units; latitude and longitude are in degrees.
+        Other values by name, in SI units and rad.
     """
 
     seconds: float
@@ -245,12 +264,12 @@ class _Epoch:
 
     @property
     def timeless(self) -> bool:
-        """Whether the epoch has no time of the day."""
+        """Whether the NMEA sentences of the epoch have no time of the day."""
         return math.isnan(self.seconds)
 
 
 class Epochs:
-    """Collector of position sentences: it joins the sentences of one epoch to one `Gnss` sample.
+    """Collector of position sentences: it joins the NMEA sentences of one epoch (one time) to one `Gnss` sample.
 
     An epoch is complete when all kinds of sentence of the last few epochs have been received, or when the next epoch
     begins. `t_rx` of a sample is the time of receipt of the epoch's first sentence, which is nearest to the
@@ -260,12 +279,17 @@ class Epochs:
     seconds until then. Before the first date (RMC or ZDA), the date is chosen so that the UTC is nearest to `t_rx`. A
     receiver without any time gives samples without a fix, and their UTC is NaN.
 
-    The sentence VTG contains no time. It usually belongs to the epoch of the sentence before it. If it regularly
-    arrives between two epochs and nearer to the later one, it is the first sentence of the later epoch.
+    The sentence VTG (course and speed) contains no time. It usually belongs to the epoch of the sentence before it. If
+    it regularly arrives between two epochs and nearer to the later one, it is the first sentence of the later epoch.
+
+    Attributes
+    ----------
+    n_conflicts : int
+        Number of sentences whose epoch already had another position by the same kind of sentence.
     """
 
     def __init__(self) -> None:
-        """Start without received sentences."""
+        """Start the collector of position sentences without received sentences."""
         self._out: list[Frame] = []
         self._epoch: _Epoch | None = None
         self._emitted = False  # whether the sample of the present epoch has been returned
@@ -284,15 +308,19 @@ class Epochs:
 
     @property
     def remark(self) -> str:
-        """Note that two receivers send in the stream, in one line; empty if their epochs have one position each."""
+        """Note for the user that two receivers send in one stream, in one line.
+
+        It is empty as long as fewer than 5 positions (FEWEST_CONFLICTS) differed from another position with the same
+        time and kind of sentence.
+        """
         if self.n_conflicts < FEWEST_CONFLICTS:
             return ""
         return f"two receivers send in one stream: {self.n_conflicts} positions have the time of another position"
 
     def take(self, kind: str, body: bytes, t_rx: float) -> list[Frame] | None:
-        """Decode one NMEA sentence and add it to its epoch. Return the samples that it completes.
+        """Decode one NMEA sentence and add it to its epoch. Return the `Gnss` samples that it completes.
 
-        Return None if the sentence is invalid.
+        Return None if the sentence cannot be split into fields.
 
         Parameters
         ----------
@@ -310,36 +338,40 @@ class Epochs:
         return self._pop_completed()
 
     def flush(self) -> list[Frame]:
-        """Return the GNSS sample of the last epoch at the end of the stream.
+        """Return the GNSS sample of the last epoch (the sentences with the same time) at the end of the stream.
 
-        The list is empty if it was returned before.
+        The list is empty if it was returned before, or if the epoch has no position sentence.
         """
         self._emit_epoch()
         return self._pop_completed()
 
     def forget(self) -> None:
-        """Discard the incomplete epoch and the learned order of the NMEA sentences, because the port was reopened.
+        """Discard the incomplete epoch and the learned place of VTG, because the port was reopened.
 
-        The date is kept.
+        Whether there has been a fix is forgotten too. The date (by the UTC of the last epoch), the dimension of the fix
+        by GSA, and the kinds of sentence that are expected in an epoch are kept.
         """
         self._epoch = self._vtg = self._timed = None
         self._t_last, self._vtg_leads, self._epochs_against_order = -math.inf, False, ORDER_BY - 1
 
     @property
     def has_time(self) -> bool:
-        """Whether the receiver's UTC is from a fix, and not from its own clock.
+        """Whether the receiver has had a fix, so that its UTC is not from its own clock.
 
         True if no position was received yet.
         """
         return self._timed is not False
 
     def _pop_completed(self) -> list[Frame]:
-        """Return the GNSS samples that are complete, and remove them from the list of this collector."""
+        """Return the completed `Gnss` samples that no earlier call has returned."""
         out, self._out = self._out, []
         return out
 
     def _add_sentence(self, kind: str, message: Message, words: list[bytes], t_rx: float) -> None:
         """Add one NMEA sentence to its epoch, which begins with the first sentence that has another time.
+
+        Of GSA, only the dimension of the fix is stored. VTG is added to the present epoch, or kept for the next one if
+        VTG is the first sentence of an epoch. A sentence without a time is added by `_add_timeless_sentence`.
 
         Parameters
         ----------
@@ -378,10 +410,11 @@ class Epochs:
         self._add_values(kind, message)
 
     def _add_timeless_sentence(self, kind: str, message: Message, t_rx: float) -> None:
-        """Add a sentence without a time. A receiver that has never had a fix sends these sentences.
+        """Add a position sentence without a time. A receiver that has never had a fix sends these sentences.
 
-        A new epoch begins when a kind of sentence arrives that the present epoch already has. If the receiver also
-        sends sentences with a time, a sentence without a time (for example an old GLL) is ignored.
+        A new epoch begins when a kind of sentence arrives that the present epoch already has. A sentence (for example
+        an old GLL) is ignored if it is not a position, or if the present epoch has a time and began at most 1.5 s
+        (TIMELESS_S) ago. `message` has the fields by name, and `t_rx` is the run time of receipt [s].
         """
         epoch = self._epoch
         if kind not in _POSITION or not (epoch is None or epoch.timeless or t_rx - epoch.t_rx > TIMELESS_S):
@@ -394,7 +427,9 @@ class Epochs:
         """Decide from a VTG between two epochs whether VTG is the first or the last sentence of an epoch.
 
         `before` is the time [s] from the previous sentence to the VTG, `after` the time [s] from the VTG to the next
-        sentence.
+        sentence. VTG seems to be the first if `before` is more than twice `after`, and the last if `after` is longer.
+        The order changes after three epochs in a row (ORDER_BY) that speak against it; the very first decision needs
+        one.
         """
         if math.isfinite(before) and before > 2.0 * after:
             leads = True
@@ -407,9 +442,10 @@ class Epochs:
             self._vtg_leads, self._epochs_against_order = leads, 0
 
     def _begin_epoch(self, seconds: float, t_rx: float) -> None:
-        """Complete the present epoch, and begin the epoch with this time of the day [s].
+        """Complete the present epoch of NMEA sentences, and begin the next epoch.
 
-        `t_rx` is the run time of receipt [s] of its first sentence.
+        `seconds` is its time of the day [s], NaN without a time. `t_rx` is the run time of receipt [s] of its first
+        sentence.
         """
         if self._epoch is not None:
             self._emit_epoch()
@@ -418,9 +454,10 @@ class Epochs:
         self._epoch, self._emitted = _Epoch(seconds, t_rx), False
 
     def _add_values(self, kind: str, message: Message) -> None:
-        """Add the values of a sentence to the present epoch, and emit the epoch if it is complete.
+        """Add the values of an NMEA sentence to the present epoch. Complete the epoch if it has all expected sentences.
 
-        Without an epoch nothing happens.
+        Without an epoch nothing happens. If the epoch already had another position by the same kind of sentence, a
+        conflict is counted. `message` has the fields by name.
         """
         epoch = self._epoch
         if epoch is None:
@@ -437,7 +474,7 @@ class Epochs:
     def _emit_epoch(self) -> None:
         """Append the GNSS sample of the present epoch to the completed ones.
 
-        Nothing happens if this has been done, or if the epoch has no position sentence.
+        Nothing is appended if this has been done, or if the epoch has no position sentence.
         """
         epoch = self._epoch
         if epoch is None or self._emitted:
@@ -451,9 +488,10 @@ class Epochs:
         self._out.append(Frame(sample, epoch.t_rx, utc if self._timed else NAN))
 
     def _utc_of_epoch(self, epoch: _Epoch) -> float:
-        """Return the UTC [s since 1970] of an epoch, by its own date if it has one, and store it for the next epoch.
+        """Return the UTC [s since 1970] of an epoch, and store it for the date of the next epoch.
 
-        NaN if the epoch has no time.
+        The epoch's own date is used. Without one, the date is chosen so that the UTC is nearest to that of the last
+        epoch, or to the time of receipt. NaN if the epoch has no time.
         """
         if epoch.date is not None:
             midnight = datetime.datetime.combine(epoch.date, datetime.time(), datetime.UTC)
@@ -465,10 +503,10 @@ class Epochs:
         return utc
 
     def utc_of(self, seconds: float, t_rx: float) -> float:
-        """Return the UTC [s since 1970] of a time of the day [s] without a date.
+        """Return the UTC [s since 1970] of a time of the day [s] without a date; NaN for NaN.
 
-        The date is chosen so that the UTC is nearest to that of the last epoch. Without an epoch it is nearest to
-        `t_rx`.
+        The date is chosen so that the UTC is nearest to that of the last epoch. Without an earlier epoch it is nearest
+        to `t_rx`, the time of receipt [s since 1970].
         """
         return nearest_day(seconds, self._last_utc if math.isfinite(self._last_utc) else t_rx)
 
@@ -484,7 +522,7 @@ def _gnss_sample(epoch: _Epoch, utc: float, mode_gsa: int) -> Gnss:
     """Return the `Gnss` sample of an epoch of NMEA sentences.
 
     `utc` is its UTC [s since 1970], and `mode_gsa` the dimension of the fix by GSA: 2 or 3, 1 without a fix, 0 without
-    GSA.
+    GSA. Missing values are NaN. Without a position, `fix` is 0. The position is from GGA, or else GNS, RMC, GLL.
     """
     value = epoch.values
     fix = int(value.get("quality", value.get("mode", 0)))
@@ -515,7 +553,7 @@ def _gnss_sample(epoch: _Epoch, utc: float, mode_gsa: int) -> Gnss:
 def _parse_sentence(body: bytes) -> Message | None:
     """Return the fields of an NMEA sentence by name, as pynmeagps splits them; None if it cannot split them.
 
-    A sentence that is shorter than the standard lacks the last fields.
+    `body` is the text between `$` and `*`. A sentence that is shorter than the standard lacks the last fields.
     """
     try:
         return dict(vars(NMEAReader.parse(b"$%b*00\r\n" % body, validate=0)))
@@ -526,9 +564,10 @@ def _parse_sentence(body: bytes) -> Message | None:
 
 
 def _time_of_day(words: list[bytes], index: int) -> float:
-    """Return the time of the day [s] in the word of an NMEA sentence with this index; NaN if it is empty or invalid.
+    """Return the time of the day [s] in the word of an NMEA sentence with this index (`hhmmss.ss`).
 
-    A leap second (:60) is valid. pynmeagps rejects it, so its time is not used.
+    NaN if the word is missing, empty or invalid. A leap second (:60) is valid. pynmeagps rejects it, so its time is not
+    used.
     """
     match = _TIME.match(words[index]) if index < len(words) else None
     if match is None:
@@ -538,7 +577,10 @@ def _time_of_day(words: list[bytes], index: int) -> float:
 
 
 def _read_gga(epoch: _Epoch, message: Message) -> None:
-    """Store fix and satellites of GGA in the epoch; position, height and HDOP only with a fix."""
+    """Store fix and satellites of an NMEA sentence GGA in the epoch; position, height and HDOP only with a fix.
+
+    `message` has the fields by name. Empty fields are not stored.
+    """
     fix = _QUALITY.get(_to_integer(message.get("quality"), 0), 0)
     epoch.values["quality"] = fix
     _store_finite(epoch, "n_sat", _to_number(message.get("numSV")))
@@ -549,7 +591,11 @@ def _read_gga(epoch: _Epoch, message: Message) -> None:
 
 
 def _read_gns(epoch: _Epoch, message: Message) -> None:
-    """Store the best fix of all systems and the position of GNS in the epoch."""
+    """Store the position of an NMEA sentence GNS, and the best fix of its satellite systems, in the epoch.
+
+    A fix that the epoch already has from RMC or GLL is kept. Without a fix the position is not stored. `message` has
+    the fields by name.
+    """
     fix = max((_MODE.get(letter, 0) for letter in str(message.get("posMode", ""))), default=0)
     epoch.values.setdefault("mode", fix)
     if fix:
@@ -557,7 +603,11 @@ def _read_gns(epoch: _Epoch, message: Message) -> None:
 
 
 def _read_rmc(epoch: _Epoch, message: Message) -> None:
-    """Store date, fix, position, speed and course of RMC in the epoch; the last three only if the sentence is valid."""
+    """Store date, fix, position, speed and course of an NMEA sentence RMC in the epoch.
+
+    If the sentence is flagged as invalid, only the date and the kind of fix (0) are stored. `message` has the fields by
+    name.
+    """
     if isinstance(date := message.get("date"), datetime.date):
         # RMC has two digits of the year. Before its first fix a receiver may send a year from 1980 on.
         century = 100 if date.year >= 2080 else 0
@@ -570,20 +620,30 @@ def _read_rmc(epoch: _Epoch, message: Message) -> None:
 
 
 def _read_gll(epoch: _Epoch, message: Message) -> None:
-    """Store the position of GLL in the epoch if it is valid."""
+    """Store the position of an NMEA sentence GLL in the epoch, unless the sentence is flagged as invalid.
+
+    The fix becomes 3 if the epoch has none by RMC or GNS. `message` has the fields by name.
+    """
     if message.get("status") == "A":
         epoch.values.setdefault("mode", 3)
         _store_position(epoch, "GLL", message)
 
 
 def _read_vtg(epoch: _Epoch, message: Message) -> None:
-    """Store speed and course of VTG in the epoch, unless the epoch has an RMC."""
+    """Store speed and course of an NMEA sentence VTG in the epoch, unless the epoch has an RMC with the same values.
+
+    `message` has the fields by name.
+    """
     if "RMC" not in epoch.kinds:  # RMC has the same values, and it contains the time of its epoch
         _store_motion(epoch, _to_number(message.get("sogk")) / 3.6, _to_number(message.get("cogt")))
 
 
 def _read_gst(epoch: _Epoch, message: Message) -> None:
-    """Store the standard deviation of the position per axis of GST in the epoch [m]."""
+    """Store the standard deviation of the horizontal position per axis [m] of an NMEA sentence GST in the epoch.
+
+    It is the root mean square of those of latitude and longitude. Nothing is stored if one of them is empty. `message`
+    has the fields by name.
+    """
     _store_finite(
         epoch,
         "sigma_h",
@@ -592,7 +652,10 @@ def _read_gst(epoch: _Epoch, message: Message) -> None:
 
 
 def _read_zda(epoch: _Epoch, message: Message) -> None:
-    """Store the date of ZDA in the epoch if it is valid."""
+    """Store the date of an NMEA sentence ZDA in the epoch. An invalid date is ignored.
+
+    `message` has the fields by name.
+    """
     try:
         epoch.date = datetime.date(
             int(message.get("year", "")), int(message.get("month", "")), int(message.get("day", ""))
@@ -602,7 +665,10 @@ def _read_zda(epoch: _Epoch, message: Message) -> None:
 
 
 def _store_position(epoch: _Epoch, kind: str, message: Message) -> None:
-    """Store latitude and longitude [deg] of an NMEA sentence if both are in range."""
+    """Store latitude and longitude [deg] of an NMEA sentence in the epoch, under its kind, if both are in range.
+
+    `message` has the fields by name.
+    """
     lat, lon = _to_number(message.get("lat")), _to_number(message.get("lon"))
     if abs(lat) <= 90.0 and abs(lon) <= 180.0:
         epoch.position[kind] = (lat, lon)
@@ -615,14 +681,17 @@ def _store_finite(epoch: _Epoch, name: str, value: float) -> None:
 
 
 def _store_motion(epoch: _Epoch, speed: float, course_deg: float) -> None:
-    """Store speed [m/s] and course [deg, converted to rad] over ground in the epoch, if the speed is finite."""
+    """Store speed [m/s] and course [deg, converted to rad] over ground in the epoch, if the speed is finite.
+
+    The course may be NaN.
+    """
     if math.isfinite(speed):
         epoch.values["speed"] = speed
         epoch.values["course"] = math.radians(course_deg)
 
 
 def _to_number(word: Any) -> float:
-    """Return a field of an NMEA sentence, as pynmeagps gives it, as a number; NaN if it is empty, that is a text."""
+    """Return a field of an NMEA sentence, as pynmeagps gives it, as a number; NaN if it is empty or a text."""
     return float(word) if isinstance(word, (int, float)) else NAN
 
 
@@ -641,19 +710,32 @@ _READERS = {
 
 
 class Headings:
-    """Converter of heading sentences to `Ahrs` samples, and of XDR to `Transducer` samples.
+    """Converter of heading sentences of NMEA 0183 to `Ahrs` samples, and of XDR to `Transducer` samples.
 
-    The best kind of sentence received so far gives the yaw. Pitch and roll are from the same sentence or from XDR
-    before it. The yaw rate is from ROT before it. Missing values are NaN.
+    The best kind of sentence received so far gives the yaw; other kinds give no sample. Pitch and roll are from the
+    same sentence or from XDR before it. The yaw rate is from ROT before it. Missing values are NaN.
 
-    Magnetic headings are corrected by the variation in HDG. If it is missing, they are corrected by `declination`
-    [rad, positive to the east]. Without both they give no sample, and `remark` reports this.
+    Parameters
+    ----------
+    declination
+        True heading minus magnetic heading [rad], positive to the east. None if it is unknown. It corrects magnetic
+        headings without a variation in HDG. If both are missing, magnetic headings give no sample, and `remark` reports
+        this.
+    signal_ending
+        Ending of the names of transducers. None if transducers are to be left out.
 
-    The names of transducers end with `signal_ending`. If it is None, transducers give no samples.
+    Attributes
+    ----------
+    remark : str
+        Advice for the user, in one line; empty if there is none.
     """
 
     def __init__(self, declination: float | None = None, signal_ending: str | None = None) -> None:
-        """Start without received sentences. The parameters are described in the docstring of the class."""
+        """Start without received sentences.
+
+        `declination` is the true heading minus the magnetic heading [rad], None if it is unknown. `signal_ending` is
+        the ending of the names of transducers, None to leave transducers out.
+        """
         self.remark = ""
         self._signal_ending = signal_ending
         self._declination = declination
@@ -668,12 +750,14 @@ class Headings:
     def take(self, kind: str, body: bytes, t_rx: float) -> list[Frame] | None:
         """Decode one NMEA sentence with heading, rate of turn or transducers. Return its samples.
 
-        Return None if its fields are invalid, and an empty list for other kinds of sentences.
+        Return None if its fields are invalid. Return an empty list for other kinds of sentences, for a heading of a
+        worse kind than an earlier one, for a heading that is flagged as invalid or above 360 deg, and for a magnetic
+        heading that cannot be corrected.
 
         Parameters
         ----------
         kind
-            Kind of the sentence, such as "HDT".
+            Kind of the sentence, such as "HDT"; empty for a proprietary sentence, whose kind is found in `body`.
         body
             Text between `$` and `*`.
         t_rx
@@ -709,9 +793,10 @@ class Headings:
         return [Frame(Ahrs(wrap_angle(yaw), pitch, roll, r=rate), t_rx, NAN)]
 
     def _store_rate_of_turn(self, words: list[bytes]) -> list[Frame] | None:
-        """Store the rate of turn of an NMEA sentence ROT for the next heading sample.
+        """Store the rate of turn of an NMEA sentence ROT, given as its fields, for the next heading sample.
 
-        Return an empty list, or None if the rate is not a number.
+        Return an empty list, or None if the rate is not a number. An empty rate, or one flagged as invalid, is not
+        stored.
         """
         if len(words) < 3 or words[2] != b"A" or not words[1]:
             return []
@@ -722,11 +807,11 @@ class Headings:
         return []
 
     def _store_transducers(self, words: list[bytes], t_rx: float) -> list[Frame] | None:
-        """Store pitch and roll of XDR for the next heading, and return the samples of its other transducers.
+        """Store pitch and roll of an NMEA sentence XDR for the next heading. Return the samples of other transducers.
 
-        XDR contains groups of kind, value, unit and name. Pitch and roll are in degrees, positive with the bow up and
-        with starboard down. A transducer without a name or without a number is left out. None if pitch or roll is not
-        a number.
+        `words` are the fields of the sentence, with groups of kind, value, unit and name. Pitch and roll are in
+        degrees, positive with the bow up and with starboard down. A transducer without a name or without a number is
+        left out; all are if `signal_ending` is None. Return None if pitch or roll is not a number.
         """
         frames = []
         for at in range(1, len(words) - 3, 4):
@@ -743,9 +828,10 @@ class Headings:
         return frames
 
     def _heading_correction(self, kind: str, words: list[bytes]) -> float:
-        """Return the true heading minus the heading in a sentence [rad]; NaN if it is unknown.
+        """Return the true heading minus the heading in an NMEA sentence [rad]; NaN if it is unknown.
 
-        The difference is zero for true headings. For magnetic headings it is variation plus deviation.
+        The difference is zero for true headings. For magnetic headings (HDG, HDM) it is variation plus deviation. The
+        variation is that of the sentence, or else the declination of the rig. A missing deviation counts as zero.
         """
         if kind not in ("HDG", "HDM"):
             return 0.0
@@ -757,9 +843,10 @@ class Headings:
 
 
 def _is_void(kind: str, words: list[bytes]) -> bool:
-    """Return whether a heading sentence of this kind reports by its flags that its heading is invalid.
+    """Return whether a heading sentence of NMEA 0183 reports by its flags that its heading is invalid.
 
-    `words` are the fields of the sentence as text.
+    `kind` is THS, PSTI or PASHR; sentences of other kinds have no such flag, and the result is False. `words` are the
+    fields of the sentence as text.
     """
     if kind == "THS":
         return words[-1] not in _THS_VALID
@@ -770,9 +857,9 @@ def _is_void(kind: str, words: list[bytes]) -> bool:
 
 
 def _signed_angle(words: list[bytes], index: int) -> float:
-    """Return an angle [rad] of an NMEA sentence: the word with this index, with the sign of the next word, E or W.
+    """Return an angle [rad] of an NMEA sentence: the word with this index in degrees, negative if the next word is W.
 
-    The result is NaN if the word is empty or invalid.
+    The result is NaN if the word is not a number, or if the next word is neither E nor W.
     """
     if len(words) < index + 2 or words[index + 1] not in (b"E", b"W") or not _NUMBER.match(words[index]):
         return NAN
@@ -780,7 +867,10 @@ def _signed_angle(words: list[bytes], index: int) -> float:
 
 
 def _parse_numbers(words: list[bytes], places: tuple[int, ...]) -> list[float] | None:
-    """Return the numbers in the words of an NMEA sentence with these indices; None if one is not a number."""
+    """Return the numbers in the words of an NMEA sentence with these indices.
+
+    Return None if one is missing, not a number, or longer than 20 characters.
+    """
     numbers = []
     for place in places:
         if place >= len(words) or not _NUMBER.match(words[place]) or len(words[place]) > 20:

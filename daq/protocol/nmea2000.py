@@ -38,19 +38,26 @@ _PRIORITY = {HEADING: 2, TURN: 2, ATTITUDE: 3, VARIATION: 7, COURSE: 2, FIX: 3}
 
 
 def identifier(pgn: int, source: int) -> int:
-    """Return the 29-bit CAN identifier of a message of NMEA 2000 (PGN) from address `source` to all addresses."""
+    """Return the 29-bit CAN identifier of a message of NMEA 2000 from address `source` to all addresses.
+
+    `pgn` is the number of the message. The priority is that of the standard, or 6 for a message that this module does
+    not decode.
+    """
     return _PRIORITY.get(pgn, 6) << 26 | pgn << 8 | source
 
 
 def split_identifier(word: int) -> tuple[int, int]:
-    """Return the message number (PGN) and the source address in a 29-bit CAN identifier of NMEA 2000."""
+    """Return the message number (PGN) and the source address in a 29-bit CAN identifier of NMEA 2000.
+
+    The destination address, which some identifiers contain, is left out.
+    """
     pgn = word >> 8 & 0x3FFFF
     return (pgn if pgn >> 8 & 0xFF >= 0xF0 else pgn & ~0xFF), word & 0xFF
 
 
 @dataclass
 class _Packet:
-    """Received frames of an incomplete fast packet.
+    """Received frames of an incomplete fast packet: an NMEA 2000 message that is longer than one CAN frame.
 
     Attributes
     ----------
@@ -71,11 +78,11 @@ class _Packet:
 
 
 class Decoder(FrameDecoder):
-    """Decoder of the frames of a ship's bus to `Ahrs` and `Gnss` samples.
+    """Decoder of the CAN frames of a ship's bus (NMEA 2000) to `Ahrs` and `Gnss` samples.
 
     A heading gives one `Ahrs` with the newest pitch and roll. A rate of turn gives a separate `Ahrs`. A fix gives one
     `Gnss`. Its velocity is the newest course and speed over ground of the same sender, or of any sender if this one
-    sends none.
+    sends none. `t_device` of a fix is its UTC, NaN before the first fix of its sender; that of an `Ahrs` is NaN.
 
     If several senders send the same message, only one of them is used as long as it sends. The priorities are: a true
     heading before a magnetic heading; a receiver with a fix before a receiver without one; a fix with a number of
@@ -86,12 +93,13 @@ class Decoder(FrameDecoder):
     """
 
     def __init__(self, declination: float | None = None, settle: float = SETTLE_S) -> None:
-        """Start without received state.
+        """Start the decoder of a ship's bus without received messages.
 
         Parameters
         ----------
         declination
-            True heading minus magnetic heading [rad], positive to the east. None if it is unknown.
+            True heading minus magnetic heading [rad], positive to the east, for magnetic headings without a variation.
+            None if it is unknown.
         settle
             Time [s] after the first message of a kind in which no sample is returned. It serves to find all senders.
         """
@@ -109,7 +117,11 @@ class Decoder(FrameDecoder):
         self._forget_state()
 
     def _forget_state(self) -> None:
-        """Discard all received state: incomplete packets, ranks of the senders, and values for the next samples."""
+        """Discard all values from earlier messages, because the port was reopened.
+
+        These are incomplete packets, ranks of the senders, and values for the next samples. The first call creates
+        them.
+        """
         self._packets: dict[int, _Packet] = {}  # incomplete fixes by source
         self._senders: dict[int, dict[tuple[int, int], float]] = {}  # PGN -> rank and source -> last t_rx [s]
         self._since: dict[int, float] = {}  # PGN -> first t_rx [s]
@@ -121,9 +133,9 @@ class Decoder(FrameDecoder):
         self._timed: set[int] = set()  # sources that had a fix; before a fix their time is from their own clock
 
     def _decode_can_frame(self, identifier: int, extended: bool, data: bytes, t_rx: float) -> list[Frame]:
-        """Decode one CAN frame of an NMEA 2000 message that this decoder reads.
+        """Decode one CAN frame if its NMEA 2000 message is used; return no sample otherwise.
 
-        Return the samples that it completes.
+        Return the samples that it completes. A frame that is too short counts as unparsed bytes.
         """
         pgn, source = split_identifier(identifier)
         if not extended or pgn not in self._take_message:
@@ -144,8 +156,8 @@ class Decoder(FrameDecoder):
     def _complete_packet(self, source: int, data: bytes) -> bytes | None:
         """Return the message that this CAN frame of a fast packet completes, or None.
 
-        `source` is the sender's address. The frames of an incomplete packet count as unparsed when another packet
-        begins.
+        `source` is the sender's address. A frame that does not continue the packet of its sender is discarded with this
+        packet. A complete message is discarded if it is shorter than a fix. Discarded frames count as unparsed bytes.
         """
         if len(data) < 2:
             self._drop_packet(source, 1)
@@ -170,9 +182,9 @@ class Decoder(FrameDecoder):
         return bytes(packet.data[: packet.length])
 
     def _drop_packet(self, source: int, frames: int = 0) -> None:
-        """Discard the incomplete fast packet of a source address, if there is one.
+        """Discard the incomplete fast packet of the sender with the address `source`, if there is one.
 
-        Its frames, and `frames` more, count as unparsed.
+        Its frames, and `frames` more, count as unparsed bytes.
         """
         packet = self._packets.pop(source, None)
         self.unparsed_bytes += FRAME_BYTES * (frames + (packet.frames if packet is not None else 0))
@@ -180,13 +192,15 @@ class Decoder(FrameDecoder):
     def _has_settled(self, pgn: int, t_rx: float) -> bool:
         """Return whether enough time has passed to have found all senders of a message, so that the best one is known.
 
-        `pgn` is the number of the message and `t_rx` the run time of receipt [s]. The first call for a message starts
-        the time.
+        The time (1.2 s by default) starts with the first call for a message. `pgn` is the number of the message and
+        `t_rx` the run time of receipt [s].
         """
         return t_rx - self._since.setdefault(pgn, t_rx) >= self._settle
 
     def _is_best_sender(self, pgn: int, rank: int, source: int, t_rx: float) -> bool:
-        """Return whether this message is from the sender that is used, which has the best rank (lowest number).
+        """Return whether a message is from the sender that is used, and note that this sender is active.
+
+        The sender with the lowest rank is used; of several, the one with the lowest address.
 
         Parameters
         ----------
@@ -212,7 +226,8 @@ class Decoder(FrameDecoder):
         """Return the sample of a heading from the best sender, with the newest pitch and roll.
 
         The list is empty for an invalid heading, for another sender, before all senders are found, and for a magnetic
-        heading with an unknown variation.
+        heading with an unknown variation. Pitch and roll are NaN if they are older than 2 s (STALE_S). `source` is the
+        sender's address, and `data` are the bytes of the message.
         """
         raw, deviation, variation, reference = _HEADING.unpack_from(data)
         yaw, magnetic = _unsigned16(raw, _ANGLE), reference & 3 == MAGNETIC
@@ -236,9 +251,9 @@ class Decoder(FrameDecoder):
         return [Frame(Ahrs(wrap_angle(yaw), pitch, roll), t_rx, NAN)]
 
     def _resolve_variation(self, message_variation: float) -> float:
-        """Return the variation, true minus magnetic [rad], NaN if it is unknown.
+        """Return the magnetic variation, true minus magnetic heading [rad]; NaN if it is unknown.
 
-        `message_variation` is the variation in the message itself. If it is NaN, the variation on the bus or the
+        `message_variation` is the variation in the message itself. If it is NaN, the variation on the bus or else the
         declination of the rig is returned.
         """
         for value in (message_variation, self._bus_variation, self._declination):
@@ -247,7 +262,11 @@ class Decoder(FrameDecoder):
         return NAN
 
     def _turn(self, source: int, data: bytes, t_rx: float) -> list[Frame]:
-        """Return the sample of a rate of turn from the best sender; none for other senders and invalid rates."""
+        """Return the sample of a rate of turn from the best sender; its angles are NaN.
+
+        The list is empty for another sender, for an invalid rate, and before all senders are found. `source` is the
+        sender's address, and `data` are the bytes of the message.
+        """
         (raw,) = _TURN.unpack_from(data)
         rate = raw * _RATE if raw < 2**31 - 3 else NAN
         if math.isnan(rate) or not self._is_best_sender(TURN, 0, source, t_rx) or not self._has_settled(TURN, t_rx):
@@ -255,21 +274,34 @@ class Decoder(FrameDecoder):
         return [Frame(Ahrs(NAN, NAN, NAN, r=rate), t_rx, NAN)]
 
     def _attitude(self, source: int, data: bytes, t_rx: float) -> list[Frame]:
-        """Store pitch and roll of the best sender for the next heading. Return no sample."""
+        """Store pitch and roll of the best sender for the next heading. Return no sample.
+
+        Other senders and invalid angles are ignored. `source` is the sender's address, and `data` are the bytes of the
+        message.
+        """
         _, pitch, roll = (_signed16(raw, _ANGLE) for raw in _ATTITUDE.unpack_from(data))
         if not math.isnan(pitch + roll) and self._is_best_sender(ATTITUDE, 0, source, t_rx):
             self._level = pitch, roll, t_rx
         return []
 
     def _variation(self, source: int, data: bytes, t_rx: float) -> list[Frame]:
-        """Store the variation of the best sender for magnetic headings and courses. Return no sample."""
+        """Store the magnetic variation of the best sender, for magnetic headings and courses. Return no sample.
+
+        Other senders and an invalid variation are ignored. `source` is the sender's address, and `data` are the bytes
+        of the message.
+        """
         variation = _signed16(_VARIATION.unpack_from(data)[2], _ANGLE)
         if not math.isnan(variation) and self._is_best_sender(VARIATION, 0, source, t_rx):
             self._bus_variation = variation
         return []
 
     def _course(self, source: int, data: bytes, t_rx: float) -> list[Frame]:
-        """Store course and speed over ground of a sender for its next fix. Return no sample."""
+        """Store course and speed over ground of a sender for its next fix. Return no sample.
+
+        Those of the best sender are also stored for fixes of other senders. A magnetic course is corrected by the
+        variation; it is NaN if that is unknown. Nothing is stored if the speed is invalid. `source` is the sender's
+        address, and `data` are the bytes of the message.
+        """
         reference, raw_course, raw_speed = _COURSE.unpack_from(data)
         course, speed = _unsigned16(raw_course, _ANGLE), _unsigned16(raw_speed, _SPEED)
         if reference & 3:
@@ -283,13 +315,22 @@ class Decoder(FrameDecoder):
         return []
 
     def _dops(self, source: int, data: bytes, t_rx: float) -> list[Frame]:
-        """Store the dimensions, 2 or 3, of a sender's fixes. Return no sample."""
+        """Store the dimensions, 2 or 3, of a sender's fixes from a message DOPs. Return no sample.
+
+        The message contains the dilution of precision and the mode, from which the dimensions follow. Other modes are
+        ignored. `source` is the sender's address, and `data` are the bytes of the message.
+        """
         if (mode := _DOPS.unpack_from(data)[0] >> 3 & 7) in _DIMENSIONS:
             self._dimensions[source] = _DIMENSIONS[mode], t_rx
         return []
 
     def _fix(self, source: int, data: bytes, t_rx: float) -> list[Frame]:
-        """Return the sample of a fix from the best sender, with its newest course and speed; none for other senders."""
+        """Return the sample of a fix from the best sender, with its newest course and speed.
+
+        If this sender sends none, the newest course and speed of the best other sender are used; those older than 2 s
+        (STALE_S) become NaN. The list is empty for another sender, and before all senders are found. Without a valid
+        position, `fix` is 0. `source` is the sender's address, and `data` are the bytes of the message.
+        """
         day, ticks, lat, lon, alt, method, _, n_sat, hdop, _, _ = _FIX.unpack_from(data)
         counts = 0 < n_sat < 0xFD  # a device that relays fixes of another device often omits the number of satellites
         place = lat * _PLACE, lon * _PLACE
@@ -335,16 +376,22 @@ def _signed16(raw: int, scale: float) -> float:
 
 
 def encode(sample: Ahrs | Gnss, sid: int = 0, source: int = 35) -> list[tuple[int, bytes]]:
-    """Encode a sample as the CAN frames (identifier, data) of a compass or a receiver.
+    """Encode a sample as the CAN frames of a compass or a GNSS receiver on an NMEA 2000 bus.
 
     Parameters
     ----------
     sample
-        Sample. Messages whose values are NaN are left out.
+        Sample. Of an `Ahrs`, the messages rate of turn, attitude and heading are sent if their values are not NaN. Of a
+        `Gnss`, the fix is sent, and course and speed if the speed is not NaN; its UTC has to be a number.
     sid
         Sequence id that joins the messages of one measurement, 0 to 252.
     source
         Address of the sender.
+
+    Returns
+    -------
+    list of tuple of int and bytes
+        CAN identifier (29 bits) and data of each frame.
     """
     if isinstance(sample, Gnss):
         return _encode_gnss(sample, sid, source)
@@ -363,7 +410,8 @@ def encode(sample: Ahrs | Gnss, sid: int = 0, source: int = 35) -> list[tuple[in
 def _encode_gnss(fix: Gnss, sid: int, source: int) -> list[tuple[int, bytes]]:
     """Encode a fix as CAN frames (identifier, data): course and speed over ground if it has a speed, then the fix.
 
-    `sid` joins the messages of one measurement, and `source` is the address of the sender.
+    NaN is sent as "not available"; the UTC has to be a number. `sid` joins the messages of one measurement, and
+    `source` is the address of the sender.
     """
     out = []
     if not math.isnan(fix.speed):
@@ -384,9 +432,23 @@ def _encode_gnss(fix: Gnss, sid: int, source: int) -> list[tuple[int, bytes]]:
 
 
 def fast_packet(pgn: int, body: bytes, sequence: int, source: int = 35) -> list[tuple[int, bytes]]:
-    """Encode a message of at most 223 bytes as the frames (identifier, data) of a fast packet.
+    """Encode an NMEA 2000 message of 7 to 223 bytes as the CAN frames of a fast packet.
 
-    `sequence`, 0 to 7, is the number of the packet.
+    Parameters
+    ----------
+    pgn
+        Number of the message.
+    body
+        Bytes of the message. The last frame is filled with 0xFF.
+    sequence
+        Number of the packet, 0 to 7.
+    source
+        Address of the sender.
+
+    Returns
+    -------
+    list of tuple of int and bytes
+        CAN identifier (29 bits) and data of each frame.
     """
     pieces = [bytes((len(body),)) + body[:6], *(body[at : at + 7] for at in range(6, len(body), 7))]
     return [

@@ -20,25 +20,31 @@ _NUMBER = re.compile(rb"-?\d{1,12}(\.\d{0,9})?\Z")
 
 
 class Decoder(LineDecoder):
-    """Decoder of the lines to `LoadCell` samples.
+    """Decoder of the text lines of a SparkFun OpenScale board to `LoadCell` samples.
 
     If the lines contain the raw reading of the HX711 converter, it becomes `counts` and is checked for saturation and
-    spikes. Otherwise `counts` is the scaled reading. `t_device` is the clock of the scale, in s since its start.
+    spikes. Otherwise `counts` is the scaled reading, which gets no flag. `t_device` is the time [s] since the start of
+    the board, NaN if the lines do not contain it. A line that is not a reading counts as unparsed bytes.
 
     Parameters
     ----------
     saturation
-        Largest raw reading of the converter [counts]; None if it is unknown.
+        Largest raw reading of the converter [counts]; None if it is unknown, and saturation is then not detected.
     force
-        Calibration from counts to N. Without it the force is the scaled reading, with kg and lbs converted to N.
+        Function that converts counts to N. If it is None, the force is the scaled reading, with kg and lbs converted to
+        N.
     skip_first
-        Whether to discard the first line after `reset` (`LineDecoder`).
+        Whether to discard the first line after `reset`, which may be incomplete.
     """
 
     def __init__(
         self, saturation: float | None = None, force: Callable[[float], float] | None = None, skip_first: bool = False
     ) -> None:
-        """Start without received lines. The parameters are those of the class."""
+        """Start without received lines.
+
+        `saturation` is the largest raw reading [counts], `force` the calibration from counts to N, and `skip_first`
+        whether to discard the first line after a reset.
+        """
         super().__init__(skip_first)
         self._flags = FlagDetector(saturation)
         self._force = force
@@ -46,9 +52,10 @@ class Decoder(LineDecoder):
         self._turns = 0
 
     def _decode_line(self, line: bytes, t_rx: float) -> Frame | None:
-        """Convert one line of the OpenScale board to a sample.
+        """Convert one text line of the OpenScale board to a sample with counts, force [N] and flags (saturated, spike).
 
-        Return None if it has no unit or a word is not a number.
+        Return None if the line has no unit kg or lbs after the reading, has more than six words, or has a word that is
+        not a number. `t_rx` is the run time of receipt [s].
         """
         words = line.rstrip(b"\r").rstrip(b",").split(b",")
         unit = next((k for k, word in enumerate(words) if word in NEWTON), 0)
@@ -64,9 +71,11 @@ class Decoder(LineDecoder):
         )
 
     def _device_time(self, words: list[bytes], unit: int) -> float:
-        """Return the time stamp [s], the first word if it is a whole number before the reading. NaN without it.
+        """Return the time since the start of the OpenScale board [s]; NaN if the line does not contain it.
 
-        The counter of the scale wraps after 49.7 days; the result does not.
+        The time is the first of the `words` of a line, if it is a whole number and not the reading. `unit` is the index
+        of the unit; the reading is before it. The board's counter of milliseconds wraps after 49.7 days; the result
+        does not.
         """
         if unit < 2 or not _INTEGER.match(words[0]) or words[0] == b"0":
             return NAN
@@ -78,7 +87,7 @@ class Decoder(LineDecoder):
 
 
 def encode(reading: float, unit: str = "kg", milliseconds: int | None = None, raw: int | None = None) -> bytes:
-    """Encode one reading of a load cell as a line of the OpenScale board.
+    """Encode one reading of a load cell as a line of the OpenScale board, with CR LF.
 
     Parameters
     ----------

@@ -21,19 +21,20 @@ _NOT_HEX = re.compile(rb"[^0-9A-Fa-f]")
 
 
 class Decoder(StreamDecoder[bytes]):
-    """Decoder of slcan lines to 16-byte `struct can_frame`.
+    """Decoder of slcan text lines to CAN frames, each as the 16 bytes of the `struct can_frame` of Linux.
 
-    Data frames with identifiers of 29 bits (`T`) and 11 bits (`t`) are decoded. A time stamp after the data is ignored,
-    because it wraps each minute.
+    Data frames with identifiers of 29 bits (`T`) and 11 bits (`t`) are decoded. All other lines, such as remote frames,
+    count as unparsed bytes. A time stamp after the data is ignored, because it wraps each minute.
     """
 
     sync = re.compile(rb"[Tt]")
     between = b"\r\n\azZ"  # line ends, and the acknowledgements of the adapter
 
     def _decode_frame(self, buffer: bytearray, start: int, t_rx: float) -> int:
-        """Decode the slcan line that begins at index `start` of the buffer, and append its CAN frame.
+        """Decode the slcan line that begins at index `start` of the buffer, and append its CAN frame to `self._out`.
 
-        Return its length in bytes, 0 if more bytes are needed, or -1 if no valid frame begins there.
+        The frame is appended as the 16 bytes of the `struct can_frame` of Linux. Return the length of the line in
+        bytes, 0 if more bytes are needed, or -1 if no valid line begins there. `t_rx` is not used.
         """
         digits = 8 if buffer[start] == ord("T") else 3
         stop = _NOT_HEX.search(buffer, start + 1, start + _LINE_MAX + 1)
@@ -56,7 +57,10 @@ class Decoder(StreamDecoder[bytes]):
 
 
 def encode(arbitration_id: int, data: bytes) -> bytes:
-    """Encode a CAN data frame with a 29-bit identifier as a line of slcan text."""
+    """Encode a CAN data frame with a 29-bit identifier as a line of slcan text with CR.
+
+    `data` has at most 8 bytes. This is not checked.
+    """
     return b"T%08X%d%b\r" % (arbitration_id, len(data), data.hex().upper().encode("ascii"))
 
 

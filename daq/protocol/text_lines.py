@@ -14,6 +14,8 @@ _SPIKE_BITS = 12  # below 2^12 - 1, numbers 2^n - 1 are ordinary readings and no
 class LineDecoder(ABC):
     """Base class of the decoders of lines of text. A subclass converts one line to a sample in `_decode_line`.
 
+    Lines of 256 bytes (LINE_MAX) or more are discarded and count as unparsed.
+
     Parameters
     ----------
     skip_first
@@ -25,11 +27,11 @@ class LineDecoder(ABC):
     end : bytes
         Line end.
     frames : int
-        Lines that were readings.
+        Number of lines that contained a reading.
     checksum_errors : int
         Always 0, because the lines have no checksum.
     unparsed_bytes : int
-        Bytes of lines that were no readings, without line ends.
+        Number of bytes of lines without a reading, not counting line ends.
     remark : str
         Advice about the stream for the user, in one line; empty if there is none.
     """
@@ -46,7 +48,10 @@ class LineDecoder(ABC):
         self._buffer = bytearray()
 
     def feed(self, data: bytes, t_rx: float) -> list[Frame]:
-        """Decode the bytes of one read that returned at run time `t_rx` [s]. Return the samples that they complete."""
+        """Decode the bytes of one read that returned at run time `t_rx` [s]. Return the samples that they complete.
+
+        A line without its end is kept for the next call. A line of 256 bytes (LINE_MAX) or more is discarded.
+        """
         self._buffer += data
         *lines, rest = self._buffer.split(self.end)
         out = []
@@ -66,22 +71,28 @@ class LineDecoder(ABC):
         return out
 
     def reset(self) -> None:
-        """Discard an incomplete line of text, because the port was reopened. The counters are kept."""
+        """Discard an incomplete line of text, because the port was reopened. Its bytes count as unparsed.
+
+        The counters are kept. If `skip_first` was set, the next line is discarded too.
+        """
         self._count_unparsed(self._buffer)
         self._buffer.clear()
         self._skipping = self._skip_first
 
     def _count_unparsed(self, data: bytes | bytearray) -> None:
-        """Count the bytes of a line that is no reading as unparsed, without its line end."""
+        """Count the bytes of a line that is not a reading as unparsed. CR and LF are not counted."""
         self.unparsed_bytes += len(data.translate(None, b"\r\n"))
 
     @abstractmethod
     def _decode_line(self, line: bytes, t_rx: float) -> Frame | None:
-        """Convert one line, without its line end, to a sample. Return None if the line is not a reading."""
+        """Convert one line, without its line end, to a sample. Return None if the line is not a reading.
+
+        `t_rx` is the run time of receipt [s].
+        """
 
 
 class FlagDetector:
-    """Detector of saturated readings and spikes of a load cell.
+    """Detector of saturated readings of a load cell, and of spikes: false numbers of a disturbed HX711 converter.
 
     Parameters
     ----------
@@ -95,9 +106,10 @@ class FlagDetector:
         self._last = NAN  # last reading [counts] without a flag
 
     def flag(self, counts: float) -> int:
-        """Return the flag of the next reading [counts]: SATURATED, SPIKE or 0.
+        """Return the flag of the next reading [counts] of a load cell: SATURATED (1), SPIKE (2) or 0.
 
-        A reading without a flag is stored, because the next reading is compared with it.
+        A reading is saturated if it is at least the largest reading `s` of the converter, or at most -s - 1. Spikes are
+        detected by `is_spike`, from the reading and the last reading without a flag.
         """
         if self._saturation is not None and (counts >= self._saturation or counts <= -self._saturation - 1.0):
             return SATURATED
@@ -108,10 +120,11 @@ class FlagDetector:
 
 
 def is_spike(counts: float, last: float) -> bool:
-    """Return whether a reading is a spike of the HX711 converter.
+    """Return whether a reading of a load cell is a spike: a false number of a disturbed HX711 converter.
 
-    A disturbed clock makes the HX711 return 2^n - 1 or its negative, because bits of one are shifted in. The same
-    number is not a spike if the previous reading is close to it.
+    A disturbed clock makes the HX711 return 2^n - 1 or its negative, because bits of one are shifted in. Such a number
+    is not a spike if its magnitude is less than 4095 or above 2^32, or if it differs from the previous reading by at
+    most 1/16 of its magnitude.
 
     Parameters
     ----------

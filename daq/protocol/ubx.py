@@ -70,16 +70,27 @@ _DIMENSIONS = {1: 3, 2: 2, 3: 3, 4: 3, 5: 3}  # gpsFix -> Gnss.dimensions
 
 
 class Decoder(nmea.Decoder):
-    """Decoder of UBX messages and NMEA sentences to `Gnss` and `Ahrs` samples.
+    """Decoder of the UBX messages and NMEA sentences of a u-blox receiver to `Gnss`, `Ahrs` and `Transducer` samples.
 
     If the receiver sends positions in UBX, positions in NMEA of the same stream give no samples. Headings in NMEA, for
     example HDT, always give samples.
+
+    Parameters
+    ----------
+    declination
+        True heading minus magnetic heading [rad], for magnetic headings in NMEA. None if it is unknown.
+    signal_ending
+        Ending of the signal names of transducers in NMEA. None if transducers are to be left out.
     """
 
     sync = re.compile(rb"[$\xb5]")
 
     def __init__(self, declination: float | None = None, signal_ending: str | None = None) -> None:
-        """Start without received messages. `declination` and `signal_ending` are for NMEA sentences in the stream."""
+        """Start without received messages.
+
+        `declination` (true minus magnetic heading [rad], None if it is unknown) and `signal_ending` (ending of the
+        names of transducers, None to leave them out) are for NMEA sentences in the stream.
+        """
         super().__init__(declination, signal_ending)
         self._epochs = Epochs()
         # Start and end, in the stream, of valid messages found after a doubtful header, and the end of the searched
@@ -88,14 +99,15 @@ class Decoder(nmea.Decoder):
         self._looked = 0
 
     def flush(self) -> list[Frame]:
-        """Return the GNSS sample of the last epoch at the end of the stream.
+        """Return the GNSS sample of the last epoch (the messages with the same time) at the end of the stream.
 
-        The list is empty if it was returned before.
+        It is from UBX messages, or else from NMEA sentences. The list is empty if it was returned before, or if the
+        epoch has no position.
         """
         return self._epochs.flush() or self._filter_frames(super().flush())
 
     def reset(self) -> None:
-        """Discard an incomplete message and the incomplete epoch, because the port was reopened.
+        """Discard an incomplete message and the values from earlier messages, because the port was reopened.
 
         The counters are kept.
         """
@@ -103,18 +115,20 @@ class Decoder(nmea.Decoder):
         self._epochs.forget()
 
     def _decode_frame(self, buffer: bytearray, start: int, t_rx: float) -> int:
-        """Decode the UBX message or the NMEA sentence at `start`, and append its samples.
+        """Decode the UBX message or the NMEA sentence that begins at index `start` of the buffer.
 
-        Return its length in bytes, 0 if more bytes are needed, or -1 if no valid message begins there.
+        Its samples are appended to `self._out`. Return its length in bytes, 0 if more bytes are needed, or -1 if no
+        valid message begins there. `t_rx` is the run time of receipt [s].
         """
         if buffer[start] == SYNC[0]:
             return self._take_ubx(buffer, start, t_rx)
         return super()._decode_frame(buffer, start, t_rx)
 
     def _take_ubx(self, buffer: bytearray, start: int, t_rx: float) -> int:
-        """Decode the UBX message at `start`, and append its samples.
+        """Decode the UBX message that begins at index `start` of the buffer, and append its samples to `self._out`.
 
-        Return its length in bytes, 0 if more bytes are needed, or -1 if no valid message begins there.
+        A valid message of an unknown kind only counts as a frame. Return the length in bytes, 0 if more bytes are
+        needed, or -1 if no valid message begins there. `t_rx` is the run time of receipt [s].
         """
         if len(buffer) < start + HEAD:
             return 0 if SYNC.startswith(buffer[start : start + 2]) else -1
@@ -140,9 +154,10 @@ class Decoder(nmea.Decoder):
         return length
 
     def _holds_message(self, buffer: bytearray, start: int, end: int) -> bool:
-        """Return whether the buffer contains a complete UBX message that can be decoded between two indices.
+        """Return whether a complete UBX message that this module decodes lies between two indices of the buffer.
 
-        A payload never contains such a message, so a header that encloses it is wrong.
+        It serves to check a header that announces a message between these indices: a payload never contains such a
+        message, so the header is then wrong.
         """
         offset = self._before
         while self._ahead and self._ahead[0][0] < offset + start:
@@ -157,14 +172,14 @@ class Decoder(nmea.Decoder):
         return is_recorded or any(b <= end for a, b in _find_messages(buffer, first, end))
 
     def _filter_frames(self, frames: list[Frame]) -> list[Frame]:
-        """Drop the fixes of NMEA sentences if the receiver also sends positions in UBX."""
+        """Return the samples of NMEA sentences to keep: without fixes if the receiver also sends positions in UBX."""
         return [f for f in frames if not (self._epochs.has_position and isinstance(f.sample, Gnss))]
 
 
 def _find_messages(buffer: bytearray, start: int, end: int) -> Iterator[tuple[int, int]]:
     """Yield start and end of each complete UBX message that this module decodes, in a part of the buffer.
 
-    `start` and `end` are the indices between which the messages begin.
+    Only messages that begin from index `start` to `end`, inclusive, are found.
     """
     while (start := buffer.find(SYNC, start, end + 1)) >= 0:
         n_payload = int.from_bytes(buffer[start + 4 : start + HEAD], "little")
@@ -176,21 +191,24 @@ def _find_messages(buffer: bytearray, start: int, end: int) -> Iterator[tuple[in
 
 
 def checksum(body: bytes) -> bytes:
-    """Return the two bytes of Fletcher's checksum (RFC 1145) of a UBX message: class, id, length and payload."""
+    """Return the two bytes of Fletcher's checksum (RFC 1145) of a UBX message.
+
+    `body` are the bytes of class, id, length and payload.
+    """
     values = np.frombuffer(body, np.uint8).astype(float)  # the sums are whole numbers below 2^53, so they are exact
     return bytes((int(values.sum()) & 0xFF, int(values @ np.arange(len(body), 0.0, -1.0)) & 0xFF))
 
 
 def message(kind: tuple[int, int], payload: bytes) -> bytes:
-    """Encode a UBX message with sync bytes and checksum. `kind` is its class and id."""
+    """Encode a UBX message with sync bytes and checksum. `kind` is its class and id, `payload` its content."""
     body = struct.pack("<BBH", *kind, len(payload)) + payload
     return SYNC + body + checksum(body)
 
 
 def encode(gnss: Gnss) -> bytes:
-    """Encode a fix as NAV-PVT with the rounding of the receiver.
+    """Encode a fix as the UBX message NAV-PVT, with the rounding of the receiver.
 
-    NaN and a negative `n_sat` are sent as zero. The time of the fix has to be a number.
+    NaN and a negative `n_sat` are sent as zero. The UTC of the fix has to be a number.
     """
     whole = math.floor(gnss.utc)
     nano = round((gnss.utc - whole) * 1e9)
@@ -239,17 +257,24 @@ class _Epoch:
 
 
 class Epochs:
-    """Collector of UBX navigation messages: it joins the messages of one epoch to one `Gnss` sample.
+    """Collector of UBX navigation messages: it joins the messages of one epoch (one time of week) to one `Gnss` sample.
 
     An epoch is complete when all kinds of message of the last few epochs have been received, or when the next epoch
-    begins. Position and velocity without a valid fix (gnssFixOK not set) are kept with `fix` 0.
+    begins. Position and velocity without a valid fix (gnssFixOK not set) are kept with `fix` 0. While the receiver
+    sends HNR-PVT (solutions at the rate of its inertial sensors), each of these messages gives a sample, and the epochs
+    give none.
 
     `t_rx` of a sample is the time of receipt of the epoch's first message. `t_device` is the UTC of the epoch. It is
     NaN until the receiver has resolved UTC, because its own clock may be wrong by seconds before.
+
+    Attributes
+    ----------
+    has_position : bool
+        Whether a message with a position has been received.
     """
 
     def __init__(self) -> None:
-        """Start without received messages."""
+        """Start the collector of UBX navigation messages without received messages."""
         self.has_position = False  # whether a message with a position has been received
         self._epoch: _Epoch | None = None
         self._emitted = False  # whether the sample of the present epoch has been returned
@@ -259,7 +284,22 @@ class Epochs:
         self._utc, self._utc_tow = NAN, 0  # of the last epoch: UTC [s since 1970], time of week [ms]
 
     def take(self, kind: tuple[int, int], payload: bytes, t_rx: float) -> list[Frame]:
-        """Decode one message whose kind and length are in LENGTHS. Return the samples that it completes."""
+        """Decode one UBX navigation message. Return the samples that it completes.
+
+        Parameters
+        ----------
+        kind
+            Class and id of the message, one of LENGTHS.
+        payload
+            Content of the message, with a length that LENGTHS allows.
+        t_rx
+            Run time [s] of receipt.
+
+        Returns
+        -------
+        list of Frame
+            An `Ahrs` for an attitude message, or the `Gnss` samples of completed epochs. It may be empty.
+        """
         number = kind[1]
         if kind == HNR_PVT:
             return self._take_high_rate(payload, t_rx)
@@ -282,7 +322,11 @@ class Epochs:
         return out
 
     def flush(self) -> list[Frame]:
-        """Return the sample of the present epoch, if it has a position message and has not been emitted."""
+        """Return the GNSS sample of the present epoch (the UBX messages with the same time of week).
+
+        The list is empty if the epoch has no position message, if its sample has been returned before, or if an HNR-PVT
+        message was received in the last 2 s (HIGH_RATE_S) before it.
+        """
         epoch = self._epoch
         if epoch is None or self._emitted or not epoch.kinds & _POSITION_IDS:
             return []
@@ -297,9 +341,9 @@ class Epochs:
         return [Frame(sample, epoch.t_rx, sample.utc if resolved else NAN)]
 
     def _take_high_rate(self, payload: bytes, t_rx: float) -> list[Frame]:
-        """Return the sample of HNR-PVT, a solution at the rate of the inertial sensors.
+        """Return the sample of the UBX message HNR-PVT, a solution at the rate of the inertial sensors.
 
-        These samples replace the samples of the navigation epochs.
+        These samples replace the samples of the navigation epochs. `t_rx` is the run time of receipt [s].
         """
         self.has_position, self._high_rate_at = True, t_rx
         sample, resolved = _hnr_pvt_sample(payload), payload[11] & 7 == 7
@@ -308,7 +352,10 @@ class Epochs:
         return [Frame(sample, t_rx, sample.utc if resolved else NAN)]
 
     def _utc_of(self, i_tow: int) -> float:
-        """Return the UTC [s since 1970] of a time of week [ms], NaN before the first epoch with a resolved UTC."""
+        """Return the UTC [s since 1970] of a GPS time of week [ms]; NaN before the first epoch with a resolved UTC.
+
+        The week is the one in which the result is nearest to the UTC of that epoch.
+        """
         return self._utc + math.remainder(1e-3 * (i_tow - self._utc_tow), WEEK)
 
     def forget(self) -> None:
@@ -321,9 +368,10 @@ class Epochs:
 
 
 def _gnss_sample(v: dict[str, float]) -> Gnss:
-    """Return the sample of the values of one epoch by name. A value from a more precise message has priority.
+    """Return the `Gnss` sample of the values of one UBX epoch, `v`, by name. Missing values are NaN.
 
-    Without a message that reports a place, or with a place out of range, all values except time and satellites are NaN.
+    A value from a more precise message has priority. If no message reports a solution with a position, or if the
+    position is out of range, all values except UTC, number of satellites and HDOP are NaN, with `fix` 0.
     """
     fix = int(v.get("fix", v.get("sol_fix", v.get("status_fix", 0))))
     lat, lon = (v.get(f"hp_{name}", v.get(name, v.get(f"sol_{name}", NAN))) for name in ("lat", "lon"))
@@ -344,7 +392,11 @@ def _gnss_sample(v: dict[str, float]) -> Gnss:
 
 
 def _attitude_sample(payload: bytes, t_rx: float) -> list[Frame]:
-    """Return the sample of NAV-ATT, or no sample if no angle is valid."""
+    """Return the `Ahrs` sample of the UBX message NAV-ATT, without a device time; no sample if no angle is valid.
+
+    An angle is NaN if its accuracy in the message is zero or at least half a turn. `t_rx` is the run time of receipt
+    [s].
+    """
     _, _, roll, pitch, heading, acc_roll, acc_pitch, acc_heading = _ATT.unpack(payload)
     # The accuracy of an invalid angle is 0 (M8) or at least half a turn.
     valid = [0 < acc < 180e5 for acc in (acc_heading, acc_pitch, acc_roll)]
@@ -356,9 +408,9 @@ def _attitude_sample(payload: bytes, t_rx: float) -> list[Frame]:
 
 
 def _read_pvt(v: dict[str, float], payload: bytes) -> None:
-    """Store time, fix, satellites, position and velocity of NAV-PVT.
+    """Store time, fix, satellites, position and velocity of the UBX message NAV-PVT in `v`.
 
-    The fix is 0 unless the receiver marks it as valid.
+    `v` are the values of its epoch by name. The fix is 0 unless the receiver marks it as valid.
     """
     (
         _, year, month, day, hour, minute, second, valid, t_acc, nano, fix, flags, _, n_sat, lon, lat, _, h_msl, h_acc,
@@ -379,13 +431,19 @@ def _read_pvt(v: dict[str, float], payload: bytes) -> None:
 
 
 def _read_posllh(v: dict[str, float], payload: bytes) -> None:
-    """Store the position of NAV-POSLLH, a message that does not report the kind of fix."""
+    """Store the position of the UBX message NAV-POSLLH in `v`, the values of its epoch by name.
+
+    The message does not report the kind of fix.
+    """
     _, lon, lat, _, h_msl, h_acc, _ = _POSLLH.unpack(payload)
     v["lat"], v["lon"], v["alt"], v["sigma"] = 1e-7 * lat, 1e-7 * lon, 1e-3 * h_msl, 1e-3 * h_acc / math.sqrt(2.0)
 
 
 def _read_hpposllh(v: dict[str, float], payload: bytes) -> None:
-    """Store the position of NAV-HPPOSLLH, which has a resolution of 0.1 mm, by name in `v`."""
+    """Store the position of the UBX message NAV-HPPOSLLH, with a resolution of 0.1 mm, in `v`, the values of its epoch.
+
+    Nothing is stored if the receiver flags the position as invalid.
+    """
     _, invalid, _, lon, lat, _, h_msl, lon_hp, lat_hp, _, h_msl_hp, h_acc, _ = _HPPOSLLH.unpack(payload)
     if not invalid & 1:
         v["hp_lat"], v["hp_lon"] = 1e-7 * lat + 1e-9 * lat_hp, 1e-7 * lon + 1e-9 * lon_hp
@@ -393,7 +451,11 @@ def _read_hpposllh(v: dict[str, float], payload: bytes) -> None:
 
 
 def _read_sol(v: dict[str, float], payload: bytes) -> None:
-    """Store the values of NAV-SOL of older receivers; position and velocity are converted from ECEF."""
+    """Store the values of the UBX message NAV-SOL, from older receivers, in `v`, the values of its epoch by name.
+
+    Position and velocity are converted from ECEF to latitude, longitude, north, east and down. The fix is 0 unless the
+    receiver marks it as valid.
+    """
     i_tow, f_tow, week, fix, flags, x, y, z, _, vel_x, vel_y, vel_z, *_, n_sat, _ = _SOL.unpack(payload)
     v["sol_fix"] = 0
     if fix in _DIMENSIONS:
@@ -408,7 +470,10 @@ def _read_sol(v: dict[str, float], payload: bytes) -> None:
 
 
 def _read_status(v: dict[str, float], payload: bytes) -> None:
-    """Store the kind of fix of the UBX message NAV-STATUS in `v`."""
+    """Store the kind of fix of the UBX message NAV-STATUS in `v`, the values of its epoch by name.
+
+    The fix is 0 unless the receiver marks it as valid.
+    """
     _, fix, flags, *_ = _STATUS.unpack(payload)
     v["status_fix"] = 0
     if fix in _DIMENSIONS:
@@ -418,7 +483,11 @@ def _read_status(v: dict[str, float], payload: bytes) -> None:
 
 
 def _hnr_pvt_sample(payload: bytes) -> Gnss:
-    """Return the sample of HNR-PVT, in which values without a fix are NaN."""
+    """Return the `Gnss` sample of the UBX message HNR-PVT, a solution at the rate of the inertial sensors.
+
+    Position and velocity are NaN without a solution, the UTC without a valid date and time, and the vertical velocity
+    always.
+    """
     (
         _, year, month, day, hour, minute, second, valid, nano, gps_fix, flags, lon, lat, _, h_msl, ground, _, course,
         _, h_acc, *_,
@@ -439,34 +508,38 @@ def _hnr_pvt_sample(payload: bytes) -> Gnss:
 
 
 def _read_velned(v: dict[str, float], payload: bytes) -> None:
-    """Store the velocity north, east and down [m/s] of the UBX message NAV-VELNED in `v`."""
+    """Store the velocity north, east and down [m/s] of the UBX message NAV-VELNED in `v`, the values of its epoch."""
     _, north, east, down, *_ = _VELNED.unpack(payload)
     v["vel_n"], v["vel_e"], v["vel_d"] = 1e-2 * north, 1e-2 * east, 1e-2 * down
 
 
 def _read_timeutc(v: dict[str, float], payload: bytes) -> None:
-    """Store the UTC of the UBX message NAV-TIMEUTC in `v`, if the receiver has resolved it."""
+    """Store the UTC of the UBX message NAV-TIMEUTC in `v`, the values of its epoch, if the receiver has resolved it."""
     _, _, nano, year, month, day, hour, minute, second, valid = _TIMEUTC.unpack(payload)
     if valid & 4:  # UTC is valid, leap seconds included
         v["utc"] = _utc(year, month, day, hour, minute, second, nano)
 
 
 def _read_timegps(v: dict[str, float], payload: bytes) -> None:
-    """Store the UTC of NAV-TIMEGPS if it is valid and no other message of the epoch has a UTC."""
+    """Store the UTC of the UBX message NAV-TIMEGPS in `v`, the values of its epoch by name.
+
+    Nothing is stored if the time is not valid, or if another message of the epoch has a UTC.
+    """
     i_tow, f_tow, week, leap, valid, _ = _TIMEGPS.unpack(payload)
     if valid & 7 == 7:  # time of week, week and leap seconds are valid
         v.setdefault("utc", GPS_EPOCH + week * WEEK + 1e-3 * i_tow + 1e-9 * f_tow - leap)
 
 
 def _read_dop(v: dict[str, float], payload: bytes) -> None:
-    """Store the horizontal dilution of precision of the UBX message NAV-DOP in `v`."""
+    """Store the horizontal dilution of precision of the UBX message NAV-DOP in `v`, the values of its epoch."""
     v["hdop"] = _DOP.unpack(payload)[5] / 100.0
 
 
 def _utc(year: int, month: int, day: int, hour: int, minute: int, second: int, nano: int) -> float:
-    """Return the UTC in s since 1970 of a date and time of day; NaN if the date is invalid.
+    """Return the UTC in s since 1970 of a date and time of day.
 
-    `nano` is the fraction of the second [ns], which may be negative.
+    NaN if the year is not 1980..2105, or if month or day is out of range. `nano` is the fraction of the second [ns],
+    which may be negative.
     """
     if not (1980 <= year < 2106 and 1 <= month <= 12 and 1 <= day <= 31):
         return NAN
@@ -474,7 +547,10 @@ def _utc(year: int, month: int, day: int, hour: int, minute: int, second: int, n
 
 
 def gps_to_utc(seconds: float) -> float:
-    """Convert GPS time, in s since 1970 of a clock without leap seconds, to UTC in s since 1970."""
+    """Convert GPS time to UTC in s since 1970, by the leap seconds up to 2017.
+
+    `seconds` is the GPS time as s since 1970 of a clock that has no leap seconds and agreed with UTC in 1980.
+    """
     return seconds - bisect_right([leap + k for k, leap in enumerate(LEAPS, start=1)], seconds)
 
 

@@ -58,16 +58,16 @@ Values = dict[str, tuple[float, ...]]
 
 
 class MessageLayout(NamedTuple):
-    """Layout of a binary message.
+    """Layout of a binary message of a VectorNav sensor.
 
     Attributes
     ----------
     header
         Length of sync byte and header together [bytes].
     length
-        Length of the whole message [bytes].
+        Length of the whole message with its checksum [bytes].
     fields
-        Quantity, format and offset [bytes] of each field that is read.
+        Quantity (such as "rate"), format and offset [bytes] in the message, of each field that is read.
     """
 
     header: int
@@ -77,7 +77,7 @@ class MessageLayout(NamedTuple):
 
 @functools.lru_cache(maxsize=256)
 def message_layout(header: bytes) -> MessageLayout | None:
-    """Return the layout of a binary message.
+    """Return the layout of a binary message of a VectorNav sensor: its length and the places of the fields to read.
 
     Parameters
     ----------
@@ -111,26 +111,31 @@ def message_layout(header: bytes) -> MessageLayout | None:
 
 
 class Decoder(StreamDecoder[Frame]):
-    """Decoder of ASCII and binary messages to `Ahrs` samples. Both kinds may be mixed in one stream.
+    """Decoder of the ASCII and binary messages of a VectorNav sensor to `Ahrs` samples.
 
-    `t_device` is TimeStartup [s] of a binary message. It is NaN if the message lacks this field.
+    One stream may contain both kinds. `t_device` is TimeStartup, the time since the start of the sensor [s], of a
+    binary message. It is NaN if the message lacks this field, and for ASCII messages. Values that a message lacks are
+    NaN. A valid message without any of the read quantities counts as a frame and gives no sample.
     """
 
     sync = re.compile(rb"[$\xfa]")
 
     def _decode_frame(self, buffer: bytearray, start: int, t_rx: float) -> int:
-        """Decode the message at `start` and append its sample.
+        """Decode the VectorNav message, ASCII or binary, that begins at index `start` of the buffer.
 
-        Return its length in bytes, 0 if more bytes are needed, or -1 if no valid message begins there.
+        Its sample is appended to `self._out`. Return its length in bytes, 0 if more bytes are needed, or -1 if no valid
+        message begins there. `t_rx` is the run time of receipt [s].
         """
         return (
             self._take_binary(buffer, start, t_rx) if buffer[start] == SYNC else self._take_ascii(buffer, start, t_rx)
         )
 
     def _take_binary(self, buffer: bytearray, start: int, t_rx: float) -> int:
-        """Decode the binary message at `start`, and append its sample.
+        """Decode the binary VectorNav message that begins at index `start` of the buffer.
 
-        Return its length in bytes, 0 if more bytes are needed, or -1 if no valid message begins there.
+        Its sample is appended to `self._out`; a message without any of the read quantities gives none. Return its
+        length in bytes, 0 if more bytes are needed, or -1 if no valid message begins there. `t_rx` is the run time of
+        receipt [s].
         """
         if len(buffer) < start + 2:
             return 0
@@ -157,10 +162,11 @@ class Decoder(StreamDecoder[Frame]):
         return layout.length
 
     def _take_ascii(self, buffer: bytearray, start: int, t_rx: float) -> int:
-        """Decode the ASCII sentence at `start`, and append its sample.
+        """Decode the ASCII sentence of a VectorNav sensor that begins at index `start` of the buffer.
 
-        Return its length in bytes, 0 if more bytes are needed, or -1 if it is invalid. A sentence of an unknown kind is
-        counted as a frame and gives no sample.
+        Its sample is appended to `self._out`. Return its length in bytes, 0 if more bytes are needed, or -1 if it is
+        invalid. A sentence of an unknown kind is counted as a frame and gives no sample. `t_rx` is the run time of
+        receipt [s].
         """
         length, body, bad = take_sentence(buffer, start)
         self.checksum_errors += bad
@@ -178,9 +184,10 @@ class Decoder(StreamDecoder[Frame]):
 
 
 def _split_numbers(words: list[bytes], fields: tuple[tuple[str, int], ...]) -> Values | None:
-    """Return the numbers of an ASCII sentence by quantity. Return None if a word is missing or not a number.
+    """Return the numbers of a VectorNav ASCII sentence by quantity. Return None if a word is missing or not a number.
 
-    `fields` are the quantities in order, each with its number of words.
+    `words` are the fields of the sentence after its name. `fields` are the quantities in order, each with its number of
+    words. Further words are ignored.
     """
     values: Values = {}
     at = 0
@@ -197,9 +204,10 @@ _NAN3 = (NAN, NAN, NAN)
 
 
 def _ahrs_sample(values: Values) -> Ahrs:
-    """Return the `Ahrs` sample of one message in SI units.
+    """Return the `Ahrs` sample of one VectorNav message in SI units.
 
-    `values` are the numbers by quantity; missing ones are NaN.
+    `values` are the numbers by quantity: "ypr" [deg] or "quaternion" for the attitude, "rate" [rad/s], "accel" [m/s2],
+    "mag" [gauss]. Missing ones become NaN.
     """
     if "ypr" in values:
         yaw, pitch, roll = (angle * DEG for angle in values["ypr"])
@@ -214,7 +222,10 @@ def _ahrs_sample(values: Values) -> Ahrs:
 
 
 def _euler_angles(x: float, y: float, z: float, w: float) -> tuple[float, float, float]:
-    """Return yaw, pitch and roll [rad] of a quaternion whose scalar is `w` (UM001, attitude transformations)."""
+    """Return yaw, pitch and roll [rad] of an attitude quaternion with the vector (x, y, z) and the scalar `w`.
+
+    The equations are those of UM001, attitude transformations.
+    """
     yaw = math.atan2(2.0 * (x * y + w * z), w * w + x * x - y * y - z * z)
     pitch = math.asin(min(max(-2.0 * (x * z - w * y), -1.0), 1.0))
     roll = math.atan2(2.0 * (y * z + w * x), w * w - x * x - y * y + z * z)
@@ -222,9 +233,10 @@ def _euler_angles(x: float, y: float, z: float, w: float) -> tuple[float, float,
 
 
 def encode_ascii(ahrs: Ahrs) -> bytes:
-    """Encode a sample as the sentence $VNYMR with the rounding of the device.
+    """Encode a sample as the VectorNav sentence $VNYMR, with the rounding of the device.
 
-    NaN is sent as zero, because the sentence cannot contain an empty field.
+    The sentence contains attitude, magnetic field, specific force and rates. NaN is sent as zero, because the sentence
+    cannot contain an empty field.
     """
     yaw, pitch, roll = (_or_zero(angle) / DEG for angle in (ahrs.yaw, ahrs.pitch, ahrs.roll))
     mag = [_or_zero(b) / GAUSS for b in (ahrs.mx, ahrs.my, ahrs.mz)]
@@ -241,7 +253,7 @@ _BINARY_MAG = _BINARY | (1 << 10)
 
 
 def encode_binary(ahrs: Ahrs, t_device: float) -> bytes:
-    """Encode a sample as a binary message of the common group.
+    """Encode a sample as a binary VectorNav message of the common group: time, attitude, rates and specific force.
 
     The message contains MagPres if the magnetic field is not NaN. Its temperature and pressure are zero.
 

@@ -22,7 +22,10 @@ STALE = 2.0  # s; temperature and voltage arrive in separate frames; older value
 
 @functools.cache
 def _dbc_messages() -> dict[int, Any]:
-    """Return the definitions of the messages of VESC controllers (file vesc.dbc) by packet number."""
+    """Return the definitions of the CAN messages of VESC controllers by packet number (bits 8 to 28 of the identifier).
+
+    The definitions are objects of cantools, read from the file vesc.dbc at the first call.
+    """
     import cantools  # imported here because the import is slow and only CAN needs it
 
     database = cantools.database.load_file(Path(__file__).with_name("vesc.dbc"))
@@ -33,18 +36,29 @@ class Decoder(FrameDecoder):
     """Decoder of the status frames of VESC speed controllers to `Esc` samples.
 
     Each STATUS 1 frame gives one sample with its current, duty and rpm. Temperature (STATUS 4) and voltage (STATUS 5)
-    are the newest received values, or NaN if they are older than 2 s (`STALE`).
+    are the newest received values, or NaN if they are older than 2 s (`STALE`). `t_device` is NaN. Status frames that
+    are too short count as unparsed bytes. Other frames are ignored.
 
     Parameters
     ----------
     pole_pairs
         Number of pole pairs by controller id. Frames of other controllers are counted in `other_nodes` and ignored.
     reversed_nodes
-        Controllers whose rpm and duty change their sign, as their commands do, so that positive means forward.
+        Ids of the controllers whose rpm and duty change their sign, as their commands do, so that positive means
+        forward.
+
+    Attributes
+    ----------
+    other_nodes : dict of int to int
+        Number of status frames by id of a controller that has no pole pairs; `remark` names these controllers.
     """
 
     def __init__(self, pole_pairs: dict[int, int], reversed_nodes: frozenset[int] = frozenset()) -> None:
-        """Store the pole pairs and the reversed controllers. No frame is received yet."""
+        """Start without received frames.
+
+        `pole_pairs` are the numbers of pole pairs by controller id. `reversed_nodes` are the ids of the controllers
+        whose rpm and duty change their sign.
+        """
         super().__init__()
         _dbc_messages()  # loads the DBC file now, because loading it at the first frame would delay the port's thread
         self.other_nodes: dict[int, int] = {}
@@ -54,13 +68,17 @@ class Decoder(FrameDecoder):
         self._voltage: dict[int, tuple[float, float]] = {}
 
     def _decode_can_frame(self, identifier: int, extended: bool, data: bytes, t_rx: float) -> list[Frame]:
-        """Decode one CAN frame, and return its sample, if any. A frame with an 11-bit identifier gives no sample."""
+        """Decode one CAN frame. Return the sample of a STATUS 1 frame of a VESC controller.
+
+        The list is empty for other frames. A frame with an 11-bit identifier is ignored.
+        """
         return self.feed_frame(identifier, data, t_rx) if extended else []
 
     def feed_frame(self, arbitration_id: int, data: bytes, t_rx: float) -> list[Frame]:
-        """Decode one frame with a 29-bit identifier that was received at `t_rx` [s]. Return the sample of a STATUS 1.
+        """Decode one CAN frame with a 29-bit identifier that was received at run time `t_rx` [s].
 
-        Other frames give no sample; the values of STATUS 4 and 5 are stored.
+        Return the sample of a STATUS 1 frame. Other frames give no sample; the values of STATUS 4 and 5 are stored.
+        Frames of controllers without known pole pairs are counted in `other_nodes` and ignored.
         """
         node, packet = arbitration_id & 0xFF, arbitration_id >> 8
         if packet not in (STATUS_1, STATUS_4, STATUS_5):
@@ -91,7 +109,11 @@ class Decoder(FrameDecoder):
         self._voltage.clear()
 
     def _esc_sample(self, node: int, values: dict[str, float], t_rx: float) -> Esc:
-        """Return the state of a controller from its STATUS 1 and its newest temperature and voltage."""
+        """Return the state of controller `node` from the signals of its STATUS 1 frame (`values`, by name).
+
+        Its newest temperature and voltage are added; they are NaN if they are older than 2 s at run time `t_rx` [s].
+        The rpm of the message is divided by the pole pairs. Rpm and duty of a reversed controller change their sign.
+        """
         sign = -1.0 if node in self._reversed else 1.0
         return Esc(
             node=node,
@@ -112,9 +134,20 @@ def _value_if_fresh(latest: tuple[float, float] | None, t_rx: float) -> float:
 
 
 def encode_status(esc: Esc, pole_pairs: int) -> list[tuple[int, bytes]]:
-    """Encode the state of a VESC controller as CAN frames (identifier, data).
+    """Encode the state of a VESC controller as CAN frames.
 
-    STATUS 1 is always included. STATUS 4 and STATUS 5 are included if temperature and voltage are not NaN.
+    Parameters
+    ----------
+    esc
+        State of the controller.
+    pole_pairs
+        Number of pole pairs, by which the rpm is multiplied.
+
+    Returns
+    -------
+    list of tuple of int and bytes
+        Identifier (29 bits) and data of each frame. STATUS 1 is always included, with 0 for NaN. STATUS 4 and STATUS 5
+        are included if temperature and voltage are not NaN.
     """
     frames = [
         _encode_packet(STATUS_1, esc.node, erpm=_or_zero(esc.rpm) * pole_pairs, current=esc.current, duty=esc.duty)
@@ -136,12 +169,12 @@ def encode_status(esc: Esc, pole_pairs: int) -> list[tuple[int, bytes]]:
 
 
 def encode_duty(node: int, n: float) -> tuple[int, bytes]:
-    """Encode the command of duty `n`, -1..1, to controller `node` as a frame (identifier, data).
+    """Encode the command of duty `n`, -1..1, to the controller with id `node` as a CAN frame (identifier, data).
 
     Raises
     ------
     ValueError
-        If `n` is outside -1..1.
+        If `n` is outside -1..1, or NaN.
     """
     if not -1.0 <= n <= 1.0:
         raise ValueError(f"a duty is between -1 and 1, not {n}")
@@ -149,16 +182,20 @@ def encode_duty(node: int, n: float) -> tuple[int, bytes]:
 
 
 def decode_command(arbitration_id: int, data: bytes) -> tuple[int, float] | None:
-    """Return controller id and duty, -1..1, of a CAN frame that commands a VESC controller; None for other frames."""
+    """Return controller id and duty, -1..1, of a CAN frame that commands a VESC controller.
+
+    Return None for other frames, and for one with fewer than 4 bytes of data.
+    """
     if arbitration_id >> 8 != SET_DUTY or len(data) < 4:
         return None
     return arbitration_id & 0xFF, float(_dbc_messages()[SET_DUTY].decode(data[:4])["duty"])
 
 
 def _encode_packet(packet: int, node: int, **values: float) -> tuple[int, bytes]:
-    """Encode the values of one packet of a VESC controller as a CAN frame (identifier, data).
+    """Encode one packet of the VESC controller `node` as a CAN frame (identifier, data).
 
-    Values, by name of the signal, are clipped to the range of their signals; NaN becomes 0.
+    `packet` is its number, for example STATUS_1. `values` are those of all its signals, by name. They are clipped to
+    the range of their signals; NaN becomes 0.
     """
     message = _dbc_messages()[packet]
     clipped = {}

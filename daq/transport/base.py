@@ -126,7 +126,11 @@ _REASONS = {
 
 
 def os_error_text(error: BaseException) -> str:
-    """Return the message of an error of the operating system or of a library, as one line."""
+    """Return the message of an error of the operating system or of a library, as one line for the user.
+
+    Known error numbers, such as that of a port in use, get a text of their own. An error without a text gives the name
+    of its class.
+    """
     number = getattr(error, "errno", None) or getattr(error, "error_code", None)
     if number is None and (inner := re.search(r"\((\d+), '", str(error))):  # pyserial quotes the original error
         number = int(inner[1])
@@ -134,7 +138,7 @@ def os_error_text(error: BaseException) -> str:
 
 
 def _takes_datagrams(decoder: Decoder) -> TypeGuard[DatagramDecoder]:
-    """Return whether a decoder is a `DatagramDecoder`."""
+    """Return whether a decoder can discard an incomplete frame at the begin of a datagram (`DatagramDecoder`)."""
     # `isinstance` with a Protocol would take a quarter of the processor time of a port.
     return hasattr(decoder, "begin_datagram")
 
@@ -155,6 +159,11 @@ def decode_read(port: Port, decoder: Decoder, data: bytes, t_rx: float) -> list[
         Bytes of the read.
     t_rx
         Run time [s] at which the read returned.
+
+    Returns
+    -------
+    list of Frame
+        The samples with their times; empty if no sample is complete.
     """
     if not _takes_datagrams(decoder):
         return decoder.feed(data, t_rx)

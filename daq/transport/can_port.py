@@ -68,7 +68,7 @@ class _FrameAnswers:
         self._in_line = True  # whether the present line is a received frame; at first this is unknown
 
     def feed(self, data: bytes) -> None:
-        """Update `refused`, the number of refused frames in a row, from bytes that the adapter has sent."""
+        """Update `refused`, the number of refused frames in a row, from bytes (answers, frames) of the adapter."""
         if not self.refused and BELL not in data:
             self._in_line = data[-1:] not in (b"\r", b"\a") if data else self._in_line
             return
@@ -108,7 +108,8 @@ class SlcanPort(Port):
     def open(self) -> None:
         """Open the serial port of the CAN adapter, then its channel.
 
-        PortError is raised if the serial port cannot be opened, or if slcan adapters do not have the bit rate.
+        PortError is raised if the serial port cannot be opened, or if slcan has no command for this bit rate. A refusal
+        by the adapter is noticed later, by `read`.
         """
         try:
             commands = slcan.open_channel(self._bitrate)
@@ -147,13 +148,16 @@ class SlcanPort(Port):
         return b"".join(frames)
 
     def write(self, data: bytes) -> None:
-        """Send CAN frames, 16 bytes each (`struct can_frame`), with 29-bit identifiers."""
+        """Send CAN frames, 16 bytes each (`struct can_frame`), with 29-bit identifiers.
+
+        PortError is raised if the serial port accepts no more bytes or was disconnected.
+        """
         self._answers = self._answers or _FrameAnswers()
         lines = (slcan.encode(word & ~EXTENDED, body[:length]) for word, length, body in CAN_FRAME.iter_unpack(data))
         self._serial.write(b"".join(lines))
 
     def close(self) -> None:
-        """Close the channel of the adapter, then the serial port."""
+        """Close the channel of the CAN adapter, if the port is open, then the serial port. This raises no error."""
         if self._serial.fileno() >= 0:
             with contextlib.suppress(PortError):
                 self._serial.write(slcan.CLOSE_CHANNEL)

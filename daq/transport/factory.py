@@ -21,7 +21,10 @@ def make_port(device: Device) -> Port:
 
 
 def make_net_port(port: str) -> Port:
-    """Return the port of an address `udp:HOST:PORT`, `udpin:`, `udpout:` or `tcp:`. It is not open yet."""
+    """Return the port of an address `udp:HOST:PORT`, `udpin:`, `udpout:` or `tcp:`. It is not opened.
+
+    Raise ValueError if the address has no host or no valid port number.
+    """
     kind = port.partition(":")[0]
     host, number = parse_address(port)
     return TcpPort(host, number) if kind == "tcp" else UdpPort(host, number, listen=kind != "udpout")

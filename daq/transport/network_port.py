@@ -64,14 +64,18 @@ class UdpPort(Port):
         self._open_socket(shared=False)
 
     def take_over(self) -> None:
-        """Bind the local address although another process has bound it.
+        """Bind the local address although another process has bound it, or connect to the remote address.
 
-        A killed process keeps its address until its memory is freed. The newest socket receives all datagrams.
+        A killed process keeps its address until its memory is freed. The newest socket receives all datagrams. Raise
+        PortError if the socket cannot be opened.
         """
         self._open_socket(shared=True)
 
     def _open_socket(self, shared: bool) -> None:
-        """Open the socket. If `shared` is true, the local address may be bound by another process."""
+        """Close the UDP socket if it is open, and open a new one. Raise PortError if this fails.
+
+        If `shared` is true, the local address may be bound by another process.
+        """
         self.close()
         family, address = _resolve_address(self._host, self._number, socket.SOCK_DGRAM, self._listen)
         sock = socket.socket(family, socket.SOCK_DGRAM)
@@ -96,9 +100,11 @@ class UdpPort(Port):
         return -1 if self._socket is None else self._socket.fileno()
 
     def read(self) -> bytes:
-        """Return the bytes that have arrived from the confirmed sender, which is the one in which a frame was found.
+        """Return the bytes that have arrived from the confirmed sender, possibly none.
 
-        As long as no sender is confirmed, return one datagram of any sender.
+        The confirmed sender is the one in whose bytes a frame of the device was found. As long as there is none, or
+        after 2 s without a frame of it (SILENT_S), return one datagram of any sender. Datagrams of other senders count
+        as unparsed.
 
         Raises
         ------
@@ -129,7 +135,7 @@ class UdpPort(Port):
 
     @property
     def is_confirmed(self) -> bool:
-        """Whether the bytes of the last read are from the confirmed sender."""
+        """Whether the bytes of the last read are from the confirmed sender; True also if nothing was read."""
         return self._candidate is None or self._candidate == self._peer
 
     def confirm(self) -> None:
@@ -145,7 +151,8 @@ class UdpPort(Port):
     def write(self, data: bytes) -> None:
         """Send bytes to the device as one datagram.
 
-        A port that listens does not know the address of the device before its first frame; until then nothing is sent.
+        A port that listens has no address of the device before its first frame; until then nothing is sent. A datagram
+        that the network does not accept is lost without an error. Raise PortError if the socket fails.
         """
         if self._socket is None or self._peer is None:
             return
@@ -197,7 +204,10 @@ class TcpPort(Port):
         return -1 if self._socket is None else self._socket.fileno()
 
     def read(self) -> bytes:
-        """Return the bytes that have arrived. Raise PortError if the connection was lost."""
+        """Return the bytes that have arrived at the TCP socket, possibly none.
+
+        Raise PortError if the connection was lost.
+        """
         assert self._socket is not None
         try:
             data = self._socket.recv(READ_BYTES, socket.MSG_DONTWAIT)
@@ -211,7 +221,10 @@ class TcpPort(Port):
         return data
 
     def write(self, data: bytes) -> None:
-        """Send all bytes. Raise PortError if the connection was lost."""
+        """Send all bytes to the TCP server.
+
+        Raise PortError if the connection was lost, or accepts no more bytes for 50 ms (WRITE_S).
+        """
         assert self._socket is not None
         try:
             self._socket.sendall(data)

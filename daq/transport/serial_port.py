@@ -37,7 +37,8 @@ class SerialPort(Port):
     def open(self) -> None:
         """Open the serial port with exclusive access, for raw bytes with 8 data bits, no parity and 1 stop bit.
 
-        PortError is raised if the path is not a serial device or cannot be opened.
+        The latency timer of an FTDI adapter is set to 1 ms; if this fails, `hint` has the advice. PortError is raised
+        if the path is not a serial device or cannot be opened.
         """
         self.close()
         try:
@@ -93,7 +94,7 @@ class SerialPort(Port):
 
 
 def list_serial_ports() -> list[tuple[str, str]]:
-    """Return the serial ports of this machine: the path of each, and the description that the system gives."""
+    """Return the path of each serial port of this machine, and its description by the system, sorted by path."""
     from serial.tools import list_ports  # imported here because the import is slow and only a search needs it
 
     return sorted((port.device, port.description) for port in list_ports.comports())

@@ -66,7 +66,8 @@ def ident() -> None:
 def thruster(logs: tuple[Path, ...], out: Path, **how: Any) -> None:
     """Fit shaft dynamics and thrust curve to bench LOGS of one thruster.
 
-    A log of force and command without shaft speed gives only the static thrust curve, as a table.
+    A log of force and command without shaft speed gives only the static thrust curve, as a table. The results are
+    model.toml, result.json and report.html in the folder --out.
 
     \b
     Example:
@@ -81,7 +82,10 @@ def thruster(logs: tuple[Path, ...], out: Path, **how: Any) -> None:
 def _parse_intervals(
     _context: click.Context, _parameter: click.Parameter, texts: Sequence[str]
 ) -> list[tuple[float, float]]:
-    """Parse the intervals T0:T1 [s of the log] of ``--gnss-outage`` (click callback)."""
+    """Parse the repeated values ``T0:T1`` [s of the log] of ``--gnss-outage`` to (start, end) each (click callback).
+
+    Raise click.BadParameter for a text of another form (`_parse_interval`).
+    """
     return [_parse_interval(text) for text in texts]
 
 
@@ -95,9 +99,9 @@ def _parse_intervals(
 @window_option
 @trust_option
 def compare(models: tuple[Path, ...], logs: tuple[Path, ...], **how: Any) -> None:
-    """Predict the same logs by several fitted MODELS, and compare each model with the first one.
+    """Predict the same logs by several fitted MODELS, compare each model with the first one, and print the comparison.
 
-    Use logs that no model was fitted to.
+    Give at least two models, and logs that no model was fitted to.
 
     \b
     Example:
@@ -140,7 +144,8 @@ def navigate(model: Path, logs: tuple[Path, ...], out: Path, **how: Any) -> None
     """Estimate position, heading, speeds, current and disturbance forces along LOGS with a fitted MODEL.
 
     GNSS outages are listed with the 95 % radius of the position at their end. LOGS should not be those that MODEL was
-    fitted to.
+    fitted to. The results are a CSV file of the estimates for each log, result.json and report.html in the folder
+    --out.
 
     \b
     Example:
@@ -184,6 +189,8 @@ ident.add_command(navigate)
 def export(model: Path, target: str, output: Path | None, name: str | None, with_nuisance: bool) -> None:
     """Export the fitted MODEL for other programs: equations, parameters, noise, names and units.
 
+    The text is printed, or written to the file --out, which must not exist without --force.
+
     \b
     Example:
       seatrial ident export diagnosis/model.toml --to c -o boat.h
@@ -210,17 +217,18 @@ ident.add_command(export)
 @click.command(short_help="Fisher information per log segment and parameter.")
 @click.argument("model", type=MODEL)
 @click.argument("logs", nargs=-1, required=True, type=LOG)
-@click.option("--seconds", type=FiniteRange(2.0), default=30.0, show_default=True, help="Length of a segment.")
-@click.option("--parameters", "chosen", metavar="NAMES", callback=parse_names, help="Only these parameters, d_v,m_v.")
+@click.option("--seconds", type=FiniteRange(2.0), default=30.0, show_default=True, help="Length of a segment [s].")
+@click.option("--parameters", "chosen", metavar="NAMES", callback=parse_names, help="Only these parameters: d_v,m_v.")
 @window_option
 @click.option("--thruster", type=LOG, help="The static curve from command to thrust that the model was fitted with.")
 @rate_option
 @trust_option
 @out_option("information")
 def information(model: Path, logs: tuple[Path, ...], out: Path, **how: Any) -> None:
-    """Fisher information of each segment of LOGS about each parameter of a fitted MODEL.
+    """Compute the Fisher information of each segment of LOGS about each parameter of a fitted MODEL.
 
-    Shows which segment a parameter depends on, and which parameters the logs do not inform.
+    It shows which segment a parameter depends on, and about which parameters the logs contain no information. The
+    results are result.json and report.html in the folder --out.
 
     \b
     Example:
@@ -241,6 +249,8 @@ ident.add_command(information)
 @out_option("noise")
 def noise(logs: tuple[Path, ...], signals: tuple[str, ...], out: Path) -> None:
     """Estimate white noise and random walk of each channel from LOGS of sensors at rest.
+
+    The results are noise.toml, result.json and report.html in the folder --out.
 
     \b
     Example:
@@ -320,6 +330,9 @@ def noise(logs: tuple[Path, ...], signals: tuple[str, ...], out: Path) -> None:
 def vehicle(logs: tuple[Path, ...], validate: tuple[Path, ...], out: Path, **how: Any) -> None:
     """Fit a model of the boat to LOGS and validate it on others.
 
+    The results are model.toml, result.json and report.html in the folder --out. The exit status is 1 if the fit did not
+    converge.
+
     \b
     Example:
       seatrial ident vehicle estimation.mcap --thruster thruster/model.toml --validate validation.mcap --out vehicle
@@ -363,7 +376,8 @@ def vehicle(logs: tuple[Path, ...], validate: tuple[Path, ...], out: Path, **how
 def diagnose(model: Path, logs: tuple[Path, ...], validate: tuple[Path, ...], out: Path, **how: Any) -> None:
     """Find effects that MODEL lacks to explain LOGS, add them, and compare prediction errors before and after.
 
-    MODEL is a boat's, or a thruster's with bench logs.
+    MODEL is that of a boat, or that of a thruster, with bench logs. The results are model.toml with the found effects,
+    result.json and report.html in the folder --out.
 
     \b
     Example:
@@ -415,11 +429,12 @@ def diagnose(model: Path, logs: tuple[Path, ...], validate: tuple[Path, ...], ou
     help="Folder for the results; a study that was interrupted continues there.",
 )
 def study(models: tuple[str, ...], method: str, unbounded: bool, docs: Path | None, out: Path, **how: Any) -> None:
-    """Monte Carlo of the estimator on simulated missions of MODELs: surge, yaw, horizontal, kinematic, thruster,
-    noise, designed; a fitted model.toml; or FILE.py:NAME, a user-defined Case.
+    """Test the estimator by Monte Carlo: simulate missions of each MODEL, fit them, and compare with the true values.
 
-    Reports bias, variance and coverage of the intervals. The estimator is that of the commands, or of the model.toml,
-    unless an option changes it. An interrupted study continues.
+    MODEL is surge, yaw, horizontal, kinematic, thruster, noise or designed; a fitted model.toml; or FILE.py:NAME, a
+    user-defined Case. The study reports bias, variance and coverage of the intervals. The estimator is that of the
+    other commands, or of the model.toml, unless an option changes it. The results, with report.html, are in the folder
+    --out. An interrupted study continues there.
 
     \b
     Example:
@@ -441,9 +456,10 @@ def study(models: tuple[str, ...], method: str, unbounded: bool, docs: Path | No
 
 
 def _parse_area(_context: click.Context, _parameter: click.Parameter, text: str | None) -> tuple[float, float] | None:
-    """Parse ``40x30`` to the size of an area, north and east [m] (click callback). None is returned unchanged.
+    """Parse the size of an area: ``40x30`` to (40, 30), north and east [m] (click callback of ``--area``).
 
-    Raise click.BadParameter if the text has another form, or if a side is not positive.
+    None, if the option is not given, is returned unchanged. Raise click.BadParameter if the text has another form, or
+    if a side is not positive.
     """
     if text is None:
         return None
@@ -484,7 +500,7 @@ def _parse_area(_context: click.Context, _parameter: click.Parameter, text: str 
     "chosen",
     metavar="NAMES",
     callback=parse_names,
-    help="Parameters to estimate, d_v,m_v [default: all].",
+    help="Parameters to estimate, for example d_v,m_v [default: all].",
 )
 @click.option("--area", metavar="NxE", callback=_parse_area, help="Area for the whole track, north by east [m].")
 @click.option("--max-speed", type=FiniteRange(0, min_open=True), help="Largest speed through the water [m/s].")
@@ -504,7 +520,7 @@ def _parse_area(_context: click.Context, _parameter: click.Parameter, text: str 
     multiple=True,
     callback=parse_rates,
     metavar="SENSOR=HZ",
-    help="Rate of a sensor, position=1 [default: that of the fitted data, else 10]; may be repeated.",
+    help="Rate of a sensor, for example position=1 [default: that of the fitted data, else 10]; may be repeated.",
 )
 @click.option(
     "--average-over",
@@ -551,7 +567,9 @@ def _parse_area(_context: click.Context, _parameter: click.Parameter, text: str 
     show_default=True,
     help="Seed; the same seed gives the same mission.",
 )
-@click.option("--thrusters", metavar="NAMES", callback=parse_names, help="Names in the rig, left,right by default.")
+@click.option(
+    "--thrusters", metavar="NAMES", callback=parse_names, help="Names in the rig file, by default left,right."
+)
 @click.option(
     "-o",
     "--out",
@@ -577,7 +595,8 @@ def design(
     """Design the most informative mission for MODEL: a model.toml, horizontal, surge:shaft, FILE.py:NAME.
 
     The standard errors of a model.toml are the prior, so the mission is the best next one. `seatrial mission show`
-    draws it, `seatrial mission run` runs it.
+    draws it, `seatrial mission run` runs it. The mission, and a .json and an .html file beside it, are written and must
+    not exist before.
     """
     if between and len(between) != 2:
         raise click.BadParameter("give exactly two effects, such as delay,lag", param_hint="--discriminate")
@@ -609,9 +628,10 @@ def design(
 
 
 def _with_live_progress(work: Any) -> Any:
-    """Run a workflow while a live line on standard error shows its progress; return its result.
+    """Run a computation while a live line on standard error shows its progress, and return its result.
 
-    ``work`` receives a reporter.
+    ``work`` is a function of a reporter, which receives the lines of progress and the warnings. Its errors are not
+    caught.
     """
     from rich.console import Console
 
@@ -621,9 +641,9 @@ def _with_live_progress(work: Any) -> Any:
 
 
 def _parse_interval(text: str) -> tuple[float, float]:
-    """Parse an interval of time: ``60:90`` to (60, 90) [s].
+    """Parse an interval of time of a log: ``60:90`` to (60, 90) [s].
 
-    Raise click.BadParameter if the text has another form, or if the end is not after the begin.
+    Raise click.BadParameter if the text has another form, if the end is not after the start, or if one is not finite.
     """
     first, _, last = text.partition(":")
     try:

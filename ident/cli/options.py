@@ -1,4 +1,4 @@
-"""Shared options of the ident commands, and displays of their progress."""
+"""Options that several ident commands share, and displays of the progress of a command."""
 
 from __future__ import annotations
 
@@ -27,13 +27,14 @@ FILE = click.Path(dir_okay=False, path_type=Path)
 
 
 class ModelPath(click.Path):
-    """Type of a fitted model in a command line: a model.toml, or a folder that contains one.
-
-    Another folder is returned as it is, because the error of the reader is clearer.
-    """
+    """Type of a command-line argument: a fitted model, given as a model.toml or as the folder that contains it."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
-        """Return the path of the model.toml."""
+        """Return the path of the model.toml: the path itself or, for a folder, that of the model.toml in it.
+
+        A folder without a model.toml is returned unchanged, so that the reader of the model reports it. A path that
+        does not exist fails with click.BadParameter.
+        """
         from seatrial.ident.estimation import model_file
 
         return model_file(Path(str(super().convert(value, param, ctx))))
@@ -43,7 +44,7 @@ MODEL = ModelPath(exists=True, path_type=Path)
 
 
 def _parse_finite(text: str) -> float:
-    """Parse a finite number; raise ValueError for any other text, also for ``nan`` and ``inf``."""
+    """Parse a finite number. Raise ValueError for any other text, also for ``nan`` and ``inf``."""
     number = float(text)
     if not math.isfinite(number):
         raise ValueError
@@ -61,7 +62,7 @@ def parse_values(_context: click.Context, _parameter: click.Parameter, items: Se
     Returns
     -------
     dict
-        Value by name. A repeated name has its last value.
+        Value by name; empty if the option is not given. A repeated name has its last value.
 
     Raises
     ------
@@ -81,10 +82,16 @@ def parse_values(_context: click.Context, _parameter: click.Parameter, items: Se
 def parse_rates(context: click.Context, parameter: click.Parameter, items: Sequence[str]) -> dict[str, float]:
     """Parse the values of a repeatable SENSOR=HZ option (click callback).
 
+    Parameters
+    ----------
+    items : sequence of str
+        Texts, for example ``position=1``.
+
     Returns
     -------
     dict
-        Rate [Hz] by sensor.
+        Rate [Hz] by sensor; empty if the option is not given. A repeated sensor has its last rate. The names are not
+        checked.
 
     Raises
     ------
@@ -99,7 +106,9 @@ def parse_rates(context: click.Context, parameter: click.Parameter, items: Seque
 
 
 def check_jobs(_context: click.Context, _parameter: click.Parameter, number: int) -> int:
-    """Check and return the value of ``--jobs``: a number of processes, or -1 for one for each core (click callback).
+    """Check the value of ``--jobs``, and return it (click callback).
+
+    It is a number of processes, or -1 for as many as the computer has cores.
 
     Raises
     ------
@@ -112,7 +121,10 @@ def check_jobs(_context: click.Context, _parameter: click.Parameter, number: int
 
 
 def parse_names(_context: click.Context, _parameter: click.Parameter, text: str | None) -> tuple[str, ...]:
-    """Parse the names of a NAME,NAME option (click callback). No text or an empty text gives an empty tuple."""
+    """Parse the value ``NAME,NAME`` of an option to a tuple of names (click callback).
+
+    Spaces around names, and empty names, are removed. None (no option) or an empty text gives an empty tuple.
+    """
     return tuple(n.strip() for n in text.split(",") if n.strip()) if text else ()
 
 
@@ -121,10 +133,15 @@ def parse_priors(
 ) -> dict[str, tuple[float, float]]:
     """Parse the values of a repeatable NAME=MEAN:SD option (click callback).
 
+    Parameters
+    ----------
+    items : sequence of str
+        Texts, for example ``m_u=30:5``.
+
     Returns
     -------
     dict
-        Mean and standard deviation by name. A repeated name has its last values.
+        (Mean, standard deviation) by name; empty if the option is not given. A repeated name has its last values.
 
     Raises
     ------
@@ -145,16 +162,20 @@ def parse_priors(
 
 
 def validate_option(f: Callable[..., Any]) -> Callable[..., Any]:
-    """Add ``--validate``, which may be repeated, to a command."""
+    """Decorate a command with the option ``--validate``: a log to validate the model on. It may be repeated.
+
+    The command receives the paths as the tuple ``validate``.
+    """
     return click.option(
         "--validate", multiple=True, type=LOG, help="Validation log, not used by the fit; may be repeated."
     )(f)
 
 
 def window_option(f: Callable[..., Any]) -> Callable[..., Any]:
-    """Add ``--from`` and ``--to`` [s of the log] to a command, which receives them as one ``window`` (TimeWindow).
+    """Decorate a command with ``--from`` and ``--to`` [s of the log]: the interval of time of the logs to use.
 
-    By default the window is the whole log. The command raises click.BadParameter if the end is not after the start.
+    The command receives both as one ``window`` (`TimeWindow`); by default this is the whole log. It raises
+    click.BadParameter if the end is not after the start.
     """
 
     @wraps(f)
@@ -172,7 +193,10 @@ def window_option(f: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def force_option(f: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the flag ``--force`` to a command, which does not receive it; `check_output` reads its value."""
+    """Decorate a command with the flag ``--force``, which allows it to replace existing results.
+
+    The command does not receive the flag; `check_output` reads it.
+    """
     help_ = "Replace existing results."
     return click.option("--force", is_flag=True, expose_value=False, is_eager=True, callback=_store_force, help=help_)(
         f
@@ -180,18 +204,18 @@ def force_option(f: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _store_force(context: click.Context, _parameter: click.Parameter, force: bool) -> None:
-    """Store the value of ``--force`` in the context for `check_output` (click callback)."""
+    """Store the value of ``--force`` in the click context, where `check_output` reads it (click callback)."""
     context.meta["force"] = force
 
 
 def check_output(context: click.Context, _parameter: click.Parameter, out: Path | None) -> Path | None:
-    """Check and return the file or folder of ``--out`` (click callback). None is returned unchanged.
+    """Check the file or folder ``out`` of ``--out``, and return it unchanged, also None (click callback).
 
     Raises
     ------
     SeatrialError
-        If it exists already (as a file, or as a folder with a result.json) and ``--force`` was not given, or if it or a
-        result file in it is a symbolic link.
+        If it is a file, or a folder with a result.json, and ``--force`` is not given. Also if it, or a result file in
+        it, is a symbolic link to a file or to nothing.
     """
     if out is not None:
         for path in (out, *(out / name for name in ("model.toml", "result.json", "report.html"))):
@@ -206,12 +230,14 @@ def check_output(context: click.Context, _parameter: click.Parameter, out: Path 
 
 
 def out_option(default: str) -> Callable[..., Any]:
-    """Return a decorator that adds ``--out`` and ``--force`` to a command.
+    """Return a decorator that adds ``--out`` (folder for the results) and ``--force`` to a command.
+
+    The path is checked by `check_output`.
 
     Parameters
     ----------
     default : str
-        Name of the default folder.
+        Name of the folder if ``--out`` is not given.
     """
     words = "Folder for the results."
     how: dict[str, Any] = {"type": FOLDER, "default": Path(default), "show_default": True, "help": words}
@@ -219,7 +245,7 @@ def out_option(default: str) -> Callable[..., Any]:
 
 
 def _trust_files(context: click.Context, _parameter: click.Parameter, trusted: bool) -> None:
-    """Trust user-defined Python files until the command ends, if ``--trust-code`` is given (click callback)."""
+    """Allow the Python files of users until the command ends, if ``--trust-code`` is given (click callback)."""
     if trusted:
         from seatrial.ident.models import trusting_code
 
@@ -227,7 +253,10 @@ def _trust_files(context: click.Context, _parameter: click.Parameter, trusted: b
 
 
 def trust_option(f: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the flag ``--trust-code`` to a command, which does not receive it."""
+    """Decorate a command with the flag ``--trust-code``: run any Python file that a model.toml names.
+
+    The command does not receive the flag, which takes effect while the command runs.
+    """
     words = (
         "Run the Python files that a model.toml names, even if they are new, changed or moved, and trust them later."
     )
@@ -235,13 +264,16 @@ def trust_option(f: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def despite_option(f: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the flag ``--despite-faults`` to a command, which receives it as ``despite_faults``."""
+    """Decorate a command with the flag ``--despite-faults``: continue although the checks of the logs find faults.
+
+    The command receives it as ``despite_faults``.
+    """
     words = "Continue if the checks of the logs find swapped sides, wrong units, frames or times (`seatrial check`)."
     return click.option("--despite-faults", is_flag=True, help=words)(f)
 
 
 def rate_option(f: Callable[..., Any]) -> Callable[..., Any]:
-    """Add ``--rate`` [Hz] to a command: rows of a record per second, 1 to 200, by default 10."""
+    """Decorate a command with the option ``--rate``: rows of a record per second, 1 to 200 Hz, by default 10 Hz."""
     return click.option(
         "--rate",
         type=FiniteRange(1.0, 200.0),
@@ -252,9 +284,9 @@ def rate_option(f: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def horizon_option(f: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the option ``--horizon`` [s] to a command.
+    """Decorate a command with the option ``--horizon``: the prediction horizon [s], 0.02 to 3600 s.
 
-    A command without the option receives None and uses the horizon of the model.
+    If the option is not given, the command receives None, and uses the horizon of the model.
     """
     return click.option(
         "--horizon",
@@ -266,18 +298,22 @@ def horizon_option(f: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def robust_option(f: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the flag ``--robust`` to a command, which receives it as ``outlier_model``."""
+    """Decorate a command with the flag ``--robust``: robust estimation with outliers in all sensors.
+
+    The command receives it as ``outlier_model``.
+    """
     words = "Robust estimation: allow outliers in all sensors, and count them."
     return click.option("--robust", "outlier_model", is_flag=True, help=words)(f)
 
 
 def reml_option(default: bool | None = True) -> Callable[..., Any]:
-    """Return the option ``--reml/--no-reml`` as a decorator.
+    """Return a decorator that adds the option ``--reml/--no-reml`` to a command: restricted maximum likelihood or not.
 
     Parameters
     ----------
     default : bool or None
-        Value if the option is not given. None: the command uses the setting of the fit that it studies.
+        Value if the option is not given. With None the command receives None, and uses the setting of the fit that it
+        studies.
     """
     return click.option(
         "--reml/--no-reml",
@@ -288,7 +324,7 @@ def reml_option(default: bool | None = True) -> Callable[..., Any]:
 
 
 def mean_order_option(default: bool | None = True) -> Callable[..., Any]:
-    """Return the option ``--second-order/--no-second-order`` as a decorator.
+    """Return a decorator that adds the option ``--second-order/--no-second-order`` of the Kalman filter to a command.
 
     The command receives ``mean_order``: 2 for a second-order filter, 1 for a first-order filter.
 
@@ -311,9 +347,9 @@ def mean_order_option(default: bool | None = True) -> Callable[..., Any]:
 def _parse_mean_order(
     _context: click.Context, _parameter: click.Parameter, second: bool | None
 ) -> Literal[1, 2] | None:
-    """Convert the flag ``--second-order`` to the order of the filter, 2 or 1 (click callback).
+    """Convert the flag ``--second-order`` to the order of the filter: True to 2, False to 1 (click callback).
 
-    If the flag was not given and has no default, ``second`` is None, and the function returns None.
+    None is returned unchanged. It means that the option is not given and has no default.
     """
     return None if second is None else 2 if second else 1
 
@@ -322,12 +358,18 @@ ESTIMATION = ("outlier_model", "reml", "mean_order", "method", "horizon")  # opt
 
 
 def with_estimation_options(options: dict[str, Any]) -> dict[str, Any]:
-    """Return the options of a command, with those of the estimator combined as ``estimation``.
+    """Return the options of a command, with those of the estimator collected in one entry ``estimation``.
 
     Parameters
     ----------
     options : dict
-        Value of each option by name, as the command received it. It is not changed.
+        Value of each option by name, as the command received it. It is not changed. The options of the estimator are
+        those of `ESTIMATION`; any of them may be absent and then has its default.
+
+    Returns
+    -------
+    dict
+        All other options, and ``estimation`` (`EstimationOptions`).
     """
     from seatrial.ident.estimation import EstimationOptions
 
@@ -336,21 +378,23 @@ def with_estimation_options(options: dict[str, Any]) -> dict[str, Any]:
 
 
 class Lines:
-    """Reporter that prints each line of progress and each warning.
+    """Reporter that prints progress and warnings of a computation, one line each, without a live display.
 
     Parameters
     ----------
     err
-        Whether to print to standard error, not to standard output.
+        Whether to print to standard error instead of standard output.
     """
 
     def __init__(self, err: bool = False) -> None:
         self.err = err
 
     def progress(self, text: str) -> None:
+        """Print the text on a line, indented by two spaces."""
         click.echo(f"  {text}", err=self.err)
 
     def warning(self, text: str) -> None:
+        """Print the text on a line, indented by two spaces."""
         click.echo(f"  {text}", err=self.err)
 
 
@@ -362,35 +406,40 @@ class LiveLine:
     console
         Console of the terminal.
     status
-        Its live line.
+        Live line of this console.
     """
 
     def __init__(self, console: Console, status: Status) -> None:
         self.console, self.status = console, status
 
     def progress(self, text: str) -> None:
+        """Replace the text of the live line."""
         self.status.update(text)
 
     def warning(self, text: str) -> None:
+        """Print the text above the live line, where it stays."""
         self.console.print(f"  {text}", markup=False)
 
 
 def run_workflow(work: Callable[[Reporter], Result], out: Path) -> None:
-    """Run a workflow with a display of its progress, then print the result and the path of the report.
+    """Run the computation of a command with a display of its progress, then print its result.
 
-    The exit status is 1 if the result is a fit that did not converge.
+    The progress is a live line on a terminal, and otherwise one printed line per step. The path of the report is
+    printed after the result.
 
     Parameters
     ----------
     work : callable
-        Workflow: receives a reporter, returns the result and writes its files.
+        Function of a reporter that computes, writes the files of the result, and returns the result.
     out : Path
-        Folder with the report, for the message.
+        Folder with report.html, for the message.
 
     Raises
     ------
     SeatrialError
-        If the workflow raises it, or raises ValueError or KeyError.
+        If ``work`` raises it, or raises ValueError or KeyError. Other errors are not caught.
+    click.exceptions.Exit
+        With the exit status 1, after printing, if the result is a fit that did not converge.
     """
     from rich.console import Console
 
@@ -413,5 +462,5 @@ def run_workflow(work: Callable[[Reporter], Result], out: Path) -> None:
 
 
 def command_line() -> str:
-    """Return the command line of this process, for the provenance of a result."""
+    """Return the command line of this process as text that begins with ``seatrial``, for the provenance of a result."""
     return " ".join(["seatrial", *sys.argv[1:]])

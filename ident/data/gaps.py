@@ -1,4 +1,4 @@
-"""Gaps of a log: times without a sample of any sensor, and the parts of the log between them.
+"""Gaps of a log: long times without a sample of any sensor, and the parts of the log between them.
 
 A filter would cross a gap step by step. A gap of a day would cost minutes and gigabytes, and after it the states would
 be as uncertain as at the start of a log. A log is therefore cut at its gaps, and its parts are used as separate runs.
@@ -24,14 +24,15 @@ TRANSDUCER = "xdr_"
 
 
 def is_held(name: str, channel: Channel) -> bool:
-    """Return whether a signal is an input that holds its value between samples.
+    """Return whether a signal is an input that keeps its value between samples, instead of a measurement.
 
     Parameters
     ----------
     name
-        Name of the signal. Commands (``n_cmd_...``) hold.
+        Name of the signal. Commands of thrusters (``n_cmd_...``) are held.
     channel
-        Samples of the signal. Imported inputs with a hold other than ``linear`` hold. An unknown hold (empty) does not.
+        Samples of the signal. An imported input is held if its hold is ``zero`` or ``average``. A signal with the hold
+        ``linear`` or an unknown (empty) hold is not.
     """
     return is_of_thruster(name, COMMAND) or channel.hold not in ("", "linear")
 
@@ -47,13 +48,14 @@ def silent_times(channels: Mapping[str, Channel]) -> list[tuple[float, float]]:
     Returns
     -------
     list
-        Begin and end [s] of each gap, in order of time. A gap is longer than `LONGEST_GAP_S` and than `USUAL_INTERVALS`
-        median intervals of all samples. Empty for a log without gaps or without signals.
+        Start and end [s] of each gap, in order of time. A gap is longer than `LONGEST_GAP_S` (60 s) and than 10 median
+        intervals between the samples of all sensors. Empty for a log without gaps or without measurements.
 
     Notes
     -----
-    Shaft speeds and transducers count only in a log without other sensors, for example of a bench. Commands never
-    count, since inputs without measurements give no information.
+    Commands, shaft speeds, servo outputs and voltages of thrusters, transducers (NMEA XDR), and imported inputs do not
+    count as sensors. In a log without other sensors, for example of a bench, those that are not held count. Commands
+    never count, since inputs without measurements give no information.
     """
     outputs = {name: c for name, c in channels.items() if not is_held(name, c)}
     sensors = {
@@ -78,13 +80,13 @@ def parts_between(channels: Mapping[str, Channel], gaps: Sequence[tuple[float, f
     channels
         The signals of the log by name.
     gaps
-        Begin and end [s] of each gap in order of time, as `silent_times` returns them. Without gaps, there is one part.
+        Start and end [s] of each gap in order of time, as `silent_times` returns them. Without gaps, there is one part.
 
     Returns
     -------
     list
-        The signals of each part of the log between two gaps, one entry more than gaps. A signal with fewer than two
-        samples in a part is left out of it.
+        The signals by name of each part before, between and after the gaps: one entry more than gaps. A signal with
+        fewer than two samples in a part is left out of it.
 
     Notes
     -----
@@ -109,7 +111,7 @@ def parts_between(channels: Mapping[str, Channel], gaps: Sequence[tuple[float, f
 
 
 def slice_channel(channel: Channel, a: int, b: int) -> Channel:
-    """Return the samples a to b - 1 of a signal, with the left-out samples from the same time.
+    """Return the samples ``a`` to ``b - 1`` of a signal, and the removed outliers from the same time.
 
     Parameters
     ----------
@@ -127,12 +129,12 @@ def slice_channel(channel: Channel, a: int, b: int) -> Channel:
 
 
 def gap_line(gaps: Sequence[tuple[float, float]]) -> str:
-    """Return the warning for the user about the gaps at which a log is cut.
+    """Return the text of the warning about the gaps at which a log is cut. It states the times of the longest gap.
 
     Parameters
     ----------
     gaps
-        Begin and end [s] of each gap, at least one. The warning contains the times of the longest gap.
+        Start and end [s] of each gap, at least one.
     """
     begin, end = max(gaps, key=lambda gap: gap[1] - gap[0])
     where = f"no sensor has a sample from {seconds(begin)} to {seconds(end)} s"
@@ -142,30 +144,31 @@ def gap_line(gaps: Sequence[tuple[float, float]]) -> str:
 
 
 def seconds(t: float) -> str:
-    """Return a time [s] as text with at most one decimal, for example ``12.3`` or ``12``.
+    """Return the time ``t`` [s] as text with at most one decimal, for example ``12.3`` or ``12``.
 
-    Tenths of a second keep the names of parts unique in logs of years.
+    Tenths of a second keep the names of parts unique, even in logs of years.
     """
     return f"{round(t, 1) + 0.0:.1f}".removesuffix(".0")  # no "-0"
 
 
 def clock_of(t: Array, step: float, before: float = 0.0) -> Array:
-    """Return a fine grid of times over the samples of a signal, without its gaps longer than `LONGEST_GAP_S`.
+    """Return equidistant times over the samples of a signal, without its gaps longer than `LONGEST_GAP_S` (60 s).
 
     Parameters
     ----------
     t
         Times of the samples (n,), never decreasing [s].
     step
-        Interval of the grid [s].
+        Interval of the returned times [s].
     before
-        Time [s] by which the grid begins before the first sample, and before the first sample after each gap.
+        Time [s] by which the returned times begin before the first sample, and before the first sample after each gap.
+        A gap must be longer than 60 s by this time.
 
     Returns
     -------
-    Array
-        Times (m,), increasing [s]. Without a gap they are `step` apart from `t[0] - before` to the last sample. Empty
-        without samples.
+    Array (m,)
+        Times, increasing [s]. Without a gap they are ``step`` apart, from ``t[0] - before`` to the last sample or less
+        than one step beyond. Empty without samples.
     """
     if not t.size:
         return t

@@ -70,7 +70,7 @@ NEAR_TIME_CONSTANTS = np.array([0.7, 0.8, 0.9, 1.0, 1.1, 1.25, 1.4])
 
 
 class PropulsionInput(StrEnum):
-    """Kind of thruster signals in a log, best first: what drives a model of the boat."""
+    """Kind of the thruster signals of a log that drive a model of the boat, best first."""
 
     MEASURED = "measured"  # shaft speeds with their sign and the time of measurement
     TELEMETRY = "telemetry"  # shaft speeds relayed by an autopilot, with an unknown delay and without a sign
@@ -78,7 +78,7 @@ class PropulsionInput(StrEnum):
 
 
 class TimeWindow(NamedTuple):
-    """Interval of time of a log, ``t_from <= t < t_to``.
+    """Interval of time of a log to use, ``t_from <= t < t_to``.
 
     Attributes
     ----------
@@ -102,22 +102,23 @@ SLOWEST_TELEMETRY = 0.15  # s between shaft speeds; slower ones do not show when
 
 
 def propulsion_input(log: Log, found: Mapping[str, Channel], holds: Mapping[str, str]) -> PropulsionInput | None:
-    """Choose the signals that drive a model of the boat, by their sources, holds and rates.
+    """Choose the thruster signals of a log that drive a model of the boat: shaft speeds or commands.
 
     Parameters
     ----------
     log
         An open log. Its rig file shows whether an autopilot drives the thrusters.
     found
-        Its signals by name.
+        Signals of the log by name.
     holds
         Hold of each signal by name: ``zero``, ``average``, ``linear``, or empty.
 
     Returns
     -------
     PropulsionInput or None
-        None if the log has neither shaft speeds nor commands of both thrusters. ``COMMAND`` also if the log has
-        commands and its shaft speeds come less often than every `SLOWEST_TELEMETRY` seconds.
+        None if the log has neither shaft speeds nor commands of both thrusters left and right. ``COMMAND`` if it has no
+        shaft speeds, if these are held or sampled, or if they come less often than every `SLOWEST_TELEMETRY` (0.15)
+        seconds beside commands. Otherwise ``TELEMETRY`` behind an autopilot, else ``MEASURED``.
 
     Notes
     -----
@@ -135,7 +136,7 @@ def propulsion_input(log: Log, found: Mapping[str, Channel], holds: Mapping[str,
 
 
 def channels(log: Log) -> dict[str, Channel]:
-    """Return all signals of a log by the names in the table at the top of this module, without outliers.
+    """Return all signals of a log by the names that models use, without outliers.
 
     Parameters
     ----------
@@ -145,9 +146,15 @@ def channels(log: Log) -> dict[str, Channel]:
     Returns
     -------
     dict
-        The signals with at least two samples. Times are in s since 1970. An imported signal takes precedence over an
-        AHRS, a receiver or a load cell with the same signal. A thruster of the rig takes precedence over an imported
-        signal. Of several devices of a kind, the first one is used for each signal.
+        The signals with at least two samples, by name: ``psi``, ``r``, ``ax``, ... of an AHRS, ``x``, ``y``, ``vx``,
+        ``vy`` of a GNSS receiver, ``n_NAME`` and ``n_cmd_NAME`` of a thruster, ``force`` of a load cell, ``speed``
+        along the track, and imported signals by their own names. Times are in s since 1970.
+
+    Notes
+    -----
+    The table at the top of this module has all names. An imported signal takes precedence over an AHRS, a receiver or a
+    load cell with the same signal. A thruster of the rig takes precedence over an imported signal. Of several devices
+    of a kind, the first one is used for each signal.
     """
     found: dict[str, Channel] = {}
     for source in log.sources(Scalar):
@@ -193,20 +200,20 @@ def channels(log: Log) -> dict[str, Channel]:
 
 
 def ahrs_channels(table: Table, source: str) -> dict[str, Channel]:
-    """Return all axes that an AHRS reported, without outlier removal.
+    """Return the signals of all axes that an AHRS reported, with their outliers.
 
     Parameters
     ----------
     table
-        Samples of the AHRS (n,).
+        Samples of the AHRS (n,), as `Log.table` returns them.
     source
-        Name of the device.
+        Name of the device, which is stored in the channels.
 
     Returns
     -------
     dict
-        ``psi``, ``theta``, ``phi`` [rad], ``p``, ``q``, ``r`` [rad/s], ``ax``, ``ay``, ``az`` [m/s2], each only with at
-        least two samples that are not NaN.
+        Signals by name: ``psi``, ``theta``, ``phi`` [rad], ``p``, ``q``, ``r`` [rad/s], ``ax``, ``ay``, ``az`` [m/s2].
+        A signal with fewer than two samples that are not NaN is left out.
     """
     names = {"yaw": "psi", "pitch": "theta", "roll": "phi"}
     rows = (("rad", ("yaw", "pitch", "roll")), ("rad/s", ("p", "q", "r")), ("m/s2", ("ax", "ay", "az")))
@@ -215,9 +222,10 @@ def ahrs_channels(table: Table, source: str) -> dict[str, Channel]:
 
 
 def _rows_with_position(table: Table) -> Table:
-    """Return the samples of a GNSS receiver (table, (n,)) that have a fix and a position.
+    """Return the samples of a GNSS receiver (``table``, (n,)) that have a fix and a position.
 
-    A receiver without a fix may report latitude and longitude zero as valid. Such samples are dropped.
+    Samples without a fix, without a latitude, or with latitude and longitude zero are left out. A receiver without a
+    fix may report such zeros as valid.
     """
     somewhere = (table["lat"] != 0.0) | (table["lon"] != 0.0)
     good: Table = table[(table["fix"] >= 2) & np.isfinite(table["lat"]) & somewhere]
@@ -225,20 +233,20 @@ def _rows_with_position(table: Table) -> Table:
 
 
 def _origin_row(table: Table) -> int:
-    """Return the row of a table of fixes that is the origin of x and y.
+    """Return the index of the fix that is the origin of x and y: the first one after the receiver has settled.
 
-    It is the first fix after the receiver has settled.
+    ``table`` (n,) has the fixes of the receiver, at least one.
     """
     x, y = local_ned(table["lat"], table["lon"])
     return int(np.argmin(sections_elsewhere(table["t"], x, y, np.ones(x.size, bool))))
 
 
 def _gnss_channels(table: Table, source: str) -> dict[str, Channel]:
-    """Return the signals of a GNSS receiver; {} if it never had a fix.
+    """Return the signals of a GNSS receiver by name; {} if it never had a fix.
 
-    ``table`` (n,) has the samples, and ``source`` is the name of the device. The signals are ``x``, ``y`` [m] from the
-    origin (`_origin_row`), and ``vx``, ``vy`` [m/s] if the receiver reports them. Without a velocity north, ``speed``
-    [m/s] is the speed over ground.
+    ``table`` (n,) has its samples, and ``source`` is the name of the device. The signals are ``x``, ``y`` [m] north and
+    east of the first fix (`_origin_row`), and ``vx``, ``vy`` [m/s] if the receiver reports them. If it reports no
+    velocity to the north, its speed over ground is the signal ``speed`` [m/s].
     """
     table = _rows_with_position(table)
     if not len(table):
@@ -260,7 +268,8 @@ def _add_thruster(log: Log, thruster: Thruster, found: dict[str, Channel]) -> No
     """Add shaft speed, voltage and command of a thruster to the signals ``found``, in place.
 
     The names are ``n_NAME``, ``voltage_NAME`` and ``n_cmd_NAME``, with the name of the thruster in the rig file. The
-    shaft speed needs ``rpm_max`` of the rig. Signals that the log does not contain are not added.
+    shaft speed is divided by the ``rpm_max`` of the rig file, and is left out without it. If its telemetry has no sign
+    of its own, the sign is restored (`shaft_speed`). Signals that the log does not contain are not added.
     """
     device, node = thruster.device, thruster.node
     shaft = None
@@ -286,10 +295,10 @@ def _add_thruster(log: Log, thruster: Thruster, found: dict[str, Channel]) -> No
 
 
 def _resample_output(output: Channel) -> Channel:
-    """Resample an output of an autopilot to a clock of `GRID_STEP` by linear interpolation.
+    """Resample an output of an autopilot to a grid of times `GRID_STEP` (0.01 s) apart, by linear interpolation.
 
     A sampled output changed at an unknown time since the sample before. The straight line is the mean of all such
-    changes. The result has the hold ``average`` and the original sample interval in `Channel.sampled`.
+    changes. The result has the hold ``average`` and the original median sample interval in `Channel.sampled`.
     """
     clock = clock_of(output.t, GRID_STEP)
     mean = np.interp(clock + GRID_STEP / 2, output.t, output.value) if output.t.size else output.value
@@ -298,7 +307,7 @@ def _resample_output(output: Channel) -> Channel:
 
 
 def _channel_of_column(table: Table, column: str, unit: str, source: str) -> Channel:
-    """Return a column of a table of samples as a channel, without the samples in which it is NaN.
+    """Return one column of a device's samples as a channel, without the samples in which it is NaN.
 
     Parameters
     ----------
@@ -315,20 +324,20 @@ def _channel_of_column(table: Table, column: str, unit: str, source: str) -> Cha
 
 
 def _without_error_flags(table: Table) -> Table:
-    """Return the samples of a load cell without error flags."""
+    """Return the samples of a load cell (``table``, (n,)) whose error flags are zero."""
     good: Table = table[table["flags"] == 0]
     return good
 
 
 def along_track(t: Array, vx: Array, vy: Array) -> Array:
-    """Return the speed along the direction of travel.
+    """Return the speed along the direction of travel, with its sign.
 
     Parameters
     ----------
     t
-        Times (n,) [s].
+        Times (n,) [s], increasing.
     vx, vy
-        Velocity over ground (n,) [m/s].
+        Velocity over ground to the north and east (n,) [m/s].
 
     Returns
     -------
@@ -337,9 +346,9 @@ def along_track(t: Array, vx: Array, vy: Array) -> Array:
 
     Notes
     -----
-    The direction is the mean of the velocities from ``TRACK_WINDOW`` seconds before to ``TRACK_WINDOW`` seconds after,
-    weighted by speed. A boat that drifts at rest before a run gets the direction of the run. The magnitude of the
-    velocity would turn drift and noise into forward speed.
+    The direction of travel is the mean of the velocities from `TRACK_WINDOW` (20 s) before to 20 s after, weighted by
+    speed. A boat that drifts at rest before a run gets the direction of the run. The magnitude of the velocity would
+    turn drift and noise into forward speed.
     """
     speed = np.hypot(vx, vy)
     a, b = np.searchsorted(t, t - TRACK_WINDOW), np.searchsorted(t, t + TRACK_WINDOW, side="right")
@@ -350,7 +359,10 @@ def along_track(t: Array, vx: Array, vy: Array) -> Array:
 
 
 def follows_command(rpm: Array, n: Array) -> bool:
-    """Return whether shaft speeds always have the sign of the present command, which no real shaft does.
+    """Return whether reported shaft speeds always have the sign of the present command.
+
+    A real shaft reverses later than its command. Shaft speeds that always have its sign are magnitudes to which the
+    controller added the sign of the command.
 
     Parameters
     ----------
@@ -362,7 +374,7 @@ def follows_command(rpm: Array, n: Array) -> bool:
     Returns
     -------
     bool
-        False for commands of one sign only, which do not show it.
+        False also for commands of one sign only, which show no reversal.
     """
     both = (rpm != 0) & (n != 0) & np.isfinite(rpm) & np.isfinite(n)
     signs = np.sign(n[both])
@@ -370,23 +382,23 @@ def follows_command(rpm: Array, n: Array) -> bool:
 
 
 def shaft_speed(t: Array, speed: Array, t_command: Array, command: Array) -> tuple[Array, Array]:
-    """Restore the sign of a shaft speed from its command.
+    """Restore the sign of a shaft speed of which only the magnitude is known, from the command of the thruster.
 
     Parameters
     ----------
     t
-        Times of the telemetry (k,) [s].
+        Times of the telemetry (k,) [s], at least one.
     speed
         Shaft speed (k,), of which only the magnitude is used.
     t_command
         Times of the commands (m,) [s].
     command
-        Commands (m,), each held until the next one.
+        Commands (m,), at least one, each held until the next one.
 
     Returns
     -------
     t : Array (n,)
-        Times [s], ``GRID_STEP`` apart.
+        Times [s], `GRID_STEP` (0.01 s) apart, except in long gaps.
     speed : Array (n,)
         Shaft speed with its sign, each value held until the next one, in the unit of the telemetry.
 
@@ -400,7 +412,7 @@ def shaft_speed(t: Array, speed: Array, t_command: Array, command: Array) -> tup
     held = command[np.maximum(np.searchsorted(t_command, clock, side="right") - 1, 0)]
 
     def scale(size: Array) -> float:
-        """Return the factor on ``size`` (k,) that fits the magnitude of the shaft speed best (least squares)."""
+        """Return the factor on ``size`` (k,) that fits the magnitudes of the shaft speed best (least squares)."""
         return float(size @ speed) / max(float(size @ size), 1e-12)
 
     def misfit(lagged: Array, delay: float) -> float:
@@ -426,7 +438,7 @@ def shaft_speed(t: Array, speed: Array, t_command: Array, command: Array) -> tup
 
 
 class FrameOrigin(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Origin of the NED frame, where x = y = 0.
+    """Origin of the NED frame of a log, where x = y = 0.
 
     Attributes
     ----------
@@ -441,7 +453,7 @@ class FrameOrigin(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     log: Annotated[str, Meta(description="name of the log whose first fix is the origin")] = ""
 
     def offset(self, other: FrameOrigin) -> tuple[float, float]:
-        """Return the distance north and east [m] from this origin to another origin.
+        """Return the distances north and east [m] from this origin to the origin ``other``, on the ellipsoid.
 
         The radii of the ellipsoid are those half way between both origins.
         """
@@ -454,7 +466,7 @@ class FrameOrigin(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 @dataclass(frozen=True)
 class LoadedLog:
-    """A log in memory: its signals, and its description for reports.
+    """Log in memory: its signals, and its description for reports.
 
     Attributes
     ----------
@@ -467,19 +479,19 @@ class LoadedLog:
     rig : Rig or None
         Rig file of the log. None for an imported log.
     propulsion : PropulsionInput or None
-        Kind of the thruster signals. None without signals of both thrusters.
+        Kind of the thruster signals that drive a model. None without signals of both thrusters.
     segments : tuple
         Start [s] and name of each step of the mission.
     vehicle : Mapping
         Parameters of the boat by name, from the rig file or the import map.
     device_faults : tuple of Finding or None
-        Findings on the devices. None if the devices were not checked.
+        Findings of the checks of the devices. None if the devices were not checked.
     origin : FrameOrigin or None
         Origin of x and y. None without latitude and longitude.
     shift : tuple of float
         Distance north and east [m] from the origin to the log's own first fix.
     unknown : tuple
-        Begin and end [s] of each time in which an input has no value.
+        Start and end [s] of each interval of time in which an input has no value.
     """
 
     run: LogSegment
@@ -496,12 +508,12 @@ class LoadedLog:
 
     @property
     def own_channels(self) -> Mapping[str, Channel]:
-        """The signals, with x and y relative to the log's own first fix."""
+        """Signals of the log by name, with x and y relative to the log's own first fix instead of `origin`."""
         return _shift_positions(self.run.channels, -self.shift[0], -self.shift[1])
 
     @property
     def unplaced(self) -> bool:
-        """Whether the log has positions with an unknown origin."""
+        """Whether the log has positions x, y of which the origin (latitude and longitude) is unknown."""
         return self.origin is None and "x" in self.run.channels
 
 
@@ -518,20 +530,20 @@ def _shift_positions(found: Mapping[str, Channel], north: float, east: float) ->
 def share_frame(logs: Sequence[LoadedLog], reference: FrameOrigin | None = None) -> list[LoadedLog]:
     """Move x and y of all logs to one origin.
 
-    A fixed object, for example a mooring, then has the same x and y in all logs.
+    An object that is fixed over ground, for example a mooring, then has the same x and y in all logs.
 
     Parameters
     ----------
     logs
         The logs.
     reference
-        The origin. None: the first fix of the first log that has latitude and longitude.
+        The origin. None: the origin of the first log that has latitude and longitude.
 
     Returns
     -------
     list
-        The logs in the same order. A log keeps its own origin if it begins farther than ``SHARED_WITHIN`` from the
-        reference, or if the origin of its x and y is unknown.
+        The logs in the same order. A log keeps its own origin if this is farther than `SHARED_WITHIN` (10 km) from the
+        reference. It is unchanged if its own origin is unknown, or if all origins are.
 
     Notes
     -----
@@ -542,9 +554,9 @@ def share_frame(logs: Sequence[LoadedLog], reference: FrameOrigin | None = None)
 
 
 def _move_to_origin(log: LoadedLog, reference: FrameOrigin) -> LoadedLog:
-    """Return the log with x and y from the origin ``reference``.
+    """Return the log with x and y relative to the origin ``reference``. Its own origin must be known.
 
-    A log that begins farther than `SHARED_WITHIN` from the reference is returned unchanged.
+    A log whose origin is farther than `SHARED_WITHIN` (10 km) from the reference is returned unchanged.
     """
     assert log.origin is not None
     north, east = reference.offset(log.origin)
@@ -555,16 +567,19 @@ def _move_to_origin(log: LoadedLog, reference: FrameOrigin) -> LoadedLog:
 
 
 def _with_origin(log: LoadedLog, origin: FrameOrigin) -> LoadedLog:
-    """Return the log with this origin of x and y, without a change of the positions.
+    """Return the log with ``origin`` noted as the origin of its x and y. The positions are not changed.
 
-    The origin is also stored in ``meta`` and ``about`` for records and results.
+    The origin is also stored in the ``meta`` of its signals and in its ``about``, for records and results.
     """
     run = replace(log.run, meta={**log.run.meta, ORIGIN: origin})
     return replace(log, origin=origin, run=run, about=log.about | {ORIGIN: msgspec.structs.asdict(origin)})
 
 
 def far_apart(origins: Sequence[object]) -> bool:
-    """Return whether the origins (`FrameOrigin`) of several logs differ. An unknown origin (None) is ignored."""
+    """Return whether several logs have different origins of x and y (`FrameOrigin`).
+
+    Unknown origins (None) are ignored.
+    """
     return len({o for o in origins if o is not None}) > 1
 
 
@@ -574,14 +589,14 @@ def load_all(
     window: TimeWindow = WHOLE,
     device_faults: DeviceChecks | None = None,
 ) -> tuple[list[LoadedLog], list[LoadedLog]]:
-    """Load estimation and validation data, with x and y from one origin (`share_frame`).
+    """Load estimation and validation data, cut at gaps, with unique names and with x and y from one origin.
 
     Parameters
     ----------
     logs
-        Logs of the estimation data.
+        Files or folders of the estimation logs.
     validate
-        Logs of the validation data.
+        Files or folders of the validation logs.
     window
         Interval of time of each estimation log to use. Validation logs are used as a whole.
     device_faults
@@ -612,18 +627,19 @@ def load_all(
 
 
 def usable_parts(log: LoadedLog) -> list[LoadedLog]:
-    """Cut a log at times without a sample of any sensor, and at times in which an input is unknown.
+    """Cut a log into the parts in which at least one sensor has samples and all inputs are known.
 
     Parameters
     ----------
     log
-        The log.
+        The log. It is cut at long times without a sample of any sensor (`silent_times`), and at times in which an input
+        has no value.
 
     Returns
     -------
     list
         The parts in order of time, each as a separate log. A log without such times is returned unchanged. Parts
-        shorter than `SHORTEST_PIECE_S` are left out.
+        shorter than `SHORTEST_PIECE_S` (10 s) are left out.
 
     Raises
     ------
@@ -639,15 +655,28 @@ def usable_parts(log: LoadedLog) -> list[LoadedLog]:
 
 
 def parts_with_sensors(log: LoadedLog) -> list[LoadedLog]:
-    """Cut a log only at times without a sample of any sensor, as the first step of `usable_parts`.
+    """Cut a log only at long times without a sample of any sensor, as the first step of `usable_parts`.
 
-    Parts shorter than `SHORTEST_PIECE_S` are left out. A warning lists the gaps. Only the first part has the findings
-    on the devices. A log without such times is returned unchanged and without a warning.
+    Parameters
+    ----------
+    log
+        The log.
+
+    Returns
+    -------
+    list
+        The parts in order of time, each as a separate log; parts shorter than `SHORTEST_PIECE_S` (10 s) are left out.
+        Only the first part has the findings on the devices. A log without such times is returned unchanged.
 
     Raises
     ------
     SeatrialError
         If all parts are too short.
+
+    Warns
+    -----
+    SeatrialWarning
+        If the log was cut. The warning lists the gaps and the parts that were left out.
     """
     gaps = silent_times(log.run.channels)
     if not gaps:
@@ -679,7 +708,7 @@ def parts_with_sensors(log: LoadedLog) -> list[LoadedLog]:
 
 
 def _parts_with_inputs(log: LoadedLog) -> list[LoadedLog]:
-    """Cut a log at times in which an input is unknown, and leave out parts shorter than `SHORTEST_PIECE_S`.
+    """Cut a log at times in which an input is unknown, and leave out parts shorter than `SHORTEST_PIECE_S` (10 s).
 
     A log without such times is returned unchanged. A signal with fewer than two samples in a part is left out of it.
     Only the first part has the findings on the devices.
@@ -716,13 +745,13 @@ def _named_part(
     Parameters
     ----------
     log
-        The log. Times at the end of its name are replaced.
+        The log. Times at the end of its name and path are replaced.
     run
         Signals of the part.
     span
-        Begin and end of the part [s].
+        Start and end of the part [s].
     unknown
-        Begin and end [s] of each time in the part in which an input has no value.
+        Start and end [s] of each interval of time in the part in which an input has no value.
     """
     a, b = span
     file, name = (TIMES.sub("", str(log.about[key])) for key in ("path", "name"))
@@ -732,7 +761,10 @@ def _named_part(
 
 
 def _samples_within(channel: Channel, begin: float, end: float) -> Channel:
-    """Return a signal from begin to end [s], with its last sample before begin, which still holds for a command."""
+    """Return a signal from ``begin`` to ``end`` [s], and its last sample before ``begin``.
+
+    The value of a command before ``begin`` still holds then.
+    """
     a = max(int(np.searchsorted(channel.t, begin, side="right")) - 1, 0)
     b = int(np.searchsorted(channel.t, end, side="right"))
     return slice_channel(channel, a, b)
@@ -758,11 +790,11 @@ def load_runs(
     window
         Interval of time of each log to load.
     reference
-        Origin of x and y. None: the first fix of the first log that has latitude and longitude.
+        Origin of x and y. None: the origin of the first log that has latitude and longitude.
     device_faults
         Function that returns the findings on the devices of an open log. None: the devices are not checked.
     cut
-        Whether to cut the logs at their gaps (`usable_parts`).
+        Whether to cut the logs at their gaps (`usable_parts`). The result then has one entry per part.
 
     Raises
     ------
@@ -775,7 +807,7 @@ def load_runs(
 
 
 def with_unique_names(loaded: Sequence[LoadedLog], files: Sequence[Path]) -> list[LoadedLog]:
-    """Give each log a unique name and path.
+    """Return the logs with unique names and paths, in the same order.
 
     Parameters
     ----------
@@ -787,8 +819,8 @@ def with_unique_names(loaded: Sequence[LoadedLog], files: Sequence[Path]) -> lis
     Returns
     -------
     list
-        The logs. Logs of the same name get the name of their folder before their own (``mon/run``), and a number if the
-        names are still equal (``mon/run (2)``).
+        Logs of the same name get the name of their folder before their own (``mon/run``), and a number if the names are
+        still equal (``mon/run (2)``). Other logs keep their names.
 
     Notes
     -----
@@ -809,9 +841,10 @@ def with_unique_names(loaded: Sequence[LoadedLog], files: Sequence[Path]) -> lis
 
 
 def _unique_labels(labels: Sequence[str], files: Sequence[Path]) -> list[str]:
-    """Return unique labels of files, in the same order.
+    """Return unique ``labels`` (names or paths) of files, in the same order.
 
-    A repeated label gets the folder's name before it, and a number if it is still equal.
+    A label that occurs several times gets the name of the file's folder before it, and a number from 2 on if it is
+    still not unique.
     """
     found: list[str] = []
     for label, file in zip(labels, files, strict=True):
@@ -822,7 +855,7 @@ def _unique_labels(labels: Sequence[str], files: Sequence[Path]) -> list[str]:
 
 
 def load_run(path: Path, role: str, window: TimeWindow = WHOLE, device_faults: DeviceChecks | None = None) -> LoadedLog:
-    """Load a log, or a window of it.
+    """Load a log, or an interval of its time, into memory.
 
     Parameters
     ----------
@@ -831,7 +864,8 @@ def load_run(path: Path, role: str, window: TimeWindow = WHOLE, device_faults: D
     role
         ``estimation`` or ``validation``, for reports.
     window
-        Interval of time of the log to load. The rest of the log is not read, so that the result has no ``sha256``.
+        Interval of time of the log to load. The rest of the log is not read (except one minute on both sides), so that
+        the result has no ``sha256``.
     device_faults
         Function that returns the findings on the devices of an open log. It uses the tables that are read here. None:
         the devices are not checked.
@@ -888,9 +922,9 @@ def load_run(path: Path, role: str, window: TimeWindow = WHOLE, device_faults: D
 
 
 def _unknown_inputs(log: Log) -> list[tuple[float, float]]:
-    """Return begin and end [s since 1970] of the times in which an imported input has no value.
+    """Return the intervals of time in which an imported input has no value, as (start, end) [s since 1970].
 
-    The times are sorted, and overlapping times are joined.
+    They are in order of time, and overlapping intervals are joined.
     """
     found: list[tuple[float, float]] = []
     for source in log.sources(Scalar):
@@ -907,9 +941,9 @@ def _unknown_inputs(log: Log) -> list[tuple[float, float]]:
 
 
 def _origin_of_positions(log: Log, found: Mapping[str, Channel], name: str) -> FrameOrigin | None:
-    """Return the origin of x and y if they come from latitude and longitude of a receiver; else None.
+    """Return the origin of x and y if a GNSS receiver of the log measured them as latitude and longitude; else None.
 
-    ``found`` has the signals by name, and ``name`` is the name of the log.
+    ``found`` has the signals of the log by name, and ``name`` is the name of the log, which is stored in the origin.
     """
     if "x" not in found or found["x"].source not in log.sources(Gnss):
         return None
@@ -919,7 +953,10 @@ def _origin_of_positions(log: Log, found: Mapping[str, Channel], name: str) -> F
 
 
 def _hold_in_log(log: Log, name: str) -> str:
-    """Return the hold of the signal ``name`` that the log states; an empty text if it states none."""
+    """Return the hold that the log states for the imported signal ``name``: ``zero``, ``linear`` or ``sampled``.
+
+    It is ``linear`` if the log states none. The text is empty for a signal that was not imported.
+    """
     try:
         return str(log.hold(name))
     except (KeyError, SeatrialError):

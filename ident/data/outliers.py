@@ -1,6 +1,6 @@
 """Point outliers of a signal: values that contradict the samples before and after them.
 
-A sample, or a short burst of samples, is an outlier if three things hold together:
+A sample, or a burst (a few samples in succession), is an outlier if three things hold together:
 
 1. The samples on both sides agree with each other, so that no step lies between them.
 2. The value differs from the straight line between the two sides by several times more than any neighbouring sample
@@ -32,10 +32,10 @@ from seatrial.ident.numerics import Array, wrap
 Mask = NDArray[np.bool_]
 LONGEST = 3  # samples of a burst that is searched at every sample; longer bursts are searched between two jumps
 MAX_JUMPS = 0.02  # share of the samples that jump; more jumps are noise, or another unit
-NEIGHBOURS = 6  # samples on each side
-FEWEST_STEPS = 4  # between regular neighbours, needed to know their size
-TIMES_STEP = 5.0  # least difference of an outlier over the largest step of its neighbours
-TIMES_SIDES = 3.0  # least difference of an outlier over the difference between both sides
+NEIGHBOURS = 6  # samples on each side of a burst, which show the usual step between samples
+FEWEST_STEPS = 4  # between neighbours that are no suspects; with fewer, their usual size is unknown
+TIMES_STEP = 5.0  # least ratio of an outlier's difference to the largest step of its neighbours
+TIMES_SIDES = 3.0  # least ratio of an outlier's difference to the difference between both sides
 # Least difference of an outlier, in the units of the signal, and the longest time [s] from the sample before a burst to
 # the one after it. Beyond that time the craft itself may have moved there and back.
 LEAST: dict[str, tuple[float, float]] = {
@@ -44,7 +44,7 @@ LEAST: dict[str, tuple[float, float]] = {
     "r": (1.0, 0.5), "ax": (30.0, 0.3), "ay": (30.0, 0.3), "az": (30.0, 0.3),
 }  # fmt: skip
 HEADING_SPAN = 5.0  # s, longest burst of headings that a gyro contradicts
-SHAFT = (0.1, 0.35)  # the same two limits for shaft speeds: of full speed, s
+SHAFT = (0.1, 0.35)  # the same two limits for shaft speeds: relative to full speed, and in s
 # Other signals, for example a force, have no physical scale. Their limit is a multiple of the range of the middle 98 %.
 TIMES_RANGE, OTHER_SPAN_S = 1.0, 0.35
 IMPOSSIBLE = 1e6  # SI units; no sensor of a small craft reports such a number in one of these signals
@@ -58,7 +58,7 @@ AWAY, START = 60.0, 60.0  # s, longest section at another place, in the middle a
 
 
 def without_outliers(found: Mapping[str, Channel]) -> dict[str, Channel]:
-    """Leave point outliers out of the signals of a log.
+    """Remove point outliers from the signals of a log.
 
     Parameters
     ----------
@@ -73,8 +73,9 @@ def without_outliers(found: Mapping[str, Channel]) -> dict[str, Channel]:
 
     Notes
     -----
-    Commands are not tested, since a command may have any value at any time. If x and y are of one receiver, an outlier
-    of one coordinate removes the whole fix.
+    Commands are not tested, since a command may have any value at any time. If x and y have the same sample times, an
+    outlier of one coordinate removes the fix from both, and short sections of fixes at another place are removed as
+    well.
     """
     masks = {name: outliers(name, c, found) for name, c in found.items() if c.hold != "zero"}
     pair = [found[n] for n in ("x", "y") if n in found]
@@ -88,7 +89,7 @@ def without_outliers(found: Mapping[str, Channel]) -> dict[str, Channel]:
 
 
 def _remove_samples(c: Channel, bad: Mask) -> Channel:
-    """Return the signal without the samples that ``bad`` (n,) marks, which become `Channel.left_out`.
+    """Return the signal ``c`` without the samples for which ``bad`` (n,) is True; they become its `Channel.left_out`.
 
     If all samples are marked, return the signal unchanged.
     """
@@ -106,13 +107,14 @@ def outliers(name: str, c: Channel, found: Mapping[str, Channel]) -> Mask:
     name, c
         Name and samples (n,) of the signal. The name determines the limits (`LEAST`).
     found
-        All signals by name. A gyro ``r`` helps to judge a heading, and a command helps to judge its shaft speed.
+        All signals by name. With a yaw rate ``r``, longer bursts of a heading are found. A change of a thruster's
+        command explains a change of its shaft speed, which is then no outlier.
 
     Returns
     -------
     Array (n,)
         True for an outlier. All False for a command, for a signal that is stepped like a command, and for a signal with
-        fewer than two times `NEIGHBOURS` samples.
+        fewer than 12 samples.
     """
     none = np.zeros(c.t.size, bool)
     least, span = _outlier_limits(name, c)
@@ -137,7 +139,7 @@ def outliers(name: str, c: Channel, found: Mapping[str, Channel]) -> Mask:
 
 
 def is_stepped(value: Array, least: float, n_bad: int) -> bool:
-    """Return whether a signal changes in single steps from level to level, as a command does.
+    """Return whether a signal changes in single steps from one constant value to another, as a command does.
 
     Parameters
     ----------
@@ -147,12 +149,12 @@ def is_stepped(value: Array, least: float, n_bad: int) -> bool:
         Smallest step that counts, in the unit of the signal.
     n_bad
         Number of suspected outliers. At least half as many single steps are required, and at least
-        `FEWEST_COMMAND_STEPS`.
+        `FEWEST_COMMAND_STEPS` (3).
 
     Notes
     -----
-    A short pulse of a joystick in such a signal is real. A measured shaft speed follows with a lag, so that a large
-    change takes several samples.
+    A step is single if the changes just before and after it are less than 5 % of it. A short pulse of a joystick in
+    such a signal is real. A measured shaft speed follows with a lag, so that a large change takes several samples.
     """
     steps = np.abs(np.diff(value))
     inside = steps[1:-1]
@@ -162,11 +164,12 @@ def is_stepped(value: Array, least: float, n_bad: int) -> bool:
 
 
 def _outlier_limits(name: str, c: Channel) -> tuple[float, float]:
-    """Return the minimum deviation of an outlier from its neighbours, and the maximum duration [s] of a burst.
+    """Return the smallest difference of an outlier from its neighbours, and the longest duration of a burst.
 
-    The deviation is in the unit of the channel. It is infinite, and the duration zero, for channels that may jump:
-    commands, given forces, sampled and averaged channels. It is also infinite for a signal without a limit in `LEAST`
-    whose middle 98 % of samples are constant.
+    The difference is in the unit of the signal ``c``. The duration [s] is the time from the sample before the burst to
+    the one after it. Both depend on the ``name`` of the signal. For signals that may jump (commands, given forces,
+    sampled and averaged signals) they are infinite and zero, so that no sample is an outlier. For a signal without a
+    physical scale, the difference is the range of its middle 98 % of samples, or infinite if these are constant.
     """
     if is_of_thruster(name, COMMAND, THRUSTER_FORCE, "servo", "pwm") or c.sampled or c.hold == "average":
         return np.inf, 0.0
@@ -179,12 +182,12 @@ def _outlier_limits(name: str, c: Channel) -> tuple[float, float]:
 
 
 def _burst_mask(name: str, t: Array, value: Array, least: float, span: float) -> Mask:
-    """Return which samples (n,) of a signal belong to a burst of outliers.
+    """Return which samples (n,) of a signal belong to a burst of outliers (one sample, or a few in succession).
 
     Parameters
     ----------
     name
-        Name of the signal. Headings and attitudes are wrapped.
+        Name of the signal. Differences of headings and attitudes are wrapped.
     t, value
         Times [s] and values of the samples (n,).
     least
@@ -195,7 +198,7 @@ def _burst_mask(name: str, t: Array, value: Array, least: float, span: float) ->
     Returns
     -------
     Array (n,)
-        All False if more than 20 % of the samples are suspects, which are then noise.
+        True for outliers. All False if more than 20 % of the samples are suspects, which are then noise.
     """
     bad = np.zeros(t.size, bool)
     candidates = [_burst_candidates(name, t, value, length, least, span) for length in range(1, LONGEST + 1)]
@@ -224,7 +227,7 @@ def _burst_mask(name: str, t: Array, value: Array, least: float, span: float) ->
 
 
 def _heading_change(rate: Channel, t: Array) -> Array:
-    """Return the integral of a yaw rate [rad/s] from its first sample to the times t (n,) [rad].
+    """Return the integral [rad] of a yaw rate [rad/s] from its first sample to each of the times ``t`` (n,) [s].
 
     The trapezoidal rule is used. Before the first and after the last sample, the integral is constant.
     """
@@ -233,24 +236,25 @@ def _heading_change(rate: Channel, t: Array) -> Array:
 
 
 def _long_bursts(name: str, t: Array, value: Array, least: float, span: float) -> list[tuple[int, int, float]]:
-    """Return first sample, length and least difference of each burst longer than `LONGEST`, from a jump to a jump back.
+    """Return first sample, length and size of each burst of more than 3 samples, from a jump to the jump back.
 
     Parameters
     ----------
     name
-        Name of the signal. Headings and attitudes are wrapped.
+        Name of the signal. Differences of headings and attitudes are wrapped.
     t, value
         Times [s] and values of the samples (n,).
     least
         Least difference of an outlier from the straight line between both sides, in the unit of the signal. A jump is a
-        larger step.
+        step between two samples that is larger.
     span
         Longest time [s] from the sample before a burst to the sample after it.
 
     Returns
     -------
     list
-        Empty if more than `MAX_JUMPS` of the samples are jumps. The difference is in the unit of the signal.
+        Index of the first sample, number of samples, and smallest difference from the straight line between both sides
+        in the unit of the signal. Empty if the number of jumps exceeds 2 % of the samples plus two.
     """
     jumps = np.flatnonzero(np.abs(_wrapped_difference(name, value[1:], value[:-1])) > least) + 1
     if jumps.size > MAX_JUMPS * t.size + 2:
@@ -277,12 +281,12 @@ def _long_bursts(name: str, t: Array, value: Array, least: float, span: float) -
 def _burst_candidates(
     name: str, t: Array, value: Array, length: int, least: float, span: float
 ) -> tuple[NDArray[np.intp], Array]:
-    """Return the possible bursts of ``length`` samples. A comparison with their neighbours has to confirm each.
+    """Return the possible bursts of ``length`` samples, before their comparison with the steps of neighbouring samples.
 
     Parameters
     ----------
     name
-        Name of the signal. Headings and attitudes are wrapped.
+        Name of the signal. Differences of headings and attitudes are wrapped.
     t, value
         Times [s] and values of the samples (n,).
     length
@@ -313,15 +317,27 @@ def _burst_candidates(
 
 
 def _wrapped_difference(name: str, a: Array, b: Array) -> Array:
-    """Return a - b (n,), wrapped to -pi..pi if the name is that of an angle [rad]."""
+    """Return ``a - b`` (n,), wrapped to -pi..pi if ``name`` is that of an angle: ``psi``, ``phi`` or ``theta``."""
     return wrap(a - b, angle=name in ANGLES)
 
 
 def _explained_by_command(c: Channel, bad: Mask, command: Channel) -> Mask:
-    """Return which outliers of a shaft speed are explained by a change of its command shortly before, (n,).
+    """Return which outliers of a shaft speed are explained by a change of its command in the second before, (n,).
 
-    ``bad`` (n,) marks the outliers. The change of the command within `COMMANDED_S` before the sample must exceed half
-    of the deviation from the interpolated good samples. Samples that are no outliers are False.
+    Parameters
+    ----------
+    c
+        The shaft speed.
+    bad
+        True (n,) for its outliers.
+    command
+        Command of the same thruster.
+
+    Returns
+    -------
+    Array (n,)
+        True for outliers that differ from the interpolated good samples by less than twice the range of the command
+        within `COMMANDED_S` (1 s) before them. False for all other samples.
     """
     explained = np.zeros(bad.size, bool)
     typical = np.interp(c.t, c.t[~bad], c.value[~bad]) if not bad.all() else c.value
@@ -333,41 +349,43 @@ def _explained_by_command(c: Channel, bad: Mask, command: Channel) -> Mask:
 
 
 def position_jumps(t: Array, x: Array, y: Array) -> NDArray[np.intp]:
-    """Return the samples at which the position jumps.
+    """Return the samples at which the position jumps: moves by more than 30 m and faster than 40 m/s.
 
     Parameters
     ----------
     t
         Times (n,) [s].
     x, y
-        Position (n,) [m].
+        Position north and east (n,) [m].
 
     Returns
     -------
     Array (n_jumps,)
-        Index of the first sample after each jump: a change of position that no craft can make (`JUMP` and `FASTEST`).
+        Index of the first sample after each jump.
     """
     moved = np.hypot(np.diff(x), np.diff(y))
     return np.flatnonzero((moved > JUMP) & (moved > FASTEST * np.diff(t))) + 1
 
 
 def sections_elsewhere(t: Array, x: Array, y: Array, regular: Mask) -> Mask:
-    """Return which fixes belong to short sections at another place.
+    """Return which fixes of a GNSS receiver belong to a short section at another place, from a jump to the jump back.
 
     Parameters
     ----------
     t
         Times (n,) [s].
     x, y
-        Position (n,) [m].
+        Position north and east (n,) [m].
     regular
         True (n,) for fixes to consider, False for outliers that are already known.
 
     Returns
     -------
     Array (n,)
-        True for fixes between a jump and the jump back, and for fixes at the start before the receiver has settled. All
-        False if more than 2 % of the fixes are jumps, since the unit or the column is then wrong.
+        True for fixes between a jump and the jump back to a reachable place within 60 s, and for fixes at the start
+        before the receiver has settled: before the last unpaired jump in the first 60 s, or the first fifth of the log
+        if this is shorter. All False if the number of jumps exceeds 2 % of the fixes plus two, since the unit or the
+        column is then wrong.
     """
     bad = np.zeros(t.size, bool)
     rows = np.flatnonzero(regular)
@@ -395,8 +413,9 @@ def sections_elsewhere(t: Array, x: Array, y: Array, regular: Mask) -> Mask:
 
 
 def _is_reachable(t: Array, x: Array, y: Array, i: int, j: int) -> bool:
-    """Return whether a craft can move from fix i to fix j: at most 5 m/s on average, or `JUMP` metres in all.
+    """Return whether a craft can move from the fix with index ``i`` to that with index ``j``.
 
-    ``t`` (n,) [s], ``x``, ``y`` (n,) [m]: times and positions of the fixes.
+    It can move 30 m in any time, and farther with less than 5 m/s on average. ``t`` (n,) [s], ``x``, ``y`` (n,) [m] are
+    the times and positions of the fixes.
     """
     return bool(np.hypot(x[j] - x[i], y[j] - y[i]) < max(JUMP, 5.0 * (t[j] - t[i])))

@@ -1,5 +1,6 @@
-"""Data for estimation: channels with their own sample times, and records of rows that a model uses.
+"""Data for estimation: channels (signals with their own sample times), and records (tables of rows that a model uses).
 
+A row of a record is one instant: it has the samples of this instant, and the inputs from it to the next row.
 `seatrial.ident.estimation.prepared_record` converts a record to the arrays of the compiled filter.
 """
 
@@ -31,12 +32,12 @@ SAME_TIME = 1e-6  # s; times closer than this are one row (times in s since 1970
 
 @dataclass(frozen=True)
 class LeftOut:
-    """Outliers that were left out of a signal.
+    """Outliers that were removed from a signal, kept for plots and reports.
 
     Attributes
     ----------
     t : Array (n,)
-        Times of the outliers [s], since the first sample of the signal.
+        Times of the outliers [s], since the first sample of the signal (which may itself be an outlier).
     value : Array (n,)
         Values of the outliers, in the unit of the signal.
     """
@@ -47,7 +48,7 @@ class LeftOut:
 
 @dataclass(frozen=True)
 class Channel:
-    """One signal with its own sample times.
+    """Signal of a log with its own sample times.
 
     Attributes
     ----------
@@ -60,10 +61,12 @@ class Channel:
     source : str
         Name of the device or of the imported column.
     hold : str
-        How an input behaves between its samples: ``zero`` (constant until the next sample), ``average`` (the same,
-        without a row for each change) or ``linear``. Empty if it is unknown, as for a sensor.
+        Value of an input between its samples: ``zero`` (constant until the next sample), ``average`` (the same, but a
+        change starts no new row of a record) or ``linear`` (linear interpolation). Empty if it is unknown, as for a
+        sensor.
     sampled : float
-        Original sample interval [s] of a signal that was resampled to a finer clock. Zero for all other signals.
+        Original sample interval [s] of a signal that was resampled to a finer grid of times. Zero for all other
+        signals.
     left_out : LeftOut or None
         Outliers that were removed from the samples. None if no sample was removed.
     """
@@ -78,7 +81,7 @@ class Channel:
 
 
 def sample_and_hold(channel: Channel, t: Array) -> Array:
-    """Return the zero-order hold of a channel at some times.
+    """Return the values of a signal at given times, if each sample is held until the next one (zero-order hold).
 
     Parameters
     ----------
@@ -90,15 +93,15 @@ def sample_and_hold(channel: Channel, t: Array) -> Array:
     Returns
     -------
     Array (n,)
-        The latest sample at or before each time, where a sample up to `SAME_TIME` later also counts. Before the first
-        sample, the value is that of the first sample.
+        The latest sample at or before each time, where a sample up to `SAME_TIME` (1 us) later also counts. Before the
+        first sample, the value is that of the first sample.
     """
     at = np.searchsorted(channel.t, t + SAME_TIME, side="right") - 1
     return channel.value[np.clip(at, 0, None)]
 
 
 def block_mean(channel: Channel, edges: Array, angle: bool = False) -> tuple[Array, Array]:
-    """Return the averages of a channel over consecutive intervals of time (blocks).
+    """Return the mean values of a signal over consecutive intervals of time (blocks).
 
     Parameters
     ----------
@@ -107,7 +110,7 @@ def block_mean(channel: Channel, edges: Array, angle: bool = False) -> tuple[Arr
     edges
         Edges of the blocks (n + 1,) [s], increasing. A block contains its first edge, but not its last edge.
     angle
-        Whether the value is an angle [rad]. It is then unwrapped before it is averaged.
+        Whether the signal is an angle [rad]. It is then unwrapped before it is averaged, so that the mean is unwrapped.
 
     Returns
     -------
@@ -129,7 +132,7 @@ def block_mean(channel: Channel, edges: Array, angle: bool = False) -> tuple[Arr
 
 @dataclass(frozen=True)
 class LogSegment:
-    """Signals of one log, and the interval of time to use.
+    """Signals of one log, or of a part of it, and the interval of time to use.
 
     Attributes
     ----------
@@ -142,7 +145,7 @@ class LogSegment:
     t_to : float or None
         End of the interval [s]. None: it ends where the first signal of the model ends.
     meta : Mapping
-        Information that is copied to ``Record.meta``.
+        Further information by name, which is copied to ``Record.meta``.
     """
 
     name: str
@@ -153,7 +156,7 @@ class LogSegment:
 
 
 def make_record(model: Model, run: LogSegment, rate: float) -> Record:
-    """Convert a segment of a log to rows for a model, as `build_record` does.
+    """Convert a segment of a log to a record for a model, as `build_record` does.
 
     Parameters
     ----------
@@ -176,16 +179,19 @@ def make_record(model: Model, run: LogSegment, rate: float) -> Record:
 class Record:
     """Rows of inputs and measurements of one segment of a log, for one model.
 
+    A row is one instant: it has the samples of this instant, and the inputs from it to the next row.
+
     Attributes
     ----------
     name : str
         Name of the segment, for messages and results.
     t : Array (n_rows,)
-        Times [s], increasing.
+        Times of the rows [s], increasing.
     u : Array (n_rows, n_inputs)
         Inputs at each row.
     u_next : Array (n_rows, n_inputs)
-        Inputs at the end of the interval after each row. For a zero-order hold without averaging they equal ``u``.
+        Inputs at the end of the interval after each row. In the interval they are linear. For a zero-order hold without
+        averaging they equal ``u``.
     y : Array (n_rows, n_outputs)
         Measurements, NaN for outputs without a sample. The outputs of one sensor are all measured or all NaN.
     inputs, outputs : tuple of str
@@ -194,7 +200,7 @@ class Record:
         Information on the segment: missing sensors (``missing``), start in the log [s] (``t0``), signal that ended
         early (``cut``).
     start : Mapping
-        Mean and standard deviation of initial states by name, for states that no measurement gives. It is used for a
+        (Mean, standard deviation) of initial states by name, for states that no measurement gives. It is used for a
         block of time from the middle of a run, which does not start at rest.
     """
 
@@ -210,12 +216,12 @@ class Record:
 
     @property
     def h(self) -> Array:
-        """Intervals from each row to the next (n_rows,) [s]; zero for the last row."""
+        """Time [s] from each row to the next (n_rows,); zero for the last row."""
         return np.append(np.diff(self.t), 0.0)
 
     @property
     def n_rows(self) -> int:
-        """Number of rows."""
+        """Number of rows of the record."""
         return int(self.t.size)
 
     @property
@@ -232,7 +238,7 @@ class Record:
         Raises
         ------
         ValueError
-            If an input of the model is missing.
+            If the record lacks an input of the model.
         """
         inputs, outputs = [i.name for i in model.inputs], [o.name for o in model.outputs]
         missing = [n for n in inputs if n not in self.inputs]
@@ -251,7 +257,7 @@ class Record:
         return replace(self, u=u, u_next=u_next, y=y, inputs=tuple(inputs), outputs=tuple(outputs))
 
     def part(self, t_from: float, t_to: float, name: str = "") -> Record:
-        """Return the rows with t_from <= t < t_to [s], with unchanged times.
+        """Return the record with only its rows from ``t_from`` to before ``t_to`` [s], with unchanged times.
 
         The result may have no row. Without a ``name``, the name is that of this record with the times appended, for
         example ``run[0:10]``.
@@ -260,17 +266,19 @@ class Record:
         return replace(within, name=name or f"{self.name}[{t_from:g}:{t_to:g}]")
 
     def rows(self, which: slice | NDArray[np.bool_]) -> Record:
-        """Return the record with the selected rows only, with unchanged times.
+        """Return the record with only the selected rows, with unchanged times.
 
-        ``which``: a slice of the rows, or True (n_rows,) for rows to keep. The result may have no row.
+        ``which`` is a slice of the rows, or an array (n_rows,) that is True for rows to keep. The result may have no
+        row.
         """
         return replace(self, t=self.t[which], u=self.u[which], u_next=self.u_next[which], y=self.y[which])
 
 
 def _select_columns(a: Array, columns: Sequence[int]) -> Array:
-    """Return some columns of an array (n, m), in the given order: a view if they are neighbours, otherwise a copy.
+    """Return the columns with the indices ``columns`` of an array ``a`` (n, m), in the given order.
 
-    The diagnosis keeps records of dozens of models, so that copies would need much memory.
+    The result is a view if the columns are neighbours in ascending order, otherwise a copy. The diagnosis keeps records
+    of dozens of models, so that copies would need much memory.
     """
     first = columns[0] if columns else 0
     if list(columns) == list(range(first, first + len(columns))):
@@ -289,15 +297,15 @@ def build_record(
     max_step: float | None = None,
     meta: Mapping[str, Any] | None = None,
 ) -> Record:
-    """Convert channels to rows for a model.
+    """Convert the signals of a log to a record for a model: a table of rows with inputs and measurements.
 
     Parameters
     ----------
     model
         The model. Channels are found by the names of its inputs and outputs.
     channels
-        The signals by name. A delayed copy ``NAME~k`` and the input ``work`` are computed if they are missing. The
-        input ``t`` is always the time since the start of the record.
+        The signals by name. A delayed copy ``NAME~k`` and the input ``work`` (integral of the cubed shaft speeds) are
+        computed if they are missing. The input ``t`` is always the time since the start of the record.
     name
         Name of the record, for messages.
     t_from, t_to
@@ -306,7 +314,7 @@ def build_record(
         Rate [Hz] above which a sensor is averaged over blocks of 1/rate, or thinned to one sample of each block if the
         model asks for it (`Sensor.averaged`). A slower sensor keeps its own times.
     max_step
-        Longest interval between rows [s], by default ``model.max_step`` (0.1 s for most models). Longer gaps get
+        Longest interval between rows [s], by default ``model.max_step`` (0.1 s for most models). Longer intervals get
         additional rows without measurements.
     meta
         Further entries of ``Record.meta``.
@@ -315,8 +323,8 @@ def build_record(
     -------
     Record
         Its rows are the union of the sample times of all sensors, of the changes of inputs with the hold ``zero`` that
-        are not averaged, and of the additional rows of gaps. ``meta["missing"]`` names the sensors of which a channel
-        is missing. ``meta["cut"]`` has the name of a signal that ends early and the seconds lost by it, if more than
+        are not averaged, and of the additional rows. ``meta["missing"]`` names the sensors of which a channel is
+        missing. ``meta["cut"]`` has the name of a signal that ends early and the seconds lost by it, if more than
         `SHARE_LOST` of the record is lost.
 
     Raises
@@ -368,7 +376,9 @@ def build_record(
 
 
 def _present_sensors(model: Model, channels: Mapping[str, Channel], name: str) -> list[Sensor]:
-    """Return the sensors of the model of which all channels exist; ``name``: name of the record, for messages.
+    """Return the sensors of the model for which ``channels`` has all outputs.
+
+    ``name`` is that of the record, for messages.
 
     Raises
     ------
@@ -391,7 +401,7 @@ def _present_sensors(model: Model, channels: Mapping[str, Channel], name: str) -
 def _signal_ends(
     present: Sequence[Sensor], inputs: Sequence[Input], channels: Mapping[str, Channel]
 ) -> dict[str, float]:
-    """Return the time up to which each signal is known [s], by the names of outputs and inputs.
+    """Return the time [s] up to which each signal is known, by the names of outputs and inputs.
 
     Parameters
     ----------
@@ -404,8 +414,9 @@ def _signal_ends(
 
     Notes
     -----
-    The time is that of the last sample. A command that is logged only when it changes is held until the last sample of
-    the sensors, if it was held for at least half of that time before. Otherwise its source may have failed.
+    The time is that of the last sample. An input that is logged only when it changes (sample intervals longer than 1 s)
+    is also known up to the last sample of the sensors, if this is less than twice its longest sample interval after its
+    own last sample. Otherwise its source may have failed.
     """
     ends = {o.name: float(channels[o.name].t[-1]) for s in present for o in s.outputs}
     latest = max(ends.values())
@@ -418,7 +429,7 @@ def _signal_ends(
 
 
 def _measurement_rows(model: Model, samples: Mapping[str, tuple[Array, Array]], t: Array) -> Array:
-    """Return the measurements at the rows (n_rows, n_outputs), NaN without a sample.
+    """Return the measurements of a record (n_rows, n_outputs), NaN where an output has no sample.
 
     Parameters
     ----------
@@ -439,10 +450,11 @@ def _measurement_rows(model: Model, samples: Mapping[str, tuple[Array, Array]], 
 
 
 def _derived_inputs(model: Model, channels: Mapping[str, Channel]) -> dict[str, Channel]:
-    """Return the inputs of the model that are missing in ``channels`` and are computed from other channels.
+    """Return, by name, the inputs of the model that ``channels`` lacks and that are computed from other channels.
 
     A delayed copy has the samples of its source, later by its delay. ``work`` is the integral of the cubed shaft speeds
-    (or of the commands without shaft speeds) over `WORK_UNIT`. An input whose source is missing is left out.
+    of both thrusters (or of their commands, without shaft speeds), divided by `WORK_UNIT` (150 s). An input whose
+    source is missing is left out.
     """
     derived: dict[str, Channel] = {}
     for signal in (i for i in model.inputs if i.name not in channels):
@@ -478,8 +490,8 @@ def _sensor_samples(
     rate
         Rate of the rows [Hz].
     faster
-        Whether the sensor has more samples than rows. It is then averaged over blocks of 1/rate, or thinned to the
-        sample nearest to the middle of each block if the model wants no average.
+        Whether the sensor is so fast that its samples are reduced to one for each block of 1/rate. This is the mean of
+        the block or, if the model wants no mean (`Sensor.averaged`), the sample nearest to the middle of the block.
 
     Raises
     ------
@@ -510,9 +522,10 @@ def _sensor_samples(
 
 
 def _block_edges(times: Array, start: float, end: float, rate: float) -> Array:
-    """Return the edges [s] of blocks of 1/rate from start to end [s], but only edges next to one of the times (n,) [s].
+    """Return the edges [s] of blocks of 1/rate from ``start`` to ``end`` [s], but only those near ``times`` (n,) [s].
 
-    ``rate`` is in Hz. All edges in a gap of years would need gigabytes.
+    The blocks that contain a time, and their neighbours, are complete. ``rate`` is in Hz. All edges in a gap of years
+    would need gigabytes.
     """
     step = (start + 1.0 / rate) - start  # as np.arange has it
     last = math.ceil((end + 0.5 / rate - start) * rate) - 1
@@ -522,10 +535,10 @@ def _block_edges(times: Array, start: float, end: float, rate: float) -> Array:
 
 
 def _nearest_to_block_middles(times: Array, start: float, end: float, rate: float) -> Array:
-    """Return for each block of 1/rate [s] from start to end the time in it that is nearest to its middle.
+    """Return the one of the ``times`` in each block of 1/rate [s] that is nearest to the middle of the block.
 
-    ``times`` (n,) [s] increase. Blocks without a time, and a block whose middle is not before ``end`` [s], have no
-    result.
+    ``times`` (n,) [s] increase, and ``rate`` is in Hz. The first block begins at ``start`` [s]. Blocks without a time,
+    and blocks whose middle is not before ``end`` [s], are left out.
     """
     # Only blocks that contain a time: all blocks in a gap of years would need gigabytes.
     numbers = np.unique(np.floor((times - start) * rate + SAME_TIME))
@@ -538,19 +551,20 @@ def _nearest_to_block_middles(times: Array, start: float, end: float, rate: floa
 
 
 def _median_interval(channel: Channel, start: float, end: float) -> float:
-    """Return the median sample interval [s] of a channel from start to end [s].
+    """Return the median sample interval [s] of a channel from ``start`` to ``end`` [s].
 
-    The interval is infinite for fewer than three samples.
+    The interval is infinite if fewer than three samples are in this time.
     """
     inside = (channel.t >= start) & (channel.t <= end)
     return float(np.median(np.diff(channel.t[inside]))) if inside.sum() > 2 else np.inf
 
 
 def _averaging_window(interval: float, rate: float) -> float:
-    """Return the length [s] of the moving average that is equivalent to the mean over blocks of 1/rate.
+    """Return the length [s] of the moving average of a continuous signal that is equivalent to a mean of samples.
 
-    ``interval`` [s] is the sample interval of the sensor, and ``rate`` [Hz] is that of the rows. Both averages have the
-    same variance of time. The result is zero for a sensor that is too slow to be averaged (`AVERAGED`).
+    The mean is that of the samples, ``interval`` [s] apart, in blocks of 1/rate, with the rate of the rows ``rate``
+    [Hz]. Both averages have the same variance of time. The result is zero for a sensor that is too slow to be averaged:
+    whose interval is longer than `AVERAGED` (0.6) times 1/rate.
     """
     return math.sqrt(1.0 / rate**2 - interval**2) if interval <= AVERAGED / rate else 0.0
 
@@ -558,8 +572,8 @@ def _averaging_window(interval: float, rate: float) -> float:
 def _has_feedthrough(model: Model, sensor: Sensor) -> bool:
     """Return whether an input acts on an output of the sensor without delay, as thrust acts on an accelerometer.
 
-    The outputs are evaluated at one state with two sets of inputs. Only inputs with ``prefilter`` differ between the
-    sets.
+    Only inputs that may be averaged (`Input.prefilter`) are considered. The outputs are evaluated at one state with two
+    sets of these inputs.
     """
     x, p = np.full(len(model.states), 0.1), list(model.values.values())
     u = np.array([[0.3] * len(model.inputs), [0.4] * len(model.inputs)])  # two arbitrary inputs at the same state
@@ -571,11 +585,11 @@ def _has_feedthrough(model: Model, sensor: Sensor) -> bool:
 def _row_times(
     measured: Sequence[Array], switches: Sequence[Array], start: float, end: float, max_step: float
 ) -> Array:
-    """Return the times of the rows [s] from ``start`` to ``end`` [s], increasing.
+    """Return the times of the rows of a record [s] from ``start`` to ``end`` [s], increasing.
 
     The times are the union of ``measured`` (times of the samples of each sensor), of ``switches`` (times at which an
-    input changes) inside the record, and of both ends. Times closer than `SAME_TIME` become one row. A gap longer than
-    ``max_step`` [s] gets additional rows at equal intervals.
+    input changes) inside the record, and of both ends. Times closer than `SAME_TIME` (1 us) become one row. Where two
+    rows are farther apart than ``max_step`` [s] by more than 10 %, rows at equal intervals are added.
 
     Raises
     ------
@@ -603,7 +617,7 @@ def _row_times(
 def _change_times(channel: Channel) -> Array:
     """Return the times [s] of the samples of a channel that differ from the sample before.
 
-    A repeated command thus adds no row.
+    The first sample never counts as a change. A repeated command thus adds no row to a record.
     """
     return np.asarray(channel.t[1:][np.diff(channel.value) != 0.0])
 
@@ -611,7 +625,9 @@ def _change_times(channel: Channel) -> Array:
 def _input_rows(
     model: Model, channels: Mapping[str, Channel], t: Array, start: float, window: float, derived: frozenset[str]
 ) -> tuple[Array, Array]:
-    """Return the inputs at the rows and at the ends of the intervals after them, (n_rows, n_inputs) each.
+    """Return the inputs of a record at its rows, and those at the ends of the intervals after the rows.
+
+    Both arrays are (n_rows, n_inputs).
 
     Parameters
     ----------
@@ -624,9 +640,10 @@ def _input_rows(
     start
         Start of the record [s], which is the zero of the input ``t``.
     window
-        Length [s] of the moving average that the sensors have passed; zero without averaging.
+        Length [s] of the moving average that is equivalent to the averaging of the sensors; zero without averaging.
     derived
-        Names of channels that were computed from others. Their sources are averaged once, and then shifted.
+        Names of the channels that were computed from others. A delayed copy among them is the averaged source, shifted
+        by the delay.
     """
     u, u_next = np.empty((2, t.size, len(model.inputs)))
     smoothed: dict[str, SmoothSignal] = {}  # once for a signal with hundreds of delayed copies
@@ -653,7 +670,10 @@ def _input_rows(
 
 
 def _samples_around(channel: Channel, t_from: float, t_to: float) -> Channel:
-    """Return the channel with the samples from t_from to t_to [s], and with one more sample before and after them."""
+    """Return the channel with only the samples from ``t_from`` to ``t_to`` [s], and one more on each side.
+
+    At an end of the channel there is no further sample.
+    """
     first = max(int(np.searchsorted(channel.t, t_from, side="right")) - 1, 0)
     last = max(int(np.searchsorted(channel.t, t_to)) + 1, first + 1)
     return replace(channel, t=channel.t[first:last], value=channel.value[first:last])
@@ -661,7 +681,7 @@ def _samples_around(channel: Channel, t_from: float, t_to: float) -> Channel:
 
 @dataclass(frozen=True)
 class SmoothSignal:
-    """Signal that is linear between its times and constant before and after them.
+    """Signal in continuous time that is linear between given times, and constant before and after them.
 
     Attributes
     ----------
@@ -678,7 +698,7 @@ class SmoothSignal:
     integral: Array
 
     def lines(self, t: Array) -> tuple[Array, Array]:
-        """Approximate the signal by a straight line in each interval.
+        """Approximate the signal by a straight line in each interval between given times.
 
         Parameters
         ----------
@@ -689,8 +709,12 @@ class SmoothSignal:
         -------
         first, last : Array (n,)
             Values of the line at the start and at the end of the interval after each time. The last entry of both is
-            the value of the signal at the last time. The line starts at the value of the signal and has its mean over
-            the interval. A line to the next value would lose the impulse of corners inside the interval.
+            the value of the signal at the last time.
+
+        Notes
+        -----
+        The line starts at the value of the signal and has its mean over the interval. A line to the value at the next
+        time would lose the impulse of corners inside the interval.
         """
         value = np.interp(t, self.t, self.value)
         mean = np.diff(_integral_up_to(self.t, self.value, self.value[1:], self.integral, t)) / np.diff(t)
@@ -698,7 +722,7 @@ class SmoothSignal:
 
 
 def smooth_signal(channel: Channel, signal: Input, window: float) -> SmoothSignal:
-    """Return the centred moving average of an input.
+    """Return the centred moving average of an input in continuous time.
 
     Parameters
     ----------
@@ -714,7 +738,7 @@ def smooth_signal(channel: Channel, signal: Input, window: float) -> SmoothSigna
     Returns
     -------
     SmoothSignal
-        Exact at each sample and half a window before and after it; linear in between.
+        Moving average, exact at each sample and half a window before and after it; linear in between.
     """
     t, value, linear = channel.t, np.unwrap(channel.value) if signal.angle else channel.value, signal.hold == "linear"
     if not linear:  # the first and the last value also hold before and after the samples
@@ -732,7 +756,7 @@ def smooth_signal(channel: Channel, signal: Input, window: float) -> SmoothSigna
 
 
 def _cumulative_integral(t: Array, value: Array, after: Array) -> Array:
-    """Return the integral (n,) of a signal from its first time to each of its times t (n,) [s].
+    """Return the integral (n,) of a signal from its first time to each of its times ``t`` (n,) [s].
 
     The signal is linear from ``value`` (n,) at each time to ``after`` (n - 1,) just before the next time.
     """
@@ -740,7 +764,7 @@ def _cumulative_integral(t: Array, value: Array, after: Array) -> Array:
 
 
 def _integral_up_to(t: Array, value: Array, after: Array, whole: Array, at: Array) -> Array:
-    """Return the integral (m,) of a signal from its first time up to the times ``at`` (m,) [s].
+    """Return the integral (m,) of a signal from its first time to each of the times ``at`` (m,) [s].
 
     Parameters
     ----------
@@ -750,9 +774,9 @@ def _integral_up_to(t: Array, value: Array, after: Array, whole: Array, at: Arra
         The signal is linear from ``value`` (n,) at each time to ``after`` (n - 1,) just before the next time. It is
         constant before its first time and after its last time.
     whole
-        Integral (n,) up to each of its times (`_cumulative_integral`).
+        Integral (n,) of the signal from its first time to each of its times (`_cumulative_integral`).
     at
-        Times (m,) [s]. The integral up to a time before the first time of a positive signal is negative.
+        Times (m,) [s]. Before the first time, the integral of a positive signal is negative.
     """
     k = np.clip(np.searchsorted(t, at, side="right") - 1, 0, max(t.size - 2, 0))
     since, slope = np.clip(at, t[0], t[-1]) - t[k], np.zeros(k.size)
@@ -763,7 +787,7 @@ def _integral_up_to(t: Array, value: Array, after: Array, whole: Array, at: Arra
 
 
 def held_lines(channel: Channel, t: Array) -> tuple[Array, Array]:
-    """Approximate a zero-order hold by a straight line in each interval.
+    """Approximate a zero-order hold of samples by a straight line in each interval between given times.
 
     Parameters
     ----------

@@ -5,9 +5,9 @@ This file has the whole rule by which an effect is accepted in a round or remove
 
 1. The log-likelihood. Its gain, summed in blocks of time, has to be positive and significant.
 2. The prediction errors of all channels over the horizon (`prediction_change_by_record`).
-3. The prediction three seconds ahead by inputs alone (1.2 s for a thruster), about the time in which speed follows
-   thrust. The disturbance forces are set to zero in it. Otherwise they would replace the missing effect and
-   extrapolate it.
+3. The prediction errors over three seconds (1.2 s for a thruster) by inputs alone. That is about the time in which
+   speed follows thrust. The disturbance forces are set to zero in it. Otherwise they would replace the missing effect
+   and extrapolate it.
 
 An effect with per-record parameters is compared on blocks in time of the validation runs. Each block is predicted with
 the estimates of the other blocks of its run. Otherwise the data that the effect was fitted to would judge it.
@@ -40,16 +40,17 @@ from seatrial.ident.validation import (
 
 @dataclass(frozen=True)
 class Comparison:
-    """Comparison of two models on the validation records that both could be evaluated on.
+    """Comparison of two fitted models on the validation records that both could be evaluated on.
 
     The measures are computed at their first use and cached.
 
     Attributes
     ----------
     before, after
-        The fitted models. A gain or a fall of the errors is in favour of ``after``.
+        The fitted models. A positive gain or smaller prediction errors are in favour of ``after``.
     policy
-        Thresholds of the comparison: the horizon of the prediction by inputs alone, and the number of blocks.
+        Thresholds, of which the horizon of the prediction by inputs alone and the smallest number of double blocks are
+        used.
     """
 
     before: FittedModel
@@ -58,16 +59,26 @@ class Comparison:
 
     @cached_property
     def gain(self) -> tuple[float, float]:
-        """Gain d ln L on all validation data, and its t statistic; both are 0 without common records."""
+        """Gain d ln L from ``before`` to ``after`` on the common validation records, and its t statistic.
+
+        Both are 0 without common records.
+        """
         return validation_gain(self.before, self.after, self.policy)
 
     def pooled_t(self, penalty: float) -> float:
-        """Return the t statistic of the gain over the blocks of all data (`pooled_t`), with its penalty d ln L."""
+        """Return the t statistic of the gain over the blocks of validation and estimation data (`pooled_t`).
+
+        ``penalty`` is the part of the gain d ln L of the estimation data that is due to the added parameters.
+        """
         return pooled_t(self.before, self.after, penalty, self.policy)
 
     @cached_property
     def prediction(self) -> PredictionChange:
-        """Change of the prediction errors over the horizon of the model on the validation data (10 s for a boat)."""
+        """Change of the prediction errors from ``before`` to ``after``, with its 95 % interval.
+
+        The data are the common validation records. The horizon is that of the model (10 s for a boat, 1 s on the
+        bench).
+        """
         seconds = self.before.model.horizon
         before, after = (
             {v.record.name: horizon_errors(s.model, v.record, v.values, v.run.x_filt, seconds) for v in views}
@@ -77,11 +88,11 @@ class Comparison:
 
     @cached_property
     def error_ratio(self) -> float:
-        """Ratio of the RMS prediction error by inputs alone of the first model to that of the second.
+        """RMS prediction error by inputs alone (disturbance forces zero) of ``before`` divided by that of ``after``.
 
-        The prediction is ``policy.input_horizon`` blocks ahead (3 s for a boat). The ratio is the geometric mean over
-        the channels of the validation data, or of the estimation data if there are no common validation records. It is
-        above 1 if the second model is better.
+        It is above 1 if ``after`` is better. The horizon is ``policy.input_horizon`` blocks (3 s for a boat). The ratio
+        is the geometric mean over the channels of the common validation records, or of the estimation data without such
+        records.
         """
         before, after = (
             np.mean([np.log(e.rms) for e in pooled_errors(list(of.values())).values()]) for of in self._errors_by_inputs
@@ -90,16 +101,17 @@ class Comparison:
 
     @cached_property
     def by_inputs(self) -> PredictionChange:
-        """Change of the prediction errors by inputs alone, from the first model to the second, with its 95 % interval.
+        """Change of the prediction errors by inputs alone from ``before`` to ``after``, with its 95 % interval.
 
-        The data are those of ``error_ratio``.
+        Data and horizon are those of ``error_ratio``. Its ratio is after over before, so below 1 if ``after`` is
+        better.
         """
         before, after = self._errors_by_inputs
         return prediction_change_by_record(before, after, self.policy.input_horizon * self.before.model.block)
 
     @cached_property
     def _errors_by_inputs(self) -> list[dict[str, dict[str, PredictionErrors]]]:
-        """Prediction errors by inputs alone: one dict by record and channel for each model."""
+        """Prediction errors by inputs alone of ``before`` and ``after``: one dict each, by record name and channel."""
         return [
             {v.record.name: _errors_by_inputs(s.model, v, self.policy.input_horizon) for v in views or s.estimation}
             for s, views in self._on_common_records
@@ -107,7 +119,10 @@ class Comparison:
 
     @property
     def _on_common_records(self) -> list[tuple[FittedModel, list[RecordEvaluation]]]:
-        """Both models, each with its evaluations of the validation records that both models could be evaluated on."""
+        """Both models, each with its evaluations of the validation records that both models could be evaluated on.
+
+        The evaluations are an empty list without such records.
+        """
         stages = (self.before, self.after)
         common = set.intersection(*({v.record.name for v in s.validation} for s in stages))
         return [(s, [v for v in s.validation if v.record.name in common]) for s in stages]
@@ -116,10 +131,9 @@ class Comparison:
 def comparison(
     before: FittedModel, after: FittedModel, effect: Effect, policy: SearchPolicy = DEFAULT_POLICY
 ) -> Comparison:
-    """Return the comparison of two models of which only the second has an effect.
+    """Return the comparison of two fitted models, of which only the second has an effect, on the validation records.
 
-    The comparison is on the validation records. If the effect has per-record parameters, both models are first
-    evaluated on blocks in time of the validation runs.
+    If the effect has per-record parameters, both models are first evaluated on blocks in time of the validation runs.
 
     Parameters
     ----------
@@ -128,7 +142,7 @@ def comparison(
     effect
         The effect.
     policy
-        Thresholds that the comparison keeps.
+        Thresholds of the comparison.
 
     Raises
     ------
@@ -159,7 +173,7 @@ def validation_gain(
     Returns
     -------
     gain
-        Sum of the gains d ln L from ``before`` to ``after``.
+        Gain d ln L from ``before`` to ``after``, summed over the records.
     t
         t statistic of the gain over blocks of time of 10 s (4 s on the bench), as the normal deviate of the same
         probability. The blocks are half as long if the data are shorter than ``policy.min_double_blocks`` of them. 0
@@ -211,8 +225,9 @@ def _gains_per_block(
 ) -> Array:
     """Return the gain d ln L in each block of time (n_blocks,) of the records that both models were evaluated on.
 
-    The blocks have twice the length ``block`` [s], or once if there are fewer than ``policy.min_double_blocks`` of
-    double length. Empty without common records.
+    ``before`` and ``after`` are the evaluations of the two models, matched by record name. The blocks are 2 ``block``
+    [s] long, or ``block`` if the data are shorter than ``policy.min_double_blocks`` blocks of double length. The result
+    is empty without common records.
     """
     new = {v.record.name: v for v in after}
     both = [v for v in before if v.record.name in new]
@@ -226,7 +241,7 @@ def _gains_per_block(
 
 
 def is_validated(refit: Refit, policy: SearchPolicy = DEFAULT_POLICY) -> bool:
-    """Return whether both sets of data support the effect of a refit.
+    """Return whether both estimation and validation data support the effect of a refit.
 
     The criterion of the estimation data (gain less the penalty of the parameters) is positive. The gain on the
     validation data is positive, and its t statistic exceeds ``policy.min_t``. A smaller t, above
@@ -236,19 +251,19 @@ def is_validated(refit: Refit, policy: SearchPolicy = DEFAULT_POLICY) -> bool:
     Parameters
     ----------
     refit
-        Refit of a round, rough or exact.
+        Refit of a round: the result of the rough search, or of the exact fit.
     policy
-        Thresholds, of which the smallest t statistic is used.
+        Thresholds, of which the three of the t statistic are used.
     """
     pooled = refit.t > policy.min_t_if_pooled and refit.pooled_t > policy.min_pooled_t
     return refit.criterion > 0 and refit.validation_gain > 0 and (refit.t > policy.min_t or pooled)
 
 
 def is_accepted(refit: Refit, policy: SearchPolicy = DEFAULT_POLICY) -> bool:
-    """Return whether the refit is validated and the prediction with it is good enough.
+    """Return whether the data support the effect of a refit (`is_validated`) and the prediction with it is good enough.
 
-    The prediction may not be significantly worse than without the effect, nor than that of the nominal model. A
-    prediction change of None counts as not worse; a ``prediction`` of None also counts as better.
+    The prediction may be neither significantly worse than without the effect, nor than that of the nominal model. An
+    unknown prediction change (None) counts as not worse; an unknown ``refit.prediction`` also counts as better.
 
     A nonparametric effect has no physical explanation, so the prediction with it has to be better. One of these is
     enough:
@@ -275,12 +290,12 @@ def is_accepted(refit: Refit, policy: SearchPolicy = DEFAULT_POLICY) -> bool:
 
 
 def refit_outcome(refit: Refit, added: Sequence[Refit], policy: SearchPolicy = DEFAULT_POLICY) -> Outcome:
-    """Return the outcome of a refit by its own merits, before it is compared with the other refits of its round.
+    """Return the outcome of a refit, before it is compared with the other refits of its round.
 
     Parameters
     ----------
     refit
-        The refit. If it is validated, its ``prediction`` must not be None.
+        The refit. If the data support it (`is_validated`), its ``prediction`` must not be None.
     added
         Refits of the effects that were added in earlier rounds; may be empty.
     policy
@@ -290,13 +305,15 @@ def refit_outcome(refit: Refit, added: Sequence[Refit], policy: SearchPolicy = D
     -------
     Outcome
         The first of these that holds: ``NOT_SUPPORTED`` if the criterion is not positive, ``NOT_VALIDATED`` if the
-        refit is not validated, ``WORSE_PREDICTION`` or ``NO_BETTER_PREDICTION`` if it is not accepted, ``SMALL`` if its
-        criterion is small compared with the largest of the effects added before, otherwise ``ADDED``.
+        validation data do not support the effect, ``WORSE_PREDICTION`` or ``NO_BETTER_PREDICTION`` if the refit is not
+        accepted (`is_accepted`), ``SMALL`` if its criterion is small compared with the largest of the effects added
+        before, otherwise ``ADDED``.
 
     Notes
     -----
-    A small effect is added with two exceptions: the prediction needs the effect, or the effect and an effect added
-    before are declared alternatives. In the latter case the effect added before may not explain all.
+    A small effect is ``ADDED`` in two exceptional cases: the prediction errors with it are significantly and clearly
+    smaller (``policy.max_small_error_ratio``), or the effect and an effect added before are declared alternatives. In
+    the latter case the effect added before may not explain all.
     """
     if not is_validated(refit, policy):
         return Outcome.NOT_SUPPORTED if refit.criterion <= 0 else Outcome.NOT_VALIDATED
@@ -314,7 +331,7 @@ def refit_outcome(refit: Refit, added: Sequence[Refit], policy: SearchPolicy = D
 
 
 def falls_materially(prediction: PredictionChange | None, policy: SearchPolicy = DEFAULT_POLICY) -> bool:
-    """Return whether the point estimate of a change of the prediction errors is a fall that matters.
+    """Return whether the prediction errors fall by an amount that matters, by their point estimate.
 
     The fall matters if the ratio of the errors, after over before, is below ``1 / policy.min_error_ratio``. The
     interval of the change is not considered. False for None.
@@ -332,9 +349,9 @@ def falls_materially(prediction: PredictionChange | None, policy: SearchPolicy =
 def improves_prediction(importance: EffectImportance, policy: SearchPolicy = DEFAULT_POLICY) -> bool:
     """Return whether the prediction is better with an effect than without it.
 
-    The 95 % interval of the change over the horizon decides. If it shows no change, or if there is no such change
-    (None), the error three seconds ahead by inputs alone decides: without the effect it has to be more than
-    ``policy.min_error_ratio`` times that with the effect.
+    The 95 % interval of the change over the horizon decides: True if the errors fall significantly, False if they rise.
+    If neither is significant, or if the change is unknown (None), the prediction errors over three seconds by inputs
+    alone decide: without the effect they have to be more than ``policy.min_error_ratio`` times those with it.
 
     Parameters
     ----------
@@ -348,12 +365,12 @@ def improves_prediction(importance: EffectImportance, policy: SearchPolicy = DEF
 
 
 def is_worth_its_parameters(importance: EffectImportance, policy: SearchPolicy = DEFAULT_POLICY) -> bool:
-    """Return whether an effect is worth its parameters beside the other effects.
+    """Return whether an effect justifies its parameters beside the other effects.
 
     Three conditions have to hold. The validation data support the effect: the gain is positive and t exceeds
     ``policy.min_t``, or ``policy.min_t_if_predicting`` if the effect improves the prediction. The prediction over the
-    horizon is not significantly worse with the effect. The prediction changes by an amount that matters. False if the
-    importance is unknown (NaN).
+    horizon is not significantly worse with the effect. The prediction errors are smaller with it by an amount that
+    matters. False if the importance is unknown (NaN).
 
     Parameters
     ----------
@@ -378,8 +395,9 @@ def should_be_removed(
 ) -> bool:
     """Return whether backward elimination should remove an effect.
 
-    An effect should be removed if it is not worth its parameters. A nonparametric effect should also be removed if the
-    prediction with it is neither better nor, by the point estimate, lower by an amount that matters.
+    An effect should be removed if it does not justify its parameters (`is_worth_its_parameters`). A nonparametric
+    effect should also be removed if the prediction errors with it are neither significantly smaller nor, by their point
+    estimate, smaller by an amount that matters.
 
     Parameters
     ----------
@@ -395,7 +413,10 @@ def should_be_removed(
 
 
 def is_immaterial(removed: RemovedEffect, policy: SearchPolicy = DEFAULT_POLICY) -> bool:
-    """Return whether the validation data support a removed effect, and the prediction is as good without it.
+    """Return whether the validation data support a removed effect, but the prediction is as good without it.
+
+    The gain on the validation data is positive and significant (``policy.min_t``), and the 95 % interval of the change
+    of the prediction errors shows neither a fall nor a rise.
 
     Parameters
     ----------
@@ -409,12 +430,12 @@ def is_immaterial(removed: RemovedEffect, policy: SearchPolicy = DEFAULT_POLICY)
 
 
 def validation_mismatches(fitted: FittedModel, policy: SearchPolicy = DEFAULT_POLICY) -> tuple[ValidationMismatch, ...]:
-    """Return the validation runs whose one-step errors are larger than the model claims.
+    """Return the validation runs whose one-step prediction errors are larger than the model claims.
 
     A run is listed if the lower end of the 95 % interval of a channel's ratio, actual over claimed error, exceeds
     ``policy.min_mismatch``. Of its channels the one with the largest lower end is reported. The parameter whose change
-    would explain the errors is estimated from the run. Empty if the model was cross-validated, because there are no
-    validation runs.
+    would explain the errors is estimated from the run. The result is () if the model was cross-validated, because there
+    are no validation runs.
 
     Parameters
     ----------
@@ -436,8 +457,8 @@ def validation_mismatches(fitted: FittedModel, policy: SearchPolicy = DEFAULT_PO
 def _t_as_normal_deviate(x: Array) -> float:
     """Return the t statistic of the mean of x (n,), converted to the normal deviate of the same probability.
 
-    The conversion (Wallace 1959) allows for few blocks, with which a large t occurs by chance. 0 for fewer than two
-    values.
+    The conversion (Wallace 1959) allows for few values, with which a large t occurs by chance. For fewer than two
+    values, return 0.
     """
     if x.size < 2:
         return 0.0
@@ -446,9 +467,10 @@ def _t_as_normal_deviate(x: Array) -> float:
 
 
 def _errors_by_inputs(model: Model, evaluation: RecordEvaluation, blocks: float) -> dict[str, PredictionErrors]:
-    """Return the errors of a record by channel, predicted ``blocks`` blocks ahead without disturbance forces.
+    """Return the prediction errors of a fitted model on a record, by channel, with the disturbance forces set to zero.
 
-    The disturbance states of the filter are set to zero in a copy before each prediction.
+    Each prediction starts at the filtered state, without its disturbance states. The horizon is ``blocks`` times the
+    block of the model (5 s for a boat, 2 s on the bench).
     """
     forces = [i for i, s in enumerate(model.states) if s.name in {r.state for r in residuals_of(model)}]
     x = evaluation.run.x_filt.copy()

@@ -39,17 +39,17 @@ class AttributionEvidence:
     Attributes
     ----------
     remaining
-        Scores that still pass after the last effect, best first.
+        Scores that still pass after the last effect, the largest criterion first.
     n
         Number of rows of the estimation data, for the penalty ``df ln n`` of a score.
     untested
         Names of catalogue effects that were not tested because the data lack one of their inputs.
     importances
-        Importance of each effect. The prediction is not judged for an effect without an entry.
+        Importance of each effect. For an effect without an entry, the prediction is no reason for ambiguity.
     reservations
         Reasons, as clauses, why no effect can be identified on these data.
     after
-        Last model, whose estimates are judged. None: the model of the effect's own round.
+        Last fitted model, whose estimates are judged. None: the estimates of an effect are those of its own refit.
     nominal
         Scores on the model without effects, which show the effects that the estimated parameters explain.
     unaffected, beside
@@ -71,12 +71,12 @@ class AttributionEvidence:
 def assess_alternatives(
     rounds: Sequence[Round], evidence: AttributionEvidence, policy: SearchPolicy = DEFAULT_POLICY
 ) -> tuple[EffectAttribution, ...]:
-    """Attribute each selected effect: identified, ambiguous or nonparametric.
+    """Attribute each effect that the search added: identified, ambiguous or nonparametric.
 
     Parameters
     ----------
     rounds
-        Rounds of the search. Rounds without a chosen effect are left out.
+        Rounds of the search. Rounds without a chosen effect are skipped.
     evidence
         Remaining scores, importances, and weaknesses of data and fit.
     policy
@@ -85,8 +85,8 @@ def assess_alternatives(
     Returns
     -------
     tuple of EffectAttribution
-        Attribution of each selected effect, in the order of the rounds. An effect is ambiguous if there is at least one
-        reason.
+        Attribution of each chosen effect, in the order of the rounds. A parametric effect is ambiguous if there is at
+        least one reason. Each attribution also names the competing models that are not excluded.
     """
     explained = {s.name for s in evidence.nominal if s.tolerance < policy.min_tolerance}
     importance = {w.effect: w for w in evidence.importances}
@@ -146,10 +146,10 @@ def assess_alternatives(
 
 
 def _strong_remaining_test_reasons(strong: Sequence[Score], n: int) -> list[str]:
-    """Return the reason for ambiguity that remaining score tests find much; empty if ``strong`` is empty.
+    """Return the reason for ambiguity that the score tests still find a large effect; empty if ``strong`` is empty.
 
-    ``strong`` are the remaining scores beyond the limit, of which the one with the largest criterion is named. ``n`` is
-    the number of rows of the estimation data.
+    ``strong`` are the scores on the last model that pass and exceed the limit of the criterion. The one with the
+    largest criterion is named. ``n`` is the number of rows of the estimation data.
     """
     if not strong:
         return []
@@ -161,9 +161,9 @@ def _strong_remaining_test_reasons(strong: Sequence[Score], n: int) -> list[str]
 
 
 def _many_remaining_tests_reasons(remaining: Sequence[Score], policy: SearchPolicy) -> list[str]:
-    """Return the reason for ambiguity that more score tests still pass than the policy allows; it names the first one.
+    """Return the reason for ambiguity that more than ``policy.max_remaining_tests`` score tests still pass, else [].
 
-    Empty if there are not more.
+    ``remaining`` are the scores that pass on the last model, the strongest first. The reason names the first.
     """
     if len(remaining) <= policy.max_remaining_tests:
         return []
@@ -174,21 +174,22 @@ def _many_remaining_tests_reasons(remaining: Sequence[Score], policy: SearchPoli
 
 
 def _remaining_alternative_reasons(effect: Effect, remaining: Sequence[Score], n_added: int) -> list[str]:
-    """Return the reason for ambiguity that a declared alternative of this effect still passes, however small its score.
+    """Return the reason for ambiguity that a declared alternative of the effect still passes its score test, else [].
 
-    It applies only if several effects were added (``n_added`` > 1), because one effect may then explain all of them.
-    Otherwise, or if no alternative passes, the list is empty.
+    The size of its score does not matter. The rule applies only if several effects were added (``n_added`` > 1): they
+    may then together take the place of that alternative. ``remaining`` are the scores that pass on the last model.
     """
     alternatives = [s.name for s in remaining if s.name in effect.alternatives] if n_added > 1 else []
     return [f"with this effect the score tests still find its alternative {alternatives[0]}"] if alternatives else []
 
 
 def _form_correction_reasons(chosen: Sequence[Refit], refit: Refit, policy: SearchPolicy) -> list[str]:
-    """Return the reason for ambiguity that this effect is a small alternative of a strong effect; empty if it is not.
+    """Return the reason for ambiguity that the effect of a refit may only correct the form of a much stronger effect.
 
-    The criterion of the effect is below ``policy.form_share`` of that of the strong effect, and one of both effects
-    declares the other one as its alternative. The difference between the true form of the strong effect and that of the
-    catalogue resembles the nearest alternative.
+    This is so if the criterion of the effect is below ``policy.form_share`` of that of the strong effect, and one of
+    them declares the other one as its alternative. The difference between the true form of the strong effect and that
+    of the catalogue resembles such an alternative. ``chosen`` are the refits of all chosen effects. Otherwise, return
+    [].
     """
     strong = [c.effect for c in chosen if refit.criterion < policy.form_share * c.criterion]
     related = [e for e in strong if e.name in refit.effect.alternatives or refit.effect.name in e.alternatives]
@@ -198,8 +199,8 @@ def _form_correction_reasons(chosen: Sequence[Refit], refit: Refit, policy: Sear
 def _undetermined_size_reasons(effect: Effect, fitted: FittedModel, policy: SearchPolicy) -> list[str]:
     """Return the reason for ambiguity that a parameter of the effect is at its bound, or its size is not significant.
 
-    A size is a free parameter whose initial value is 0. All sizes together have to be ``policy.min_significance``
-    standard errors from zero. Only the first reason is returned; empty if there is none.
+    The size consists of the fitted parameters whose initial value is 0. Their joint distance from zero has to be at
+    least ``policy.min_significance`` standard errors. Return only the first reason, or [] if there is none.
     """
     fit = fitted.fit
     by_name = {p.full_name: p for p in effect.parameters if not p.per_record}
@@ -220,9 +221,9 @@ def _undetermined_size_reasons(effect: Effect, fitted: FittedModel, policy: Sear
 
 
 def _reported_estimate(fit: Fit, p: Parameter) -> tuple[str, float, float, str]:
-    """Return name, value, standard error and unit of a parameter as they are reported.
+    """Return name, value, standard error and unit of a fitted parameter as reports show them.
 
-    If the force scale is unknown, they are those of the ratio to the thrust (`m_u/T`, kg/N).
+    If the scale of the forces is unknown, they are those of the ratio to the thrust (for example `m_u/T` in kg/N).
     """
     reported = ReportedEstimates(fit)
     estimate = reported.estimate(p, p.segment or 0)
@@ -230,12 +231,12 @@ def _reported_estimate(fit: Fit, p: Parameter) -> tuple[str, float, float, str]:
 
 
 def _undetermined_position_reasons(effect: Effect, fitted: FittedModel, policy: SearchPolicy) -> list[str]:
-    """Return the reason for ambiguity that the position of an effect is not determined (the fixed end of a line).
+    """Return the reason for ambiguity that the data do not determine the position of an effect (such as a mooring).
 
     The position is undetermined if ``policy.position_reach`` joint standard errors are not less than its RMS distance
-    from the boat. Empty for an effect without a scanned position, or if a coordinate is not free. A small track
-    determines the direction to the position. The prior determines its distance, so all positions along that direction
-    fit equally well.
+    from the boat. Return [] otherwise, for an effect without a scanned position, or if a coordinate is not fitted. A
+    short track determines the direction to the position. The prior determines its distance, so all positions along that
+    direction fit equally well.
     """
     fit, scan = fitted.fit, effect.scan
     points = [p for p in effect.parameters if p.name in scan and p.name.startswith(("x_", "y_"))]
@@ -252,9 +253,9 @@ def _undetermined_position_reasons(effect: Effect, fitted: FittedModel, policy: 
 
 
 def _distance_from_zero(fit: Fit, sizes: Sequence[int]) -> float:
-    """Return the joint distance of correlated estimates from zero in standard errors (Wald).
+    """Return the joint distance of some correlated estimates of a fit from zero, in standard errors (Wald statistic).
 
-    ``sizes`` are indices of the fitted parameters. 0 if their covariance is not finite.
+    ``sizes`` are the indices of the estimates among the fitted parameters. If their covariance is not finite, return 0.
     """
     values = fit.values[list(sizes)]
     covariance = fit.covariance[np.ix_(sizes, sizes)]
@@ -264,7 +265,7 @@ def _distance_from_zero(fit: Fit, sizes: Sequence[int]) -> float:
 
 
 def _finding_in_words(score: Score) -> str:
-    """Return what a score test finds as a text for reports.
+    """Return what a score test finds, as a text for reports.
 
     The text is the name of a parametric effect, or for example "that X depends on u and v" for a nonparametric one.
     """
@@ -283,11 +284,12 @@ def _finding_in_words(score: Score) -> str:
 def _nonparametric_curve_reasons(
     chosen: Sequence[Refit], search_round: Round, unaffected: bool, policy: SearchPolicy
 ) -> list[str]:
-    """Return the reasons for ambiguity that nonparametric effects give.
+    """Return the reasons for ambiguity of the effect of a round that nonparametric effects give; [] if there are none.
 
-    There is one reason for each nonparametric effect that was added beside the effect, unless it is the curve of which
-    the effect is one form, or a small one beside which the effect keeps its size (``unaffected``). There is another
-    reason if an accepted nonparametric refit of the same round has a larger criterion.
+    There is one reason for each nonparametric effect in ``chosen`` (refits of all chosen effects). Two kinds are no
+    reason: the curve of which the effect is one form, and a small one if the effect keeps its size beside the remaining
+    candidates (``unaffected``). One more reason is an accepted nonparametric refit of the same round with a larger
+    criterion.
     """
     assert search_round.chosen is not None
     curve, own = search_round.chosen.effect.nonparametric_of, search_round.chosen.criterion
@@ -305,12 +307,12 @@ def _nonparametric_curve_reasons(
 
 
 def _competing_refits(search_round: Round, policy: SearchPolicy) -> list[Refit]:
-    """Return the refits of the competing models of a round, the largest criterion first.
+    """Return the refits of a round whose effects compete with the chosen one, the largest criterion first.
 
     They are the other parametric effects whose criterion is close to that of the chosen effect: it is positive, and
-    lower by less than the larger of ``policy.max_distance`` and ``policy.max_distance_share`` of it. An effect that
-    nests the chosen effect competes only if its further parameters increase the criterion. The refits need not be
-    accepted.
+    lower by less than the larger of ``policy.max_distance`` and the share ``policy.max_distance_share`` of it. An
+    effect that contains the chosen effect as a special case competes only if its criterion is larger. The refits need
+    not be accepted.
     """
     assert search_round.chosen is not None
     name, best = search_round.chosen.effect.name, search_round.chosen.criterion
@@ -326,9 +328,9 @@ def _competing_refits(search_round: Round, policy: SearchPolicy) -> list[Refit]:
 
 
 def _competing_model_reasons(search_round: Round, policy: SearchPolicy) -> list[str]:
-    """Return the reason for ambiguity that a competing model comes close, for the one with the largest criterion.
+    """Return the reason for ambiguity that a competing model explains about as much; [] without a competing model.
 
-    Empty if there is no competing model.
+    The reason compares the competing model with the largest criterion with the chosen effect of the round.
     """
     assert search_round.chosen is not None
     return [
@@ -338,9 +340,9 @@ def _competing_model_reasons(search_round: Round, policy: SearchPolicy) -> list[
 
 
 def _comparison_in_words(competitor: Refit, behind: float, policy: SearchPolicy) -> str:
-    """Return a clause that compares a competing model with the chosen effect.
+    """Return a clause for reports that compares a competing model with the chosen effect.
 
-    ``behind`` is the criterion of the chosen effect less that of the competitor [2 ln L]. It is negative if the
+    ``behind`` is the criterion of the chosen effect less that of the competitor (gain in 2 ln L). It is negative if the
     competitor explains the estimation data better.
     """
     title = competitor.effect.title
@@ -352,16 +354,20 @@ def _comparison_in_words(competitor: Refit, behind: float, policy: SearchPolicy)
 
 
 def _untested_alternative_reasons(effect: Effect, untested: Collection[str]) -> list[str]:
-    """Return one reason for ambiguity for each declared alternative of the effect whose name is in ``untested``."""
+    """Return a reason for ambiguity for each declared alternative of the effect that was not tested on these data.
+
+    ``untested`` are the names of all effects that were not tested. The list is empty if no alternative is among them.
+    """
     lost = [name for name in effect.alternatives if name in untested]
     return [f"its alternative {name} could not be tested on these data" for name in lost]
 
 
 def _explained_by_parameters_reasons(effect: Effect, explained: Collection[str]) -> list[str]:
-    """Return the reasons for ambiguity that the estimated parameters explain the effect, or else its alternatives.
+    """Return the reasons for ambiguity that the estimated parameters of the model explain the effect or alternatives.
 
-    ``explained`` has the names of the effects that the parameters of the nominal model explain. The rest of such an
-    effect is only a difference of form, which looks like the alternatives of the effect.
+    ``explained`` are the names of the effects that the parameters explain nearly completely. If the effect is one of
+    them, there is one reason; otherwise there is one for each of its alternatives among them. The unexplained rest of
+    such an alternative is only a difference of form, which looks like the effect.
     """
     if effect.name in explained:
         return ["the model's estimated parameters explain nearly all of this effect"]
@@ -370,9 +376,9 @@ def _explained_by_parameters_reasons(effect: Effect, explained: Collection[str])
 
 
 def _failed_candidate_reasons(search_round: Round) -> list[str]:
-    """Return the reason for ambiguity that a candidate of the same round passed the score test and could not be fitted.
+    """Return the reason for ambiguity that a candidate of the same round passed its score test but could not be fitted.
 
-    Such a candidate may be the right one. Only the first is named; empty if there is none.
+    Such a candidate may be the right one. Only the first is named; the list is empty if there is none.
     """
     return [
         f"{u.effect.title} passes the test too and could not be fitted: {u.reason}" for u in search_round.untested[:1]
@@ -380,9 +386,10 @@ def _failed_candidate_reasons(search_round: Round) -> list[str]:
 
 
 def _no_better_prediction_reasons(weight: EffectImportance | None, policy: SearchPolicy) -> list[str]:
-    """Return the reason for ambiguity that the prediction is no better with the effect, or could not be tested.
+    """Return the reason for ambiguity that the prediction is no better with an effect, or could not be tested.
 
-    Empty if the prediction is better, or if there is no importance (None).
+    ``weight`` is the importance of the effect. The list is empty if the prediction is better (`improves_prediction`),
+    or if there is no importance (None).
     """
     if weight is not None and weight.untested is not None:
         return [f"the prediction without this effect could not be tested: {weight.untested}"]
@@ -393,7 +400,7 @@ def _no_better_prediction_reasons(weight: EffectImportance | None, policy: Searc
 
 
 def recommended_experiment(diagnosis: Diagnosis) -> str | None:
-    """Return the recommended experiments that would resolve the ambiguities, None if there are none.
+    """Return the experiments that would resolve the ambiguities of a diagnosis, as text for reports.
 
     Parameters
     ----------
@@ -403,13 +410,14 @@ def recommended_experiment(diagnosis: Diagnosis) -> str | None:
     Returns
     -------
     str or None
-        Sentences for reports, joined by spaces. ``MODEL`` in a command stands for the file of the diagnosed model.
+        Sentences, joined by spaces. ``MODEL`` in a command stands for the file of the diagnosed model. None if no
+        experiment is recommended.
 
     Notes
     -----
-    - An effect with competing models: its experiment, and the command that designs the discriminating mission. The
-      command is left out if one of both effects is not of the catalogue, or if no mission can be designed for the
-      model.
+    - An effect with competing models: its experiment, and the command that designs a mission to distinguish it from the
+      closest of them. The command is left out if one of both effects is not of the catalogue, or if no mission can be
+      designed for the model.
     - An ambiguous effect without competing models: its experiment.
     - No effect was selected, although candidates were fitted: the experiment of the best refit of each round.
     """

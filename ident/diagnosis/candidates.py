@@ -43,7 +43,9 @@ INITIAL_WAVE_SIZE = 0.4  # initial wave forces of the refit, relative to typical
 
 
 class TrajectoryLinearisation:
-    """Linearisation of a model along the predicted trajectory of the filter on one record, by finite differences.
+    """Linearisation of a model along the states that the filter predicted on one record, by finite differences.
+
+    It gives the sensitivities of state rates and outputs to parameters and candidate effects in each row.
 
     Parameters
     ----------
@@ -59,7 +61,7 @@ class TrajectoryLinearisation:
     Attributes
     ----------
     rowwise
-        The model, evaluated on all rows at once.
+        The model, compiled to be evaluated on all rows of the record at once.
     own
         The record with the inputs of the model only.
     """
@@ -72,14 +74,17 @@ class TrajectoryLinearisation:
         self._ends: dict[tuple[str, ForceCurve | None], list[Array]] = {}  # states of effects at the last row
 
     def share_models(self, other: TrajectoryLinearisation) -> None:
-        """Use the models with candidates of ``other``, whose model is the same, so that they are derived only once."""
+        """Use the compiled models with candidates of ``other``, so that each is derived only once.
+
+        Both linearisations must have the same model.
+        """
         self.rowwise, self._larger = other.rowwise, other._larger
 
     def part(self, rows: slice) -> TrajectoryLinearisation:
-        """Return the linearisation of consecutive rows of the record.
+        """Return the linearisation of consecutive rows of the record, so that a long record is processed in parts.
 
-        The first row of each part is the last row of the part before. The states of effects continue from there, so the
-        parts have to be processed in the order of time: all parts share one store of these states.
+        The first row of each part is the last row of the part before. The states that effects add continue from there.
+        All parts share one store of these states, so the parts have to be processed in the order of time.
         """
         part = copy(self)
         part.record, own = self.record.rows(rows), self.own.rows(rows)
@@ -90,27 +95,33 @@ class TrajectoryLinearisation:
 
     @cached_property
     def base(self) -> Array:
-        """State rates and outputs of the model along the trajectory, Array (n_rows, n_states + n_outputs)."""
+        """Rates of the states and outputs of the model in each row, Array (n_rows, n_states + n_outputs)."""
         return self.rowwise(self.x, self.own.u, self.values)
 
     @cached_property
     def jacobian(self) -> Array:
-        """Jacobian of the outputs by the state, Array (n_rows, n_outputs, n_states)."""
+        """Derivatives of the outputs by the states in each row, Array (n_rows, n_outputs, n_states)."""
         return self.rowwise.output_jacobian(self.x, self.own.u, self.values)
 
     @cached_property
     def steps(self) -> tuple[Array, NDArray[np.int64]]:
         """Distinct lengths of the intervals between rows [s], and the index of the length of each interval.
 
-        Lengths are rounded to 1e-9 s. The indices are an Array (n_rows - 1,).
+        The lengths are an Array (n_distinct,), rounded to 1e-9 s. The indices are an Array (n_rows - 1,).
         """
         lengths, which = np.unique(np.round(self.record.h[:-1], 9), return_inverse=True)
         return lengths, which
 
     def parameter(self, name: str) -> Array:
-        """Return d(rates, outputs) / d parameter for the named model parameter, Array (n_rows, n_states + n_outputs).
+        """Return the derivatives of state rates and outputs by a parameter of the model.
 
-        The central difference has the step of the parameter, or 1 % of its value if it has none.
+        The result is an Array (n_rows, n_states + n_outputs). The derivatives are central differences with the step of
+        the parameter, or with 1 % of its value (at least 1e-5) if it has no step.
+
+        Raises
+        ------
+        ValueError
+            If the model has no parameter of this name.
         """
         index = [p.name for p in self.model.parameters].index(name)
         p = self.model.parameters[index]
@@ -121,10 +132,16 @@ class TrajectoryLinearisation:
         return (self.rowwise(self.x, self.own.u, up) - self.rowwise(self.x, self.own.u, down)) / h
 
     def state(self, name: str) -> Array:
-        """Return d(rates, outputs) / d state for the named disturbance state, Array (n_rows, n_states + n_outputs).
+        """Return the derivatives of state rates and outputs by a disturbance state of the model.
 
-        The difference is exact for the disturbance states, because they enter linearly. The rate of the state itself is
-        set to zero, because its decay is not an effect on the boat.
+        The result is an Array (n_rows, n_states + n_outputs). The difference is exact for the disturbance states,
+        because they enter linearly. The rate of the state itself is set to zero, because its decay is not an effect on
+        the boat.
+
+        Raises
+        ------
+        ValueError
+            If the model has no state of this name.
         """
         index = [s.name for s in self.model.states].index(name)
         moved = self.x.copy()
@@ -134,8 +151,9 @@ class TrajectoryLinearisation:
         return change
 
     def relative(self, residual: DisturbanceChannel) -> Array:
-        """Return d(rates, outputs) / d relative change of a residual (thrust), Array (n_rows, n_states + n_outputs).
+        """Return the derivatives of state rates and outputs by a relative change of a thrust.
 
+        The result is an Array (n_rows, n_states + n_outputs). ``residual`` is the thrust of one or of all thrusters.
         The difference is exact, because the change enters linearly.
         """
         name = f"change_of_{residual.name}"
@@ -205,10 +223,10 @@ class TrajectoryLinearisation:
     def _effect_states(
         self, rowwise: VectorisedModel, begin: list[Array], all_values: list[Array], u: Array
     ) -> list[Array]:
-        """Return the states (n_rows, m) of an effect along the trajectory, for each set of parameter values.
+        """Return the states (n_rows, m) that an effect adds, along the trajectory, for each set of parameter values.
 
-        The effect is at zero, so the states are linear with constant coefficients. They are driven by the model states
-        and inputs, and do not act on them.
+        The size of the effect is zero, so its states do not act on the model. They are linear with constant
+        coefficients, and are driven by the states and inputs of the model.
 
         Parameters
         ----------
@@ -234,10 +252,11 @@ class TrajectoryLinearisation:
         return found
 
     def generic(self, among: Mapping[str, SplineBasis] | None = None) -> Iterator[SensitivityColumns]:
-        """Yield the sensitivities of the nonparametric candidates.
+        """Yield the sensitivities of the nonparametric candidates, one after the other.
 
-        Each residual force is a smooth function of each variable and of products, or a lagged or resonant response to
-        an input. Each sensor error or thrust loss is a smooth function of the variables that its definition lists.
+        Each residual force is a smooth function of each variable and of products of two, or a lagged or resonant
+        response to the thrusters. Each sensor error or thrust loss is a smooth function of those variables that its
+        definition lists.
 
         Parameters
         ----------
@@ -265,7 +284,8 @@ class TrajectoryLinearisation:
 def _discretised_dynamics(A: Array, steps: Array) -> tuple[Array, Array]:
     """Discretise z' = A z + drive for each step length; the drive is constant over a step.
 
-    The matrix exponentials of all steps are computed at once by scaling and squaring.
+    The result gives z after a step: transition z + weight drive. The matrix exponentials of all steps are computed at
+    once by scaling and squaring.
 
     Parameters
     ----------
@@ -362,7 +382,8 @@ def generic_features(
     Returns
     -------
     dict
-        Array (n_rows, n_features) by a tuple of one or two variable names. A constant variable has no entry.
+        Array (n_rows, n_features) by a tuple of one or two variable names. A variable that is constant in the samples
+        of its basis has no entry of its own.
     """
     z = variables(model, record, x, values)
     available = variables_of(model)
@@ -381,14 +402,16 @@ def generic_features(
 
 @dataclass(frozen=True)
 class SplineBasis:
-    """Cubic B-splines over an interval, centred by their mean. The first function is left out.
+    """Cubic B-splines over an interval, less their means over some samples. The first function is left out.
+
+    All functions together sum to one, so the first would add nothing to a constant.
 
     Attributes
     ----------
     low, high
         Ends of the interval, in the unit of the variable. Values outside are moved to the ends.
     knots
-        Knots, scaled to 0 to 1, the outer ones four times.
+        Knots, scaled to 0 to 1, each end four times.
     mean : Array (n_functions - 1,)
         Mean of the functions over the samples of the basis, empty if the samples were constant.
     """
@@ -399,15 +422,18 @@ class SplineBasis:
     mean: Array
 
     def __call__(self, z: Array) -> Array:
-        """Return the centred functions at z (n,), Array (n, n_functions - 1); no columns for a constant variable."""
+        """Return the functions less their means at z (n,), Array (n, n_functions - 1).
+
+        The result has no columns if the samples of the basis were constant.
+        """
         if not self.mean.size:
             return np.zeros((z.size, 0))
         return np.asarray(self._raw(z).toarray() - self.mean)
 
     def _raw(self, z: Array) -> Any:
-        """Return the B-splines at z (n,) before centring, without the first: a sparse matrix (n, n_functions - 1).
+        """Return the B-splines at z (n,), without the first, before their means are subtracted.
 
-        Values of z outside the interval are moved to its ends.
+        The result is a sparse matrix (n, n_functions - 1). Values of z outside the interval are moved to its ends.
         """
         within = np.clip((z - self.low) / (self.high - self.low), 0, 1 - 1e-9)
         from scipy.interpolate import BSpline  # imported here, as it takes half a second
@@ -416,14 +442,14 @@ class SplineBasis:
 
 
 def spline_basis(among: Array, n_functions: int) -> SplineBasis:
-    """Return the spline basis over the middle 99 % of samples, centred by its mean over all of them.
+    """Return the spline basis over the middle 99 % of samples, less its mean over all of them.
 
     Parameters
     ----------
     among : Array (n,)
         Samples of the variable. If the middle 99 % differ by less than 1e-6, the basis has no functions.
     n_functions
-        Number of B-splines, with the first, which is left out.
+        Number of B-splines, including the first, which is left out.
     """
     low, high = np.percentile(among, [0.5, 99.5])
     knots = np.concatenate([[0] * 3, np.linspace(0, 1, n_functions - 2), [1] * 3])
@@ -434,17 +460,17 @@ def spline_basis(among: Array, n_functions: int) -> SplineBasis:
 
 
 def spline_bases(model: Model, among: Mapping[str, Array]) -> dict[str, SplineBasis]:
-    """Return the spline bases of all variables of a model except angles, by name of the variable.
+    """Return the spline basis of each variable of a model except angles, by name of the variable.
 
-    ``among`` has the samples (n,) of each variable, over which the basis is centred.
+    ``among`` contains the samples (n,) of each variable, which determine the interval and the mean of its basis.
     """
     return {v.name: spline_basis(among[v.name], v.functions) for v in variables_of(model) if not v.angle}
 
 
 def splines(z: Array, n_functions: int, among: Array | None = None) -> Array:
-    """Return the values (n, n_functions - 1) of centred spline functions at z (n,).
+    """Return the values (n, n_functions - 1) of the functions of a `SplineBasis` at z (n,).
 
-    The knots are placed for the samples ``among`` (m,), by default for z itself. For constant samples there are no
+    The samples ``among`` (m,) determine its interval and mean; None: z itself. For constant samples there are no
     columns.
     """
     return spline_basis(z if among is None else among, n_functions)(z)
@@ -455,15 +481,15 @@ def all_columns(
 ) -> Iterator[SensitivityColumns]:
     """Yield the sensitivities of every candidate along one record; the parametric candidates come first.
 
-    The order is the same for each record. Effects are left out if the model does not accept them or if the record lacks
+    The order is the same for each record. Effects are skipped if the model does not accept them or if the record lacks
     one of their inputs.
 
     Parameters
     ----------
     path
-        Linearisation along the record.
+        Linearisation of the model along the record.
     effects
-        Parametric candidates.
+        Parametric candidates. The nonparametric ones follow from the model.
     among
         Spline bases by the name of their variable, by default the bases of this record.
     """
@@ -474,14 +500,14 @@ def all_columns(
 
 
 def _has_inputs(path: TrajectoryLinearisation, effect: Effect) -> bool:
-    """Return whether the record of a linearisation has all inputs of an effect."""
+    """Return whether the record along which a model is linearised has all inputs of an effect."""
     return all(i.name in path.record.inputs for i in effect.inputs)
 
 
 def normal_equations(
     fitted: FittedModel, records: Sequence[Record], candidates: Sequence[Effect], free_parameters: Sequence[Parameter]
 ) -> tuple[NormalEquations, list[ColumnIndex]]:
-    """Return the normal equations of the fitted parameters and of every candidate, over all records.
+    """Return the normal equations of the fitted parameters and of every candidate, summed over all records.
 
     Parameters
     ----------
@@ -499,7 +525,7 @@ def normal_equations(
     normal
         The normal equations.
     column_indices
-        The column indices of each candidate.
+        The indices of the columns of each candidate.
 
     Notes
     -----
@@ -535,9 +561,9 @@ def normal_equations(
 
 
 def wave_peak_score(fitted: FittedModel, policy: SearchPolicy = DEFAULT_POLICY) -> Score | None:
-    """Return the score of the candidate ``waves`` for a fitted model, None if no spectral peak is significant.
+    """Return the score of the candidate ``waves`` (wave forces) from the spectrum of the innovations of a fitted model.
 
-    The peak of smallest p value in the band of waves counts, and its p value is multiplied by the number of peaks
+    The peak with the smallest p value in the band of waves counts, and its p value is multiplied by the number of peaks
     (Bonferroni). ``lm`` of the score is the chi-squared quantile of that p value. ``step`` and ``scan`` are the initial
     values of the refit. The p value of the peak is also the block-robust p value: the peak is an average over segments
     of time, and the comparison with neighbouring bins makes it valid for coloured innovations.
@@ -548,6 +574,11 @@ def wave_peak_score(fitted: FittedModel, policy: SearchPolicy = DEFAULT_POLICY) 
         The fitted model, with its evaluation of the estimation data.
     policy
         Thresholds: largest p value and longest sample interval.
+
+    Returns
+    -------
+    Score or None
+        None if no peak in the band of waves is significant.
     """
     peaks = [
         peak
@@ -567,10 +598,11 @@ def wave_peak_score(fitted: FittedModel, policy: SearchPolicy = DEFAULT_POLICY) 
 
 
 def _spectral_peaks(model: Model, evaluation: RecordEvaluation, max_interval: float) -> list[SpectralPeak]:
-    """Return the spectral peaks of the innovations of rates and accelerations, at most one for each sample interval.
+    """Return the spectral peaks of the innovations of a record, at most one for each sample interval.
 
-    Channels with the same median sample interval are searched together. Channels slower than ``max_interval`` [s], or
-    with fewer than three samples, are left out.
+    Only velocities, rates and accelerations are searched (outputs whose unit has "/s"). Outputs with the same median
+    sample interval are searched together. Outputs slower than ``max_interval`` [s], or with fewer than three samples,
+    are left out.
     """
     by_step: dict[float, dict[str, Array]] = {}
     for j, output in enumerate(model.outputs):
@@ -587,7 +619,11 @@ def _spectral_peaks(model: Model, evaluation: RecordEvaluation, max_interval: fl
 
 
 def _on_regular_grid(t: Array, e: Array, step: float) -> Array:
-    """Return the samples e (n,) at times t (n,) [s] on a regular grid with this step [s]; missing samples are NaN."""
+    """Return samples e (n,) at times t (n,) [s] on a regular grid of times with this step [s]; missing samples are NaN.
+
+    The grid begins at the first time. Each sample goes to the nearest grid time; the last of several at one time is
+    used.
+    """
     at = np.round((t - t[0]) / step).astype(int)
     grid = np.full(at[-1] + 1, np.nan)
     grid[at] = e

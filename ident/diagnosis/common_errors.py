@@ -40,16 +40,18 @@ ROUGH_COMMON_SEARCH = SearchSettings(tolerance=0.2, max_iterations=15, robust_er
 
 @dataclass(frozen=True)
 class CommonErrorScore:
-    """Joint score of the selected common errors.
+    """Result of the selection of common errors by the score tests: the selected errors and their joint score.
+
+    Common errors are the small errors that every craft has: timing and mounting of its sensors, and form of its hull.
 
     Attributes
     ----------
     names
-        Selected members, in the order of their selection.
+        Names of the selected errors, in the order of their selection.
     criterion
         Expected gain of all of them in 2 ln L with priors, less the penalty ``df ln n`` of their parameters.
     step
-        One-step estimate of each parameter by name.
+        One-step estimate of each parameter by name, in the unit of the parameter.
     """
 
     names: tuple[str, ...]
@@ -58,15 +60,16 @@ class CommonErrorScore:
 
 
 def common_errors_for(model: Model, candidates: Mapping[str, Effect]) -> dict[str, Effect]:
-    """Return the common errors that a model can have and does not have yet, by name.
+    """Return the common errors (timing, mounting, hull form) that can be added to a model, by name.
 
     Parameters
     ----------
     model
-        The model.
+        The model. Errors that it has already are left out.
     candidates
-        Candidates of a diagnosis. If a member of the catalogue is not among them, it is not a member here either. The
-        age of the telemetry is no candidate, and is a member of each model with measured shaft speeds.
+        Candidates of the diagnosis, which the model accepts. A common error of the catalogue that is not among them is
+        left out. The age of the telemetry is not in the catalogue. It is added, with an initial value of zero, if the
+        model has measured shaft speeds and at least one other common error was found.
     """
     present = {e.name for e in model.effects}
     found = {n: candidates[n] for n in COMMON_ERRORS if n in candidates and candidates[n] is catalogue().get(n)}
@@ -77,30 +80,31 @@ def common_errors_for(model: Model, candidates: Mapping[str, Effect]) -> dict[st
 
 
 def given_common_errors(model: Model, policy: SearchPolicy = DEFAULT_POLICY) -> tuple[Effect, ...]:
-    """Return the common errors that a model has already; none if it has fewer than ``policy.min_common_errors``."""
+    """Return the common errors that a model has already, or () if it has fewer than ``policy.min_common_errors``."""
     given = tuple(e for e in model.effects if e.name in COMMON_ERRORS)
     return given if len(given) >= policy.min_common_errors else ()
 
 
 def score_common_errors(equations: ScoreEquations, common: Mapping[str, Effect], n: int) -> CommonErrorScore:
-    """Select common errors by stepwise regression on the residuals of a fitted model.
+    """Select common errors by stepwise regression on the residuals of a fitted model, without a refit.
 
-    The member with the largest criterion is selected first; the others follow as long as they increase the criterion
-    of all selected members together. A member whose first parameter would get a value that it cannot have is left out.
+    The error with the largest criterion is selected first; the others follow as long as they increase the criterion of
+    all selected errors together. Selections in which a one-sided error would get an estimate that is not positive are
+    left out.
 
     Parameters
     ----------
     equations
-        Score equations of the fitted model, with the columns of all members.
+        Score equations of the fitted model, with the columns of all common errors.
     common
-        Members by name.
+        Common errors by name.
     n
         Number of rows of the estimation data.
 
     Returns
     -------
     CommonErrorScore
-        No names and a criterion of zero if no member increases the criterion.
+        No names and a criterion of zero if no error increases the criterion.
     """
     score = equations.projected[1]
     columns = {c.columns.name: np.asarray(c.at) for c in equations.indices if c.columns.name in common}
@@ -119,7 +123,7 @@ def score_common_errors(equations: ScoreEquations, common: Mapping[str, Effect],
             values = equations.one_step(at, np.array([weight[k] for k in at]))
             criterion = float(score[at] @ values) - at.size * float(np.log(n))
             estimates = dict(zip([p for m in (*selected, name) for p in names[m]], values.tolist(), strict=True))
-            if all(_possible(common[m], estimates) for m in (*selected, name)):
+            if all(_has_possible_sign(common[m], estimates) for m in (*selected, name)):
                 trials.append((criterion, name, estimates))
         if not trials or (top := max(trials, key=lambda t: t[0]))[0] <= best:
             return CommonErrorScore(tuple(selected), best, step)
@@ -128,7 +132,20 @@ def score_common_errors(equations: ScoreEquations, common: Mapping[str, Effect],
 
 
 def with_common_errors(model: Model, common: Sequence[Effect], step: Mapping[str, float], share: float) -> Model:
-    """Return a model with common errors at a ``share`` of their one-step estimates, limited by priors and bounds."""
+    """Return a model with common errors added, at initial values from the score tests.
+
+    Parameters
+    ----------
+    model
+        Model without them.
+    common
+        Common errors to add.
+    step
+        One-step estimate of each parameter by name, 0 for missing ones. It is limited to one standard deviation of the
+        prior.
+    share
+        Factor of these estimates, 0 to 1. The values are also limited to the bounds.
+    """
     for effect in common:
         values = []
         for p in effect.parameters:
@@ -149,18 +166,20 @@ def fit_common_errors(
     found: Sequence[str] = (),
     policy: SearchPolicy = DEFAULT_POLICY,
 ) -> CommonErrorsFit | None:
-    """Fit a model with the selected common errors.
+    """Fit a model together with the selected common errors, and accept the fit if the data support it.
+
+    The fit starts at the one-step estimates, then at 30 % of them, then at zero, until it succeeds.
 
     Parameters
     ----------
     current
-        Fitted model without them.
+        Fitted model without the common errors.
     records, validation_data
         Estimation data, and validation data.
     members
-        Selected members with their one-step estimates, a result of `score_common_errors`.
+        Selected common errors with their one-step estimates, a result of `score_common_errors`.
     common
-        Members by name.
+        Common errors by name.
     found
         Names of the effects that ``current`` has already.
     policy
@@ -169,8 +188,8 @@ def fit_common_errors(
     Returns
     -------
     CommonErrorsFit or None
-        None if no fit succeeds, if it is not supported by the estimation or the validation data, or if its prediction
-        is worse.
+        None if no fit succeeds, if the criterion of the estimation data or the gain on the validation data is not
+        positive, or if the prediction is significantly worse.
     """
     effects, fitted = tuple(common[name] for name in members.names), None
     for share in (1.0, 0.3, 0.0):
@@ -193,15 +212,19 @@ def fit_common_errors(
 
 
 def prior_information(effect: Effect, names: Sequence[str]) -> list[float]:
-    """Return the information of the prior of each named parameter of an effect [1/unit²], 0 without a prior.
+    """Return the information of the prior of each named parameter of an effect: 1 / variance, or 0 without a prior.
 
-    A name may end in the index of a record, ``NAME@i``.
+    A name may end in the index of a record (``NAME@i``), which is ignored.
     """
     priors = {p.name: p.prior for p in effect.parameters}
     found = [priors[name.partition("@")[0]] for name in names]
     return [0.0 if prior is None else 1.0 / prior[1] ** 2 for prior in found]
 
 
-def _possible(effect: Effect, estimates: Mapping[str, float]) -> bool:
-    """Return whether the estimate of a one-sided effect is positive; True for effects without a sign."""
+def _has_possible_sign(effect: Effect, estimates: Mapping[str, float]) -> bool:
+    """Return whether an effect has a possible sign: True if it is not one-sided or its first estimate is positive.
+
+    ``estimates`` are by parameter name. A missing estimate of the first parameter counts as zero, which is not
+    possible.
+    """
     return not effect.one_sided or estimates.get(effect.parameters[0].name, 0.0) > 0.0

@@ -62,7 +62,8 @@ class Refit:
     effect
         The added effect.
     fitted
-        The fitted model. It is the result of a rough search, or of an exact fit if the refit was validated.
+        The fitted model. It is the result of a rough search (a loose tolerance), or of an exact fit if the data support
+        the effect.
     gain
         Gain 2 d ln L of the rough search on the estimation data, with the priors of the parameters.
     df
@@ -81,8 +82,8 @@ class Refit:
     total
         Like ``prediction``, from the nominal model (without any added effect) to this model.
     by_inputs
-        Change of the prediction errors three seconds ahead (1.2 s on the bench) by inputs alone. None for a parametric
-        effect, or before the exact fit.
+        Change of the prediction errors over three seconds (1.2 s on the bench) by inputs alone, that is with the
+        disturbance forces set to zero. None for a parametric effect, or before the exact fit.
     pooled_t
         t statistic of the gain over the blocks of validation and estimation data (`acceptance.pooled_t`).
     """
@@ -102,13 +103,13 @@ class Refit:
 
     @property
     def nonparametric(self) -> bool:
-        """Return whether the effect is nonparametric: a curve, or a lagged or resonant response, without a formula."""
+        """Whether the effect is nonparametric: a curve, or a lagged or resonant response, without a formula."""
         return self.effect.kind.nonparametric
 
 
 @dataclass(frozen=True)
 class CommonErrorsGain:
-    """Support of the data for the common errors, against the model without them.
+    """Gains of a fit with the common errors (timing and mounting of sensors, hull form) over the fit without them.
 
     Attributes
     ----------
@@ -134,7 +135,7 @@ class CommonErrorsGain:
 
 @dataclass(frozen=True)
 class CommonErrorsFit:
-    """Fit with the small errors that every craft has: timing and mounting of sensors, and form of the hull.
+    """Fit with the common errors, which every craft has: timing and mounting of sensors, form of the hull.
 
     The errors are estimated together with the effects, and are not effects that the search found.
 
@@ -147,7 +148,7 @@ class CommonErrorsFit:
     after
         Names of the effects that the model had before; empty if the errors came first.
     gains
-        Support of the data for them; None if they were in the model that was given.
+        Gains over the fit without the errors. None if the model to diagnose had them already.
     """
 
     effects: tuple[Effect, ...]
@@ -158,7 +159,7 @@ class CommonErrorsFit:
 
 @dataclass(frozen=True)
 class UntestedCandidate:
-    """Candidate that could not be tested.
+    """Candidate effect that could not be tested, with the reason.
 
     Either the candidate passed the score test and could not be fitted from any initial values, or it could not have a
     score test. The latter is reported for user-defined effects and for effects at a fixed point only.
@@ -182,10 +183,10 @@ class Round:
     Attributes
     ----------
     scores
-        Scores of all candidates on the model before the round, best first.
+        Scores of all candidates on the model before the round, the largest criterion first.
     passed
-        Names of the candidates that pass the score test. After a nonparametric effect was added, only the parametric
-        ones with a large score.
+        Names of the candidates that pass the score test and may be refitted. After a nonparametric effect or the common
+        errors were added, only those with a large score; after a nonparametric effect, only parametric ones.
     refits
         Refits of the best candidates, the largest criterion first.
     chosen
@@ -202,7 +203,7 @@ class Round:
 
     @property
     def outcome(self) -> Outcome:
-        """Outcome of the refit that came closest to being added; ``UNTESTED`` if there is no refit."""
+        """Outcome of the refit that came closest to being added, ``UNTESTED`` if there is no refit."""
         if self.chosen is not None:
             return Outcome.ADDED
         found = {r.outcome for r in self.refits}
@@ -217,7 +218,7 @@ class Round:
 
     @property
     def explanation(self) -> str:
-        """Clause for reports: why an effect was added, or why no effect was added."""
+        """Clause for reports: why the effect of the round was added, or why none was added."""
         if self.chosen is not None:
             gain, t = self.chosen.validation_gain, self.chosen.t
             return f"the log-likelihood of the validation data rises by {gain:.0f} (t = {t:.1f})"
@@ -270,13 +271,13 @@ class EffectAttribution:
         Name of the effect.
     attribution
         ``identified``: the effect explains what the model lacked, and no competing model does. ``ambiguous``: the
-        effect leaves a residual that it should explain, or a competing model comes close. ``nonparametric``: a curve
-        without a formula.
+        effect leaves a residual that it should explain, a competing model comes close, or data and fit have another
+        weakness. ``nonparametric``: a curve without a formula.
     reasons
         Reasons for an ambiguous attribution, as clauses for reports; empty for the other attributions.
     not_excluded
-        Names of the competing models that the data do not exclude, closest first, then declared alternatives that could
-        not be tested.
+        Names of the competing models that the data do not exclude, closest first. Declared alternatives follow that
+        could not be tested, or that the estimated parameters of the model explain.
     """
 
     effect: str
@@ -296,9 +297,10 @@ class EffectImportance:
     gain
         Gain 2 d ln L on the estimation data if the effect is added last, with priors. NaN if unknown.
     error_ratio
-        Ratio of the RMS prediction error three seconds ahead (1.2 s on the bench) by inputs alone, without the effect
-        over with it; above 1 if the effect helps. It is the geometric mean over the channels of the validation data, or
-        of the estimation data if there are no validation data. NaN if unknown.
+        Ratio of the RMS prediction errors over three seconds (1.2 s on the bench) by inputs alone, without the effect
+        over with it; above 1 if the effect helps. By inputs alone means with the disturbance forces set to zero. The
+        ratio is the geometric mean over the channels of the validation data, or of the estimation data if there are no
+        validation data. NaN if unknown.
     validation_gain
         Gain d ln L on the validation data by adding the effect to the others; NaN if unknown.
     t
@@ -343,7 +345,7 @@ class ValidationMismatch:
 
 @dataclass(frozen=True)
 class ShortData:
-    """Estimation data that are too short for some score tests.
+    """Length of estimation data that are too short for some score tests, and the number of these tests.
 
     The block-robust statistic cannot exceed the number of blocks of time. With few blocks, a candidate with many
     parameters cannot pass for any size of the effect.
@@ -375,13 +377,15 @@ class Diagnosis:
     Attributes
     ----------
     before, after
-        Fitted model without added effects, and with the selected effects. Equal if no effect is selected.
+        Fitted model without added effects, and with the selected effects. ``after`` also has the common errors, if they
+        were added. Both are the same object if nothing was added.
     rounds
         Rounds of the search, in their order; empty if no candidate passed.
     remaining
-        Scores that pass the score test on ``after``, best first.
+        Scores that pass the score test on ``after``, the largest criterion first.
     curves
-        Curves of the nonparametric effects, and of the residual in place of the first ambiguous effect.
+        Curves of the nonparametric effects, and the curve of the residual that is fitted in place of the first
+        ambiguous effect.
     attributions
         Attribution of each selected effect, the most important first.
     importances
@@ -400,13 +404,14 @@ class Diagnosis:
     untestable
         User-defined candidates and candidates at a fixed point that could not have a score test.
     scores
-        Scores of all candidates on the last model that was tested, best first.
+        Scores of all candidates on the last model that was tested, the largest criterion first.
     untried_scores
         Scores that passed and were not tried, because the largest number of effects had been added. Empty otherwise.
     policy
-        Thresholds that the diagnosis was made with.
+        Thresholds of the diagnosis.
     common_errors
-        Fit with the small errors that every craft has, None if they were not added. ``after`` has the same errors.
+        Fit with the small errors that every craft has (timing and mounting of sensors, hull form). None if they were
+        not added.
     """
 
     before: FittedModel
@@ -442,10 +447,10 @@ class Diagnosis:
 
     @property
     def cross_validated(self) -> bool:
-        """Return whether blocks in time of the estimation runs took the place of missing validation runs."""
+        """Whether blocks in time of the estimation runs took the place of missing validation runs."""
         return self.after.cross_validated
 
     @property
     def converged(self) -> bool:
-        """Return whether the fit of the last model (``after``) converged. The fit of ``before`` is not considered."""
+        """Whether the fit of the last model (``after``) converged. The fit of ``before`` is not considered."""
         return self.after.fit.converged

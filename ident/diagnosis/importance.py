@@ -1,9 +1,9 @@
-"""Effect importance: leave-one-effect-out prediction error.
+"""Effect importance: prediction error of the model without one effect, divided by that with all effects.
 
 The search selects effects by the gain in likelihood, which measures one-step predictions. The sum of many small
 neglected effects (for example a delay of some hundredths of a second) can gain more likelihood than an effect that
 changes the motion of the boat. So the effects are ranked by the loss of predictive accuracy. Each effect is left out in
-turn, the other effects are fitted again, and the prediction three seconds ahead by inputs alone is compared
+turn, the other effects are fitted again, and the prediction over three seconds by inputs alone is compared
 (``Comparison.error_ratio``).
 """
 
@@ -38,10 +38,10 @@ def effect_importance(
     validation_data: ValidationData,
     policy: SearchPolicy = DEFAULT_POLICY,
 ) -> tuple[EffectImportance, ...]:
-    """Compute the importance of each chosen effect, sorted from the most important (`by_importance`).
+    """Compute the importance of each chosen effect; the most important comes first (`by_importance`).
 
-    Each effect is left out in turn, and the other effects are fitted again by a rough search, unless a refit of the
-    search has the same effects. If a nonparametric curve of the same force and variable was chosen too, it is left out
+    Each effect is left out in turn, and the other effects are fitted again by a rough search. If a refit of the search
+    has the same effects, it is used instead. A chosen nonparametric curve of the same force and variable is left out
     together with the effect.
 
     Parameters
@@ -91,10 +91,11 @@ def effect_importance(
 def _importance(
     refit: Refit, without: FittedModel, after: FittedModel, policy: SearchPolicy, *, alone: bool
 ) -> EffectImportance:
-    """Return the importance of an effect, from the fitted models ``without`` it and ``after`` it was added.
+    """Return the importance of the effect of a refit, by comparison of two fitted models.
 
-    ``alone`` is True if no other effect was left out together with this effect. Then, if the effect was added last, the
-    comparison in its refit is used again.
+    ``without`` is the model without the effect, and ``after`` the model with all effects. ``alone`` is True if no other
+    effect is left out of ``without``. If the effect was also added last, its refit contains the comparison on the
+    validation data already, which is used again.
     """
     gain = 2 * (after.fit.log_posterior - without.fit.log_posterior)
     compared = comparison(without, after, refit.effect, policy)
@@ -107,15 +108,15 @@ def _importance(
 
 
 def left_out_with(effect: Effect, chosen: Sequence[Refit]) -> set[str]:
-    """Return the names of all effects that are left out together with an effect, including its own.
+    """Return the names of the effects that are left out of the model to measure the importance of one effect.
 
-    A chosen nonparametric curve of the same force and variable is left out too, because the curve would take the place
-    of the effect.
+    They are the effect itself, and a chosen nonparametric curve of the same force and variable. The curve would take
+    the place of the effect.
 
     Parameters
     ----------
     effect
-        Effect that is left out.
+        Effect whose importance is measured.
     chosen
         Refits of all chosen effects.
     """
@@ -147,7 +148,7 @@ def fit_without(
     validation_data
         Validation records, or blocks in time of the estimation data.
     settings
-        Settings of the search, the default for None.
+        Settings of the search. None for the default settings, those of an exact fit.
 
     Returns
     -------
@@ -164,7 +165,7 @@ def fit_without(
 
 
 def by_importance(found: Sequence[EffectImportance], chosen: Sequence[Refit]) -> tuple[EffectImportance, ...]:
-    """Sort effects by importance, largest error ratio first; effects of unknown importance (NaN) come last.
+    """Sort effects by importance, the largest error ratio first; effects of unknown importance (NaN) come last.
 
     Parameters
     ----------
@@ -205,6 +206,9 @@ def _rank_of_curve(
 ) -> int:
     """Return the index in ``order`` at which a nonparametric curve is inserted among the parametric effects.
 
+    A curve of which a chosen parametric effect is one form comes directly before that effect. Another curve comes
+    before the first less important effect that was selected after it, or at the end.
+
     Parameters
     ----------
     table
@@ -216,13 +220,7 @@ def _rank_of_curve(
     search
         Names of all effects in the order of their selection.
     whole
-        Name of the parametric effect that is one form of a curve, by the name of the curve. Such a curve comes directly
-        before that effect.
-
-    Returns
-    -------
-    int
-        Otherwise the index of the first less important effect that was selected after the curve, or the end.
+        Name of the parametric effect that is one form of a curve, by the name of the curve.
     """
     if table.effect in whole:
         return order.index(whole[table.effect])
@@ -244,25 +242,25 @@ def _fit_with_effects(
     validation_data: ValidationData,
     settings: SearchSettings | None = ROUGH_SEARCH,
 ) -> FittedModel:
-    """Fit the model with only the kept effects, starting at the values of ``after``.
+    """Fit the model of ``before`` with only the kept effects added, starting at the values of ``after``.
 
     Parameters
     ----------
     kept
-        Refits of the effects that are added to the model of ``before``.
+        Refits of the effects to add.
     after, before
-        Fitted models with all effects and without them.
+        Fitted models with all effects, and without them.
     records
         Estimation data.
     validation_data
         Validation records, or blocks in time of the estimation data.
     settings
-        Settings of the search, the default for None.
+        Settings of the search; by default a rough search. None for the settings of an exact fit.
 
     Raises
     ------
     FIT_ERRORS
-        If the fit fails.
+        If the fit fails: ``ValueError``, ``ArithmeticError`` or ``LinAlgError``.
     """
     last = after.fit.model
     model: Model = before.fit.model

@@ -23,7 +23,7 @@ from seatrial.ident.numerics import Array
 
 @dataclass(frozen=True)
 class ModelUncertainty:
-    """Shifts of the estimates by candidates that still pass the score tests.
+    """Shifts of the estimates that each candidate which still passes the score tests would cause.
 
     Attributes
     ----------
@@ -41,7 +41,10 @@ class ModelUncertainty:
 
     @property
     def covariance(self) -> Array:
-        """Mean of the outer products of the shifts (n, n)."""
+        """Mean over the candidates of the outer product of the shifts with themselves, Array (n, n).
+
+        It is the part of the covariance of the estimates that is due to the incomplete model.
+        """
         product: Array = self.shifts.T @ self.shifts / len(self.candidates)
         return product
 
@@ -49,7 +52,7 @@ class ModelUncertainty:
 def model_uncertainty(
     equations: ScoreEquations, passing: Sequence[Score], effects: Mapping[str, Effect]
 ) -> ModelUncertainty | None:
-    """Compute how the candidates that pass would shift the estimates.
+    """Compute how each candidate that still passes a score test would shift the estimates, without a refit.
 
     Parameters
     ----------
@@ -58,12 +61,12 @@ def model_uncertainty(
     passing
         Scores that pass the tests on it.
     effects
-        Effects by name, for the priors of parametric candidates.
+        Parametric candidates by name, whose priors limit the shifts. Others have no prior.
 
     Returns
     -------
     ModelUncertainty or None
-        None if no candidate passes.
+        None if no candidate passes, or if only ``waves`` passes, which has no score equations.
     """
     gain = equations.coefficients_on_fitted
     names, shifts = [], []
@@ -80,17 +83,18 @@ def model_uncertainty(
 
 
 def with_model_uncertainty(fit: Fit, uncertainty: ModelUncertainty | None) -> Fit:
-    """Return the fit with the shifts of the estimates in its covariance and standard errors.
+    """Return the fit with the shifts of the estimates added to its covariance, standard errors and correlation.
 
-    The shifts count as considered uncertainty: predictions of what the sensors measure are checked on validation data,
-    and do not become less certain. Parameters without a standard error keep none.
+    The shifts are also added to ``considered``, the part of the covariance that is not used for predictions of the
+    measured outputs: these are checked on validation data and do not become less certain. Parameters without a standard
+    error keep none.
 
     Parameters
     ----------
     fit
         The fit. Parameters of the same full names get the shifts.
     uncertainty
-        The shifts; None leaves the fit unchanged.
+        Shifts of the estimates; None leaves the fit unchanged.
     """
     if uncertainty is None:
         return fit

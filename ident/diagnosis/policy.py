@@ -11,7 +11,7 @@ class SearchPolicy:
 
     A *block* is the block of time of the model: 5 s for a boat, 2 s for a thruster on the bench. A *criterion* is a
     gain in 2 ln L less the penalty ``df ln n`` of the added parameters (Delta BIC, no unit). An *error ratio* is the
-    ratio of two RMS prediction errors (no unit).
+    ratio of two RMS prediction errors (no unit). *By inputs alone* means with the disturbance forces set to zero.
 
     Attributes
     ----------
@@ -19,63 +19,66 @@ class SearchPolicy:
         Probability that any score test of one model passes without a missing effect. One half is for the parametric
         candidates and one half for the nonparametric ones. 5 % is the usual level; the validation data decide later.
     block_level
-        Significance level (p value) of the block-robust score test, a second condition beside the critical value of the
-        statistic. It is the usual 1 %.
+        Significance level of the block-robust p value of a score test. It is a second condition beside the critical
+        value of the statistic, and the usual 1 %.
     overwhelming_p, overwhelming_block_level
-        A score test with a p value below the first passes with the second as its block-robust level. Few blocks limit
-        the block-robust statistic even for a large effect. The validation data decide later.
+        A score test whose p value is below ``overwhelming_p`` passes if its block-robust p value is below
+        ``overwhelming_block_level``. Few blocks limit the block-robust statistic even for a large effect. The
+        validation data decide later.
     max_peak_p
-        Largest p value, times the number of peaks, of a spectral peak that is tested as waves. Coloured innovations
-        without waves have larger p values (tests/ident/diagnosis/test_spectral_peak.py).
+        Largest p value, times the number of peaks, of a spectral peak of the innovations that is tested as waves.
+        Coloured innovations without waves have larger p values (tests/ident/diagnosis/test_spectral_peak.py).
     max_wave_sample_interval
         Longest sample interval [s] of a channel that is searched for waves. Slower channels do not resolve waves.
     n_refits
         Number of parametric candidates in one batch of refits. Each refit is a complete fit, so the number limits the
         computing time.
     n_batches
-        Number of batches in a round. The next batch is fitted only if no refit of the earlier batches is accepted.
+        Largest number of batches in a round. The next batch is fitted only if no refit of the earlier batches is
+        accepted.
     n_nonparametric
-        Number of nonparametric candidates that are refitted in a round, also to limit the computing time.
+        Largest number of nonparametric candidates that are refitted in a round, also to limit the computing time.
     min_score_ratio
-        A parametric candidate is refitted only if the criterion of its score exceeds this share of the best one. A
-        refit gains up to ten times its score, not twenty times.
+        A parametric candidate is refitted only if the criterion of its score exceeds this share of the largest one. A
+        refit can gain up to ten times as much as its score test predicts, but not twenty times.
     nonparametric_score_share, nonparametric_score_distance
-        A nonparametric candidate is refitted if the criterion of its score exceeds both the first as a share of the
-        best accepted parametric criterion and that criterion less the second. It needs no such score if the best
-        parametric effect is one form of the same curve. A curve without a formula has to explain about as much.
+        A nonparametric candidate is refitted if the criterion of its score exceeds two limits: the share of the largest
+        criterion of the accepted parametric refits, and that criterion less the distance. Without such a refit there is
+        no limit. A curve without a formula has to explain about as much as the best formula. The limits do not hold for
+        the curve of which the best accepted parametric effect is one form.
     min_common_errors
         The common errors of every craft (sensor timing, mounting, hull form) are added together only if at least so
         many of them are needed at once. Fewer are found one by one, each as an effect of its own.
     min_error_ratio_beside
-        Replaces ``min_error_ratio`` and ``material_error_ratio`` beside common errors. What is left of a real boat is
-        the difference between its hull and any formula. It resembles small effects, which change the prediction by a
-        few per cent.
+        Value that replaces ``min_error_ratio`` and ``material_error_ratio`` if the model has the common errors. What
+        then remains of a real boat is the difference between its hull and any formula. It resembles small effects,
+        which change the prediction by a few per cent.
     max_loss
-        Largest loss in 2 ln L that a larger model may have against the model that it contains. The loss is a rounding
-        of the search. A larger loss means that the search stopped early, and other initial values are tried.
+        Largest loss in 2 ln L that a larger model may have against the model that it contains; such a loss is a
+        rounding of the search. A larger loss means that the search stopped early, and other initial values are tried.
     indistinguishable
-        Criteria that differ by less than this are equal, and the prediction decides. A difference below 2 in BIC is
-        "not worth more than a bare mention" (Kass and Raftery 1995).
+        Two criteria that differ by less than this are equal, and the prediction errors decide. A difference below 2 in
+        BIC is "not worth more than a bare mention" (Kass and Raftery 1995).
     min_gain_ratio
         Smallest criterion of an added effect as a share of the largest criterion of the effects added before. The
         difference between the true form of an effect and that of the catalogue resembles other, much smaller effects.
     max_small_error_ratio
-        An effect below ``min_gain_ratio`` is still added if the prediction errors with it fall significantly and their
-        ratio to those without it is below this value.
+        An effect below ``min_gain_ratio`` is still added if the prediction errors with it are significantly smaller,
+        and their ratio to those without it is below this value.
     min_gain_ratio_after_curve
-        Like ``min_gain_ratio``, for the score of a parametric effect after a nonparametric curve was added. The
-        difference between a true curve and its spline gains up to a fifteenth of the curve. Most other missing effects
-        gain a third or more.
+        Smallest criterion of the score of a parametric candidate after a nonparametric curve was added, as a share of
+        the largest criterion of the effects added before. The difference between a true curve and its spline gains up
+        to a fifteenth of the curve. Most other missing effects gain a third or more.
     min_t
-        The t statistic of the gain on the validation data has to exceed this value. A useless effect exceeds two
-        standard errors with a probability of 2.3 %.
+        The t statistic of the gain on the validation data has to exceed this value. An effect that does not exist
+        exceeds two standard errors with a probability of 2.3 %.
     min_pooled_t, min_t_if_pooled
-        A t statistic of the validation data above the second is enough if the t statistic over the blocks of all data
-        exceeds the first, at which a useless effect is ten times rarer than at ``min_t``. It is for gains in bursts,
-        such as in turns, of which the validation data have few.
+        A t statistic of the validation data above ``min_t_if_pooled`` is enough if the t statistic over the blocks of
+        all data exceeds ``min_pooled_t``. An effect that does not exist exceeds the latter ten times less often than
+        ``min_t``. The rule is for gains in bursts, such as in turns, of which the validation data have few.
     min_trial_criterion
-        Criterion of a refit above which it is tried together with another effect, if only the support by the validation
-        data is missing and no effect was accepted in its round.
+        If no effect was accepted in a round, a refit whose gain on the validation data is positive but not significant
+        is tried together with a second effect. Its criterion has to exceed this value.
     min_t_if_predicting
         Replaces ``min_t`` in the backward elimination for an effect that improves the prediction, which is further
         evidence.
@@ -86,8 +89,8 @@ class SearchPolicy:
     material_error_ratio
         Error ratio, without the effect over with it, up to which the prediction is as good without the effect.
     input_horizon
-        Horizon, in blocks, of the prediction by inputs alone: 3 s for a boat, 1.2 s on the bench. In about that time
-        the speed follows the thrust.
+        Horizon, in blocks, of the prediction by inputs alone: 0.6 blocks are 3 s for a boat and 1.2 s on the bench. In
+        about that time the speed follows the thrust.
     min_double_blocks
         If the validation data have fewer blocks of double length than this, the gain is summed over single blocks. A
         t statistic over a few blocks has too few degrees of freedom.
@@ -100,31 +103,32 @@ class SearchPolicy:
         Number of blocks of validation data below which no effect is identified (40 s for a boat). Two of these blocks
         are one block of the gain; with fewer, t > 2 is often chance.
     max_remaining_criterion, max_remaining_share
-        Largest criterion of a score test that remains beside an identified effect: the absolute value, and the share of
-        the criteria of all added effects. The larger one holds. The true form of an effect is not exactly that of the
-        catalogue (tests/recovery: leave-one-out against the full catalogue).
+        Largest criterion of a score test that may still pass beside an identified effect: the larger of an absolute
+        value and a share of the sum of the criteria of all added effects. The true form of an effect is not exactly
+        that of the catalogue (tests/recovery: leave-one-out against the full catalogue).
     max_remaining_tests
-        Largest number of score tests that still pass beside an identified effect. A small difference of form makes a
-        few of them pass.
+        Largest number of score tests that may still pass beside an identified effect. A small difference of form makes
+        a few of them pass.
     n_beside, max_change_beside
-        If score tests still pass, the last model is fitted with so many of the strongest remaining candidates. An
-        effect whose strongest parameter changes by less than the second, as a share of its value, is there beside
-        them; the remaining tests are then no reason against it.
+        If score tests still pass, the last model is fitted together with the ``n_beside`` strongest remaining
+        candidates. If the strongest parameter of an effect changes by less than the share ``max_change_beside`` of its
+        value, the effect exists beside them, and the remaining tests are no reason against it.
     max_curve_share
         A nonparametric curve that was added beside an effect is no reason against the effect if the effect keeps its
         size and the criterion of the curve is below this share of that of the effect.
     max_distance, max_distance_share
-        A competing model is not excluded if its criterion is lower than that of the chosen effect by less than this:
-        the absolute value, and the share of the criterion of the chosen effect. The larger one holds.
+        A competing model is not excluded if its criterion is lower than that of the chosen effect by less than the
+        larger of an absolute value and a share of the criterion of the chosen effect.
     min_significance
         Smallest distance of an identified effect from zero, in standard errors. Right effects exceed it even at half
         their size.
     position_reach
-        The position of an effect is unknown if this many standard errors are not less than its distance from the boat.
+        The position of an effect (such as the fixed end of a line) is undetermined if its distance from the boat is not
+        larger than this number of standard errors.
     min_tolerance
-        Share of the information of a score below which the estimated parameters explain the effect. If the thrust is
-        estimated, its asymmetry explains a loss in reverse except 0.005 to 0.04 %. Other effects keep 0.3 % and more
-        (tests/recovery).
+        Smallest share of the information of a score that the estimated parameters do not explain (its tolerance). Below
+        it, they explain the effect. If the thrust is estimated, its asymmetry explains a loss in reverse except 0.005
+        to 0.04 %. Other effects keep 0.3 % and more (tests/recovery).
     form_share
         An effect whose criterion is below this share of that of a declared alternative may only correct the form of
         that alternative.

@@ -34,7 +34,7 @@ WHOLE, PART = 8192, 2048  # rows: a record longer than the first is processed in
 
 @dataclass(frozen=True)
 class SensitivityColumns:
-    """Sensitivities of a candidate along one record: d(rates, outputs) per unit of each of its parameters.
+    """Sensitivities of a candidate effect along one record: d(state rates, outputs) per unit of each parameter.
 
     Attributes
     ----------
@@ -43,7 +43,7 @@ class SensitivityColumns:
     delta : Array (n_rows, n_touched, n_parameters)
         Sensitivities of the affected state rates and outputs.
     parameters
-        Names of the parameters, empty for a nonparametric candidate.
+        Names of the parameters, empty for a nonparametric curve.
     scan
         Values of the scanned parameters by name.
     kind, curve
@@ -69,7 +69,7 @@ class SensitivityColumns:
 
 @dataclass(frozen=True)
 class ColumnIndex:
-    """Indices of the columns of a candidate among all columns.
+    """Indices of the columns of a candidate in the normal equations. Each column belongs to one parameter.
 
     Attributes
     ----------
@@ -83,9 +83,9 @@ class ColumnIndex:
     at: tuple[int, ...]
 
     def of_record(self, i: int) -> tuple[int, ...]:
-        """Return the indices of the columns that record i (from 0) fills.
+        """Return the indices of the columns to which record i (from 0) contributes.
 
-        These are all columns, or for per-record parameters only those of the record.
+        These are all columns of the candidate, or for per-record parameters only those of this record.
         """
         if not self.columns.per_record:
             return self.at
@@ -94,9 +94,9 @@ class ColumnIndex:
 
     @property
     def names(self) -> list[str]:
-        """Names of the columns: ``NAME`` or, for per-record parameters, ``NAME@i``.
+        """Names of the columns: ``NAME`` of the parameter, or ``NAME@i`` for a per-record parameter in record i.
 
-        The columns of a nonparametric candidate are called ``CANDIDATE[i]``.
+        The columns of a nonparametric curve are called ``CANDIDATE[i]``.
         """
         c, size = self.columns, self.columns.delta.shape[2]
         names = list(c.parameters) or [f"{c.name}[{i}]" for i in range(size)]
@@ -105,14 +105,14 @@ class ColumnIndex:
 
 
 def assign_columns(columns: Sequence[SensitivityColumns], first: int, n_records: int) -> tuple[list[ColumnIndex], int]:
-    """Assign consecutive column indices to every candidate.
+    """Assign consecutive columns of the normal equations to every candidate.
 
     Parameters
     ----------
     columns
         Sensitivities of the candidates.
     first
-        First free index.
+        Index of the first free column.
     n_records
         Number of records. Per-record parameters get one set of columns for each record.
 
@@ -121,7 +121,7 @@ def assign_columns(columns: Sequence[SensitivityColumns], first: int, n_records:
     indices
         Column indices of every candidate.
     total
-        First index that is free afterwards, which is the total number of columns.
+        Index of the first column that is free afterwards, which is the total number of columns.
     """
     places = []
     for c in columns:
@@ -182,7 +182,7 @@ class Score:
 
     @property
     def nonparametric(self) -> bool:
-        """Return whether the candidate is nonparametric: a curve or a response without a formula."""
+        """Whether the candidate is nonparametric: a curve, or a lagged or resonant response, without a formula."""
         return self.kind.nonparametric
 
     @property
@@ -201,7 +201,7 @@ class Score:
 
 
 class NormalEquations:
-    """Normal equations of the whitened sensitivities, summed over records.
+    """Normal equations of a regression of the whitened innovations on the whitened sensitivities, summed over records.
 
     Parameters
     ----------
@@ -250,9 +250,9 @@ class NormalEquations:
 
 
 class SensitivityFilter:
-    """Propagation of sensitivity columns through the filter of one record.
+    """Extended Kalman filter of one record, applied to sensitivities instead of samples.
 
-    Samples that are missing or outliers are left out.
+    It gives the sensitivities of the whitened innovations. Samples that are missing or outliers are left out.
 
     Parameters
     ----------
@@ -261,9 +261,9 @@ class SensitivityFilter:
     record
         The record.
     jacobian : Array (n_rows or n_rows + 1, n_outputs, n_states)
-        Jacobian of the outputs at the predicted states.
+        Derivatives of the outputs by the states, at the predicted states.
     rows
-        Consecutive rows to propagate through, by default all.
+        Consecutive rows of the record to process, by default all.
 
     Attributes
     ----------
@@ -326,12 +326,12 @@ class SensitivityFilter:
         Returns
         -------
         drive : Array (n_rows + 1, n_touched, n_padded)
-            Sensitivities, zero after the last row of a candidate. The number of columns is padded to whole vectors of
-            the processor.
+            Sensitivities, zero after the last row of a candidate. Columns of zeros are appended so that the columns
+            fill whole vectors of the processor.
         touched : Array (n_touched,)
             Indices of the affected state rates and outputs among all.
         width
-            Number of columns without the padding.
+            Number of columns without the appended ones.
         """
         every = np.arange(self.n_states + self.seen.shape[1])
         each = [every if c.touched is None else c.touched for c in columns]
@@ -348,14 +348,16 @@ class SensitivityFilter:
 def propagate_sensitivities(
     carrier: SensitivityFilter, fitted: Array, columns: Iterable[SensitivityColumns], carried: list[Array]
 ) -> tuple[Array, list[SensitivityColumns]]:
-    """Return the whitened sensitivities of the fitted parameters and then of every candidate, computed in batches.
+    """Return the whitened sensitivities of the innovations to the fitted parameters, and then to every candidate.
+
+    They are computed in batches of at most 96 columns, unless a single candidate has more.
 
     Parameters
     ----------
     carrier
         Filter of the record.
     fitted : Array (n_rows, n_states + n_outputs, n_fitted)
-        Sensitivities of rates and outputs by the fitted parameters.
+        Sensitivities of rates and outputs to the fitted parameters.
     columns
         Sensitivities of the candidates.
     carried
@@ -391,14 +393,14 @@ def propagate_sensitivities(
 
 @dataclass(frozen=True)
 class PriorTerms:
-    """Contribution of the priors of the fitted parameters to the normal equations.
+    """Contribution of the priors of the fitted parameters to the normal equations. Both terms are 0 without a prior.
 
     Attributes
     ----------
     gradient : Array (n_fitted,)
-        Gradient of the log density of the priors at the estimate.
+        Gradient of the log density of the priors at the estimate [1/unit of the parameter].
     information : Array (n_fitted,)
-        Information of the priors.
+        Information of the priors, 1 / variance [1/unit²].
     """
 
     gradient: Array
@@ -406,15 +408,15 @@ class PriorTerms:
 
 
 def prior_terms(parameters: Sequence[Parameter], values: Array) -> PriorTerms:
-    """Return the prior terms of parameters at their values (n_parameters,), in the units of the parameters.
+    """Return the gradient and the information of the priors of fitted parameters at their estimates.
 
-    Both terms are 0 for a parameter without a prior.
+    Both are in the units of the parameters, also for a prior on a log scale, and 0 for a parameter without a prior.
 
     Parameters
     ----------
     parameters
         Fitted parameters, of which some have a prior.
-    values
+    values : Array (n_parameters,)
         Estimate of each parameter.
     """
     gradient, information = np.zeros(len(parameters)), np.zeros(len(parameters))
@@ -429,7 +431,7 @@ def prior_terms(parameters: Sequence[Parameter], values: Array) -> PriorTerms:
 
 @dataclass(frozen=True)
 class ScoreEquations:
-    """Normal equations of the score tests of one fitted model.
+    """Normal equations from which the score tests of all candidates on one fitted model are computed.
 
     Attributes
     ----------
@@ -450,18 +452,24 @@ class ScoreEquations:
 
     @cached_property
     def coefficients_on_fitted(self) -> Array:
-        """Coefficients (n_fitted, n_columns) of the regression of all columns on the fitted parameters."""
+        """Coefficients (n_fitted, n_columns) of the regression of all columns on those of the fitted parameters.
+
+        They are the change of each estimate, with opposite sign, per unit of the parameter of a column.
+        """
         return _coefficients_on_fitted(self.normal.information, self.prior.information)
 
     @cached_property
     def projected(self) -> tuple[Array, Array]:
-        """Information (n_columns, n_columns) and score (n_columns,), with the fitted parameters projected out."""
+        """Information (n_columns, n_columns) and score (n_columns,), with the fitted parameters projected out.
+
+        The part of each column that the fitted parameters explain is thus removed.
+        """
         n_fitted, gain = self.prior.gradient.size, self.coefficients_on_fitted
         information = self.normal.information - self.normal.information[:n_fitted].T @ gain
         return information, self.normal.score - gain.T @ (self.normal.score[:n_fitted] + self.prior.gradient)
 
     def one_step(self, at: NDArray[np.int64], weight: Array) -> Array:
-        """Return the one-step estimate of some parameters of candidates.
+        """Return the estimates of some parameters of candidates after one Newton step from zero, without a refit.
 
         Parameters
         ----------
@@ -469,6 +477,11 @@ class ScoreEquations:
             Columns of the parameters. Linearly dependent columns share an estimate (least squares).
         weight : Array (n,)
             Information of their priors [1/unit²], 0 without a prior.
+
+        Returns
+        -------
+        Array (n,)
+            Estimates in the units of the parameters. All fitted parameters are estimated anew at the same time.
         """
         information, score = self.projected
         own = information[np.ix_(at, at)] + np.diag(weight)
@@ -492,8 +505,9 @@ def score_tests(normal: NormalEquations, prior: PriorTerms, candidates: Sequence
     Returns
     -------
     list of Score
-        One score for each candidate that can be tested, in the order of the candidates. A candidate of which the fitted
-        parameters explain every column is left out, or has a score of zero if it is of the catalogue.
+        One score for each candidate that can be tested, in the order of the candidates. If the fitted parameters
+        explain every column of a candidate, it has a score of zero if it is a catalogue effect that acts on the data,
+        and is left out otherwise. The critical values (``threshold``) are not set.
 
     Notes
     -----
@@ -519,7 +533,7 @@ def score_tests(normal: NormalEquations, prior: PriorTerms, candidates: Sequence
 
 
 def _coefficients_on_fitted(information: Array, prior: Array) -> Array:
-    """Regress all columns on the fitted parameters, and return the coefficients (n_fitted, n_columns).
+    """Return the coefficients (n_fitted, n_columns) of the regression of all columns on the fitted parameters.
 
     The fitted parameters are the first n_fitted columns of ``information`` (n_columns, n_columns). ``prior``
     (n_fitted,) is added to the diagonal of their information. Linearly dependent parameters share a coefficient (least
@@ -590,12 +604,12 @@ def _candidate_score(
 
 
 def whole_blocks(t: Array, block: float) -> list[slice]:
-    """Split the rows at times t (n_rows,) [s] into consecutive parts of whole blocks of time.
+    """Split the rows of a record into consecutive parts that do not divide a block of time.
 
     Parameters
     ----------
-    t
-        Times of the rows.
+    t : Array (n_rows,)
+        Times of the rows [s].
     block
         Length of a block of time [s].
 
@@ -620,7 +634,7 @@ def block_index(t: Array, block: float = ROBUST_BLOCK_S) -> NDArray[np.int64]:
 
 
 def fitted_parameters(model: Model, n_records: int) -> list[Parameter]:
-    """Return the fitted parameters except those of the noise: the shared ones, then those of each record.
+    """Return the estimated parameters of a model except those of the noise: the shared ones, then those of each record.
 
     A per-record parameter is listed once for each record, with the index of the record as its ``segment``.
 

@@ -111,7 +111,7 @@ DRAWN = SearchSettings(tolerance=0.02)  # for a curve that only illustrates the 
 
 @dataclass(frozen=True)
 class DiagnosisEvaluation:
-    """Predictions of the models of a diagnosis, computed once before any report.
+    """Predictions of the models of a diagnosis, computed once and used by all reports.
 
     Attributes
     ----------
@@ -123,8 +123,8 @@ class DiagnosisEvaluation:
     forces_before, forces_after
         Smoothed disturbance forces of both models, one for each record and force, in the same order.
     in_blocks
-        Effects with per-record parameters. If there are any, the validation runs are predicted in blocks of time, with
-        the estimates of the other blocks of each run. Empty without validation runs.
+        Selected effects with per-record parameters. If there are any, the validation runs are predicted in blocks of
+        time, with the estimates of the other blocks of each run. Empty without validation runs.
     """
 
     before: PredictionEvaluation
@@ -208,10 +208,10 @@ def diagnose(
     Raises
     ------
     ValueError
-        If a run lacks a signal that the model needs, or if the model has no residual forces to test. The latter holds
-        for models that are neither a hull with the forces X, Y and N nor a thruster on the bench.
+        If a run lacks a signal that the model needs, or if the model has no residual forces to test: it is neither a
+        vehicle with a hull, nor a Nomoto model, nor a thruster on the bench.
     """
-    start = _prepare(model, estimation, validation, effects, rate, reporter, policy)
+    start = _prepared_search(model, estimation, validation, effects, rate, reporter, policy)
     before, records, validation_data = start.before, start.records, start.validation_data
     search = _Search(records, validation_data, start.candidates, reporter, policy, start.common)
     if given := given_common_errors(before.fit.model, policy):
@@ -266,12 +266,12 @@ def diagnose(
 
 @dataclass(frozen=True)
 class ModelAssessment:
-    """Result of the score tests of a model, without a search for missing effects.
+    """Result of the score tests of a model without a search for missing effects.
 
     Attributes
     ----------
     common_errors
-        Fit with the common errors of sensors and hull form, None if the data do not need them.
+        Fit with the common errors (timing and mounting of sensors, hull form), None if the data do not need them.
     uncertainty
         Shifts of the estimates by the candidates that still pass, None if none passes.
     """
@@ -289,14 +289,17 @@ def assess_model(
     reporter: Reporter = QUIET,
     policy: SearchPolicy = DEFAULT_POLICY,
 ) -> ModelAssessment | None:
-    """Test a model by the score tests of the catalogue: find the common errors that it needs, and what remains.
+    """Fit a model, add the common errors that it needs, and compute how missing effects may shift its estimates.
+
+    The score tests of the catalogue are used, without a search for effects. Common errors are those of every craft:
+    timing and mounting of sensors, and hull form.
 
     Parameters
     ----------
     model
         Model to fit.
     estimation, validation
-        Runs that the parameters are fitted to, and runs that judge the errors.
+        Runs that the parameters are fitted to, and runs that judge the common errors.
     rate
         Rate of the records' rows [Hz].
     reporter
@@ -307,7 +310,8 @@ def assess_model(
     Returns
     -------
     ModelAssessment or None
-        None if the model has no hull.
+        None if the model has no residual forces to test: it is neither a vehicle with a hull, nor a Nomoto model, nor a
+        thruster on the bench.
 
     Raises
     ------
@@ -316,7 +320,7 @@ def assess_model(
     """
     if not residuals_of(model):
         return None
-    start = _prepare(model, estimation, validation, None, rate, reporter, policy)
+    start = _prepared_search(model, estimation, validation, None, rate, reporter, policy)
     search = _Search(start.records, start.validation_data, start.candidates, reporter, policy, start.common)
     passing = search.scored(start.before)[1]
     extended = search.add_common_errors(start.before, passing)
@@ -327,7 +331,7 @@ def assess_model(
 
 @dataclass(frozen=True)
 class _SearchStart:
-    """Data, candidates and first fit of a search.
+    """Data, candidates and first fit with which a search for missing effects starts.
 
     Attributes
     ----------
@@ -338,13 +342,14 @@ class _SearchStart:
     candidates
         Candidates by name, with priors that follow the size of the craft.
     common
-        Common errors by name.
+        Common errors (timing and mounting of sensors, hull form) by name.
     failed
         Validation runs that cannot be converted.
     untested
-        Names of effects that the model accepts, but whose inputs the runs lack.
+        Names of effects that the model accepts and that are not tested: a run lacks one of their inputs, or they act at
+        a fixed point and the runs have no common origin.
     untestable
-        Requested candidates that cannot have a score test.
+        User-defined candidates, and candidates at a fixed point, that cannot have a score test, with the reasons.
     """
 
     before: FittedModel
@@ -357,7 +362,7 @@ class _SearchStart:
     untestable: tuple[UntestedCandidate, ...]
 
 
-def _prepare(
+def _prepared_search(
     model: Model,
     estimation: Sequence[LogSegment],
     validation: Sequence[LogSegment],
@@ -368,7 +373,12 @@ def _prepare(
 ) -> _SearchStart:
     """Convert the runs to records with the inputs of all candidates, and fit the model without effects.
 
-    Parameters and exceptions are those of `diagnose`.
+    The parameters are those of `diagnose`, with ``effects`` None for the whole catalogue.
+
+    Raises
+    ------
+    ValueError
+        If a run lacks a signal that the model needs, or if the model has no residual forces to test.
     """
     if not residuals_of(model):
         raise ValueError(
@@ -411,7 +421,10 @@ def _prepare(
 
 
 def _lack_common_origin(runs: Sequence[LogSegment]) -> bool:
-    """Return whether the runs are too far apart for one common origin of x and y; unknown origins are ignored."""
+    """Return whether the logs of the runs are too far apart for one common origin of the positions x and y.
+
+    Runs with an unknown origin are ignored.
+    """
     return far_apart([run.meta.get(ORIGIN) for run in runs])
 
 
@@ -420,8 +433,9 @@ def _untestable_candidates(
 ) -> tuple[UntestedCandidate, ...]:
     """Return the requested candidates that cannot have a score test, with the reasons.
 
-    User-defined candidates are always listed. Candidates of the catalogue, many of which do not concern a model, are
-    listed only if they act at a fixed point and the runs are too far apart for one origin.
+    User-defined candidates are listed if the model does not accept them or if a run lacks an input. Candidates of the
+    catalogue, many of which do not concern a model, are listed only if they act at a fixed point and the runs are too
+    far apart for one origin.
 
     Parameters
     ----------
@@ -451,9 +465,11 @@ def _untestable_candidates(
 def _short_data(
     scores: Sequence[Score], fitted: FittedModel, policy: SearchPolicy = DEFAULT_POLICY
 ) -> ShortData | None:
-    """Return the number of candidates that could not pass for any size because of too few blocks of time.
+    """Return how many candidates could not pass the block-robust score test because the data are too short.
 
-    None if all candidates could pass. The length of the data is the total duration of the estimation records.
+    With so few blocks of time they could not pass for any size of the effect. None if all candidates could pass.
+    ``scores`` are those of all candidates on one model, and ``fitted`` has the estimation records, whose total duration
+    is reported.
     """
     short = [s for s in scores if s.blocks < s.least_blocks(policy)]
     if not short:
@@ -465,10 +481,10 @@ def _short_data(
 def _first_fit(
     full: Model, records: list[Record], runs: list[Record], settings: SearchSettings | None
 ) -> tuple[FittedModel, ValidationData]:
-    """Fit the nominal model to the records, and return it with the data that validate it.
+    """Fit the nominal model (without effects) to the records; return the fit, and the data that validate it.
 
-    The data are the validation runs, or blocks in time of the estimation runs if no validation run can be evaluated.
-    In the second case the model is also fitted once without each block.
+    These data are the validation runs. If no validation run can be evaluated, they are blocks in time of the estimation
+    runs, and each block is predicted with the fit to the other blocks.
     """
     fitted = fit_with_rescaling(full, records, runs, settings=settings)
     if fitted.validation:
@@ -480,8 +496,8 @@ def _first_fit(
 def _reservations(before: FittedModel, after: FittedModel, policy: SearchPolicy) -> list[str]:
     """Return the reasons, as clauses for reports, why no effect can be identified on these data.
 
-    A fit without (``before``) or with (``after``) the effects did not converge, the data do not determine a mass, the
-    estimation data are short, or the validation data are short. Empty if none applies.
+    The reasons are: a fit without (``before``) or with (``after``) the effects did not converge, the data do not
+    determine a mass, the estimation data are short, the validation data are short. The list is empty if none applies.
     """
     reasons = [
         f"the fit {which} the effects did not converge"
@@ -500,12 +516,12 @@ def _reservations(before: FittedModel, after: FittedModel, policy: SearchPolicy)
 
 
 def score_equations(fitted: FittedModel, records: Sequence[Record], effects: Mapping[str, Effect]) -> ScoreEquations:
-    """Set up the score equations of a fitted model for parametric and nonparametric candidates.
+    """Set up the score equations of a fitted model: the normal equations of its parameters and of all candidates.
 
     Parameters
     ----------
     fitted
-        The fitted model.
+        The fitted model. Parameters at a bound, or of unknown order of magnitude, are taken as constant.
     records
         Estimation data with the inputs of all candidates.
     effects
@@ -540,14 +556,14 @@ def score_all(
     policy
         Thresholds of the score tests.
     equations
-        Score equations of the model with the columns of all candidates, None to set them up. Parametric effects that
-        are no candidates are left out.
+        Score equations of the model with the columns of all candidates, None to set them up. Columns of parametric
+        effects that are not in ``candidates`` are ignored.
 
     Returns
     -------
     scores
-        One score for each candidate, the largest criterion first, with its threshold. Of a scanned effect only the best
-        score is returned.
+        One score for each candidate, the largest criterion first, with its threshold. For an effect with scanned
+        parameters it is the best score of the scan.
     passing
         The scores that pass, in the same order.
     """
@@ -566,7 +582,7 @@ def score_all(
 
 
 class _Search:
-    """Forward selection and backward elimination on one set of data.
+    """Forward selection and backward elimination of effects on one set of data.
 
     Parameters
     ----------
@@ -579,10 +595,10 @@ class _Search:
     reporter
         Receiver of progress messages.
     policy
-        Thresholds of the search. As soon as the common errors are added, those of a material change of the prediction
-        are replaced (``policy.min_error_ratio_beside``).
+        Thresholds of the search. As soon as the common errors are added, ``policy.min_error_ratio_beside`` replaces the
+        error ratios from which a change of the prediction matters.
     common
-        Common errors by name, of which the model has none.
+        Common errors (timing and mounting of sensors, hull form) by name that the model lacks; may be None.
 
     Attributes
     ----------
@@ -592,6 +608,8 @@ class _Search:
         Common errors that can still be added together; empty as soon as this has been tried.
     common_errors
         Fit with the common errors, None if they have not been added.
+    equations
+        Score equations of the last tested model, None before the first.
     rounds
         Rounds so far, in their order.
     nominal
@@ -625,12 +643,14 @@ class _Search:
         self.n = sum(r.n_rows for r in records)
 
     def scored(self, fitted: FittedModel) -> tuple[list[Score], list[Score]]:
-        """Compute the scores of all candidates on a model and keep them in ``scores``.
+        """Compute the scores of all candidates on a fitted model.
+
+        The scores and the score equations of the model are kept in ``scores`` and ``equations``.
 
         Returns
         -------
         scores
-            Scores of all candidates, best first.
+            Scores of all candidates, the largest criterion first.
         passing
             The scores that pass, in the same order.
 
@@ -649,9 +669,9 @@ class _Search:
             raise ValueError(f"{names}: {message}: {problem}; the fit {fitted.fit.message}") from problem
 
     def uncertainty(self, passing: Sequence[Score]) -> ModelUncertainty | None:
-        """Compute the shifts of the estimates by the candidates that pass on the model scored last.
+        """Compute how the candidates that pass would shift the estimates of the model that was scored last.
 
-        The result is None if no candidate passes.
+        The result is None if no candidate passes, or before the first call of `scored`.
         """
         if self.equations is None:
             return None
@@ -661,8 +681,8 @@ class _Search:
         """Add effects one after the other; return the last model and the scores that pass on it.
 
         The search ends after ``max_effects`` rounds, after a round without an added effect, or if no score passes.
-        After a nonparametric effect, only parametric effects with a large score are tried. ``rounds``, ``nominal``,
-        ``untried`` and ``candidates`` are changed.
+        After a nonparametric effect, only parametric effects with a large score are tried. The common errors are added
+        before a round if they explain more than any single effect. The attributes of the search are updated.
 
         Parameters
         ----------
@@ -704,10 +724,10 @@ class _Search:
         """Try to add two effects at once, after a round in which no effect was accepted.
 
         Two effects can hide each other: each alone explains much of the estimation data, but the validation data
-        support neither, because the errors by the other effect dominate some of their blocks. The best parametric
-        refit that only lacks this support is therefore added for a trial, and a further round is run beside it. Both
-        effects are kept if that round adds an effect and the validation data support the pair. The backward
-        elimination later tests each of them beside the other.
+        support neither, because the errors by the other effect dominate some of their blocks. So the best parametric
+        refit that only lacks this support is added for a trial, and a further round searches for a second effect. Both
+        effects are kept if that round adds an effect and the validation data support the pair. The backward elimination
+        later tests each of them beside the other.
 
         Parameters
         ----------
@@ -722,7 +742,8 @@ class _Search:
         -------
         tuple of two Round, or None
             The round with the effect of the trial as its choice, and the next round. None if there is no such effect,
-            or if the trial fails; ``candidates``, ``scores`` and ``equations`` are then as before.
+            if fewer than two rounds are left, or if the trial fails; ``candidates``, ``scores`` and ``equations`` are
+            then as before.
         """
         trial = max(
             (
@@ -762,13 +783,13 @@ class _Search:
         """Add the common errors to a model if they explain more than any single effect; return the fit with them.
 
         None if fewer than ``policy.min_common_errors`` of them are needed, if a single candidate explains more, or if
-        the fit with them is not supported by the estimation or the validation data. ``common``, ``common_errors`` and
-        ``candidates`` are changed.
+        the fit with them is not supported by the estimation or the validation data. ``common``, ``common_errors``,
+        ``candidates`` and ``policy`` are changed.
 
         Parameters
         ----------
         current
-            Model before.
+            Model before, which was scored last.
         passed
             Scores that pass on it, best first.
         """
@@ -791,7 +812,11 @@ class _Search:
         return self.common_errors.fitted
 
     def keep_common_errors(self, found: CommonErrorsFit) -> None:
-        """Continue the search beside common errors: they are no candidates, and an effect has to matter beside them."""
+        """Continue the search with a model that has the common errors.
+
+        They and waves are no candidates any more. An added effect has to change the prediction by more than before
+        (``policy.min_error_ratio_beside``).
+        """
         self.common_errors, self.common = found, {}
         beside = self.policy.min_error_ratio_beside
         self.policy = replace(self.policy, min_error_ratio=beside, material_error_ratio=beside)
@@ -801,7 +826,7 @@ class _Search:
 
     @property
     def exact(self) -> SearchSettings | None:
-        """Settings of the fits that are kept: the default, or those of the fits with common errors."""
+        """Settings of the exact fits, which are kept: None for the default, or those of the fits with common errors."""
         return None if self.common_errors is None else COMMON_SEARCH
 
     def unaffected_by(self, current: FittedModel, remaining: Sequence[Score]) -> tuple[frozenset[str], frozenset[str]]:
@@ -809,7 +834,7 @@ class _Search:
 
         A score test that still passes has two possible reasons: a further effect, beside those found, or an effect that
         was found in place of the right one. In the first case the effects found keep their size beside it, in the
-        second they lose it. The same holds for the effects that were added after an effect.
+        second they lose it.
 
         Parameters
         ----------
@@ -821,9 +846,8 @@ class _Search:
         Returns
         -------
         effects
-            Names of the effects of ``current`` whose strongest parameter changed by less than
-            ``policy.max_change_beside`` since they were added, and changes by less with the candidates; empty if the
-            fit fails.
+            Names of the added effects whose strongest parameter differs by less than ``policy.max_change_beside`` of
+            its value between ``current`` and the fit with the candidates. Empty if the fit fails.
         beside
             Names of the candidates that they were fitted with.
         """
@@ -848,11 +872,11 @@ class _Search:
 
     @property
     def rough(self) -> SearchSettings:
-        """Settings of the fits of candidates."""
+        """Settings of the rough fits with candidates, which are faster; less exact still beside the common errors."""
         return ROUGH_SEARCH if self.common_errors is None else ROUGH_COMMON_SEARCH
 
     def reference(self, before: FittedModel, current: FittedModel) -> FittedModel:
-        """Return the model without the effects found, and with the common errors of ``current`` if it has any.
+        """Return the fitted model without the effects found, but with the common errors of ``current`` if it has any.
 
         It is fitted anew if the common errors were added after an effect.
 
@@ -862,6 +886,11 @@ class _Search:
             Model without effects and without common errors.
         current
             Model with both.
+
+        Raises
+        ------
+        FIT_ERRORS
+            If the new fit fails: ``ValueError``, ``ArithmeticError`` or ``LinAlgError``.
         """
         common = self.common_errors
         if common is None:
@@ -889,7 +918,7 @@ class _Search:
         before
             Model without added effects and without common errors.
         base
-            Model without added effects (`reference`).
+            Model without added effects, but with the common errors (`reference`).
         current
             Model with all added effects.
 
@@ -951,7 +980,7 @@ class _Search:
         current
             Model before the round.
         scores
-            Scores of all candidates.
+            Scores of all candidates, which the round keeps.
         passed
             Scores that pass, the largest criterion first.
         """
@@ -989,9 +1018,10 @@ class _Search:
         The refits are returned with the largest criterion first. The refit to add is the best accepted refit, fitted
         exactly; None if none is accepted. A refit whose exact fit fails is appended to ``untested`` instead.
 
-        A difference between runs has as many parameters as there are runs, and explains a part of any effect. So it
-        comes after the other effects, unless it explains the validation data significantly better than the best of
-        them. If the likelihood cannot distinguish effects, the effect with the smallest prediction errors is the best.
+        A difference between runs (a parameter with its own value in each run) has as many parameters as there are runs,
+        and explains a part of any effect. So it comes after the other effects, unless it explains the validation data
+        significantly better than the best of them. If the likelihood cannot distinguish effects, the effect with the
+        smallest prediction errors is the best.
         """
         judged: list[Refit] = []
         chosen: Refit | None = None
@@ -1019,16 +1049,16 @@ class _Search:
         return sorted(judged, key=lambda r: -r.criterion), chosen
 
     def _indistinguishable(self, first: Refit, second: Refit) -> bool:
-        """Return whether the likelihood cannot distinguish two parametric effects.
+        """Return whether the likelihood cannot distinguish the effects of two refits.
 
         The criteria of both refits differ by less than ``policy.indistinguishable``. False if one of the effects is
-        nonparametric, or if ``first`` is a difference between runs.
+        nonparametric, or if the first is a difference between runs.
         """
         parametric = not (first.nonparametric or second.nonparametric or first.effect.kind is EffectKind.BETWEEN_RUNS)
         return parametric and abs(first.criterion - second.criterion) < self.policy.indistinguishable
 
     def _explains_more(self, difference: Refit, other: Refit) -> bool:
-        """Return whether a difference between runs explains the validation data significantly better than an effect.
+        """Return whether a difference between runs explains the validation data better than another effect.
 
         The gain in log-likelihood over the model with ``other`` is positive, its t statistic exceeds ``policy.min_t``,
         and the prediction over the horizon is not significantly worse. False if ``difference`` is another kind of
@@ -1044,7 +1074,7 @@ class _Search:
         return gain > 0 and t > self.policy.min_t and compared.prediction.verdict != "rose"
 
     def _fit_exactly(self, current: FittedModel, rough: Refit) -> Refit:
-        """Fit a validated rough refit exactly; return it with its gain, prediction changes and outcome.
+        """Fit the model of a rough refit exactly; return the refit with the new fit, gain, prediction and outcome.
 
         Three sets of initial values are tried in turn: the rough estimates, the effect's own initial values, and half
         of these. A fit that did not converge is used only if the fit of ``current`` did not converge either.
@@ -1086,10 +1116,10 @@ class _Search:
         refits: list[Refit],
         untested: list[UntestedCandidate],
     ) -> None:
-        """Refit the current model with each candidate, two at a time, and append the results to two lists.
+        """Refit the current model with each candidate in ``tried``, two at a time in threads.
 
-        A fitted candidate goes to ``refits`` and one that could not be fitted to ``untested``, in the order of
-        ``tried``, which has each candidate with its score.
+        A refit is appended to ``refits``. A candidate that could not be fitted is appended to ``untested``. Both keep
+        the order of ``tried``, which contains each candidate with its score.
         """
 
         def refit(pair: tuple[Effect, Score]) -> Refit | UntestedCandidate:
@@ -1104,12 +1134,12 @@ class _Search:
                     untested.append(found)
 
     def _refit(self, current: FittedModel, effect: Effect, score: Score) -> Refit | UntestedCandidate:
-        """Fit the current model with an effect by a rough search; return an ``UntestedCandidate`` if no fit succeeds.
+        """Refit the current model with one effect by a rough search.
 
-        The initial values of `_with_initial_values` are tried in turn until a fit loses no likelihood; otherwise the
-        best fit is returned. The reason of an untested candidate is that of the first failure.
-
-        A larger model cannot be worse than the model that it contains. A fit that is worse has stopped early.
+        If every fit fails, the result is an ``UntestedCandidate`` with the reason of the first failure. The initial
+        values of `_with_initial_values`, which use the score of the effect, are tried in turn until a fit loses less
+        than ``policy.max_loss`` in 2 ln L. If all lose more, the best fit is returned: a larger model cannot be worse
+        than the model that it contains, so such a fit has stopped early.
         """
         self.reporter.progress(f"refitting with {effect.title}")
         best, reason = None, ""
@@ -1135,9 +1165,9 @@ class _Search:
 
 
 def _predicts_better(first: Refit, second: Refit) -> bool:
-    """Return whether the first exact refit has smaller prediction errors over the horizon than the second.
+    """Return whether the first refit has smaller prediction errors over the horizon than the second.
 
-    The point estimates are compared. Both refits must have a prediction change.
+    The point estimates of the prediction change are compared. Both refits must be exact, so that they have one.
     """
     assert first.prediction is not None
     assert second.prediction is not None
@@ -1145,10 +1175,11 @@ def _predicts_better(first: Refit, second: Refit) -> bool:
 
 
 def _keeps_its_size(effect: Effect, before: FittedModel, after: FittedModel, largest_change: float) -> bool:
-    """Return whether the strongest parameter of an effect changes by less than ``largest_change`` of its value.
+    """Return whether an effect has about the same size in two fitted models.
 
-    The strongest parameter has the most standard errors from zero, among those that are zero without the effect. False
-    if there is none, or if a model lacks the effect.
+    The strongest parameter of the effect, by standard errors from zero in ``before``, has to change by less than the
+    share ``largest_change`` of its value. Only shared parameters that are zero without the effect count. False if there
+    is none, or if a model lacks the effect.
     """
     sizes = [p.name for p in effect.parameters if p.value == 0.0 and not p.per_record and p.name in before.fit.names]
     estimates = {n: before.fit.estimate(n, 0) for n in sizes}
@@ -1162,7 +1193,7 @@ def _keeps_its_size(effect: Effect, before: FittedModel, after: FittedModel, lar
 
 
 def _half_values(effect: Effect) -> dict[str, float]:
-    """Return half of the initial value of each shared parameter of an effect by name, clipped to its bounds.
+    """Return half of the initial value of each parameter of an effect by name, limited to its bounds.
 
     Per-record parameters are left out.
     """
@@ -1170,10 +1201,10 @@ def _half_values(effect: Effect) -> dict[str, float]:
 
 
 def _degrees_of_freedom(effect: Effect, parameter: Parameter, n_records: int) -> int:
-    """Return the degrees of freedom of a parameter of an effect.
+    """Return the number of values that are estimated for one parameter of an effect, for the penalty of the criterion.
 
-    1 for a shared parameter, ``n_records`` for a per-record parameter. A difference between runs has one less than
-    there are records, because the model contains the mean.
+    It is 1 for a shared parameter and ``n_records`` for a per-record parameter. A difference between runs has one less
+    than there are records, because the model contains the mean.
     """
     if not parameter.per_record:
         return 1
@@ -1181,7 +1212,7 @@ def _degrees_of_freedom(effect: Effect, parameter: Parameter, n_records: int) ->
 
 
 def _with_initial_values(effect: Effect, score: Score) -> Iterator[Effect]:
-    """Yield the effect with different initial values.
+    """Yield an effect with different initial values for a refit, the most promising first.
 
     The first are the one-step estimates of the score test. Then follow smaller values, the neighbours of a scanned
     value, and values of the opposite sign. The last is zero, from which an ascent cannot lose likelihood.
@@ -1201,10 +1232,10 @@ def _with_initial_values(effect: Effect, score: Score) -> Iterator[Effect]:
 
 
 def _with_initial_value(parameter: Parameter, score: Score, scan: Mapping[str, float], share: float) -> Parameter:
-    """Return a parameter with its initial value.
+    """Return a parameter of an effect with the initial value for a refit.
 
-    The value is the parameter's own value plus ``share`` of the one-step estimate in the score, which is limited to one
-    standard deviation of the prior. It is clipped to the bounds. Without a one-step estimate the value is that of
+    With a one-step estimate in the score, it is the parameter's own value plus ``share`` of the estimate, which is
+    limited to one standard deviation of the prior; the sum is limited to the bounds. Otherwise it is the value in
     ``scan``, or the parameter's own value.
     """
     value = scan.get(parameter.name, parameter.value)
@@ -1217,10 +1248,10 @@ def _with_initial_value(parameter: Parameter, score: Score, scan: Mapping[str, f
 
 
 def _nonparametric_effect_of(score: Score, fitted: FittedModel) -> Effect:
-    """Return the nonparametric effect of a score, with priors scaled to the size of the boat.
+    """Return the nonparametric effect that a score tests, with priors scaled to the size of the boat.
 
-    A lagged or resonant response to an input is taken from the list of such effects. Otherwise a curve of splines is
-    made over the interval of its variable. The score must have a curve.
+    It is a lagged or resonant response to the thrusters, or a curve over the interval of its variable in the data. The
+    score must have a ``curve``.
     """
     assert score.curve is not None
     size, tested = size_of(fitted.fit.model), (score.kind, score.curve)
@@ -1231,9 +1262,9 @@ def _nonparametric_effect_of(score: Score, fitted: FittedModel) -> Effect:
 
 
 def _variable_interval(fitted: FittedModel, curve: ForceCurve) -> tuple[float, float]:
-    """Return the ends of the interval of a curve's variable, in the unit of the variable.
+    """Return the ends of the interval over which a curve of a variable is fitted, in the unit of the variable.
 
-    They are the 1 % and 99 % quantiles of its values in the estimation data. For an angle, or a product of two
+    They are the 1 % and 99 % quantiles of the variable in the estimation data. For an angle, or a product of two
     variables, they are -pi and pi.
     """
     if curve.second or curve.variable in {v.name for v in variables_of(fitted.model) if v.angle}:
@@ -1247,11 +1278,11 @@ def _variable_interval(fitted: FittedModel, curve: ForceCurve) -> tuple[float, f
 def _reported_curves(
     before: FittedModel, rounds: Sequence[Round], judgements: Sequence[EffectAttribution], records: Sequence[Record]
 ) -> tuple[list[NonparametricForce], str | None]:
-    """Return the nonparametric curves for the report, and why one of them could not be fitted (None if all could).
+    """Return the nonparametric curves for the report, and why the illustrating curve could not be fitted.
 
-    The curves are those of the selected nonparametric effects, and of the residual in place of the first ambiguous
-    effect. The latter only illustrates the result, so a failed fit of this curve is no error. For each pair of force
-    and variable only the first curve is returned.
+    The curves are those of the selected nonparametric effects, and an illustrating curve: that of the residual, fitted
+    in place of the first ambiguous effect. A failed fit of the latter is no error; its reason is returned, otherwise
+    None. For each pair of force and variable only the first curve is returned.
 
     Parameters
     ----------
@@ -1270,7 +1301,7 @@ def _reported_curves(
     for search_round, r in ((s, s.chosen) for s in chosen if s.chosen is not None):
         if r.nonparametric:
             found.append(_curve_with_errors(r.effect, r.fitted))
-        elif r.effect.name == first and (likely := _likely_curve(search_round)):
+        elif r.effect.name == first and (likely := _best_passing_curve(search_round)):
             try:
                 effect = _nonparametric_effect_of(likely, current)
                 drawn_fit = fit_and_evaluate(current.fit.model + effect, records, (), settings=DRAWN)
@@ -1285,19 +1316,19 @@ def _reported_curves(
     return list(drawn.values()), undrawn
 
 
-def _likely_curve(search_round: Round) -> Score | None:
-    """Return the first passing score of a residual as a function of one variable, None if none passed.
+def _best_passing_curve(search_round: Round) -> Score | None:
+    """Return the best score of a round that passes and is that of a residual as a function of one variable, else None.
 
-    The scores of a round are sorted, so this is the one with the largest criterion.
+    The scores of a round are sorted by their criterion, so this is the first.
     """
     curves = [s for s in search_round.scores if s.kind is EffectKind.NONPARAMETRIC and s.name in search_round.passed]
     return next((s for s in curves if s.curve is not None and not s.curve.second), None)
 
 
 def _curve_with_errors(effect: Effect, fitted: FittedModel) -> NonparametricForce | None:
-    """Return the curve of a fitted nonparametric effect with its standard errors, None if it cannot be drawn.
+    """Return the curve of a fitted nonparametric effect with its standard deviations and its 95 % band.
 
-    An effect cannot be drawn if it is not a function of one variable.
+    Return None for an effect that is not a function of one variable (products, lagged and resonant responses).
     """
     f = fitted.fit
     return shape(f.model, effect, f.model.values, f.names, f.covariance)

@@ -45,16 +45,16 @@ Signal = Callable[[Signals], Any]
 
 @dataclass(frozen=True)
 class NonparametricForce:
-    """Fitted nonparametric curve of a residual force or a sensor error.
+    """Fitted nonparametric curve of a residual quantity: a residual force, change of thrust or sensor error.
 
     Attributes
     ----------
     force, variable : str
-        Names of the residual quantity and of its variable, for example ``X`` and ``u``.
+        Names of the residual quantity and of the variable on which it depends, for example ``X`` and ``u``.
     grid : Array (n,)
         Values of the variable [variable_unit].
     value : Array (n,)
-        Residual quantity [unit].
+        Residual quantity [unit], less its mean. For a relative change of the thrust: less its value at zero.
     sd : Array (n,)
         Pointwise standard deviation [unit].
     band : Array (n,)
@@ -77,7 +77,10 @@ class NonparametricForce:
 
 
 def harmonics(z: Any) -> list[Any]:
-    """Return the sines and cosines of an angle z [rad] and its multiples: sin z, cos z, sin 2z, ..., cos 3z."""
+    """Return the sines and cosines of an angle z [rad] and its multiples: sin z, cos z, sin 2z, cos 2z, sin 3z, cos 3z.
+
+    z is a number, an array or a symbol.
+    """
     return [f(k * z) for k in range(1, N_HARMONICS + 1) for f in (np.sin, np.cos)]
 
 
@@ -87,24 +90,24 @@ def spline_basis(z: Any, angle: bool, span: tuple[float, float]) -> list[Any]:
     Parameters
     ----------
     z : float, Array or symbol
-        Variable.
+        Value of the variable.
     angle : bool
         Whether the variable is an angle [rad].
     span : tuple[float, float]
-        Range of the knots, in the unit of the variable. Beyond this range the curve is constant. It is ignored for an
-        angle.
+        First and last knot, in the unit of the variable. The knots are equally spaced. Beyond them the curve is
+        constant. It is ignored for an angle.
 
     Returns
     -------
     list
-        Values of `N_KNOTS` splines, or of six harmonics.
+        Values of the nine (`N_KNOTS`) splines, or of the six harmonics, each like z.
 
     Notes
     -----
     The slope of a linear spline jumps at its knots, and the filter linearises by the slope. The likelihood would
     therefore jump when a sample passes a knot (by 2.4 on a boat with a steep curve), and a search would stop at the
-    jump, below the maximum. Each spline is therefore replaced by its moving average over ROUNDING of the spacing in
-    both directions. Straight lines, and the sum of one of all splines, are not changed by the average.
+    jump, below the maximum. Each spline is therefore replaced by its moving average over a quarter of the spacing
+    (`ROUNDING`) in both directions. Straight lines, and the sum of one of all splines, are not changed by the average.
     """
     if angle:
         return harmonics(z)
@@ -116,24 +119,27 @@ def spline_basis(z: Any, angle: bool, span: tuple[float, float]) -> list[Any]:
 
 
 def _rounded_abs(z: Any) -> Any:
-    """Return the moving average of the absolute value |z| over ROUNDING in both directions."""
+    """Return |z| with a rounded corner at zero: its moving average over 0.25 (ROUNDING) in both directions.
+
+    For |z| >= 0.25, this is |z|. z is a distance from a knot, in units of the spacing of the knots.
+    """
     return abs(z) + (ROUNDING - abs(z)) ** 2 / (2 * ROUNDING) * (abs(z) < ROUNDING)
 
 
 def _curve_basis(residual: DisturbanceChannel, z: Any, angle: bool, span: tuple[float, float]) -> list[Any]:
-    """Return the basis functions of a curve at the value z of its variable.
+    """Return the basis functions of a curve at the value z of its variable, in a list.
 
     Parameters
     ----------
     residual : DisturbanceChannel
         Quantity that the curve describes. If it is relative (a factor on the thrust), the values of the basis functions
-        at zero are subtracted: a constant factor belongs to the scale of the thrust.
+        at z = 0 are subtracted: a constant factor belongs to the scale of the thrust.
     z : float, Array or symbol
         Value of the variable.
     angle : bool
-        Whether the variable is an angle [rad]. The basis functions are then harmonics, and otherwise splines.
+        Whether the variable is an angle [rad]. The basis functions are then harmonics, otherwise splines.
     span : tuple[float, float]
-        Range of the knots of splines, in the unit of the variable.
+        First and last knot of the splines, in the unit of the variable. It is ignored for an angle.
     """
     basis = spline_basis(z, angle, span)
     if not residual.relative:
@@ -142,7 +148,19 @@ def _curve_basis(residual: DisturbanceChannel, z: Any, angle: bool, span: tuple[
 
 
 def residual_and_variables(model: Model, curve: ForceCurve) -> tuple[DisturbanceChannel, list[Variable]]:
-    """Return the residual quantity of a curve, and its variable in a list, or the two variables of a product.
+    """Return the residual quantity that a nonparametric curve describes, and the variables on which it depends.
+
+    Parameters
+    ----------
+    model : Model
+        Model with the residual quantity and the variables.
+    curve : ForceCurve
+        Names of the quantity and of one variable, or of the two variables of a product.
+
+    Returns
+    -------
+    tuple[DisturbanceChannel, list[Variable]]
+        The quantity (force, thrust or sensor output), and a list of one or two variables.
 
     Raises
     ------
@@ -161,7 +179,10 @@ def residual_and_variables(model: Model, curve: ForceCurve) -> tuple[Disturbance
 
 
 def _term_meanings(of: Sequence[Variable]) -> list[str]:
-    """Return the meaning of each coefficient of a curve of one variable, or of the products of two, for reports."""
+    """Return the meaning of each coefficient of a curve for reports, for example "at knot 3 of u" or "with sin 2psi".
+
+    ``of`` contains one variable, or the two variables of a product ("with u |r|").
+    """
     a = of[0].name
     if len(of) == 2:
         b = of[1].name
@@ -172,7 +193,7 @@ def _term_meanings(of: Sequence[Variable]) -> list[str]:
 
 
 def nonparametric_effect(model: Model, curve: ForceCurve, span: tuple[float, float]) -> Effect:
-    """Return the nonparametric effect ``force += sum_k t_k basis_k(variable)``.
+    """Return the nonparametric effect ``force += sum_k t_k basis_k(variable)``. The t_k are its parameters.
 
     Parameters
     ----------
@@ -182,7 +203,7 @@ def nonparametric_effect(model: Model, curve: ForceCurve, span: tuple[float, flo
         Names of the residual quantity and of its variable. With two variables a and b, the terms are a b, |a| b and a
         |b|. For a relative residual, the sum is a relative change of the thrust.
     span : tuple[float, float]
-        Range of the variable that the knots cover, in the unit of the variable. It is not used for angles and products.
+        First and last knot of the splines, in the unit of the variable. It is not used for angles and products.
 
     Raises
     ------
@@ -196,7 +217,7 @@ def nonparametric_effect(model: Model, curve: ForceCurve, span: tuple[float, flo
     names = [f"{force}_{curve.variable}{curve.second}_{k}" for k in range(len(terms_of))]
 
     def add(s: Signals) -> None:
-        """Add the sum of the terms to the residual quantity."""
+        """Add the value of the curve to the residual quantity, or multiply a relative one by one plus the value."""
         if len(of) == 2:
             a, b = (v.read(s) for v in of)
             terms = [a * b, abs(a) * b, a * abs(b)]
@@ -251,17 +272,23 @@ def shape(
     values : Mapping[str, float]
         Fitted parameters by name.
     names : Sequence[str]
-        Names of the parameters of `covariance`, in order. They include those of the effect.
+        Names of the parameters of `covariance`, in order. They must include those of the effect.
     covariance : Array (n_parameters, n_parameters)
         Covariance of the estimates.
     n : int
-        Number of points of the curve.
+        Number of points of the curve, equally spaced from the first to the last knot, or over -pi to pi for an angle.
 
     Returns
     -------
     NonparametricForce or None
         The curve less its mean, because a constant belongs to other parameters. For a relative residual, the curve less
-        its value at zero. None for products of two variables, and for lagged and resonant responses.
+        its value at zero. The band of a spline includes a bound of the interpolation error between the knots. None for
+        products of two variables, for lagged and resonant responses, and for effects without a curve.
+
+    Raises
+    ------
+    ValueError
+        If `names` lacks a parameter of the effect, or the model lacks the residual quantity or the variable.
     """
     span, curve = effect.span, effect.curve
     if span is None or curve is None or curve.second:
@@ -284,10 +311,10 @@ def shape(
 
 
 def simultaneous_critical_value(B: Array, P: Array, n: int = 4000) -> float:
-    """Return the critical value of the simultaneous 95 % band of a curve ``B t``.
+    """Return the critical value of the simultaneous 95 % band of a curve ``B t`` with random coefficients t.
 
     The critical value is the number of pointwise standard deviations within which the whole curve lies with a
-    probability of 95 % (Ruppert, Wand and Carroll 2003, section 6.5).
+    probability of 95 % (Ruppert, Wand and Carroll 2003, section 6.5). It is computed by simulation.
 
     Parameters
     ----------
@@ -296,7 +323,12 @@ def simultaneous_critical_value(B: Array, P: Array, n: int = 4000) -> float:
     P : Array (n_coefficients, n_coefficients)
         Covariance of t.
     n : int
-        Number of random curves, from a fixed seed.
+        Number of simulated curves. The seed is fixed.
+
+    Returns
+    -------
+    float
+        The critical value. Points with a standard deviation of zero are ignored; 0 if all have none.
     """
     w, V = np.linalg.eigh(P)
     curves = B @ (V * np.sqrt(np.maximum(w, 0.0))) @ np.random.default_rng(0).standard_normal((len(P), n))
@@ -308,8 +340,8 @@ def simultaneous_critical_value(B: Array, P: Array, n: int = 4000) -> float:
 def between_knots(knots: Array, grid: Array, span: tuple[float, float]) -> Array:
     """Return a bound of the error of linear interpolation between knots, shape (n_points,), in the unit of the curve.
 
-    The bound is an eighth of the second difference of the knots at the middle of an interval, and half of that at the
-    knots. The larger second difference of both ends of an interval counts.
+    The bound is a parabola in each interval: an eighth of the second difference of the knot values in the middle of the
+    interval, and at least half of that everywhere. The larger second difference of both ends of an interval counts.
 
     Parameters
     ----------
@@ -331,10 +363,10 @@ def between_knots(knots: Array, grid: Array, span: tuple[float, float]) -> Array
 
 
 def input_response_effects(model: Model) -> list[Effect]:
-    """Return the lagged and the resonant response to each pair of thrusters that can be added to the model.
+    """Return the lagged and the resonant response to each pair of thrusters, as effects that can be added to the model.
 
-    The mean of a pair acts on the surge force, and its difference on the yaw moment. Responses that the model has
-    already are left out. Return [] for a model without a pair of thrusters.
+    The mean of the shaft speeds or thrusts of a pair acts on the surge force, and their difference on the yaw moment.
+    Responses that the model has already are left out. For a model without a pair of thrusters, return [].
     """
     forces = {r.name: r for r in residuals_of(model)}
     effects = []
@@ -353,14 +385,14 @@ def input_response_effects(model: Model) -> list[Effect]:
 
 
 def _drive_reader(pair: ThrusterPair) -> Signal:
-    """Return the function that reads the mean or half difference of the thrusts of a pair from the signals.
+    """Return a function of the signals that returns the mean, or half the difference left minus right, of two thrusts.
 
-    If the pair is of shaft speeds, they are converted to thrust relative to full thrust, quadratic in the shaft speed.
-    Thrusts are used as given [N].
+    ``pair`` contains shaft speeds n or thrusts. Shaft speeds are converted to the thrust relative to full thrust, n
+    |n|. Thrusts are used as they are [N].
     """
 
     def read(s: Signals) -> Any:
-        """Return the mean thrust, or half of the difference left minus right."""
+        """Return the mean thrust, or half the difference left minus right."""
         left, right = (s.state_or_input(f"{pair.quantity}_{side}") for side in ("left", "right"))
         if pair.quantity == "n":
             left, right = left * abs(left), right * abs(right)
@@ -370,29 +402,29 @@ def _drive_reader(pair: ThrusterPair) -> Signal:
 
 
 def _coefficient_scale(force: DisturbanceChannel, unit: str) -> tuple[str, float, float]:
-    """Return the unit and scale of a coefficient of force per drive, and the scale of the drive.
+    """Return the unit and typical size of a coefficient (force divided by drive), and the typical size of the drive.
 
-    ``force`` is the quantity on which the drive acts. ``unit`` is the unit of the drive. A drive without a unit is
-    thrust relative to full thrust and has the scale one; a drive in newtons has the scale 40 N.
+    ``force`` is the force or moment on which the drive acts. The drive is a thrust with the ``unit`` "N" (typical size
+    40 N), or relative to full thrust with an empty ``unit`` (typical size 1).
     """
     full = FULL_THRUST_N if unit else 1.0
     return unit_over(force.unit, unit), force.scale / full, full
 
 
 def lagged_response(force: DisturbanceChannel, of: str, drive: Signal, unit: str) -> Effect:
-    """Return the first-order lagged response of a force to a drive w, with three time constants T_k: 0.25, 1 and 4 s.
+    """Return the effect of a force that follows a drive w (thrust) with lags of 0.25, 1 and 4 s.
 
-    The equations are ``F += sum_k t_k (z_k - w)`` and ``z_k' = (w - z_k) / T_k``. In steady state, the response is
-    zero.
+    The equations are ``F += sum_k t_k (z_k - w)`` and ``z_k' = (w - z_k) / T_k``, with the coefficients t_k as
+    parameters and the z_k as states. In steady state, the response is zero.
 
     Parameters
     ----------
     force : DisturbanceChannel
-        Force F or moment on which the drive acts.
+        Force or moment F on which the drive acts.
     of : str
         Name of the variable of the drive, for example ``n_sum``.
     drive : Callable
-        Reads w from the signals.
+        Function of the signals that returns w.
     unit : str
         Unit of w: empty for thrust relative to full thrust, or ``N``.
     """
@@ -401,13 +433,13 @@ def lagged_response(force: DisturbanceChannel, of: str, drive: Signal, unit: str
     states = [f"late_{of}_{k}" for k in range(len(TIME_CONSTANTS))]
 
     def add(s: Signals) -> None:
-        """Add the response to the force."""
+        """Add the response to the force, in place."""
         w = drive(s)
         terms = zip(names, states, strict=True)
         force.add(s, sum(getattr(s.p, name) * (getattr(s.x, state) - w) for name, state in terms))
 
     def follow(s: Signals) -> None:
-        """Set the rates of the lagged drives."""
+        """Set the rates of the states that follow the drive, in place."""
         for state, time_constant in zip(states, TIME_CONSTANTS, strict=True):
             s.rate[state] = (drive(s) - getattr(s.x, state)) / time_constant
 
@@ -442,18 +474,19 @@ def lagged_response(force: DisturbanceChannel, of: str, drive: Signal, unit: str
 
 
 def resonant_response(force: DisturbanceChannel, of: str, drive: Signal, unit: str) -> Effect:
-    """Return the resonant response of a force to a drive w, by a second-order mode z with a damping ratio of 0.1.
+    """Return the effect of a force that oscillates after a change of a drive w (thrust).
 
-    The equation is ``F += a (z - w) + b z' / omega``. In steady state, the response is zero.
+    The equations are ``F += a (z - w) + b z' / omega`` and ``z'' + 0.2 omega z' = omega^2 (w - z)`` (damping ratio
+    0.1). The coefficients a, b and the natural frequency are parameters. In steady state, the response is zero.
 
     Parameters
     ----------
     force : DisturbanceChannel
-        Force F or moment on which the drive acts.
+        Force or moment F on which the drive acts.
     of : str
         Name of the variable of the drive, for example ``n_sum``.
     drive : Callable
-        Reads w from the signals.
+        Function of the signals that returns w.
     unit : str
         Unit of w: empty for thrust relative to full thrust, or ``N``.
     """
@@ -462,12 +495,12 @@ def resonant_response(force: DisturbanceChannel, of: str, drive: Signal, unit: s
     states, f_name = (f"swing_{of}", f"swing_{of}_rate"), f"f_{force.name}_{of}"
 
     def add(s: Signals) -> None:
-        """Add the response to the force."""
+        """Add the response to the force, in place."""
         z, quadrature = (getattr(s.x, n) for n in states)
         force.add(s, getattr(s.p, names[0]) * (z - drive(s)) + getattr(s.p, names[1]) * quadrature)
 
     def swing(s: Signals) -> None:
-        """Set the rates of the two states of the mode."""
+        """Set the rates of the two states of the second-order response, in place."""
         omega = 2 * math.pi * getattr(s.p, f_name)
         z, quadrature = (getattr(s.x, n) for n in states)
         s.rate[states[0]] = omega * quadrature

@@ -25,11 +25,11 @@ GROUP = "seatrial.effects"  # entry points by which other packages add effects
 
 @cache
 def catalogue() -> Mapping[str, Effect]:
-    """Return all effects by name, in alphabetical order. All callers share the mapping, so it is read-only.
+    """Return all effects by name, in alphabetical order: the built-in ones, and those of other installed packages.
 
-    The modules of the effects are imported at the first call, and the result is kept. Effects of other packages are
-    included. A package is left out with a warning if it cannot be imported, defines no effect, or uses the name of a
-    built-in effect.
+    The modules of the effects are imported at the first call. The result is kept and shared by all callers, so it is
+    read-only. A package is left out with a warning if it cannot be imported, or if its entry point names anything else
+    than effects. An effect of a package is left out with a warning if its name is in use.
 
     Raises
     ------
@@ -55,20 +55,20 @@ def catalogue() -> Mapping[str, Effect]:
 
 
 def _effects_of_plugin(loaded: object, place: str) -> tuple[Effect, ...]:
-    """Return the effects that the object of an entry point contains.
+    """Return the effects in the object that an entry point of another installed package names.
 
     Parameters
     ----------
     loaded : object
-        An Effect, a sequence of them, or a module with ``EFFECTS`` or ``EFFECT``. None: the entry point could not be
-        imported.
+        An Effect, a list or tuple of Effects, or a module with ``EFFECTS`` or ``EFFECT``. None: the entry point could
+        not be imported.
     place : str
-        Text of the entry point, for messages.
+        Text of the entry point (module and name), for messages.
 
     Returns
     -------
     tuple[Effect, ...]
-        If the object, or an element of it, is no Effect, return () and warn. For None, return () without a warning.
+        () with a warning if the object, or an element of it, is no Effect. () without a warning for None.
     """
     if isinstance(loaded, ModuleType):
         loaded = getattr(loaded, "EFFECTS", None) or getattr(loaded, "EFFECT", None)
@@ -85,7 +85,9 @@ def _effects_of_plugin(loaded: object, place: str) -> tuple[Effect, ...]:
 
 
 def _register_module(module: ModuleType, effects: dict[str, Effect]) -> None:
-    """Add the effects in ``EFFECTS`` or ``EFFECT`` of a module to ``effects``, in place.
+    """Add the effects of a module (``EFFECTS``, otherwise ``EFFECT``) to the mapping ``effects`` by name, in place.
+
+    Their parameter values are marked as built-in.
 
     Raises
     ------

@@ -44,7 +44,7 @@ def tap_name(name: str, tap: int, step: float | None = None) -> str:
     name : str
         Name of the input.
     tap : int
-        Delay in steps; negative for a later value. 0: the result is ``name`` itself.
+        Delay of the copy in steps; negative for a copy of later values. 0: the result is ``name`` itself.
     step : float or None
         Length of a step [s], if it is to be part of the name. None: the name contains only ``tap``.
     """
@@ -54,16 +54,20 @@ def tap_name(name: str, tap: int, step: float | None = None) -> str:
 
 
 def delay_weights(position: Any, n: int) -> list[Any]:
-    """Return the weights of n equidistant samples in the value at ``position``, by cubic convolution (Keys 1981).
+    """Return the weights of n equidistant samples for interpolation by cubic convolution (Keys 1981).
 
     Parameters
     ----------
     position : float or symbol
-        Position between the samples, from 0 (first sample) to n - 1 (last sample). At an integer, the weight of that
-        sample is one and all other weights are zero. Beyond the ends, the samples are extrapolated linearly for at most
-        one step.
+        Position of the interpolated value in sample intervals, from 0 (first sample) to n - 1 (last sample). Beyond the
+        ends, the samples are extrapolated linearly for at most one interval.
     n : int
         Number of samples, at least two.
+
+    Returns
+    -------
+    list
+        n weights. At an integer position, the weight of that sample is one and all others are zero.
     """
     weights = [_keys(abs(position - k)) for k in range(n)]
     before, after = _keys(position + 1.0), _keys(float(n) - position)
@@ -73,12 +77,15 @@ def delay_weights(position: Any, n: int) -> list[Any]:
 
 
 def _keys(s: Any) -> Any:
-    """Return the kernel of cubic convolution at a distance s >= 0 in steps (Keys 1981, eq. 15); zero from s = 2 on."""
+    """Return the kernel of cubic convolution at the distance ``s`` >= 0, in sample intervals (Keys 1981, eq. 15).
+
+    The kernel is 1 at zero, and 0 at one and from two intervals on.
+    """
     near = 1.0 + s * s * (1.5 * s - 2.5)
     far = 2.0 + s * (-4.0 + s * (2.5 - 0.5 * s))
     return (s < 1.0) * near + (s >= 1.0) * (s < 2.0) * far
 
 
 def weighted_sum(weights: Iterable[Any], values: Iterable[Any]) -> Any:
-    """Return the sum of weight times value. Raise ValueError if the numbers of weights and values differ."""
+    """Return the sum of each weight times its value. Raise ValueError if the numbers of weights and values differ."""
     return sum(w * value for w, value in zip(weights, values, strict=True))

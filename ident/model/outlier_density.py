@@ -32,52 +32,60 @@ MANY_OUTLIERS = 0.1  # share of the samples; with more outliers, the model is wr
 
 
 def log_density(z: Any) -> Any:
-    """Return the logarithm of the density ``ln p`` at the standardised innovation z: a number, an array or a symbol."""
+    """Return the logarithm ``ln p`` of the density at the standardised innovation ``z``.
+
+    ``z`` is the innovation divided by its standard deviation: a number, an array or a symbol. The density is a normal
+    one mixed with a wide one for outliers.
+    """
     return np.log(_inlier_density(z) + _outlier_density(z))
 
 
 def robust_weight(z: Any) -> Any:
-    """Return the probability (0 to 1) that a sample is good, given its standardised innovation z."""
+    """Return the probability (0 to 1) that a sample is no outlier, given its standardised innovation ``z``.
+
+    ``z`` is the innovation divided by its standard deviation: a number, an array or a symbol.
+    """
     return _inlier_density(z) / (_inlier_density(z) + _outlier_density(z))
 
 
 def score(z: Any) -> Any:
-    """Return ``psi = -d ln p / dz`` at the standardised innovation z.
+    """Return the score ``psi = -d ln p / dz`` of the density p at the standardised innovation ``z``.
 
-    The score is z for good samples and falls to zero for outliers.
+    ``z`` is the innovation divided by its standard deviation. The score is about z for good samples and falls to zero
+    for outliers.
     """
     w = robust_weight(z)
     return w * z + (1.0 - w) * _outlier_score(z)
 
 
 def score_slope(z: Any) -> Any:
-    """Return ``psi' = d psi / dz`` at the standardised innovation z.
+    """Return the derivative ``psi' = d psi / dz`` of the score at the standardised innovation ``z``.
 
-    The slope never exceeds 1, so that P stays positive. The slope is 1 for good samples and about 0 for outliers. The
-    slope is negative in between, if a sample may be good or an outlier. The update then increases the variance of the
-    state, because two values of the state are plausible.
+    The slope never exceeds 1, so that the covariance of the filter stays positive. It is about 1 for good samples,
+    about 0 for outliers, and negative in between, where a sample may be good or an outlier. A negative slope increases
+    the variance of the state in the update, because two values of the state are plausible.
     """
     w, apart, square = robust_weight(z), z - _outlier_score(z), WIDTH**2 + z * z
     return w + (1.0 - w) * 2.0 * (WIDTH**2 - z * z) / (square * square) - w * (1.0 - w) * apart * apart
 
 
 def _inlier_density(z: Any) -> Any:
-    """Return the normal part ``(1 - e) N(z; 0, 1)`` of the density, which describes good samples."""
+    """Return the normal part ``(1 - e) N(z; 0, 1)`` of the density, that of good samples at ``z`` (e: `SHARE`)."""
     return (1.0 - SHARE) / np.sqrt(2.0 * np.pi) * np.exp(-0.5 * z * z)
 
 
 def _outlier_density(z: Any) -> Any:
-    """Return the wide part ``e C(z; 0, c)`` of the density, which describes outliers."""
+    """Return the wide part ``e C(z; 0, c)`` of the density at ``z``: a Cauchy density (e: `SHARE`, c: `WIDTH`)."""
     return SHARE / (np.pi * WIDTH) / (1.0 + z * z / WIDTH**2)
 
 
 def _outlier_score(z: Any) -> Any:
-    """Return ``-d ln C / dz``: the score of the wide part alone."""
+    """Return the score of the wide part alone, ``-d ln C / dz`` at ``z``, with the Cauchy density C."""
     return 2.0 * z / (WIDTH**2 + z * z)
 
 
 def with_outlier_model(model: Model, sensors: Iterable[str] | None = None) -> Model:
-    """Return the model with outliers allowed in some of its sensors.
+    """Return the model with an innovation density that includes outliers, for some of its sensors.
 
     Parameters
     ----------
@@ -89,7 +97,7 @@ def with_outlier_model(model: Model, sensors: Iterable[str] | None = None) -> Mo
     Raises
     ------
     KeyError
-        If the model has no sensor of that name. The message lists the sensors of the model.
+        If the model lacks a named sensor. The message lists the sensors of the model.
     """
     available = [s.name for s in model.sensors]
     chosen = available if sensors is None else list(sensors)
@@ -106,23 +114,23 @@ def with_outlier_model(model: Model, sensors: Iterable[str] | None = None) -> Mo
 
 
 def robust_sensors(model: Model) -> tuple[str, ...]:
-    """Return the names of the sensors in which outliers are allowed, in the order of the model."""
+    """Return the names of the sensors whose innovation density includes outliers, in the order of the model."""
     return tuple(s.name for s in model.sensors if any(o.robust for o in s.outputs))
 
 
 def outlier_notes(
     model: Model, outliers: Sequence[NDArray[np.bool_]], measured: Sequence[NDArray[np.bool_]]
 ) -> list[str]:
-    """Return one sentence for each output with outliers allowed, with the number and share of its outliers.
+    """Return one sentence for each output whose density includes outliers, with the number and share of its outliers.
 
     Parameters
     ----------
     model : Model
         Fitted model.
     outliers : Sequence[Array (n_rows, n_outputs) of bool]
-        True for samples that the fit treated as outliers, for each record.
+        For each record: True for samples that the fit treated as outliers.
     measured : Sequence[Array (n_rows, n_outputs) of bool]
-        Whether a row has a sample of the output, for each record.
+        For each record: whether a row has a sample of the output.
 
     Returns
     -------

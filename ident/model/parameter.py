@@ -1,7 +1,7 @@
 """Parameters of a model: the value, and separately its properties (unit, transform, prior, free or fixed).
 
-This module also composes the names of per-record parameters. No other code parses these names; their components are
-stored in typed fields.
+This module also composes the names of per-record parameters (``NAME@i``: the value of a parameter in record i). No
+other code parses these names; their components are stored in typed fields.
 """
 
 from __future__ import annotations
@@ -14,9 +14,10 @@ from typing import Literal
 
 
 def segment_name(name: str, segment: int | None) -> str:
-    """Return the name of a parameter in a fit: ``V_x@0`` for its value in record 0.
+    """Return the name of a parameter in a fit: ``V_x@0`` for the value of ``V_x`` in record 0.
 
-    ``segment`` is the index of the record. None: the result is ``name``, for a parameter that all records share.
+    ``segment`` is the index of the record. None: the result is ``name``, for a parameter with one value for all
+    records.
     """
     return name if segment is None else f"{name}@{segment}"
 
@@ -29,8 +30,8 @@ ROUNDING = 1e-9  # relative to a bound: a value outside by less, for example a r
 class ParameterRole(StrEnum):
     """Role of a parameter in a model.
 
-    A model declares ``DYNAMICS`` or ``DISTURBANCE``. The roles of noise and initial states follow from the use of the
-    parameter (`Model.role`).
+    A model declares ``DYNAMICS`` or ``DISTURBANCE`` for each parameter. The roles ``NOISE`` and ``INITIAL_STATE``
+    follow from the use of the parameter (`Model.role`).
     """
 
     DYNAMICS = "dynamics"  # rates and outputs depend on it
@@ -40,7 +41,7 @@ class ParameterRole(StrEnum):
 
 
 class ParameterOrigin(StrEnum):
-    """Provenance of a parameter's value, or of its prior.
+    """Origin of a parameter's value, or of its prior, for reports.
 
     A free parameter without a prior is estimated from the logs.
     """
@@ -54,7 +55,7 @@ class ParameterOrigin(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One parameter of a model.
+    """Parameter of a model.
 
     Attributes
     ----------
@@ -63,18 +64,19 @@ class Parameter:
     value : float
         Value in `unit`.
     transform : "none" or "log"
-        "log" estimates the logarithm of a positive parameter.
+        "log": the search for the estimate uses the logarithm of the parameter, which must be positive.
     prior : tuple[float, float] or None
-        Mean and standard deviation in `unit`. The prior is normal. With the transform "log", it is normal in the
-        logarithm with the relative standard deviation. None: no prior.
+        Mean and standard deviation in `unit`. The prior is normal. With the transform "log", the logarithm of the
+        parameter is normal, with the relative standard deviation. None: no prior.
     bounds : tuple[float, float]
-        Lower and upper bound in `unit`. A value outside by a relative rounding of 1e-9 is moved onto the bound.
+        Lower and upper bound in `unit`. A value that is outside by at most 1e-9 of the bound, because of rounding, is
+        moved onto the bound.
     free : bool
         Whether the parameter is estimated.
     considered : bool
         Whether the parameter is held at its value while the errors of all other parameters include the uncertainty of
         its prior (consider covariance: Schmidt 1966; Tapley, Schutz and Born 2004, section 6.3). It is for parameters
-        that the data cannot inform. It has no effect on a free parameter.
+        about which the data contain no information. It has no effect on a free parameter.
     per_record : bool
         Whether the parameter has a separate value in each record, such as a current or a bias.
     step : float
@@ -130,19 +132,22 @@ class Parameter:
 
     @property
     def exact(self) -> bool:
-        """Whether the value is assumed to have no error: the parameter is neither free nor considered."""
+        """Whether the value is treated as exact: the parameter is neither free (estimated) nor considered."""
         return not (self.free or self.considered)
 
     @property
     def considered_sd(self) -> float | None:
-        """Standard deviation of the prior of a considered parameter, in its unit; None if it is estimated or exact."""
+        """Standard deviation of the prior of a considered parameter, in its unit.
+
+        None if the parameter is free or not considered.
+        """
         return self.prior[1] if self.considered and not self.free and self.prior is not None else None
 
     @property
     def full_name(self) -> str:
-        """Name with the index of its record, for example ``V_x@0``.
+        """Name with the index of the record, for example ``V_x@0``.
 
-        It is the plain name if all records share the parameter.
+        It is the plain name if the parameter has one value for all records.
         """
         return segment_name(self.name, self.segment)
 
@@ -160,32 +165,40 @@ class Parameter:
         return self.origin if informative or not self.free else ParameterOrigin.ESTIMATED
 
     def to_free(self, value: float) -> float:
-        """Convert a value in the unit of the parameter to the coordinate of the estimator: its logarithm with "log"."""
+        """Convert a value in the unit of the parameter to the coordinate of the search for the estimate.
+
+        The coordinate is the logarithm with the transform "log" (ValueError if the value is not positive), otherwise
+        the value.
+        """
         return math.log(value) if self.transform == "log" else value
 
     def from_free(self, coordinate: float) -> float:
-        """Convert a coordinate of the estimator to a value in the unit of the parameter; the inverse of `to_free`.
+        """Convert a coordinate of the search to a value in the unit of the parameter; the inverse of `to_free`.
 
-        With the transform "log", the coordinate is limited to 700, so that the value is finite.
+        With the transform "log", the coordinate is limited to at most 700, so that the value is finite.
         """
         return math.exp(min(coordinate, LARGEST)) if self.transform == "log" else coordinate
 
     def slope(self, value: float) -> float:
-        """Return the derivative of the value with respect to the estimator's coordinate, at this value.
+        """Return the derivative of the value with respect to the coordinate of the search (`to_free`), at this value.
 
         The derivative is the value itself with the transform "log", and otherwise one.
         """
         return value if self.transform == "log" else 1.0
 
     def free_prior(self) -> tuple[float, float] | None:
-        """Return the mean and standard deviation of the prior in the estimator's coordinate; None without a prior."""
+        """Return the mean and standard deviation of the prior in the coordinate of the search (`to_free`).
+
+        With the transform "log", they are the logarithm of the mean and the relative standard deviation. None without a
+        prior.
+        """
         if self.prior is None:
             return None
         mean, sd = self.prior
         return (math.log(mean), sd / mean) if self.transform == "log" else (mean, sd)
 
     def free_bounds(self) -> tuple[float, float]:
-        """Return the lower and upper bound in the estimator's coordinate.
+        """Return the lower and upper bound in the coordinate of the search (`to_free`).
 
         With the transform "log", a lower bound of zero or less becomes minus infinity.
         """
@@ -195,12 +208,12 @@ class Parameter:
         return low, high
 
     def at(self, value: float) -> Parameter:
-        """Return the parameter with another value.
+        """Return the parameter with another value, in its unit.
 
         Raises
         ------
         ValueError
-            If the value is outside the bounds.
+            If the value is outside the bounds, or not positive with the transform "log".
         """
         return replace(self, value=float(value))
 
@@ -212,22 +225,22 @@ class Parameter:
         return replace(self, free=False)
 
     def known(self, value: float, sd: float, origin: ParameterOrigin) -> Parameter:
-        """Return the parameter with a known value.
+        """Return the parameter with a value from outside the logs, for example from the rig file or a bench test.
 
         Parameters
         ----------
         value : float
             Known value, in the unit of the parameter. With ``sd`` > 0 it is also the mean of the prior.
         sd : float
-            0: the parameter is fixed. Otherwise: standard deviation of its prior, in the unit of the parameter. The
-            parameter is then estimated, unless it is a considered parameter.
+            Standard deviation of the prior, in the unit of the parameter. The parameter is then estimated, unless it
+            was considered, and stays so. 0: the parameter is fixed at the value, without the uncertainty of a prior.
         origin : ParameterOrigin
             Origin of the value.
 
         Raises
         ------
         ValueError
-            If the value is outside the bounds.
+            If the value is outside the bounds, or not positive with the transform "log".
         """
         if sd == 0.0:
             return replace(self, value=float(value), free=False, considered=False, origin=origin)
@@ -242,8 +255,8 @@ class Parameter:
 def built_in(parameters: Iterable[Parameter]) -> tuple[Parameter, ...]:
     """Return the parameters of a model structure or effect of the catalogue, with their values marked as built-in.
 
-    A parameter that a user declares has the origin ``GIVEN`` by default. Parameters with another origin than ``GIVEN``
-    are returned unchanged.
+    ``GIVEN`` is the origin of a parameter that a user declares, and the default. It is replaced by ``BUILT_IN``.
+    Parameters with another origin are returned unchanged.
     """
     return tuple(
         replace(p, origin=ParameterOrigin.BUILT_IN) if p.origin is ParameterOrigin.GIVEN else p for p in parameters

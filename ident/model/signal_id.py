@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import NamedTuple
 
-COMMAND, SHAFT_SPEED, THRUSTER_FORCE = "n_cmd", "n", "f"  # -1..1, of full speed, N
+COMMAND, SHAFT_SPEED, THRUSTER_FORCE = "n_cmd", "n", "f"  # -1 to 1; relative to full speed; N
 # Quantities of one thruster. `n_cmd` comes before `n`: `n_cmd_left` is the command of `left`.
 THRUSTER_QUANTITIES = (COMMAND, SHAFT_SPEED, THRUSTER_FORCE, "voltage", "servo", "pwm")
 
@@ -25,7 +25,7 @@ class SignalId(NamedTuple):
         For a thruster one of `THRUSTER_QUANTITIES`, for example ``n_cmd``. For another signal its name, for example
         ``psi``.
     tap : int
-        Delay in steps of the model's input history. 0 for the signal itself.
+        Delay of a delayed copy of the signal in steps (0.1 s each; 0.05 s for commands). 0 for the signal itself.
     """
 
     source: str
@@ -38,16 +38,16 @@ class SignalId(NamedTuple):
 
         Parameters
         ----------
-        name
+        name : str
             Name of a signal. A thruster's signal is ``QUANTITY_THRUSTER``, for example ``n_cmd_left``. A delayed input
             ends with ``~STEPS``.
 
         Returns
         -------
         SignalId
-            ``str`` of it is the name again. A name that is not of the form above has an empty source, and the name
-            itself is the quantity: ``psi``, ``X``, ``X_n``, and also ``n`` without a thruster. ``n_cmd`` without a
-            thruster is of the form above: the shaft speed of a thruster ``cmd``.
+            Components; ``str`` of them is the name again. A name that does not begin with a quantity of
+            `THRUSTER_QUANTITIES` and ``_`` has an empty source and is itself the quantity: ``psi``, ``X``, ``X_n``,
+            ``n``. The name ``n_cmd`` without a thruster becomes the shaft speed of a thruster ``cmd``.
         """
         stem, mark, steps = name.rpartition("~")
         tapped = bool(mark) and steps.isdecimal() and str(int(steps)) == steps != "0"
@@ -65,26 +65,30 @@ class SignalId(NamedTuple):
 
 
 def command_of(thruster: str) -> str:
-    """Return the name of the command (-1 to 1) of a thruster, for example ``n_cmd_left``."""
+    """Return the name of the signal with the command (-1 to 1) of a thruster, for example ``n_cmd_left``."""
     return str(SignalId(thruster, COMMAND))
 
 
 def shaft_speed_of(thruster: str) -> str:
-    """Return the name of the shaft speed (over full speed) of a thruster, for example ``n_left``."""
+    """Return the name of the signal with the shaft speed (over full speed) of a thruster, for example ``n_left``."""
     return str(SignalId(thruster, SHAFT_SPEED))
 
 
 def thrust_of(thruster: str) -> str:
-    """Return the name of the thrust [N] of a thruster, for example ``f_left``."""
+    """Return the name of the signal with the thrust [N] of a thruster, for example ``f_left``."""
     return str(SignalId(thruster, THRUSTER_FORCE))
 
 
 def is_of_thruster(name: str, *quantities: str) -> bool:
-    """Return whether a signal belongs to a thruster and has one of these quantities (of `THRUSTER_QUANTITIES`)."""
+    """Return whether the signal ``name`` belongs to a thruster and has one of ``quantities``.
+
+    The quantities are entries of `THRUSTER_QUANTITIES`. For example, ``n_left`` has the quantity ``n``, and ``n`` has
+    no thruster.
+    """
     signal = SignalId.parse(name)
     return bool(signal.source) and signal.quantity in quantities
 
 
 def commanded_thrusters(names: Iterable[str]) -> list[str]:
-    """Return the thrusters whose commands are among the names of signals, in the order of the names."""
+    """Return the names of the thrusters whose commands are among the signals ``names``, in the order of the signals."""
     return [signal.source for signal in map(SignalId.parse, names) if signal.source and signal.quantity == COMMAND]

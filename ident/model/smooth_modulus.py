@@ -17,8 +17,9 @@ YAW_RATE_WIDTH = 0.02  # rad/s: the same for the yaw rate
 
 
 def smooth_modulus(x: Any, width: float) -> Any:
-    """Return ``sqrt(x^2 + width^2)``, which is |x| for ``|x|`` much larger than ``width`` and has no kink at zero.
+    """Return ``sqrt(x^2 + width^2)``: a modulus of ``x`` without the kink at zero.
 
-    ``x`` and ``width`` have the same unit. ``x`` is a number, an array or a symbol.
+    It is about |x| for ``|x|`` much larger than ``width``, and ``width`` at zero. ``x`` is a number, an array or a
+    symbol. ``width`` has the same unit.
     """
     return np.sqrt(x * x + width * width)

@@ -5,9 +5,10 @@ symbols. The functions are ordered in stages. All stages read and write one `Sig
 
     shaft -> thrust -> force -> rate -> output
 
-An effect hooks in after a stage; ``model + effect`` is again a model. Some effects depend on the result of all other
-effects of a stage. They hook in at one of the ``LATER`` places of the stage, so that the order in which effects are
-added does not matter. User-defined models need no stages: ``plain_model`` takes ``f(x, u, p)`` and ``h(x, u, p)``.
+An effect (an extension of a model) has functions that run after a stage; ``model + effect`` is again a model. Some
+effects depend on the result of all other effects of a stage. Their functions run at one of the ``LATER`` places of the
+stage, so that the order in which effects are added does not matter. User-defined models need no stages: ``plain_model``
+takes ``f(x, u, p)`` and ``h(x, u, p)``.
 """
 
 from __future__ import annotations
@@ -34,7 +35,9 @@ LATER: Mapping[str, tuple[str, ...]] = {
 
 
 class Named(SimpleNamespace):
-    """Scalars, symbols or columns by name, read as attributes.
+    """Values of named quantities, read as attributes.
+
+    Each value is a scalar, a symbol, or a column (n,) over several rows.
 
     An unknown name raises an AttributeError that lists the available names.
     """
@@ -48,19 +51,20 @@ class Named(SimpleNamespace):
 
 
 class Signals(Named):
-    """Signals of one row, or of all rows as columns.
+    """Signals of a model that its functions read and write, for one row of a record, or for all rows as columns.
 
     Attributes
     ----------
     x, u, p : Named
         States, inputs and parameters by name.
     rate, y : dict
-        Rates of the states per second, and outputs, by name.
+        Time derivatives of the states per second, and outputs, by name.
     again : Callable
-        ``again(x, u, p)`` runs the model again up to the rates, with other values of some states, inputs and
-        parameters. It is for effects that depend on earlier rates.
+        ``again(x, u, p)`` runs the model again up to the time derivatives, with other values of some states, inputs and
+        parameters (dicts by name). It returns new signals. It is for effects that depend on earlier derivatives.
 
-    Each model adds signals of its own. Vehicle models add ``n`` and ``f`` by thruster, and ``X``, ``Y`` and ``N``.
+    Each model adds signals of its own. Vehicle models add shaft speeds ``n`` and thrusts ``f`` [N] by thruster, and the
+    forces ``X``, ``Y`` [N] and the moment ``N`` [N m].
     """
 
     x: Any
@@ -71,7 +75,7 @@ class Signals(Named):
     again: Callable[[Mapping[str, Any], Mapping[str, Any], Mapping[str, Any]], Signals]
 
     def state_or_input(self, name: str) -> Any:
-        """Return the state of this name if there is one, otherwise the input.
+        """Return the value of the state ``name`` if the model has it, otherwise of the input ``name``.
 
         Raises
         ------
@@ -86,7 +90,10 @@ Hold = Literal["zero", "average", "linear"]
 
 
 class ModelKind(StrEnum):
-    """Kind of the modelled object. It determines how its logs are read."""
+    """Kind of the modelled object: a vehicle, a thruster on a bench, or a sensor at rest.
+
+    It decides how logs are read.
+    """
 
     VEHICLE = "vehicle"
     BENCH = "bench"  # a thruster on a test bench, from a log of this thruster alone
@@ -105,7 +112,7 @@ class State:
     name, unit, meaning : str
         Name, unit and description.
     noise : float or str
-        Diffusion in unit/sqrt(s): a number, or the name of a parameter.
+        Diffusion of the process noise in unit/sqrt(s): a number, or the name of a parameter. 0: no process noise.
     x0, sd0 : float or str
         Mean and standard deviation in `unit` at the start of a record: a number, or the name of a parameter.
     from_output : str
@@ -133,9 +140,9 @@ class Input:
     name, unit : str
         Name of the signal in a log, and its unit.
     hold : "zero", "average" or "linear"
-        Hold between samples. ``zero``: constant, and every change starts a new row, unless the input is averaged.
-        ``average``: constant, replaced between rows by a straight line of the same mean and first moment. ``linear``:
-        linear interpolation.
+        Signal between its samples. ``zero``: constant, and every change starts a new row of the record, unless the
+        input is averaged (`prefilter`). ``average``: constant, but changes start no rows; in each row, a straight line
+        of the same mean and first moment replaces the signal. ``linear``: linear interpolation.
     angle : bool
         Whether the signal is an angle [rad], which is unwrapped before it is interpolated.
     label : str or None
@@ -143,7 +150,7 @@ class Input:
     tap_of : str
         Name of the signal of which this input is a delayed copy. Empty: it is no copy.
     tap : int
-        Number of steps of the delay (negative: later). 0: the input is in the data.
+        Delay of the copy in steps; negative for a copy of later values. 0: the samples of the input are in the log.
     delay : float
         Delay of the copy [s].
     prefilter : bool
@@ -162,19 +169,19 @@ class Input:
     prefilter: bool = True
 
     def delayed(self, tap: int, step: float = HISTORY_STEP) -> Input:
-        """Return the copy of this input that has its value of ``tap`` steps ago, named ``NAME~tap``.
+        """Return a delayed copy of this input, named ``NAME~tap``: an input with the value of ``tap`` steps ago.
 
         Parameters
         ----------
         tap : int
-            Number of steps; negative for a later value. 0: the result is the input itself.
+            Delay in steps; negative for a later value. 0: the result is the input itself.
         step : float
             Length of a step [s], 0.1 s by default.
 
         Notes
         -----
         `seatrial.ident.model.delayed_inputs` describes the kinds of copies. The copy has no label, so that it is not
-        plotted. A zero-order hold becomes ``average``.
+        plotted. If the hold of the input is ``zero``, that of the copy is ``average``.
         """
         if not tap:
             return self
@@ -183,14 +190,25 @@ class Input:
         )
 
     def like(self, source: Input) -> Input:
-        """Return this delayed copy with the hold and the averaging (`prefilter`) of its source."""
+        """Return this delayed copy with the hold and the averaging (`prefilter`) of ``source``, which it copies.
+
+        The hold ``zero`` becomes ``average``, as in `held`.
+        """
         return replace(self.held(source.hold), prefilter=source.prefilter)
 
     def held(self, hold: str) -> Input:
-        """Return this input with the hold of its signal in a log, for example ``linear``.
+        """Return this input with the hold ``hold``, for example the one that a log states for its signal.
 
-        An empty ``hold`` (unknown) returns the input itself. Changes of a delayed copy do not start new rows, so its
-        zero-order hold becomes ``average``. An input with the hold ``average`` also keeps it.
+        Parameters
+        ----------
+        hold : str
+            ``zero``, ``average`` or ``linear``. Empty, for an unknown hold: the result is the input itself.
+
+        Returns
+        -------
+        Input
+            With ``zero``, the hold becomes ``average`` for a delayed copy, whose changes start no new rows, and for an
+            input whose hold was ``average``.
         """
         if hold == "zero" and (self.tap or self.hold == "average"):
             hold = "average"
@@ -199,7 +217,7 @@ class Input:
 
 @dataclass(frozen=True)
 class Output:
-    """Output of a sensor.
+    """Output of a model: a quantity that a sensor measures.
 
     Attributes
     ----------
@@ -210,7 +228,7 @@ class Output:
     angle : bool
         Whether the output is an angle [rad]. Its innovations are wrapped to (-pi, pi].
     robust : bool
-        Whether outliers are allowed (`seatrial.ident.model.outlier_density`).
+        Whether outliers are part of the density of its innovations (`seatrial.ident.model.outlier_density`).
     """
 
     name: str
@@ -222,7 +240,7 @@ class Output:
 
 @dataclass(frozen=True)
 class Sensor:
-    """Sensor whose outputs arrive together: a row has a sample of all of its outputs or of none.
+    """Sensor whose outputs arrive together: a row of a record has samples of all of its outputs or of none.
 
     Attributes
     ----------
@@ -231,8 +249,8 @@ class Sensor:
     outputs : tuple[Output, ...]
         Outputs, at least one.
     averaged : bool
-        Whether samples within the time of a row are averaged. If False, one of them is used. It is False for outputs
-        that follow the inputs quickly, within the time of a row.
+        Whether samples of a fast sensor are averaged over the time of a row. If False, only one sample per row is used.
+        It is False for outputs that follow the inputs within the time of a row.
     """
 
     name: str
@@ -242,7 +260,7 @@ class Sensor:
 
 @dataclass(frozen=True)
 class ForceCurve:
-    """Nonparametric curve: a residual quantity as a function of one variable, or of the products of two variables.
+    """Names of a nonparametric curve: a force, or sensor error, as a function of one variable or of products of two.
 
     Attributes
     ----------
@@ -251,7 +269,7 @@ class ForceCurve:
     variable : str
         Name of the ``Variable``, for example ``u``.
     second : str
-        Second variable of the products; empty for a function of one variable.
+        Name of the second variable of the products; empty for a function of one variable.
     """
 
     force: str
@@ -260,12 +278,12 @@ class ForceCurve:
 
     @property
     def variables(self) -> str:
-        """Variables for display: ``u``, or ``u, r``."""
+        """Names of the variables for display: ``u``, or ``u, r`` with a second variable."""
         return f"{self.variable}, {self.second}" if self.second else self.variable
 
 
 class EffectKind(StrEnum):
-    """Kind of an effect: how the diagnosis finds, names and reports it."""
+    """Kind of an effect. The diagnosis finds, names and reports each kind differently."""
 
     CATALOGUE = "catalogue"  # a named physical effect
     BETWEEN_RUNS = "between-runs"  # a parameter that differs between runs
@@ -277,12 +295,15 @@ class EffectKind(StrEnum):
 
     @property
     def nonparametric(self) -> bool:
-        """Whether no catalogue has a name for the effect: a fitted curve, or a lagged or resonant response."""
+        """Whether the effect has no name in the catalogue: it is a fitted curve, or a lagged or resonant response."""
         return self in (EffectKind.NONPARAMETRIC, EffectKind.LAGGED, EffectKind.RESONANT)
 
     @property
     def nuisance(self) -> bool:
-        """Whether the effect serves the filter only and is no property of the boat."""
+        """Whether the effect serves only the filter and is no property of the boat.
+
+        It is then a disturbance or a sensor offset.
+        """
         return self in (EffectKind.DISTURBANCE, EffectKind.SENSOR_OFFSET)
 
 
@@ -292,8 +313,8 @@ def curve_name(kind: EffectKind, curve: ForceCurve) -> str:
     Parameters
     ----------
     kind : EffectKind
-        A lagged response is ``X(past of n_sum)``, and a resonant response ``X(swing after n_sum)``. For any other kind,
-        there are only the variables in the parentheses.
+        Kind of the effect. The name of a lagged response is ``X(past of n_sum)``, that of a resonant response ``X(swing
+        after n_sum)``, and that of any other kind ``X(n_sum)``.
     curve : ForceCurve
         Names of the force and of its variables.
     """
@@ -312,9 +333,10 @@ class Effect:
     name, title : str
         Identifier, and name in reports.
     hooks : Mapping[str, ModelFunction]
-        Functions by the stage, or the ``LATER`` place, after which they run. ``PARAMETERS``: before all stages.
+        Functions that change the signals, by the stage or the ``LATER`` place after which they run. With the key
+        ``PARAMETERS``, the function runs before all stages.
     parameters, states, inputs : tuple
-        What the effect adds to the model. Inputs that the model has already are not added again.
+        Components that the effect adds to the model. Inputs that the model already has are not added again.
     place : str
         Physical origin: ``actuator``, ``hull``, ``environment``, ``sensor`` or ``bench``.
     formula, source, experiment : str
@@ -341,10 +363,11 @@ class Effect:
     nonparametric_of : ForceCurve or None
         Curve that this effect describes by a series, without a specific form.
     fixed_point : bool
-        Whether the effect acts at a point fixed over ground: all logs must share one origin.
+        Whether the effect acts at a point that is fixed over ground, so that all logs must have the same origin of
+        position.
     in_words : Callable or None
-        Function of the estimates and their standard errors, by parameter, that returns a clause for reports. None: the
-        parameters need no explanation.
+        Function that returns a clause for reports, given (estimate, standard error) by parameter. None: the parameters
+        need no explanation.
     """
 
     name: str
@@ -371,22 +394,27 @@ class Effect:
     in_words: Callable[[Mapping[str, tuple[float, float]]], str] | None = None
 
     def is_table_of(self, curve: ForceCurve | None) -> bool:
-        """Return whether the effect is the nonparametric curve of this force and variable. None: return False."""
+        """Return whether this effect is the nonparametric curve of the force and variables of ``curve``.
+
+        False for None.
+        """
         return self.kind is EffectKind.NONPARAMETRIC and self.curve is not None and self.curve == curve
 
 
 @dataclass(frozen=True)
 class StartGrid:
-    """Alternative initial values for a multimodal likelihood. Every combination is evaluated, and the best are fitted.
+    """Alternative initial values of parameters, for a likelihood with several maxima.
+
+    Every combination of the values is evaluated, and the best ones are fitted.
 
     Attributes
     ----------
     names : tuple[str, ...]
-        Parameters. The first parameter distinguishes the starts.
+        Names of the parameters.
     values : tuple[tuple[float, ...], ...]
-        Values to try for each parameter.
+        Values to try for each parameter, in its unit.
     apart : float
-        Minimum distance of two starts in the first parameter, in its unit.
+        Distance in the first parameter, in its unit. Fits start from values that differ by more than 1.5 times as much.
     gaining : bool
         Whether to fit only starts that are more likely than the current fit, with all other parameters as fitted.
     """
@@ -399,29 +427,31 @@ class StartGrid:
 
 @dataclass(frozen=True)
 class DisturbanceChannel:
-    """Quantity of a model to which an unexplained part can be added.
+    """Quantity of a model to which an unexplained part can be added: where an effect may be missing in the model.
 
-    The quantity is a force on the hull or on the load cell, a thrust, a rate, or a sensor output.
+    The quantity is a force on the hull or on the load cell, a thrust, a time derivative, or a sensor output.
 
     Attributes
     ----------
     name, unit, title : str
         Name (``X``), unit, and text for reports.
     state : str
-        Disturbance state for this quantity (`seatrial.ident.models.disturbances`). Empty: it has none.
+        Name of the disturbance state for this quantity (`seatrial.ident.models.disturbances`). Empty: it has none.
     scale : float
         Standard deviation of the prior of a nonparametric curve of this quantity, in `unit`.
     add : Callable
-        ``add(signals, extra)`` adds a value of `unit` to the quantity, after the stage `stage`.
+        ``add(signals, extra)`` adds ``extra``, in `unit`, to the quantity. For a `relative` quantity it multiplies it
+        by ``1 + extra``.
     stage : str
-        Stage or ``LATER`` place of a model, for example ``force``.
+        Stage or ``LATER`` place of the model after which `add` is called, for example ``force``.
     of : tuple[str, ...]
-        Variables on which the quantity may depend. Empty: all variables of the model.
+        Names of the variables on which the unexplained part may depend. Empty: all variables of the model.
     place, requires
-        Properties of the nonparametric effects on the quantity, as in `Effect`.
+        Physical origin, and signals that the model must provide, of the nonparametric effects on the quantity, as in
+        `Effect`.
     relative : bool
-        Whether the unexplained part is a factor. Its value at zero of the variable then belongs to other parameters,
-        and it has no disturbance state.
+        Whether the unexplained part is a relative change of the quantity. Other parameters then describe its value
+        where the variable is zero, and it has no disturbance state.
     """
 
     name: str
@@ -455,22 +485,22 @@ class ThrusterPair:
 
 @dataclass(frozen=True)
 class Variable:
-    """Variable on which a residual may depend.
+    """Variable on which a force or sensor error that the model lacks may depend, for example the surge speed ``u``.
 
     Attributes
     ----------
     name, unit : str
         Name, for example ``u``, and unit.
     read : Callable
-        Returns the variable, given the signals of a row.
+        Function that returns the value of the variable, given the `Signals` of the model.
     angle : bool
-        Whether the variable is an angle [rad], which is wrapped. Harmonics describe the residual as a function of an
-        angle.
+        Whether the variable is an angle [rad], which is wrapped. A function of an angle is described by harmonics, any
+        other by splines.
     functions : int
-        Number of splines that describe the residual as a function of another variable.
+        Number of splines that describe a function of the variable. It is not used for an angle.
     pair : ThrusterPair or None
-        Thrusters of the variable: a force may follow them with a lag. None for a variable that is not of a pair of
-        thrusters.
+        Shaft speeds or thrusts whose mean or difference the variable is: a force may follow them with a lag. None for
+        any other variable.
     """
 
     name: str
@@ -495,17 +525,22 @@ class Model:
         Pairs of a label and a function. The functions run in order and change one `Signals` object. Hooks of effects
         refer to the labels.
     provides : tuple[str, ...]
-        Signals that effects may require (`Effect.requires`).
+        Names of the signals that effects may require (`Effect.requires`).
     effects : tuple[Effect, ...]
         Effects that were added.
     source : str
         Text from which ``make_model`` builds the model again: "horizontal", "FILE.py:NAME". Empty: it cannot be built
         again.
-    residuals, variables, products
-        For the diagnosis: unexplained quantities, the variables on which they may depend, and products of two
-        variables.
+    residuals : tuple[DisturbanceChannel, ...]
+        Quantities in which the diagnosis looks for missing effects. Empty: the forces of the hull, if the model has
+        one.
+    variables : tuple[Variable, ...]
+        Variables on which missing effects may depend. Empty: motion, time and thrusters, if the model has a hull.
+    products : tuple
+        Pairs of names of variables on whose product missing effects may depend. Empty: those of u, v and r for a hull.
     block : float
-        Length [s] of the blocks of time over which scores are summed: several correlation times of residuals.
+        Length [s] of the blocks of time over which the diagnosis sums scores (derivatives of the log-likelihood). It
+        should be several correlation times of the residuals.
     start_grid : StartGrid or None
         Additional initial values, for a multimodal likelihood.
     kind : ModelKind
@@ -546,8 +581,8 @@ class Model:
         Raises
         ------
         ValueError
-            If two states, inputs, outputs or parameters have the same name, or if a noise, an initial value or a
-            ``from_output`` names no component.
+            If two states, inputs, outputs or parameters have the same name. Also if a noise or an initial value is the
+            name of a parameter that the model lacks, or a ``from_output`` the name of an output that it lacks.
         """
         for kind, names in (
             ("state", [s.name for s in self.states]),
@@ -576,7 +611,7 @@ class Model:
 
     @property
     def outputs(self) -> tuple[Output, ...]:
-        """Outputs of all sensors, in order."""
+        """Outputs of all sensors, in the order of the sensors."""
         return tuple(o for s in self.sensors for o in s.outputs)
 
     @property
@@ -598,7 +633,7 @@ class Model:
         raise KeyError(f"model {self.name} has no parameter {name!r}; it has {', '.join(self.values)}")
 
     def bag(self, x: Any, u: Any, p: Any) -> Signals:
-        """Return the signals before any stage has run: states, inputs and parameters by name.
+        """Return the signals of the model before any stage has run: only states, inputs and parameters, by name.
 
         Parameters
         ----------
@@ -619,12 +654,17 @@ class Model:
         )
 
     def signals(self, x: Any, u: Any, p: Any) -> Signals:
-        """Run all stages with the hooks of all effects, and return the signals.
+        """Evaluate the model: run all stages with the hooks of all effects, and return the signals.
 
         Parameters
         ----------
         x, u, p
             Values of the states, inputs and parameters, in the order of the model: scalars, symbols or columns.
+
+        Returns
+        -------
+        Signals
+            All signals, with the time derivatives of the states in ``rate`` and the outputs in ``y``.
 
         Raises
         ------
@@ -641,9 +681,10 @@ class Model:
         return s
 
     def _run_stage(self, label: str, stage: ModelFunction, s: Signals) -> None:
-        """Run one stage, then the hooks of the effects at the stage and at its ``LATER`` places.
+        """Run one stage, then the hooks of all effects after this stage and at its ``LATER`` places.
 
-        ``label`` is the label of the stage, to which the hooks refer. The functions change the signals ``s`` in place.
+        ``label`` is the name of the stage, by which effects refer to it. ``stage`` is its function. The signals ``s``
+        are changed in place.
         """
         stage(s)
         for place in (label, *LATER.get(label, ())):
@@ -652,9 +693,11 @@ class Model:
                     effect.hooks[place](s)
 
     def _until_rates(self, s: Signals, x: Mapping[str, Any], u: Mapping[str, Any], p: Mapping[str, Any]) -> Signals:
-        """Run the stages before ``output`` on new signals, and return them. The signals ``s`` are not changed.
+        """Evaluate the model up to the time derivatives with other values of some states, inputs and parameters.
 
-        ``x``, ``u`` and ``p`` have values by name that replace those of ``s``.
+        ``x``, ``u`` and ``p`` are these values by name. The other values are those of the signals ``s``, which are not
+        changed. The result is a new `Signals` object, for which the stage ``output`` has not run. Hooks that change
+        parameters do not run again.
         """
         x, u, p = vars(s.x) | x, vars(s.u) | u, vars(s.p) | p
         changed = Signals(x=States(**x), u=Inputs(**u), p=Parameters(**p), rate={}, y={})
@@ -670,9 +713,9 @@ class Model:
         Raises
         ------
         KeyError
-            If the model has no parameter of a name.
+            If the model lacks a named parameter. The message lists its parameters.
         ValueError
-            If a value is outside its bounds.
+            If a value is outside its bounds, or not positive for a parameter with the transform "log".
         """
         unknown = set(values) - set(self.values)
         if unknown:
@@ -682,12 +725,14 @@ class Model:
         return replace(self, parameters=tuple(p.at(values.get(p.name, p.value)) for p in self.parameters))
 
     def with_free(self, names: Iterable[str]) -> Model:
-        """Return the model with exactly the parameters ``names`` free. All others are fixed at their values.
+        """Return the model in which exactly the parameters ``names`` are estimated.
+
+        All others are fixed at their values.
 
         Raises
         ------
         KeyError
-            If the model has no parameter of a name.
+            If the model lacks a named parameter. The message lists its parameters.
         """
         wanted = set(names)
         unknown = wanted - set(self.values)
@@ -699,7 +744,7 @@ class Model:
 
     @property
     def free(self) -> tuple[str, ...]:
-        """Names of the free parameters."""
+        """Names of the parameters that are estimated, in the order of the model."""
         return tuple(p.name for p in self.parameters if p.free)
 
     @property
@@ -712,12 +757,18 @@ class Model:
 
     @property
     def noises(self) -> frozenset[str]:
-        """Names of the parameters that set only covariances: standard deviations and diffusions."""
+        """Names of the parameters that set only covariances.
+
+        These are standard deviations of measurements and of initial states, and diffusions.
+        """
         named = [o.noise for o in self.outputs] + [s.noise for s in self.states] + [s.sd0 for s in self.states]
         return frozenset(n for n in named if isinstance(n, str))
 
     def role(self, name: str) -> ParameterRole:
-        """Return the role of a parameter: noise or initial state by its use in the model, otherwise its declared role.
+        """Return the role of the parameter ``name``.
+
+        The role is noise or initial state if the model uses the parameter so, otherwise the role that the parameter
+        declares.
 
         Raises
         ------
@@ -732,7 +783,7 @@ class Model:
 
     @property
     def noise_parameters(self) -> frozenset[str]:
-        """Names of the parameters on which no prediction of the mean depends.
+        """Names of the parameters on which a simulation without noise does not depend.
 
         These are standard deviations, diffusions, and properties of zero-mean disturbances, such as a correlation time.
         """
@@ -773,7 +824,7 @@ class Model:
     def without(self, name: str) -> Model:
         """Return the model without the effect ``name``: without its hooks, states, parameters and inputs.
 
-        Inputs that another effect reads are kept. Return an equal model if it lacks the effect.
+        Inputs that another effect reads are kept. Return an equal model if no effect of this name was added.
         """
         removed = [e for e in self.effects if e.name == name]
         kept = tuple(e for e in self.effects if e.name != name)
@@ -789,11 +840,15 @@ class Model:
         )
 
     def accepts(self, effect: Effect) -> bool:
-        """Return whether the effect can be added: the model provides its signals, and has none of its names."""
+        """Return whether the effect can be added to the model (`refusal` states the conditions)."""
         return self.refusal(effect) is None
 
     def refusal(self, effect: Effect) -> str | None:
-        """Return the reason why the effect cannot be added, as the end of a sentence, or None if it can be added."""
+        """Return the reason why the effect cannot be added, as the end of a sentence, or None if it can be added.
+
+        It cannot be added if the model lacks a signal that it requires. It cannot be added either if the name of the
+        effect, of a parameter or of a state of the effect exists already in the model.
+        """
         if missing := self._missing_signals(effect):
             return f"it needs the signal {min(missing)!r}, which model {self.name} does not have"
         present = {e.name for e in self.effects} | set(self.values) | {s.name for s in self.states}
@@ -820,14 +875,14 @@ def plain_model(
     parameters: tuple[Parameter, ...],
     source: str = "",
 ) -> Model:
-    """Return a model without stages, from a function of the rates and a function of the outputs.
+    """Return a model without stages, from a function of the time derivatives and a function of the outputs.
 
     Parameters
     ----------
     name : str
         Name of the model.
     f : Callable
-        ``f(x, u, p)`` returns a dictionary {state: rate}, with rates per second.
+        ``f(x, u, p)`` returns a dictionary {state: time derivative}, per second.
     h : Callable
         ``h(x, u, p)`` returns a dictionary {output: value}.
     states, inputs, sensors, parameters
@@ -842,11 +897,11 @@ def plain_model(
     """
 
     def rate(s: Signals) -> None:
-        """Set the rates of the states by the user's function."""
+        """Set the time derivatives ``s.rate`` of the states by the user's function ``f``."""
         s.rate.update(_checked_dictionary(f(s.x, s.u, s.p), "f", "{state: rate}"))
 
     def output(s: Signals) -> None:
-        """Set the outputs by the user's function."""
+        """Set the outputs ``s.y`` by the user's function ``h``."""
         s.y.update(_checked_dictionary(h(s.x, s.u, s.p), "h", "{output: value}"))
 
     for stage, own in ((rate, f), (output, h)):
@@ -855,14 +910,14 @@ def plain_model(
 
 
 def _checked_dictionary(found: Any, function: str, expected: str) -> Mapping[str, Any]:
-    """Return the result ``found`` of the user's function, after checking that it is a dictionary.
+    """Return the result ``found`` of a user's function, after checking that it is a dictionary.
 
-    ``function`` is the name of the function and ``expected`` describes the dictionary, for the message.
+    ``function`` is the name of the function, and ``expected`` describes the dictionary; both are for the message.
 
     Raises
     ------
     TypeError
-        If the function returned another type.
+        If the result is not a dictionary (Mapping).
     """
     if not isinstance(found, Mapping):
         raise TypeError(f"{function} returns a {type(found).__name__}, not a dictionary {expected}")
@@ -870,27 +925,28 @@ def _checked_dictionary(found: Any, function: str, expected: str) -> Mapping[str
 
 
 def resolve_initial_states(states: Iterable[State], sensors: Iterable[Sensor]) -> tuple[State, ...]:
-    """Return the states for these sensors.
+    """Return the states of a model that has only the given sensors.
 
-    A state whose `from_output` no sensor measures starts from its `x0` instead.
+    A state starts from the first measurement of its output ``from_output``. If no sensor has this output,
+    ``from_output`` is cleared, so that the state starts from its ``x0``.
     """
     measured = {o.name for s in sensors for o in s.outputs}
     return tuple(s if s.from_output in measured else replace(s, from_output="") for s in states)
 
 
 class States(Named):
-    """States by name."""
+    """States of a model by name, read as attributes."""
 
     _kind = "state"
 
 
 class Inputs(Named):
-    """Inputs by name."""
+    """Inputs of a model by name, read as attributes."""
 
     _kind = "input"
 
 
 class Parameters(Named):
-    """Values of the parameters by name."""
+    """Values of the parameters of a model by name, read as attributes."""
 
     _kind = "parameter"

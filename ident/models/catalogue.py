@@ -62,7 +62,8 @@ def make_model(source: str, sensors: Sequence[str] | None = None) -> Model:
     source : str
         Name in the catalogue with options, or ``FILE.py:NAME``. NAME is a Model or a function that returns a Model.
     sensors : Sequence[str], optional
-        Sensors of the log. Other sensors of a catalogue model are left out. None: all sensors are kept.
+        Names of the sensors that the log contains. A catalogue model gets only those of its sensors. None, or no sensor
+        of the model: all its usual sensors. It is ignored for a user-defined model.
 
     Raises
     ------
@@ -73,7 +74,10 @@ def make_model(source: str, sensors: Sequence[str] | None = None) -> Model:
 
 
 def is_own_model(source: str) -> bool:
-    """Return whether the text ``source`` names a user-defined model, ``FILE.py:NAME``. The file is not read."""
+    """Return whether the text ``source`` has the form ``FILE.py:NAME`` of a user-defined model.
+
+    The file is not read.
+    """
     return source.rpartition(":")[0].endswith(".py")
 
 
@@ -85,8 +89,9 @@ def catalogue_model(source: str, sensors: Sequence[str] | None = None) -> Model:
     source : str
         Name with options, for example ``horizontal:shaft``, ``horizontal:force:no-current``, ``kinematic:shaft:yaw``.
     sensors : Sequence[str], optional
-        Sensors of the log. Other sensors of the model are left out. None: all sensors are kept. If the log has none of
-        the sensors of the model, all are kept.
+        Names of the sensors that the log contains. The models horizontal, nomoto and kinematic get only those of their
+        sensors, and the model thruster has a load cell only if ``load_cell`` is among them. None: all usual sensors of
+        the model; also if a model gets none otherwise. Other models ignore it.
 
     Raises
     ------
@@ -117,16 +122,16 @@ def catalogue_model(source: str, sensors: Sequence[str] | None = None) -> Model:
 
 
 def _model_of_package(source: str, kind: str, options: Sequence[str]) -> Model:
-    """Return a model of another package: the result of its function, called with the options behind the name.
+    """Return a model of another package: the result of its function, called with the options in the model's name.
 
     Parameters
     ----------
     source : str
         Name with options, for messages. It becomes the source of the model.
     kind : str
-        Name of the entry point.
+        Name of the package's entry point in the group ``seatrial.models``.
     options : Sequence[str]
-        Positional arguments of the function.
+        Options behind the name, which are the positional arguments of the function.
 
     Raises
     ------
@@ -148,9 +153,9 @@ def _model_of_package(source: str, kind: str, options: Sequence[str]) -> Model:
 
 
 def _is_delay_step(options: Sequence[str]) -> bool:
-    """Return whether the options of a thruster model are one number between 1e-4 and 1.
+    """Return whether the options of a thruster model are one number above 1e-4 and below 1.
 
-    It is then the delay [s] between copies of the thruster's command.
+    The number is the delay [s] between copies of the thruster's command. Any other options give False.
     """
     try:
         return len(options) == 1 and 1e-4 < float(options[0]) < 1.0
@@ -164,16 +169,18 @@ def _horizontal_by_options(source: str, options: Sequence[str], sensors: Sequenc
     Parameters
     ----------
     source : str
-        Whole name, for messages.
+        Whole name, for messages, and source of a model with a random-walk current.
     options : Sequence[str]
-        Options behind the name, for example ``shaft`` and ``no-current``, in any order.
+        Options behind the name, in any order: ``shaft`` (default), ``command``, ``force`` or ``general``;
+        ``no-current``, ``random-walk-current``; ``symmetric-arms``. Of several inputs, the first is used.
     sensors : Sequence[str], optional
-        Sensors of the log. Other sensors are left out. None, or no sensor of the model: the standard sensors.
+        Names of the sensors that the log contains. Other sensors are left out. None, or no sensor of the model: the
+        standard sensors.
 
     Raises
     ------
     SeatrialError
-        If an option is unknown, or if options contradict each other.
+        If an option is unknown, or if ``symmetric-arms`` and ``general`` (no thrusters) are combined.
     """
     from seatrial.ident.models.horizontal import SENSORS, STANDARD, SYMMETRIC, horizontal_model, symmetric_arms
 
@@ -196,16 +203,18 @@ def _nomoto_by_options(source: str, options: Sequence[str], sensors: Sequence[st
     Parameters
     ----------
     source : str
-        Whole name, for messages.
+        Whole name, for messages, and source of a model with a random-walk current.
     options : Sequence[str]
-        Options behind the name: ``sampled``, and ``no-current`` or ``random-walk-current``.
+        Options behind the name, in any order: ``sampled`` (times of the inputs are uncertain), and ``no-current`` or
+        ``random-walk-current``.
     sensors : Sequence[str], optional
-        Sensors of the log. Other sensors are left out. None, or no sensor of the model: all sensors of the model.
+        Names of the sensors that the log contains. Other sensors are left out. None, or no sensor of the model: all
+        sensors of the model.
 
     Raises
     ------
     SeatrialError
-        If an option is unknown.
+        If an option is unknown, or if both options of the current are given.
     """
     from seatrial.ident.models.nomoto import SEEN, nomoto_model
 
@@ -224,11 +233,13 @@ def _kinematic_by_options(source: str, options: Sequence[str], sensors: Sequence
     Parameters
     ----------
     source : str
-        Whole name, for messages.
+        Whole name, for messages, and source of a model with a random-walk current.
     options : Sequence[str]
-        Options behind the name: ``shaft`` or ``force``, then others such as ``yaw`` and ``no-current`` in any order.
+        Options behind the name. The first is ``shaft`` or ``force``; without options, ``shaft`` is used. The others are
+        ``yaw``, ``no-current``, ``random-walk-current`` and ``symmetric-arms``, in any order.
     sensors : Sequence[str], optional
-        Sensors of the log. Other sensors are left out. None, or no sensor of the model: all sensors of the model.
+        Names of the sensors that the log contains. Other sensors are left out. None, or no sensor of the model: all
+        sensors of the model.
 
     Raises
     ------
@@ -256,9 +267,15 @@ def _kinematic_by_options(source: str, options: Sequence[str], sensors: Sequence
 
 
 def own_model(source: str) -> Model:
-    """Run the file of the text ``source``, ``FILE.py:NAME``, and return its model.
+    """Run the Python file of the user and return the model that it defines.
 
     The model is evaluated once with symbols, so that errors in its functions are found here.
+
+    Parameters
+    ----------
+    source : str
+        ``FILE.py:NAME``. NAME is a Model, or a function without arguments that returns a Model. The text becomes the
+        source of the model.
 
     Raises
     ------

@@ -1,6 +1,6 @@
-"""Components that the rig file, the logs or the user request, and that the search for missing effects never adds.
+"""Effects that the rig file, the logs or the user request, and that the search for missing effects never adds.
 
-The components are the lever arm of the antenna, the age of telemetry, a random-walk current, navigation errors of an
+They are the position of the GNSS antenna, the age of telemetry, a random-walk current, navigation errors of an
 estimator, and the calibration of a thrust curve.
 """
 
@@ -32,26 +32,26 @@ ESTIMATOR_ERROR = "estimator-error"
 
 
 class NavigationError(NamedTuple):
-    """Time-correlated error of an estimator's output.
+    """Time-correlated error of one output of a state estimator, for example of an autopilot's filter.
 
     Attributes
     ----------
     of, name : str
-        Quantity with the error (``heading``), and suffix of the parameters (``psi``).
+        Quantity that has the error (``heading``), and suffix of the error's parameters (``psi`` for ``A_psi``).
     axes : tuple[str, ...]
-        Axes of the error, with one state each.
+        Names of the outputs that have the error, with one error state each.
     sensors : tuple[str, ...]
-        Sensors with this quantity. A model needs one of them.
+        Sensors that measure this quantity. A model has the error if it has at least one of them.
     sd : float
-        Typical standard deviation of the error's own part on a small boat, in ``unit``.
+        Typical standard deviation on a small boat, in ``unit``, without the integral of another error.
     unit : str
         Unit of the error.
     tau : float
-        Typical correlation time of the error's own part [s].
+        Typical correlation time [s], without the integral of another error.
     whole : float
-        Typical standard deviation of the whole error, including the integral of another error, in ``unit``.
+        Typical standard deviation in ``unit``, including the integral of another error.
     shortest : float
-        Shortest correlation time [s] that rows 0.1 s apart can represent.
+        Lower bound of the correlation time [s]: the shortest that rows 0.1 s apart can represent.
     """
 
     of: str
@@ -79,14 +79,18 @@ N_LATER_SAMPLES = 5  # later samples of a shaft speed, one step each, for ages u
 
 
 def shift(s: Signals, l_x: Any, l_y: Any) -> None:
-    """Move the measured position and velocity over ground to a point of the hull (Groves 2013, 2.5), for a level boat.
+    """Move the measured position and velocity over ground from the body's origin to another point of the hull.
+
+    The equations are those of Groves 2013, section 2.5, for a boat without roll and pitch. The point is, for example,
+    the GNSS antenna.
 
     Parameters
     ----------
     s : Signals
-        Signals whose outputs ``x``, ``y`` [m] and ``vx``, ``vy`` [m/s] are changed.
+        Signals whose outputs ``x``, ``y`` [m] and ``vx``, ``vy`` [m/s] are changed in place. The heading is ``s.x.psi``
+        and the yaw rate ``s.x.r``.
     l_x, l_y : float or symbol
-        Position of the point from the origin, forward and to starboard [m].
+        Position of the point relative to the origin, forward and to starboard [m].
     """
     cos, sin = np.cos(s.x.psi), np.sin(s.x.psi)
     s.y["x"] = s.y["x"] + cos * l_x - sin * l_y
@@ -96,17 +100,22 @@ def shift(s: Signals, l_x: Any, l_y: Any) -> None:
 
 
 def antenna(x: float = 0.0, y: float = 0.0, z: float | None = None) -> Effect:
-    """Return the component of the antenna position from the rig file, as fixed parameters.
+    """Return the effect that moves position and velocity to the GNSS antenna, whose position in the rig file is exact.
 
     An error of this position is a separate effect, ``lever-arm``.
 
     Parameters
     ----------
     x, y : float
-        Position of the antenna from the origin, forward and to starboard [m].
+        Position of the antenna relative to the origin, forward and to starboard [m].
     z : float, optional
-        Position below the origin [m], for a model with measured attitude. None: for a level model, in which the height
-        has no effect.
+        Position of the antenna below the origin [m], for a model with measured attitude. None: the effect is for a
+        model without roll and pitch, in which the height has no influence.
+
+    Returns
+    -------
+    Effect
+        Effect with the fixed parameters ``antenna_x``, ``antenna_y`` and, unless ``z`` is None, ``antenna_z``.
     """
     places = [("x", x, "antenna forward of the origin"), ("y", y, "antenna to starboard of the origin")]
     places += [] if z is None else [("z", z, "antenna below the origin")]
@@ -124,36 +133,43 @@ def antenna(x: float = 0.0, y: float = 0.0, z: float | None = None) -> Effect:
 
 
 def antenna_component(model: Model, arm: Sequence[float] = (0.0, 0.0, 0.0)) -> Effect:
-    """Return the component of the antenna position that suits a model.
+    """Return the effect `antenna` that suits a model.
 
     Parameters
     ----------
     model : Model
-        Model to extend. With measured attitude, the component has the height of the antenna.
+        Model to extend. If it has measured attitude, the effect includes the height of the antenna.
     arm : Sequence[float] (3,)
-        Position of the antenna from the origin: forward, to starboard and down [m].
+        Position of the antenna relative to the origin: forward, to starboard and down [m].
     """
     return antenna(*arm) if "attitude" in model.provides else antenna(*arm[:2])
 
 
 def _shift_level(s: Signals) -> None:
-    """Move the outputs to the antenna of a level boat."""
+    """Move position and velocity in the outputs ``s.y`` to the GNSS antenna of a boat without roll and pitch."""
     shift(s, s.p.antenna_x, s.p.antenna_y)
 
 
 def _shift_tilted(s: Signals) -> None:
-    """Move the outputs to the antenna of a boat with measured attitude."""
+    """Move position and velocity in the outputs ``s.y`` to the GNSS antenna of a boat with measured attitude."""
     rotations.shift(s, (s.p.antenna_x, s.p.antenna_y, s.p.antenna_z))
 
 
 def current_walk() -> Effect:
-    """Return a random-walk current in NED, in addition to the constant current (Fossen 2011, section 8.3).
+    """Return the effect of a random-walk current in NED, which adds to the constant current (Fossen 2011, 8.3).
 
-    It has a state [m/s] for north and east each, which starts at zero, and a common diffusion ``q_V``.
+    Returns
+    -------
+    Effect
+        Effect with the states ``drift_x`` (north) and ``drift_y`` (east) [m/s]. Both are zero at the start of a record
+        and have the same diffusion ``q_V`` [m/s/sqrt(s)].
     """
 
     def drift(s: Signals) -> None:
-        """Add the current to the rates of position. Only noise changes the current."""
+        """Add the current ``drift_x``, ``drift_y`` to the time derivatives of position.
+
+        Set the derivatives of these states themselves to zero: only their process noise changes them.
+        """
         s.rate["x"], s.rate["y"] = s.rate["x"] + s.x.drift_x, s.rate["y"] + s.x.drift_y
         s.rate["drift_x"] = s.rate["drift_y"] = 0.0
 
@@ -183,13 +199,18 @@ def current_walk() -> Effect:
 
 
 def telemetry_age() -> Effect:
-    """Return the component for shaft speeds that are stamped with their time of arrival.
+    """Return the effect for shaft speeds that are stamped later than they were measured, by the age ``tau_age``.
 
-    The thrust at a time follows from the telemetry ``tau_age`` later. The record of a past run contains this telemetry.
+    Returns
+    -------
+    Effect
+        Effect with the parameter ``tau_age`` [s], -0.03 to 0.4. It computes the thrust from the shaft speed that is
+        stamped ``tau_age`` later. For this it adds copies of each shaft speed to the inputs, from 0.1 s earlier to 0.5
+        s later. A record of a finished run contains these later samples.
     """
 
     def earlier(s: Signals) -> None:
-        """Replace the shaft speeds by those of the telemetry ``tau_age`` later."""
+        """Replace the shaft speeds ``s.n`` by those that are stamped ``tau_age`` later."""
         shift_in_time(s, "n")
 
     now = [Input(f"n_{side}", "", "linear") for side in SIDES]
@@ -218,24 +239,26 @@ def telemetry_age() -> Effect:
 
 
 def thrust_calibration(model: Model, sd: float = 0.05) -> Effect:
-    """Return a common factor of the thrust, for a thrust curve from a load cell.
+    """Return the effect of a common factor ``k_thrust`` on all thrusts, for a thrust curve from a load cell.
 
-    The data cannot distinguish this factor from masses and damping. The standard errors therefore include its prior.
+    The data cannot distinguish this factor from masses and damping. The factor therefore has a prior with the mean 1,
+    and all standard errors include the uncertainty of this prior.
 
     Parameters
     ----------
     model : Model
-        Model to extend: with given thrusts by side, or with a given force X.
+        Model to extend. If its inputs are the thrusts of the thrusters, the factor multiplies each thrust. Otherwise it
+        multiplies the part ``X_thrust`` of the surge force only.
     sd : float
-        Relative standard uncertainty of the calibration.
+        Relative standard deviation of the calibration, which is that of the prior.
     """
 
     def scale_each(s: Signals) -> None:
-        """Multiply the thrust of each thruster by the factor."""
+        """Multiply the thrust ``s.f`` [N] of each thruster by ``k_thrust``."""
         s.f = {side: s.p.k_thrust * f for side, f in s.f.items()}
 
     def scale_sum(s: Signals) -> None:
-        """Multiply the part of the force X from the thrusters by the factor."""
+        """Multiply the part ``s.X_thrust`` [N] of the surge force ``s.X`` by ``k_thrust``."""
         s.X = s.X + (s.p.k_thrust - 1.0) * s.X_thrust
 
     return Effect(
@@ -258,17 +281,37 @@ def thrust_calibration(model: Model, sd: float = 0.05) -> Effect:
 
 
 def navigation_errors(sensors: Collection[str]) -> list[NavigationError]:
-    """Return the errors that apply to a model with these sensors, if the sensors are outputs of an estimator."""
+    """Return the navigation errors that a state estimator with these outputs has, in the order of `ERRORS`.
+
+    Parameters
+    ----------
+    sensors : Collection[str]
+        Names of a model's sensors (``gyro``, ``position``, ...) whose data are outputs of the estimator. Sensors
+        without a navigation error are ignored.
+
+    Returns
+    -------
+    list of NavigationError
+        Empty if no sensor has such an error.
+    """
     return [e for e in ERRORS if not set(sensors).isdisjoint(e.sensors)]
 
 
 def estimator_error(sensors: Sequence[str]) -> Effect:
-    """Return the navigation errors of a state estimator's outputs as augmented states.
+    """Return the effect of time-correlated navigation errors in the outputs of a state estimator, as additional states.
 
     Parameters
     ----------
     sensors : Sequence[str]
-        Sensors of the model. Yaw rate, heading, velocity and position have errors if one of the sensors measures them.
+        Names of the model's sensors. The yaw rate has an error if the model has a ``gyro``, the heading with
+        ``attitude``, the position with ``position``, and acceleration and velocity with ``ground_velocity`` or
+        ``body_velocity``.
+
+    Returns
+    -------
+    Effect
+        Effect with one state for each axis of each error, and two parameters for each error: ``A_...`` (standard
+        deviation) and ``tau_...`` (correlation time [s]).
 
     Notes
     -----
@@ -292,17 +335,20 @@ def estimator_error(sensors: Sequence[str]) -> Effect:
     errors = {e.of: e for e in navigation_errors(sensors)}
 
     def size(s: Signals, e: NavigationError) -> Any:
-        """Return the factor from the scaled states, which unit noise drives, to the error in its unit."""
+        """Return the factor ``A sqrt(2 / tau)`` from the scaled states of an error to the error in its unit.
+
+        White noise of unit intensity drives the scaled states.
+        """
         return getattr(s.p, f"A_{e.name}") * np.sqrt(2 / getattr(s.p, f"tau_{e.name}"))
 
     def value(s: Signals, of: str) -> list[Any]:
-        """Return the error of a quantity in its axes, or two zeros if the quantity has no error."""
+        """Return the error of the quantity ``of`` on each of its axes; [0, 0] if the model lacks this error."""
         if of not in errors:
             return [0.0, 0.0]
         return [size(s, errors[of]) * getattr(s.x, f"error_{axis}") for axis in errors[of].axes]
 
     def grow(s: Signals) -> None:
-        """Set the rates of the scaled error states."""
+        """Set the time derivatives ``s.rate`` of the scaled error states, by the equation in the notes."""
         ahead, starboard = value(s, "acceleration")
         integrated = {
             "heading": value(s, "yaw rate"),
@@ -315,7 +361,7 @@ def estimator_error(sensors: Sequence[str]) -> Effect:
                 s.rate[state] = rate / size(s, e) - getattr(s.x, state) / getattr(s.p, f"tau_{e.name}")
 
     def add(s: Signals) -> None:
-        """Add the errors to the outputs, and rotate the body velocity by the heading error."""
+        """Add the errors to the outputs ``s.y``. Rotate the body velocity, if it is measured, by the heading error."""
         turn, (north, east) = value(s, "heading")[0], value(s, "velocity")
         for of in ("yaw rate", "heading", "position"):
             if of in errors:

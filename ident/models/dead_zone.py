@@ -1,7 +1,7 @@
 """Dead zone of a command, and dead band of a thruster.
 
-Outside a dead zone, the command passes unchanged: a shaft that does not turn for small commands. Outside a dead band,
-the shaft speed is reduced by the width of the band: a propeller that gives no thrust at low speed.
+Dead zone: a shaft does not turn for small commands, and outside the dead zone the command passes unchanged. Dead band:
+a propeller gives no thrust at low shaft speed, and beyond the band the shaft speed is reduced by the width of the band.
 
 The transition at the end of a dead zone is smooth, because estimators need its derivative. The check of a log
 (`seatrial.ident.checks.shafts`) tries dead zones on a grid, and has no transition.
@@ -17,16 +17,26 @@ MIN_WIDTH = 1e-9  # lower limit of the width of a transition, against division b
 
 
 def transition_width(dead_zone: Any, widest: float) -> Any:
-    """Return the width of a transition at the end of a dead zone that is estimated from zero on.
+    """Return the width of the smooth transition at the end of a dead zone, also for a dead zone of zero.
 
-    The width is ``widest`` or, if smaller, twice ``dead_zone``. The transition of a small dead zone thus begins at zero
-    command, and its middle stays at the end of the dead zone. A dead zone of zero has no transition.
+    Parameters
+    ----------
+    dead_zone : float or symbol
+        End of the dead zone, >= 0, in units of the command (1: full command).
+    widest : float
+        Largest width, in units of the command.
+
+    Returns
+    -------
+    float or symbol
+        ``widest`` or, if smaller, twice ``dead_zone``: the transition of a small dead zone then begins at zero command,
+        and its middle is at the end of the dead zone. The width is zero for a dead zone of zero.
     """
     return np.minimum(widest, 2.0 * dead_zone)
 
 
 def outside_dead_zone(command: Any, dead_zone: Any, width: Any) -> Any:
-    """Return the command outside its dead zone, and zero inside it.
+    """Return the command outside its dead zone, and zero inside it, with a smooth transition between both.
 
     Parameters
     ----------
@@ -35,8 +45,13 @@ def outside_dead_zone(command: Any, dead_zone: Any, width: Any) -> Any:
     dead_zone : float or symbol
         End of the dead zone, >= 0: the middle of the transition, where half of the command passes.
     width : float or symbol
-        Width of the smooth transition, in units of the command. With zero width and a dead zone of zero, the result is
-        the command itself.
+        Width of the transition, >= 0, in units of the command. If both ``width`` and ``dead_zone`` are zero, the result
+        is the command itself.
+
+    Returns
+    -------
+    float or symbol
+        Zero up to ``dead_zone - width / 2``, and the command itself from ``dead_zone + width / 2`` on, for both signs.
     """
     end = dead_zone + width / 2.0
     # Measured from the outer end of the transition. If dead zone and width are zero, so is this end: no command lies
@@ -46,14 +61,14 @@ def outside_dead_zone(command: Any, dead_zone: Any, width: Any) -> Any:
 
 
 def beyond_dead_band(n: Any, band: Any) -> Any:
-    """Return the part of the shaft speed n beyond the dead band: sgn(n) max(|n| - band, 0).
+    """Return the part of the shaft speed beyond the dead band: ``sgn(n) max(|n| - band, 0)``.
 
     Parameters
     ----------
     n : float or symbol
-        Shaft speed relative to full speed.
+        Shaft speed relative to full speed, negative in reverse.
     band : float or symbol
-        Largest shaft speed without thrust, >= 0.
+        Width of the dead band: largest shaft speed without thrust, >= 0, relative to full speed.
     """
     beyond = abs(n) - band
     return (beyond > 0) * beyond * ((n > 0) - 1.0 * (n < 0))

@@ -1,8 +1,9 @@
-"""Augmented disturbance states: first-order Gauss-Markov forces and random-walk sensor biases.
+"""Disturbance states of a model: first-order Gauss-Markov forces and random-walk sensor biases.
 
 The disturbance states keep prediction intervals calibrated while an effect is missing from the model. The smoother
-turns them into residual forces. The diagnosis starts from the forces and measurement errors of a model, and from the
-variables on which they may depend (`residuals_of`, `sensor_errors_of`, `variables_of`).
+estimates them as residual forces. The diagnosis starts from the forces and sensor outputs of a model in which an effect
+may be missing, and from the variables on which this effect may depend (`residuals_of`, `sensor_errors_of`,
+`variables_of`).
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ TIME = Variable("t", "s", lambda s: s.u.t)
 
 
 def adder(name: str) -> Callable[[Signals, Any], None]:
-    """Return a function of (signals, value) that adds the value to the signal of this name (``X``)."""
+    """Return a function of (signals, value) that adds the value to the signal ``name``, for example to ``X``."""
 
     def add(s: Signals, extra: Any) -> None:
         """Add ``extra`` to the signal, in place."""
@@ -48,7 +49,7 @@ HULL = tuple(
 
 
 def _measurement_adder(name: str) -> Callable[[Signals, Any], None]:
-    """Return a function of (signals, value) that adds the value to the output of this name, for example to ``psi``."""
+    """Return a function of (signals, value) that adds the value to the output ``name``, for example to ``psi``."""
 
     def add(s: Signals, extra: Any) -> None:
         """Add ``extra`` to the output, in place."""
@@ -81,10 +82,10 @@ SENSOR_ERRORS = tuple(
 
 
 def _thrust_scaler(*sides: str) -> Callable[[Signals, Any], None]:
-    """Return a function of (signals, value) that multiplies the thrust of these sides by one plus the value."""
+    """Return a function of (signals, value) that multiplies the thrust of the thrusters ``sides`` by ``1 + value``."""
 
     def add(s: Signals, extra: Any) -> None:
-        """Multiply the thrusts by ``1 + extra``, in place."""
+        """Multiply the thrusts ``s.f`` of the sides by ``1 + extra``, in place."""
         for side in sides:
             s.f[side] = s.f[side] * (1 + extra)
 
@@ -115,7 +116,7 @@ THRUST_LOSSES = tuple(
 
 
 def _state_reader(name: str) -> Callable[[Signals], Any]:
-    """Return a function that reads the state of this name from the signals."""
+    """Return a function that returns the value of the state ``name``, given the signals of a model."""
     return lambda s: getattr(s.x, name)
 
 
@@ -129,14 +130,14 @@ MOTION = (
 
 
 def _pair_variable(name: str, unit: str, pair: ThrusterPair) -> Variable:
-    """Return the variable of a pair of thrusters with this name and unit.
+    """Return the variable ``name``, in ``unit``: mean or difference of the shaft speeds or thrusts of two thrusters.
 
-    The variable is the mean, or the difference left minus right. It is read from the states of the thrusters if they
-    are states, otherwise from the inputs.
+    The diagnosis tests whether missing forces depend on it. ``pair`` states the quantity, and whether the variable is
+    the mean or left minus right. The values are states of the model if it has states of these names, otherwise inputs.
     """
 
     def read(s: Signals) -> Any:
-        """Return the mean, or the difference left minus right."""
+        """Return the mean, or the difference left minus right, of the two thrusters."""
         left, right = (s.state_or_input(f"{pair.quantity}_{side}") for side in ("left", "right"))
         return left - right if pair.difference else (left + right) / 2
 
@@ -152,28 +153,42 @@ PRODUCTS = (("u", "r"), ("u", "v"), ("v", "r"))
 
 
 def disturbance(forces: Sequence[str] = ("X", "Y", "N")) -> Effect:
-    """Return first-order Gauss-Markov (Ornstein-Uhlenbeck) forces on surge, sway and yaw, as states of the filter.
+    """Return the effect of first-order Gauss-Markov (Ornstein-Uhlenbeck) forces on surge, sway and yaw, as states.
 
-    The forces represent the part of the motion that the model does not explain. The smoother turns them into residual
+    The forces represent the part of the motion that the model does not explain. The smoother estimates them as residual
     forces with a covariance (Kristensen, Madsen and Jorgensen 2004).
 
     Parameters
     ----------
     forces : Sequence[str]
-        Forces of the model (``X``, ``Y``, ``N``), or ``r_ref``, a steady yaw rate. Their stationary standard deviations
-        start at ``SIZES``. The common correlation time starts at 1.5 s.
+        Signals of the model to which a disturbance is added, at least one: the forces ``X``, ``Y`` [N], the moment
+        ``N`` [N m], or the steady yaw rate ``r_ref`` [rad/s] of a Nomoto model.
+
+    Returns
+    -------
+    Effect
+        Effect with a state ``b_NAME`` and a diffusion ``q_NAME`` for each signal, and a common correlation time
+        ``tau_b`` of 1.5 s. The diffusion is such that the stationary standard deviation is that of `SIZES`. These
+        values are the initial values and means of the priors.
+
+    Raises
+    ------
+    ValueError
+        If ``forces`` is empty.
+    KeyError
+        If a name is not in `SIZES`.
     """
     tau = 1.5
     names = tuple(forces)
     sd, units = zip(*(SIZES[n] for n in names), strict=True)
 
     def add(s: Signals) -> None:
-        """Add the disturbance states to the forces."""
+        """Add each disturbance state to its force."""
         for name in names:
             setattr(s, name, getattr(s, name) + getattr(s.x, f"b_{name}"))
 
     def decay(s: Signals) -> None:
-        """Set the rates of the disturbance states: they decay with the correlation time."""
+        """Set the time derivatives of the disturbance states, which decay with the correlation time ``tau_b``."""
         for name in names:
             s.rate[f"b_{name}"] = -getattr(s.x, f"b_{name}") / s.p.tau_b
 
@@ -208,7 +223,10 @@ def disturbance(forces: Sequence[str] = ("X", "Y", "N")) -> Effect:
 
 
 def _diffusion_parameter(force: str, q: float, unit: str) -> Parameter:
-    """Return the parameter of the diffusion of a disturbance force, with the value and prior mean q [``unit``]."""
+    """Return the parameter ``q_FORCE`` for the diffusion of a disturbance force.
+
+    Its value and prior mean are ``q``, in ``unit``, and the standard deviation of its prior is three times ``q``.
+    """
     return Parameter(
         f"q_{force}",
         q,
@@ -221,9 +239,10 @@ def _diffusion_parameter(force: str, q: float, unit: str) -> Parameter:
 
 
 def forces_of(model: Model) -> tuple[str, ...]:
-    """Return the forces of a model to which disturbance forces are added.
+    """Return the names of the forces of a model to which disturbance forces can be added.
 
-    They are ``X, Y, N`` for a model with a yaw moment, ``X, Y`` for one without, and () for a model without a hull.
+    The result is (X, Y, N) for a model with a yaw equation, (X, Y) for a model of position and velocity without a yaw
+    moment, and () for any other model.
     """
     if {"hull", "turn"} & set(model.provides):
         return ("X", "Y", "N")
@@ -231,16 +250,21 @@ def forces_of(model: Model) -> tuple[str, ...]:
 
 
 def shaft_disturbance() -> Effect:
-    """Return an Ornstein-Uhlenbeck acceleration ``b_n`` [1/s] of a shaft on the bench, as a state of the filter.
+    """Return the effect of a first-order Gauss-Markov (Ornstein-Uhlenbeck) acceleration of a shaft on the bench.
 
-    The acceleration represents deviations from the first-order response to the command. The model has its own
-    disturbance force ``b_f``.
+    The acceleration represents deviations from the first-order response of the shaft to its command. The disturbance of
+    the force on the load cell is a separate state of the thruster model.
+
+    Returns
+    -------
+    Effect
+        Effect with the state ``b_n`` [1/s], its diffusion ``q_n`` and its correlation time ``tau_n``, initially 0.3 s.
     """
     tau, sd = 0.3, 0.03
     q = sd * float(np.sqrt(2 / tau))
 
     def add(s: Signals) -> None:
-        """Add the state to the rate of the shaft speed, and set the rate of the state."""
+        """Add ``b_n`` to the time derivative of the shaft speed. Set that of ``b_n`` to ``-b_n / tau_n``."""
         s.rate["n"] = s.rate["n"] + s.x.b_n
         s.rate["b_n"] = -s.x.b_n / s.p.tau_n
 
@@ -277,15 +301,28 @@ def shaft_disturbance() -> Effect:
 
 
 def disturbance_of(model: Model) -> Effect:
-    """Return the disturbance states that the model declares, otherwise those of a vehicle (`disturbance`)."""
+    """Return the effect with the disturbance states for a model.
+
+    It is the effect that the model declares, otherwise disturbance forces on surge, sway and yaw (`disturbance`). Raise
+    ValueError if the model declares none and has no such forces.
+    """
     return model.disturbance or disturbance(forces_of(model))
 
 
 def sensor_bias(sensors: Sequence[str]) -> Effect:
-    """Return random-walk biases of gyro, heading and accelerometers, in addition to their white noise (thesis 4.1).
+    """Return the effect of random-walk biases of gyro, heading and accelerometers, as states (thesis 4.1).
 
-    ``sensors`` are names of sensors. Others than ``attitude``, ``gyro`` and ``accelerometer`` have no bias and are
-    ignored.
+    Parameters
+    ----------
+    sensors : Sequence[str]
+        Names of the model's sensors. ``attitude`` gives a bias of the heading psi [rad], ``gyro`` of the yaw rate r
+        [rad/s], ``accelerometer`` of ax and ay [m/s2]. Other sensors have no bias and are ignored.
+
+    Returns
+    -------
+    Effect
+        Effect with a state ``bias_OUTPUT`` for each output. Its initial standard deviation and its diffusion are fixed
+        numbers. The white noise of the outputs is not part of the effect.
     """
     table: dict[str, tuple[tuple[str, str, float, float], ...]] = {
         "attitude": (("psi", "rad", 0.005, 1.7e-4),),
@@ -295,12 +332,12 @@ def sensor_bias(sensors: Sequence[str]) -> Effect:
     rows = [row for s in sensors for row in table.get(s, ())]
 
     def add(s: Signals) -> None:
-        """Add the biases to the outputs."""
+        """Add each bias to its output in ``s.y``."""
         for name, *_ in rows:
             s.y[name] = s.y[name] + getattr(s.x, f"bias_{name}")
 
     def hold_bias(s: Signals) -> None:
-        """Set the rates of the biases to zero, because only noise changes them."""
+        """Set the time derivatives of the biases to zero, because only process noise changes them."""
         for name, *_ in rows:
             s.rate[f"bias_{name}"] = 0.0
 
@@ -315,15 +352,16 @@ def sensor_bias(sensors: Sequence[str]) -> Effect:
 
 
 def with_disturbances(model: Model) -> Model:
-    """Return the model with disturbance forces and sensor biases.
+    """Return the model with disturbance states and with states for sensor biases.
 
-    The white process noise of the velocities (``s_u``, ``s_v``, ``s_r``, ``s_n``) is fixed at a negligible value of
-    1e-4.
+    Biases are added to heading, yaw rate and acceleration, as far as the model measures them. The disturbance states
+    take over the process noise: the diffusions ``s_u``, ``s_v``, ``s_r`` and ``s_n`` of velocities and shaft speed are
+    fixed at 1e-4, which is negligible.
 
     Raises
     ------
     ValueError
-        If the model has them already.
+        If the model has these states already, or if nothing in it can have a disturbance (`disturbance_of`).
     """
     out: Model = model + disturbance_of(model)
     present = [s.name for s in model.sensors]
@@ -334,36 +372,39 @@ def with_disturbances(model: Model) -> Model:
 
 
 def residuals_of(model: Model) -> tuple[DisturbanceChannel, ...]:
-    """Return the quantities of a model to which an unexplained part can be added.
+    """Return the quantities of a model in which the diagnosis looks for missing effects, such as the surge force.
 
-    These are the quantities that the model declares, otherwise the forces of a hull. Return () for a model that cannot
-    be diagnosed.
+    These are the quantities that the model declares, otherwise the forces X, Y and N of a model of a hull
+    (`horizontal`). Return () for any other model, which cannot be diagnosed.
     """
     return model.residuals or (HULL if "hull" in model.provides else ())
 
 
 def sensor_errors_of(model: Model) -> tuple[DisturbanceChannel, ...]:
-    """Return the sensor channels that may have errors beyond their modelled biases.
+    """Return the sensor outputs of a model in which the diagnosis looks for errors beyond the modelled biases.
 
-    Return () for a model without a hull.
+    These are the outputs psi, r, ax and ay, as far as the model has a bias state for them. Return () for a model
+    without a hull, that is, other than `horizontal`.
     """
     states = {s.name for s in model.states}
     return tuple(r for r in SENSOR_ERRORS if r.state in states) if "hull" in model.provides else ()
 
 
 def thrust_losses_of(model: Model) -> tuple[DisturbanceChannel, ...]:
-    """Return the thrusts of a vehicle that may decrease in turns.
+    """Return the thrusts of a model in which the diagnosis looks for losses in turns.
 
-    Return () for a model without a hull or without thrusters.
+    They are the thrusts of both thrusters together and of each one alone. Return () for a model without a hull (other
+    than `horizontal`) or without thrusters.
     """
     return THRUST_LOSSES if {"hull", "f"} <= set(model.provides) else ()
 
 
 def variables_of(model: Model) -> tuple[Variable, ...]:
-    """Return the variables on which residuals may depend.
+    """Return the variables on which a missing effect may depend, for the diagnosis of a model.
 
-    These are the variables that the model declares. For a hull without such a list, they are motion, time and
-    thrusters. Return () for any other model.
+    These are the variables that the model declares. A model of a hull (`horizontal`) that declares none has velocities,
+    heading, time, and mean and difference of the shaft speeds (of the thrusts, if it has no shaft speeds; neither, if
+    it has no thrusters). Return () for any other model.
     """
     if model.variables or "hull" not in model.provides:
         return model.variables
@@ -373,8 +414,9 @@ def variables_of(model: Model) -> tuple[Variable, ...]:
 
 
 def products_of(model: Model) -> tuple[tuple[str, str], ...]:
-    """Return the pairs of names of variables whose products are also tested; () if there are none.
+    """Return the pairs of variables whose product a missing effect may depend on, for the diagnosis of a model.
 
-    These are the pairs that the model declares, otherwise those of u, v and r for a hull.
+    Each pair has the names of two variables. These are the pairs that the model declares, otherwise (u, r), (u, v) and
+    (v, r) for a model of a hull (`horizontal`). Return () for any other model.
     """
     return model.products or (PRODUCTS if "hull" in model.provides else ())

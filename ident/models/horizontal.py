@@ -154,20 +154,28 @@ def horizontal_model(
     current: bool = True,
     hold: Hold = "linear",
 ) -> Model:
-    """Return the model of horizontal motion.
+    """Return the model of horizontal motion in surge, sway and yaw.
 
     Parameters
     ----------
     propulsion : "shaft", "command", "force" or "general"
-        Inputs. ``shaft``: measured shaft speeds ``n_left``, ``n_right`` (normalised). ``command``: commands
-        ``n_cmd_left``, ``n_cmd_right`` (normalised, held). ``force``: thrusts ``f_left``, ``f_right`` [N]. ``general``:
-        force ``X`` [N] and moment ``N`` [N m].
+        Inputs. ``shaft``: measured shaft speeds ``n_left``, ``n_right`` (-1 to 1). ``command``: commands
+        ``n_cmd_left``, ``n_cmd_right`` (-1 to 1); the shaft speeds are then states. ``force``: thrusts ``f_left``,
+        ``f_right`` [N]. ``general``: surge force ``X`` [N] and yaw moment ``N`` [N m].
     sensors : Sequence[str]
-        Keys of `SENSORS`, for example ``gyro``.
+        Names of the sensors whose outputs the model has; keys of `SENSORS`, for example ``gyro``.
     current : bool
-        Whether the model has a constant current in each record.
+        Whether the model has a constant ocean current, estimated separately in each record.
     hold : "zero", "average" or "linear"
-        Hold of the inputs between their samples, except commands, which are constant between samples.
+        Inputs between their samples: constant (``zero``), constant and approximated by a straight line in each row of
+        the record (``average``), or interpolated linearly (``linear``). It is ignored for commands, whose hold is
+        always ``average``.
+
+    Returns
+    -------
+    Model
+        Model with the states position x, y [m], heading psi [rad], velocity through the water u, v [m/s] and yaw rate r
+        [rad/s], and with initial parameter values from the thesis.
 
     Raises
     ------
@@ -216,26 +224,29 @@ def pair(quantity: str, unit: str, hold: Hold, *, prefilter: bool = True) -> tup
 
     Parameters
     ----------
-    quantity, unit : str
-        Start of the names, and unit.
+    quantity : str
+        Quantity of the inputs, with which their names begin.
+    unit : str
+        Unit of the inputs.
     hold : "zero", "average" or "linear"
-        Hold of the inputs between their samples.
+        Inputs between their samples: constant (``zero``), constant and approximated by a straight line in each row of
+        the record (``average``), or interpolated linearly (``linear``).
     prefilter : bool
-        Whether the inputs are averaged over the same time as the sensors.
+        Whether the inputs are averaged over the same time as the sensors (`Input.prefilter`).
     """
     return tuple(Input(f"{quantity}_{side}", unit, hold, prefilter=prefilter) for side in SIDES)
 
 
 def shaft(s: Signals) -> None:
-    """Set the shaft speeds ``s.n`` by side from the inputs ``n_left`` and ``n_right``."""
+    """Set the shaft speeds ``s.n`` (dict by side, ``left`` and ``right``) to the inputs ``n_left`` and ``n_right``."""
     s.n = {side: getattr(s.u, f"n_{side}") for side in SIDES}
 
 
 def driven_shaft(s: Signals) -> None:
     """Set the shaft speeds ``s.n`` by side, which follow their commands by a delay, a dead zone and a first-order lag.
 
-    The delay interpolates the delayed copies of the command by cubic convolution. The lag is a state, whose rate is
-    set.
+    The command is interpolated between its delayed copies at the delay ``tau_n`` (cubic convolution). The state of the
+    lag is ``n_left`` or ``n_right``, whose time derivative ``s.rate`` is set.
     """
     weights = delay_weights(s.p.tau_n / DELAY_STEP, N_DELAYS)
     width = transition_width(s.p.dead_zone, DEAD_ZONE_EDGE)
@@ -247,23 +258,29 @@ def driven_shaft(s: Signals) -> None:
 
 
 def first_order(s: Signals, state: str, driven_by: Any, time_constant: Any) -> Any:
-    """Return a signal after a first-order lag, and set the rate of its state.
+    """Return a signal after a first-order lag, and set the time derivative of the state of the lag.
 
     Parameters
     ----------
     s : Signals
-        Signals of the model. ``s.rate`` is changed.
+        Signals of the model. The entry of ``s.rate`` for the state is set.
     state : str
-        Name of the state that follows the signal.
+        Name of the state of the lag, in ``s.x``.
     driven_by : float or symbol
         Signal before the lag.
     time_constant : float or symbol
-        Time constant [s], >= 0. With zero, the result is the signal itself.
+        Time constant [s], >= 0.
+
+    Returns
+    -------
+    float or symbol
+        The state itself if the time constant is at least ``SHORTEST_LAG`` (0.05 s), and ``driven_by`` if it is zero.
 
     Notes
     -----
-    Below ``SHORTEST_LAG``, the time constant of the state stays at ``SHORTEST_LAG``, and the result is a weighted mean
-    of the state and the signal. Its delay is that of a lag with the given time constant.
+    In between, the state has the time constant ``SHORTEST_LAG``, and the result is a weighted mean of the state and the
+    signal. Its delay is that of a lag with the given time constant. Shorter time constants of the state would need
+    shorter integration steps.
     """
     x = getattr(s.x, state)
     s.rate[state] = (driven_by - x) / np.maximum(time_constant, SHORTEST_LAG)
@@ -271,15 +288,16 @@ def first_order(s: Signals, state: str, driven_by: Any, time_constant: Any) -> A
 
 
 def shift_in_time(s: Signals, quantity: str) -> None:
-    """Shift the measured or given input of each thruster in time, by cubic convolution of its copies.
+    """Shift the shaft speed or thrust input of each thruster in time, by cubic convolution of its copies.
 
     Parameters
     ----------
     s : Signals
-        Signals of the model. The shift is the parameter ``tau_delay`` to later times, minus the age ``tau_age`` of the
-        telemetry [s], of which an absent one is zero.
+        Signals of the model. The inputs are taken ``tau_delay - tau_age`` [s] before the present. Both are parameters
+        of the model (a delay, and the age of telemetry at its time stamp); a parameter that the model lacks counts as
+        zero.
     quantity : "n" or "f"
-        Shaft speeds or thrusts: ``s.n`` or ``s.f`` is replaced by side.
+        Whether to replace the shaft speeds ``s.n`` or the thrusts ``s.f`` [N], for each side.
 
     Notes
     -----
@@ -296,20 +314,34 @@ def shift_in_time(s: Signals, quantity: str) -> None:
 
 
 def available_taps(s: Signals, name: str) -> list[int]:
-    """Return the shifts of the copies of an input that the model has, in steps of ``HISTORY_STEP``, in ascending order.
+    """Return the shifts of the shifted copies of an input that the model has, in steps of ``HISTORY_STEP`` (0.1 s).
 
-    The input ``name`` itself has the shift zero. Negative shifts are later values.
+    Parameters
+    ----------
+    s : Signals
+        Signals of the model.
+    name : str
+        Name of the input, for example ``n_left``.
+
+    Returns
+    -------
+    list[int]
+        Shifts in ascending order, positive for earlier and negative for later values. The input itself has the shift
+        zero. Shifts below -20 and above 19 are not searched.
     """
     inputs = vars(s.u)
     return [k for k in range(-MAX_COPY_SHIFT, MAX_COPY_SHIFT) if tap_name(name, k) in inputs]
 
 
 def unchanged(s: Signals) -> None:
-    """Change nothing. This is a stage at which effects hook in."""
+    """Change nothing. This function is a stage of a model that exists only because effects run after it."""
 
 
 def thrust(s: Signals) -> None:
-    """Set the thrust ``s.f`` [N] of each thruster from its shaft speed, and the lateral positions ``s.arm`` [m]."""
+    """Set the thrust ``s.f = c1 n|n| + c2 n^2`` [N] of each thruster at its shaft speed, and its position.
+
+    Both are dicts by side. The position ``s.arm`` [m] is lateral, positive to starboard.
+    """
     s.f = {side: s.p.c1 * n * abs(n) + s.p.c2 * n * n for side, n in s.n.items()}
     s.arm = _lateral_positions(s.p)
 
@@ -323,13 +355,20 @@ CHAIN: tuple[tuple[str, ModelFunction], ...] = (
 
 
 def given_thrust(s: Signals) -> None:
-    """Set the thrust ``s.f`` [N] of each thruster from the inputs, and the lateral positions ``s.arm`` [m]."""
+    """Set the thrust ``s.f`` [N] of each thruster to the input ``f_left`` or ``f_right``, and set its position.
+
+    Both are dicts by side. The position ``s.arm`` [m] is lateral, positive to starboard.
+    """
     s.f = {side: getattr(s.u, f"f_{side}") for side in SIDES}
     s.arm = _lateral_positions(s.p)
 
 
 def _lateral_positions(p: Any) -> dict[str, Any]:
-    """Return the lateral position of each thruster [m], positive to starboard, by side."""
+    """Return the lateral position [m] of each thruster by side, positive to starboard, from the parameters ``p``.
+
+    With one common arm ``y_arm``, the positions are ``-y_arm`` (left) and ``y_arm`` (right), otherwise ``y_left`` and
+    ``y_right``.
+    """
     if hasattr(p, "y_arm"):
         return {"left": -p.y_arm, "right": p.y_arm}
     return {side: getattr(p, f"y_{side}") for side in SIDES}
@@ -338,16 +377,18 @@ def _lateral_positions(p: Any) -> dict[str, Any]:
 def symmetric_arms(model: Model) -> Model:
     """Return the model with one estimated arm ``y_arm`` for both thrusters, in the place of ``y_left`` and ``y_right``.
 
-    Use this model for a boat with unknown arms. The prior of the arm is wide: a factor of e in both directions.
+    The model is for a boat with unknown lateral positions of its thrusters. The prior of the arm is wide: 0.3 m, with a
+    standard deviation of 1 in its logarithm. The option ``symmetric-arms`` is appended to the source of the model.
     """
     own = tuple(p for p in model.parameters if p.name not in ("y_left", "y_right"))
     return replace(model, parameters=(*own, *UNKNOWN_ARM), source=f"{model.source}:{SYMMETRIC}")
 
 
 def force(s: Signals) -> None:
-    """Set the external forces less damping: ``X``, ``Y`` [N] and ``N`` [N m]. Effects add to them.
+    """Set the external forces less damping: ``s.X``, ``s.Y`` [N] and ``s.N`` [N m]. Effects add to them later.
 
-    The parts from the thrusters are ``X_thrust`` [N] and ``N_thrust`` [N m].
+    ``s.X_thrust`` [N] and ``s.N_thrust`` [N m] are the parts of the thrusters. They follow from the thrusts ``s.f`` and
+    arms ``s.arm``, or are the inputs X and N in a model without thrusters.
     """
     x, p = s.x, s.p
     if hasattr(s, "f"):
@@ -360,7 +401,10 @@ def force(s: Signals) -> None:
 
 
 def rate(s: Signals) -> None:
-    """Set the rates of position [m/s], heading [rad/s] and velocities [m/s2, rad/s2]."""
+    """Set the time derivatives ``s.rate`` of position [m/s], heading [rad/s] and body velocities [m/s2, rad/s2].
+
+    The forces ``s.X``, ``s.Y``, ``s.N`` are given. The Coriolis terms, the Munk moment and the current are added here.
+    """
     x, p = s.x, s.p
     north, east = body_to_ned(x.psi, x.u, x.v)
     s.rate["x"], s.rate["y"] = north + getattr(p, "V_x", 0.0), east + getattr(p, "V_y", 0.0)
@@ -371,7 +415,10 @@ def rate(s: Signals) -> None:
 
 
 def output(s: Signals) -> None:
-    """Set all outputs that a sensor could measure. The sensors of the model select theirs."""
+    """Set the outputs ``s.y`` of all sensors of `SENSORS`. Those that no sensor of the model measures are ignored.
+
+    They are position, heading, yaw rate, velocity over ground in NED and in the body frame, and specific force.
+    """
     x, y = s.x, s.y
     y["x"], y["y"], y["psi"], y["r"] = x.x, x.y, x.psi, x.r
     y["vx"], y["vy"] = s.rate["x"], s.rate["y"]

@@ -73,21 +73,30 @@ def kinematic_model(
     yaw: bool = False,
     hold: Hold = "linear",
 ) -> Model:
-    """Return the model with measured attitude.
+    """Return the model of surge and sway with measured attitude: roll, pitch, heading and body rates are inputs.
 
     Parameters
     ----------
     propulsion : "shaft" or "force"
-        Inputs. ``shaft``: measured shaft speeds ``n_left``, ``n_right`` (normalised). ``force``: thrusts ``f_left``,
-        ``f_right`` [N].
+        Inputs of the thrusters. ``shaft``: measured shaft speeds ``n_left``, ``n_right`` (-1 to 1). ``force``:
+        thrusts ``f_left``, ``f_right`` [N].
     sensors : Sequence[str]
-        Sensors to use; names outside `SEEN` are ignored.
+        Names of the sensors whose outputs the model has: ``accelerometer``, ``position``, ``ground_velocity``. Other
+        names are ignored.
     current : bool
-        Whether the model has a constant current in each record.
+        Whether the model has a constant ocean current, estimated separately in each record.
     yaw : bool
-        Whether the model has the yaw equation.
+        Whether the model has the yaw equation, which adds the state r and a sensor of the yaw rate.
     hold : "zero", "average" or "linear"
-        Hold of the shaft speeds or thrusts between their samples. Attitude and body rates are interpolated linearly.
+        Shaft speeds or thrusts between their samples: constant (``zero``), constant and approximated by a straight line
+        in each row of the record (``average``), or interpolated linearly (``linear``). Attitude and body rates are
+        always interpolated linearly.
+
+    Returns
+    -------
+    Model
+        Model with the states position x, y [m], velocity through the water u, v [m/s], and the offsets of the measured
+        heading [rad] and of the yaw gyro [rad/s].
     """
     letter, unit = ("n", "") if propulsion == "shaft" else ("f", "N")
     chosen = [SENSORS[s] for s in SEEN if s in sensors]
@@ -118,10 +127,11 @@ def kinematic_model(
 
 
 def attitude(s: Signals) -> None:
-    """Set the orientation and the body rates [rad/s] from the measurements, less the offsets of heading and yaw rate.
+    """Set the orientation, body rates and heave velocity of the boat from the measured attitude (`set_orientation`).
 
-    `set_orientation` also sets the heave velocity ``w`` [m/s], with which the hull stays on the surface. An exported
-    model has no offsets.
+    The measurements are the inputs ``phi``, ``theta``, ``psi`` [rad] and ``p``, ``q``, ``r`` [rad/s]. The offsets of
+    heading and yaw gyro, which are states, are subtracted first. An exported model lacks these states, so that nothing
+    is subtracted.
     """
     u, x = s.u, s.x
     psi, r = u.psi - getattr(x, "bias_psi", 0.0), u.r - getattr(x, "bias_r", 0.0)
@@ -129,13 +139,19 @@ def attitude(s: Signals) -> None:
 
 
 def _shaft_and_attitude(s: Signals) -> None:
-    """Set the shaft speeds by side, and the orientation and the body rates."""
+    """Set the shaft speeds ``s.n`` by side from the inputs, and the orientation of the boat.
+
+    The orientation includes body rates and heave velocity (`attitude`).
+    """
     shaft(s)
     attitude(s)
 
 
 def force(s: Signals) -> None:
-    """Set the forces less damping ``X``, ``Y`` [N], and the thrust ``X_thrust`` [N]. Effects add to X and Y."""
+    """Set the forces less damping, ``s.X`` and ``s.Y`` [N], and the thrust of both thrusters ``s.X_thrust`` [N].
+
+    X is the thrust less damping in surge. Y is minus the damping in sway. Effects add their forces to X and Y later.
+    """
     x, p = s.x, s.p
     s.X_thrust = sum(s.f.values())
     s.X = s.X_thrust - p.d_u * x.u - p.d_uu * abs(x.u) * x.u
@@ -143,9 +159,9 @@ def force(s: Signals) -> None:
 
 
 def turning(s: Signals) -> None:
-    """Set ``X``, ``Y`` [N] as `force` does, and the yaw moments [N m].
+    """Set the forces ``s.X``, ``s.Y`` [N] as `force` does, and the yaw moments ``s.N_thrust`` and ``s.N`` [N m].
 
-    ``N_thrust`` is the moment of the thrusters, and ``N`` is ``N_thrust`` less damping.
+    ``N_thrust`` is the moment of the thrusters, and ``N`` is ``N_thrust`` less linear and quadratic yaw damping.
     """
     force(s)
     x, p = s.x, s.p
@@ -154,7 +170,10 @@ def turning(s: Signals) -> None:
 
 
 def rate(s: Signals) -> None:
-    """Set the rates of position, velocities and offsets, and that of the yaw rate if the model has the yaw equation."""
+    """Set the time derivatives ``s.rate`` of position [m/s], velocity [m/s2] and sensor offsets (zero).
+
+    A model with the yaw equation also has the derivative of the yaw rate [rad/s2].
+    """
     x, p = s.x, s.p
     north, east, _ = rotate(s.R, (x.u, x.v, s.w))
     s.rate["x"], s.rate["y"] = north + getattr(p, "V_x", 0.0), east + getattr(p, "V_y", 0.0)
@@ -166,9 +185,9 @@ def rate(s: Signals) -> None:
 
 
 def output(s: Signals) -> None:
-    """Set the outputs: position, velocity over ground and specific force.
+    """Set the outputs ``s.y``: position [m], velocity over ground [m/s] and specific force ``ax``, ``ay`` [m/s2].
 
-    A model with the yaw equation also has the yaw rate, with the offset of the gyro.
+    A model with the yaw equation also has the output ``r`` [rad/s]: the yaw rate plus the offset of the gyro.
     """
     x, y = s.x, s.y
     y["x"], y["y"] = x.x, x.y

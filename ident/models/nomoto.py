@@ -212,20 +212,27 @@ VARIABLES = (
 def nomoto_model(
     sensors: Sequence[str] = SEEN, *, current: bool = True, sampled: bool = False, hold: Hold = "linear"
 ) -> Model:
-    """Return the Nomoto model, driven by ``n_left`` and ``n_right`` (normalised).
+    """Return the Nomoto model of surge and steering, with the inputs ``n_left`` and ``n_right`` (normalised, -1 to 1).
 
-    The inputs are measured shaft speeds or outputs of an autopilot.
+    The inputs are measured shaft speeds, or outputs of an autopilot.
 
     Parameters
     ----------
     sensors : Sequence[str]
-        Sensors to use, among `SEEN`.
+        Names of the sensors whose outputs the model has, among ``attitude``, ``gyro``, ``position`` and
+        ``ground_velocity``.
     current : bool
-        Whether the model has a constant current in each record.
+        Whether the model has a constant ocean current, estimated separately in each record.
     sampled : bool
-        Whether the inputs are uncertain in time: states for the errors of their time stamps are added.
+        Whether the times of the inputs are uncertain. The model then has a state for the time error of each input.
     hold : "zero", "average" or "linear"
-        Hold of the inputs between their samples.
+        Inputs between their samples: constant (``zero``), constant and approximated by a straight line in each row of
+        the record (``average``), or interpolated linearly (``linear``).
+
+    Raises
+    ------
+    KeyError
+        If a sensor is unknown.
     """
     # The inputs are not averaged: GNSS samples are not averaged either, and contain the quick motion of a light vehicle
     now = pair("n", "", hold, prefilter=False)
@@ -262,25 +269,35 @@ def nomoto_model(
 
 
 def _static_thrust(p: Any, n: Any) -> Any:
-    """Return the steady thrust [N] of one thruster at the normalised shaft speed n, by the parameters p."""
+    """Return the steady thrust [N] of one thruster at the normalised shaft speed ``n``.
+
+    It is ``c1 ((1 - lambda_n) n|n| + lambda_n n) + c2 n^2`` with the parameters ``p``.
+    """
     return p.c1 * ((1 - p.lambda_n) * n * abs(n) + p.lambda_n * n) + p.c2 * n * n
 
 
 def _steady_yaw_rate(s: Signals, u: Any, n: Sequence[Any]) -> Any:
-    """Return the steady yaw rate [rad/s] at speed u [m/s] and inputs n (left, right)."""
+    """Return the steady yaw rate [rad/s] at the speed ``u`` [m/s] and the normalised inputs ``n`` (left, right).
+
+    It is ``(K + K_u u) delta (1 - k_3 delta^2)``, with half the difference of the inputs ``delta``.
+    """
     delta, p = (n[0] - n[1]) / 2, s.p
     return (p.K + p.K_u * u) * delta * (1 - p.k_3 * delta * delta)
 
 
 def _damping_force(s: Signals, u: Any) -> Any:
-    """Return the damping force [N] at speed u [m/s]. It is positive at positive speed."""
+    """Return the damping force ``d_u u + d_uu |u| u`` [N] at the speed ``u`` [m/s]. It has the sign of the speed."""
     return s.p.d_u * u + s.p.d_uu * abs(u) * u
 
 
 def _inputs_at(s: Signals, ago: Any) -> list[Any]:
-    """Return the inputs (left, right) that acted a time ``ago`` [s], by cubic convolution of their copies.
+    """Return the inputs (left, right) that acted on the vehicle ``ago`` [s] before now.
 
-    The delay ``tau_n`` and the current estimate of the errors of the time stamps are included.
+    They are those of ``ago`` plus the delay ``tau_n`` before now.
+
+    The inputs are interpolated between their shifted copies by cubic convolution. If the model has states for the
+    errors of the time stamps, the inputs are corrected to first order by these errors, which decay with their
+    correlation time.
     """
     weights = delay_weights((s.p.tau_n + s.p.dt_n + ago) / TAP_STEP_S - TAPS[0], len(TAPS))
     inputs = []
@@ -299,28 +316,35 @@ def _inputs_at(s: Signals, ago: Any) -> list[Any]:
 
 
 def delayed(s: Signals) -> None:
-    """Set the inputs that act now, which are those of ``tau_n`` ago.
+    """Set the inputs that act on the vehicle now, which are those of ``tau_n`` [s] ago.
 
-    Effects change ``s.n`` (by side). ``s.n_now`` keeps the values (left, right) without effects.
+    ``s.n`` (dict by side) is changed by effects later. ``s.n_now`` (left, right) keeps the values without effects.
     """
     s.n_now = _inputs_at(s, 0.0)  # kept unchanged: effects change s.n
     s.n = dict(zip(SIDES, s.n_now, strict=True))
 
 
 def thrust(s: Signals) -> None:
-    """Set the thrust ``s.f`` [N] of each thruster from its shaft speed."""
+    """Set the thrust ``s.f`` [N] of each thruster (dict by side) from its shaft speed ``s.n``."""
     s.f = {side: _static_thrust(s.p, n) for side, n in s.n.items()}
 
 
 def force(s: Signals) -> None:
-    """Set the thrust less damping ``X`` [N], the steady yaw rate ``r_ref`` [rad/s], and a ``slip_time`` of zero."""
+    """Set ``s.X`` [N] (thrust of both thrusters less damping) and the steady yaw rate ``s.r_ref`` [rad/s].
+
+    ``s.slip_time`` [s] is set to zero. An effect may change it to the sideslip per speed and yaw rate.
+    """
     s.slip_time = 0.0  # s, sideslip divided by speed and yaw rate: effects set it
     s.X = sum(s.f.values()) - _damping_force(s, s.x.u)
     s.r_ref = _steady_yaw_rate(s, s.x.u, list(s.n.values()))
 
 
 def rate(s: Signals) -> None:
-    """Set the rates of all states, and the yaw rate ``s.r`` [rad/s] after its lag."""
+    """Set the time derivatives ``s.rate`` of all states, and the yaw rate ``s.r`` [rad/s] after its first-order lag.
+
+    The states are position, heading, surge speed, sideslip, yaw rate, the gyro's low-pass filter, and time errors of
+    the inputs. Sideslip and time errors are left out if the model lacks them.
+    """
     x = s.x
     s.r = first_order(s, "r", s.r_ref, s.p.T)
     v = _sideslip(s, x.u, s.r)
@@ -336,26 +360,30 @@ def rate(s: Signals) -> None:
 
 
 def _sideslip(s: Signals, u: Any, r: Any) -> Any:
-    """Return the sway [m/s]: the disturbance state if there is one, plus the sideslip that effects add.
+    """Return the sway velocity [m/s], positive to starboard, at the speed ``u`` [m/s] and the yaw rate ``r`` [rad/s].
 
-    ``u`` [m/s] and ``r`` [rad/s] are speed and yaw rate. Positive sway is to starboard.
+    It is the disturbance state ``v`` (zero if the model lacks it) plus the sideslip of effects, ``-s.slip_time u r``.
     """
     return getattr(s.x, "v", 0.0) - s.slip_time * u * r
 
 
 def _velocity_over_ground(s: Signals, psi: Any, u: Any, v: Any) -> tuple[Any, Any]:
-    """Return the velocity north and east [m/s], with the current, at heading psi [rad], surge u and sway v [m/s]."""
+    """Return the velocity north and east [m/s], including the constant current.
+
+    ``psi`` is the heading [rad], ``u`` the surge and ``v`` the sway velocity [m/s]. A model without current parameters
+    has no current.
+    """
     north, east = body_to_ned(psi, u, v)
     return north + getattr(s.p, "V_x", 0.0), east + getattr(s.p, "V_y", 0.0)
 
 
 def _rates_at(s: Signals, ago: Any, u: Any, n: Sequence[Any]) -> tuple[Any, Any]:
-    """Return the yaw rate [rad/s] and the surge acceleration [m/s2] a time ``ago`` [s], with the present disturbances.
+    """Return the yaw rate [rad/s] and the surge acceleration [m/s2] of ``ago`` [s] before now.
 
     ``u`` [m/s] and ``n`` (left, right) are the speed and the inputs at that time. The present yaw rate and force are
     corrected by the differences of steady yaw rate, thrust and damping between then and now. These differences are
-    computed from the inputs without effects such as a lag, a dead band or a loss. What such an effect changes now is
-    kept, like a disturbance. The result is exact in steady state.
+    computed from the inputs without effects such as a lag, a dead band or a thrust loss. What such an effect changes
+    now is kept, like a disturbance. The result is exact in steady state.
     """
     x, p, now = s.x, s.p, s.n_now
     direct = 1 - np.minimum(p.T / SHORTEST_LAG, 1.0)  # part of the yaw rate that follows the inputs without a lag
@@ -366,20 +394,21 @@ def _rates_at(s: Signals, ago: Any, u: Any, n: Sequence[Any]) -> tuple[Any, Any]
 
 
 def _integrate_backwards(s: Signals, since: tuple[Any, ...], ago: Any, span: Any, steps: int) -> tuple[Any, ...]:
-    """Integrate the model backwards over ``span`` [s] in ``steps`` steps, by the explicit midpoint rule.
+    """Integrate the motion of the vehicle backwards in time by the explicit midpoint rule.
 
     Parameters
     ----------
     s : Signals
-        Present signals.
+        Present signals of the model.
     since : tuple
-        North [m], east [m], heading [rad], speed [m/s] and sideslip [m/s] a time ``ago`` [s].
+        Motion at the time ``ago`` before now: north [m], east [m], heading [rad], speed [m/s] and sway velocity [m/s].
+        The last value is not used.
     ago : float or symbol
-        Age [s] of ``since``.
+        Time from ``since`` to now [s].
     span : float or symbol
-        Time [s] to go back from there.
+        Time to go back from there [s].
     steps : int
-        Number of steps.
+        Number of integration steps.
 
     Returns
     -------
@@ -400,7 +429,12 @@ def _integrate_backwards(s: Signals, since: tuple[Any, ...], ago: Any, span: Any
 
 
 def output(s: Signals) -> None:
-    """Set the outputs: heading, yaw rate after the gyro's filter, and position and velocity of the GNSS fix."""
+    """Set the outputs ``s.y``: heading, yaw rate after the gyro's filter, and position and velocity of the GNSS fix.
+
+    The fix is the mean of the motion at two times: ``tau_gnss`` before now, less and plus ``sigma_gnss``. The motion at
+    these times follows by backward integration. Further velocities over ground that effects add, such as a random-walk
+    current, are treated as constant over the age of the fix.
+    """
     x, y, p = s.x, s.y, s.p
     v = _sideslip(s, x.u, s.r)
     y["psi"] = x.psi

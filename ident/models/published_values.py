@@ -1,4 +1,6 @@
-"""Values of the boat that the thesis prints. Models, cases of studies and tables take them from here.
+"""Values of the boat that the thesis prints.
+
+Models, cases of Monte Carlo studies, and tables of the documents use them.
 
 The simulated boat of `seatrial.mocks` has its own copy, because it imports nothing of `seatrial.ident`.
 """

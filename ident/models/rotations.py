@@ -1,4 +1,4 @@
-"""Attitude of a boat in the signals of a model: lever arm of an antenna, and an AHRS with misaligned axes.
+"""Attitude of a boat in a model: lever arm of a GNSS antenna, and an AHRS whose axes are misaligned with the boat's.
 
 The functions are for models with measured roll, pitch and heading (`seatrial.ident.models.kinematic`). The matrices are
 those of `seatrial.ident.numerics.rotations`.
@@ -16,14 +16,16 @@ G = 9.81  # m/s2
 
 
 def set_orientation(s: Signals, R: Matrix, omega: Sequence[Any]) -> None:
-    """Set the orientation of the boat: ``s.R``, the body rates ``s.p_rate, s.q_rate, s.r_rate``, and ``s.w``.
+    """Set the orientation of the boat, its body rates and its heave velocity in the signals of a model.
 
     Parameters
     ----------
     s : Signals
-        Signals to change. The heave velocity ``s.w`` [m/s] is set such that the hull stays on the surface (z' = 0).
+        Signals, changed in place: the rotation ``s.R``, the body rates ``s.p_rate``, ``s.q_rate``, ``s.r_rate``
+        [rad/s], and the heave velocity ``s.w`` [m/s]. ``s.w`` follows from surge ``s.x.u`` and sway ``s.x.v``, such
+        that the hull stays on the water surface (zero vertical velocity).
     R : Matrix (3, 3)
-        Rotation from body axes to NED.
+        Rotation of vectors from the body frame to NED.
     omega : Sequence (3,)
         Body rates p, q, r [rad/s].
     """
@@ -33,15 +35,17 @@ def set_orientation(s: Signals, R: Matrix, omega: Sequence[Any]) -> None:
 
 
 def shift(s: Signals, arm: Sequence[Any]) -> None:
-    """Move the measured position and velocity over ground to another point of the hull (Groves 2013, 2.5).
+    """Move the measured position and velocity over ground from the body's origin to another point of the hull.
+
+    The equations are those of Groves 2013, section 2.5. The point is, for example, the GNSS antenna.
 
     Parameters
     ----------
     s : Signals
-        Signals whose outputs ``x``, ``y`` [m] and ``vx``, ``vy`` [m/s] are changed. The orientation is set
-        (`set_orientation`).
+        Signals with a known orientation (`set_orientation`). Their outputs ``x``, ``y`` [m] and ``vx``, ``vy`` [m/s]
+        are changed in place.
     arm : Sequence (3,)
-        Position of the point from the origin: forward, to starboard and down [m].
+        Position of the point relative to the origin: forward, to starboard and down [m].
     """
     (x, y, z), (p, q, r) = arm, (s.p_rate, s.q_rate, s.r_rate)
     about = (q * z - r * y, r * x - p * z, p * y - q * x)
@@ -52,12 +56,13 @@ def shift(s: Signals, arm: Sequence[Any]) -> None:
 
 
 def remove_misalignment(s: Signals, mount: Matrix) -> None:
-    """Convert the measured attitude and body rates of a misaligned AHRS to those of the boat.
+    """Convert the attitude and body rates that a misaligned AHRS measured to those of the boat.
 
     Parameters
     ----------
     s : Signals
-        Signals with the orientation of the AHRS (`set_orientation`), which is replaced by the orientation of the boat.
+        Signals with the orientation and body rates of the AHRS (`set_orientation`). They are replaced in place by those
+        of the boat.
     mount : Matrix (3, 3)
         Rotation of vectors from the axes of the AHRS to the axes of the boat.
     """
@@ -65,16 +70,19 @@ def remove_misalignment(s: Signals, mount: Matrix) -> None:
 
 
 def add_misalignment(s: Signals, mount: Matrix) -> None:
-    """Convert the outputs ``ax``, ``ay`` [m/s2] and ``r`` [rad/s] to what a misaligned AHRS measures.
+    """Convert the outputs ``ax``, ``ay`` [m/s2] and ``r`` [rad/s] from the boat's axes to those of a misaligned AHRS.
 
     Parameters
     ----------
     s : Signals
-        Signals with the orientation of the boat, whose outputs are changed. A model without the output ``r`` has only
-        its accelerations changed. The vertical specific force, which the rotation needs, follows from zero vertical
-        acceleration of the hull.
+        Signals with the orientation and body rates of the boat (`set_orientation`). Their outputs are changed in place.
+        The output ``r`` may be absent. An error that ``r`` already has, such as a gyro offset, is kept.
     mount : Matrix (3, 3)
         Rotation of vectors from the axes of the AHRS to the axes of the boat.
+
+    Notes
+    -----
+    The rotation needs the vertical specific force. It is computed for a hull without vertical acceleration.
     """
     R, ax, ay = s.R, s.y["ax"], s.y["ay"]
     az = -(G + R[2][0] * ax + R[2][1] * ay) / R[2][2]

@@ -1,10 +1,10 @@
 """Scaling of priors and step sizes with the size of the vessel, by dimensional analysis.
 
-The priors of effects are for the boat of the catalogue. For example, a moment of 2 N m is plausible on a boat of 37 kg
-and negligible on a ferry. The boat at hand is treated as a scaled copy of the boat of the catalogue, with ``mass``
-times the mass and ``length`` times the length. The boat moves by Froude's law: accelerations are equal because gravity
-is equal, so times and speeds scale with the square root of the length. A quantity of the unit kg^a m^b s^c then scales
-with
+The priors of effects are for the boat of the catalogue, which is the boat of the thesis (37 kg). For example, a moment
+of 2 N m is plausible on a boat of 37 kg and negligible on a ferry. The boat at hand is treated as a scaled copy of the
+boat of the catalogue, with ``mass`` times the mass and ``length`` times the length. The boat moves by Froude's law:
+accelerations are equal because gravity is equal, so times and speeds scale with the square root of the length. A
+quantity of the unit kg^a m^b s^c then scales with
 
     mass^a length^(b + c/2),
 
@@ -34,7 +34,7 @@ class Dimension(NamedTuple):
     Attributes
     ----------
     mass, length, time : float
-        Exponents of kg, m and s: (1, 1, -2) for a force.
+        Exponents of kg, m and s. For example, they are (1, 1, -2) for a force.
     """
 
     mass: float = 0.0
@@ -43,9 +43,9 @@ class Dimension(NamedTuple):
 
     @property
     def unit(self) -> str:
-        """Unit as text that `dimension` can parse, for example ``kg m2/s``.
+        """Unit as text that `dimension` can parse, for example ``kg m2/s`` or ``1/s``.
 
-        Exponents must be integers. Empty without a dimension.
+        The exponents must be integers. The text is empty if all exponents are zero.
         """
         above, below = list[str](), list[str]()
         for word, power in zip(("kg", "m", "s"), self, strict=True):
@@ -60,10 +60,10 @@ WORDS = {"kg": Dimension(1, 0, 0), "N": Dimension(1, 1, -2), "m": Dimension(0, 1
 
 
 def dimension(unit: str) -> Dimension:
-    """Return the dimension of a unit such as ``kg m2/s``, ``N s2/m2`` or ``m/s/sqrt(s)``.
+    """Return the exponents of kg, m and s in a unit such as ``kg m2/s``, ``N s2/m2`` or ``m/s/sqrt(s)``.
 
-    Every word after the first ``/`` is in the denominator. Words that are not in ``WORDS``, such as ``rad``, have no
-    dimension.
+    Every word after the first ``/`` is in the denominator. N and Hz are converted to kg, m and s. Words that are not in
+    ``WORDS``, such as ``rad``, are ignored. The exponents of an empty text are zero.
     """
     mass = length = time = 0.0
     for i, part in enumerate(unit.split("/")):
@@ -77,7 +77,8 @@ def dimension(unit: str) -> Dimension:
 def unit_over(unit: str, *others: str) -> str:
     """Return ``unit`` divided by the units ``others``. For example, ``N m`` over ``N`` is ``m``.
 
-    The result is in kg, m and s: ``N`` over nothing is ``kg m/s2``. It is empty for a number without a unit.
+    The result is a text in kg, m and s: ``N`` without ``others`` gives ``kg m/s2``. It is empty for a quotient without
+    a unit, such as ``N`` over ``N``.
     """
     result = dimension(unit)
     for other in others:
@@ -92,45 +93,57 @@ class VesselScale:
     Attributes
     ----------
     mass, length : float
-        Factors, > 0; one for the boat of the catalogue.
+        Ratios to the mass and length of that boat, > 0.
     """
 
     mass: float = 1.0
     length: float = 1.0
 
     def of(self, unit: str) -> float:
-        """Return the factor by which a quantity of this unit (``N m``) scales from the boat of the catalogue."""
+        """Return the ratio of a quantity of this ``unit``, for example ``N m``, to that of the catalogue's boat.
+
+        The ratio is ``mass^a length^(b + c/2)`` for a unit kg^a m^b s^c. It is 1 without a unit.
+        """
         exponents = dimension(unit)
         return float(self.mass**exponents.mass * self.length ** (exponents.length + 0.5 * exponents.time))
 
 
 def force_power(unit: str) -> int:
-    """Return the exponent with which a coefficient of this unit scales with forces and masses.
+    """Return the power of a factor on all forces and masses by which a coefficient of this ``unit`` is multiplied.
 
-    The exponent is that of kg: 1 for ``kg/m`` or ``N``, 0 for ``m``.
+    It is the exponent of kg in the unit, rounded to an integer: 1 for ``kg/m`` or ``N``, 0 for ``m``.
     """
     return round(dimension(unit).mass)
 
 
 def is_moment(unit: str) -> bool:
-    """Return whether a coefficient of this unit belongs to a moment. Otherwise it belongs to a force.
+    """Return whether a coefficient of this ``unit`` belongs to a moment (True) or to a force (False).
 
-    Moments have ``N m`` in the numerator, or metres with an exponent of two or more (``kg m2/s``).
+    A moment has ``N m`` in the numerator, or metres with a total exponent of two or more (``kg m2/s``).
     """
     return "N m" in unit.partition("/")[0] or _metre_exponent(unit) >= 2
 
 
 def _metre_exponent(unit: str) -> int:
-    """Return the exponent of metres in a unit, counting only ``m`` and ``m2``: 2 for ``kg m2/s``."""
+    """Return the exponent of metres in a ``unit``: 2 for ``kg m2/s``. Only the words ``m`` and ``m2`` are counted."""
     above, _, below = unit.partition("/")
     return len(re.findall(r"\bm\b", above)) + 2 * len(re.findall(r"\bm2\b", above)) - len(re.findall(r"\bm2?\b", below))
 
 
 def size_of(model: Model) -> VesselScale:
-    """Return the size of the boat of a fitted model, relative to the boat of the catalogue.
+    """Return the size of the boat of a model, relative to the boat of the catalogue (37 kg).
 
-    The length follows from the radius of gyration. Without a moment of inertia ``m_r``, the boat has the shape of the
-    boat of the catalogue. Without a mass ``m_u``, it has the size of that boat.
+    Parameters
+    ----------
+    model : Model
+        Model with the values of the boat's parameters. The mass ratio follows from its surge mass ``m_u``, and the
+        length ratio from the radius of gyration ``sqrt(m_r / m_u)``.
+
+    Returns
+    -------
+    VesselScale
+        Without a moment of inertia ``m_r``, the length ratio is the cube root of the mass ratio. Without ``m_u``, both
+        ratios are 1.
     """
     values = model.values
     if "m_u" not in values:
@@ -140,11 +153,22 @@ def size_of(model: Model) -> VesselScale:
 
 
 def rescale(model: Model, size: VesselScale) -> Model:
-    """Return the model with the priors of its disturbance forces for a boat of this size.
+    """Return the model with the priors of its disturbance forces on surge, sway and yaw scaled to the size of a boat.
 
-    The initial standard deviation of the forces and the prior of their diffusion scale by one factor, because their
-    correlation time does not change. A diffusion at the mean of its prior moves with the prior. A fitted diffusion is
-    kept.
+    Parameters
+    ----------
+    model : Model
+        Model to change. It may lack the states ``b_X``, ``b_Y`` or ``b_N`` of the disturbance forces.
+    size : VesselScale
+        Size of the boat relative to the boat of the catalogue.
+
+    Returns
+    -------
+    Model
+        The initial standard deviation of each disturbance force is that of the catalogue (`SIZES`) times the ratio of
+        forces or moments. The prior of its diffusion changes by the same factor as the initial standard deviation,
+        because the correlation time does not change. A diffusion that is equal to the mean of its prior moves with the
+        prior. Any other diffusion has been fitted and is kept.
     """
     factors = {"X": size.of("N"), "Y": size.of("N"), "N": size.of("N m")}
     of_state = {f"b_{name}": name for name in factors}
@@ -165,10 +189,20 @@ def rescale(model: Model, size: VesselScale) -> Model:
 
 
 def scale_priors(effect: Effect, size: VesselScale) -> Effect:
-    """Return the effect for a boat of this size.
+    """Return the effect with its parameters and states scaled from the boat of the catalogue to a boat of this size.
 
-    Values, priors, steps, bounds, scanned values and initial states are multiplied by the factors of their units.
-    Parameters with ``scales`` False are unchanged.
+    Parameters
+    ----------
+    effect : Effect
+        Effect for the boat of the catalogue.
+    size : VesselScale
+        Size of the boat relative to the boat of the catalogue.
+
+    Returns
+    -------
+    Effect
+        Values, priors, steps and bounds of parameters, values to scan, and initial values and diffusions of states are
+        multiplied by the factors of their units. Parameters with ``scales`` False are unchanged.
     """
     factors = {p.name: size.of(p.unit) if p.scales else 1.0 for p in effect.parameters}
     return replace(
@@ -180,7 +214,10 @@ def scale_priors(effect: Effect, size: VesselScale) -> Effect:
 
 
 def _scaled_parameter(p: Parameter, factor: float) -> Parameter:
-    """Return the parameter with its value, prior, step and bounds multiplied by the factor."""
+    """Return the parameter with its value, prior, step and bounds multiplied by ``factor``.
+
+    Both mean and standard deviation of the prior are multiplied. A parameter without a prior stays without one.
+    """
     if factor == 1.0:
         return p
     prior = None if p.prior is None else (factor * p.prior[0], factor * p.prior[1])
@@ -189,9 +226,9 @@ def _scaled_parameter(p: Parameter, factor: float) -> Parameter:
 
 
 def _scaled_state(s: State, factor: float) -> State:
-    """Return the state with initial mean, initial standard deviation and diffusion multiplied by the factor.
+    """Return the state with its initial mean, initial standard deviation and diffusion multiplied by ``factor``.
 
-    Entries that are names of parameters are not changed here; `_scaled_parameter` scales those parameters.
+    An entry that is the name of a parameter instead of a number is kept; `_scaled_parameter` scales that parameter.
     """
     if factor == 1.0:
         return s

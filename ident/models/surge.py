@@ -58,16 +58,22 @@ def surge_model(
     *,
     hold: Literal["zero", "linear"] = "zero",
 ) -> Model:
-    """Return the model of straight-line motion with the states x [m] and u [m/s].
+    """Return the model of straight-line motion: ``m_u u' = X - d_u u - d_uu |u| u`` and ``x' = u``.
 
     Parameters
     ----------
     propulsion : "force" or "shaft"
-        Input: force X [N], or shaft speed n (normalised, common to both thrusters).
+        Input of the model. ``force``: surge force X [N]. ``shaft``: normalised shaft speed n, common to both thrusters,
+        with ``X = c1 n|n| + c2 n^2``.
     measured : "position", "speed" or "both"
-        Outputs of the sensors: x [m], u [m/s], or both.
+        Outputs of the model: distance x along the track [m], speed u [m/s], or both. Each has its own sensor.
     hold : "zero" or "linear"
-        Hold of the input between its samples: constant, or linear interpolation.
+        Input between its samples: constant, or linear interpolation.
+
+    Returns
+    -------
+    Model
+        Model with the states x [m] and u [m/s], and initial parameter values from the thesis.
     """
     sensors, noise = [], []
     if measured != "speed":
@@ -89,27 +95,30 @@ def surge_model(
 
 
 def _set_force_of_shaft(s: Signals) -> None:
-    """Set the thrust ``X_thrust`` [N] from the shaft speed, and the force ``X`` [N] less damping."""
+    """Set the thrust ``s.X_thrust = c1 n|n| + c2 n^2`` [N] at the input n, and ``s.X`` [N]: the thrust less damping."""
     s.X_thrust = s.p.c1 * s.u.n * abs(s.u.n) + s.p.c2 * s.u.n**2
     _subtract_drag(s)
 
 
 def _set_given_force(s: Signals) -> None:
-    """Set the thrust ``X_thrust`` [N] from the input, and the force ``X`` [N] less damping."""
+    """Set the thrust ``s.X_thrust`` [N] to the input X, and ``s.X`` [N] to the thrust less damping."""
     s.X_thrust = s.u.X
     _subtract_drag(s)
 
 
 def _subtract_drag(s: Signals) -> None:
-    """Set the force ``X`` [N]: the thrust less linear and quadratic damping."""
+    """Set the force ``s.X = X_thrust - d_u u - d_uu |u| u`` [N]: the thrust less damping at the speed u [m/s]."""
     s.X = s.X_thrust - s.p.d_u * s.x.u - s.p.d_uu * abs(s.x.u) * s.x.u
 
 
 def _set_rates(s: Signals) -> None:
-    """Set the rates of the distance x and the speed u."""
+    """Set the time derivatives ``s.rate`` of the states: x' = u [m/s] and u' = X / m_u [m/s2]."""
     s.rate["x"], s.rate["u"] = s.x.u, s.X / s.p.m_u
 
 
 def _set_outputs(s: Signals) -> None:
-    """Set the outputs x [m] and u [m/s]. The sensors of the model select theirs."""
+    """Set the outputs ``s.y`` to the states x [m] and u [m/s].
+
+    A model that measures only one of them ignores the other.
+    """
     s.y["x"], s.y["u"] = s.x.x, s.x.u

@@ -2,12 +2,13 @@
 
     n' = a (n_ref - n),   f = c1 n|n| + c2 n^2 + bias + b_f
 
-``n_ref`` is the command, delayed by ``tau``. It is zero inside the dead zone ``|n_cmd| < d``.
+n is the normalised shaft speed and f the force on the load cell. ``n_ref`` is the command, delayed by ``tau``. It is
+zero inside the dead zone ``|n_cmd| < d``.
 
-The data set contains copies of the command with delays of multiples of a step (``delayed_channels``). The model
-interpolates them at ``tau`` (``seatrial.ident.model.delayed_inputs``). The convolution keeps the mean and variance of
-the delay exact, and its derivative by ``tau`` is continuous. No states are needed, and a step of the command stays a
-step in every copy.
+The record of a log contains copies of the command, delayed by multiples of a step (``delayed_channels``). The model
+interpolates the copies at ``tau`` (``seatrial.ident.model.delayed_inputs``). The interpolation keeps the mean and
+variance of the delay exact, and its derivative by ``tau`` is continuous. The delay needs no states, and a step of the
+command stays a step in every copy.
 
 ``b_f`` is an Ornstein-Uhlenbeck force. It models the oscillation of the load cell, which is not white noise.
 """
@@ -40,7 +41,7 @@ from seatrial.ident.models.disturbances import TIME, adder, shaft_disturbance
 from seatrial.ident.models.published_values import TABLE_2
 
 COMMAND = "n_cmd"
-DELAY_STEP = 0.0125  # s
+DELAY_STEP = 0.0125  # s, delay between copies of the command, unless the name of the model states another
 START_DELAY_SPACING_S = 0.2  # s between the initial values of the delay
 START_POLES = np.geomspace(0.2, 20.0, 14)  # 1/s, initial values of the pole
 SLOW_STEP = 0.1  # s, step of ``thruster:slow``, with delays up to 4.8 s, for links that poll
@@ -75,7 +76,7 @@ SWING = (
 
 
 def _add_acceleration(s: Signals, extra: Any) -> None:
-    """Add ``extra`` [1/s] to the rate of the normalised shaft speed."""
+    """Add ``extra`` [1/s] to ``s.rate["n"]``, the time derivative of the normalised shaft speed."""
     s.rate["n"] = s.rate["n"] + extra
 
 
@@ -103,7 +104,7 @@ def delayed_channels(
     Parameters
     ----------
     channel : Channel
-        Command.
+        The command, with at least one sample.
     step : float
         Delay between copies [s].
     n : int
@@ -114,12 +115,13 @@ def delayed_channels(
     Returns
     -------
     dict
-        The copies by name.
+        The copies by name. Each copy also has the first value of the command at the time of its first sample, so that
+        it is constant until the delay has passed.
 
     Notes
     -----
-    Steps of the command stay steps. Before its first sample, the command equals its first sample.
-    `seatrial.ident.model.delayed_inputs` compares these copies with those of other models.
+    Steps of the command stay steps. `seatrial.ident.model.delayed_inputs` compares these copies with those of other
+    models.
     """
     copies = {}
     for k in range(n):
@@ -131,7 +133,7 @@ def delayed_channels(
 def delay_step(model: Model) -> float:
     """Return the delay [s] between successive copies of the command in a thruster model.
 
-    The delay follows from the upper bound of the parameter ``tau`` and the number of copies.
+    The delay is the upper bound of the parameter ``tau``, divided by the number of copies less one.
     """
     return model.parameter("tau").bounds[1] / (sum(i.tap_of == COMMAND for i in model.inputs) - 1)
 
@@ -149,7 +151,8 @@ def pace_with_copy_at(tau: float, step: float) -> str:
     Returns
     -------
     str
-        Delay between copies [s] as text, near ``step``. Empty if ``tau`` is shorter than half of ``step``.
+        Delay between copies [s] as text, near ``step``, of which ``tau`` is a multiple. It is the option ``pace`` of
+        `thruster_model`. Empty if ``tau`` is at most half of ``step``.
 
     Notes
     -----
@@ -163,26 +166,33 @@ def pace_with_copy_at(tau: float, step: float) -> str:
 def thruster_model(
     pace: str = "", *, force: bool = True, swing: bool = True, step: float = DELAY_STEP, n_delays: int = N_DELAYS
 ) -> Model:
-    """Return the model of a thruster on the bench.
+    """Return the model of a thruster on the bench: delay, dead zone, first-order shaft lag, and static thrust.
 
     Parameters
     ----------
     pace : str
-        ``slow`` for delays beyond 0.6 s. Otherwise the delay [s] between copies of the command as text
-        (``pace_with_copy_at``). Empty: ``step`` is used.
+        Delay [s] between copies of the command as text (``pace_with_copy_at``), or ``slow`` for 0.1 s, which allows
+        delays up to 4.8 s. Empty: ``step`` is used. Otherwise ``step`` is ignored.
     force : bool
-        Whether the bench has a load cell.
+        Whether the bench has a load cell. Without one, the model has no thrust coefficients and no output ``force``.
     swing : bool
-        Whether the model has the disturbance force ``b_f``. It is ignored without a load cell.
+        Whether the model has the disturbance force ``b_f`` of the load cell. It is ignored without a load cell.
     step : float
         Delay between copies of the command [s].
     n_delays : int
-        Number of copies. The largest delay is ``step`` times one less.
+        Number of copies, including the one without delay. The largest delay is ``(n_delays - 1)`` times the delay
+        between copies.
+
+    Returns
+    -------
+    Model
+        Model with the inputs ``n_cmd_0``, ``n_cmd_1``, ... (copies of the command, -1 to 1), and the outputs ``n``
+        (normalised shaft speed) and ``force`` [N].
 
     Raises
     ------
     ValueError
-        If ``pace`` is neither ``slow`` nor a number.
+        If ``pace`` is neither empty, ``slow`` nor a number.
     """
     step = SLOW_STEP if pace == "slow" else float(pace or step)
     top = step * (n_delays - 1)
@@ -190,7 +200,7 @@ def thruster_model(
     states, sensors, parameters = _components(force, force and swing)
 
     def reference(s: Signals) -> Any:
-        """Return the delayed command outside the dead zone, by interpolation of the copies."""
+        """Return the delayed command, -1 to 1, by interpolation of its copies at ``tau``; zero inside the dead zone."""
         weights = enumerate(delay_weights(s.p.tau / step, n_delays))
         # Two to four weights of a numerical delay are not zero; weights of a symbolic delay are never skipped
         return sum(
@@ -200,7 +210,7 @@ def thruster_model(
         )
 
     def shaft(s: Signals) -> None:
-        """Set the reference ``n_ref`` of the shaft, and its speed ``n``."""
+        """Set ``s.n_ref`` (delayed command outside the dead zone) and ``s.n`` (the state: normalised shaft speed)."""
         s.n_ref, s.n = reference(s), s.x.n
 
     return Model(
@@ -231,18 +241,19 @@ def thruster_model(
 
 
 def _start_grid(longest: float) -> StartGrid:
-    """Return initial delays, from 0 to ``longest`` [s], and initial poles [1/s]. All combinations are tried.
+    """Return the initial values with which the search for the delay ``tau`` [s] and the pole ``a`` [1/s] is repeated.
 
-    With low-rate telemetry, the likelihood has several maxima.
+    The delays run from 0 to below ``longest`` [s] in steps of 0.2 s, and are combined with each pole of `START_POLES`.
+    They are needed because the likelihood has several maxima with low-rate telemetry.
     """
     delays = np.arange(0.0, longest, START_DELAY_SPACING_S)
     return StartGrid(("tau", "a"), (tuple(delays.tolist()), tuple(START_POLES.tolist())), START_DELAY_SPACING_S)
 
 
 def _components(force: bool, swing: bool) -> tuple[tuple[State, ...], tuple[Sensor, ...], tuple[Parameter, ...]]:
-    """Return the states, sensors and parameters of a thruster.
+    """Return the states, sensors and parameters of a thruster model, without the parameter of the delay.
 
-    ``force``: with a load cell. ``swing``: with the disturbance force ``b_f`` of the load cell.
+    ``force``: the bench has a load cell. ``swing``: the load cell has the disturbance force ``b_f`` as a state.
     """
     states = [State("n", "", "shaft speed, normalised", "s_n", from_output="n", sd0=0.1)]
     sensors, parameters = [Sensor("rpm", (Output("n", "", "e_n"),))], [*SHAFT]
@@ -256,22 +267,25 @@ def _components(force: bool, swing: bool) -> tuple[tuple[State, ...], tuple[Sens
 
 
 def _set_thrust(s: Signals) -> None:
-    """Set the thrust ``force`` [N] from the shaft speed. A model without a load cell has none."""
+    """Set the thrust ``s.force = c1 n|n| + c2 n^2`` [N] at the shaft speed ``s.n``.
+
+    In a model without a load cell, ``s.force`` is not set.
+    """
     if hasattr(s.p, "c1"):
         s.force = s.p.c1 * s.n * abs(s.n) + s.p.c2 * s.n * s.n
 
 
 def _set_rates(s: Signals) -> None:
-    """Set the rates of the shaft speed [1/s] and of the disturbance force [N/s]."""
+    """Set the derivatives ``s.rate``: n' = a (n_ref - n) [1/s], and b_f' = -b_f / tau_f [N/s] if b_f is a state."""
     s.rate["n"] = s.p.a * (s.n_ref - s.x.n)
     if hasattr(s.x, "b_f"):
         s.rate["b_f"] = -s.x.b_f / s.p.tau_f
 
 
 def _set_outputs(s: Signals) -> None:
-    """Set the outputs: shaft speed, and the measured force [N] if the model has a load cell.
+    """Set the outputs ``s.y``: shaft speed ``n``, and the measured ``force`` [N] if the model has a load cell.
 
-    The measured force includes the offset of the load cell and the disturbance force.
+    The measured force is the thrust plus the offset of the load cell and, if it is a state, the disturbance force.
     """
     s.y["n"] = s.x.n
     if hasattr(s, "force"):

@@ -1,9 +1,9 @@
 """User-defined models and effects, loaded from Python files and validated.
 
-A Python file that is given on the command line is run. A Python file that another *file* names is run under three
-conditions (`trusted_file`): it lies in the folder of that file, it is unchanged, and this user has run it before. The
-option `--trust-code` replaces the conditions. The hashes of files that were run are stored in a file of the user
-(`known_file`). The author of a folder can write its model.toml, but not this file.
+A Python file that is given on the command line is run. A Python file that a model.toml names is run under three
+conditions (`trusted_file`): it lies in the folder of the model.toml, it is unchanged, and this user has run it before.
+The option `--trust-code` replaces the conditions. The hashes of files that were run are stored in a file of the user
+(`known_file`). The author of a folder can write its model.toml, but not this file of hashes.
 """
 
 from __future__ import annotations
@@ -37,7 +37,10 @@ _TRUST: ContextVar[bool] = ContextVar("trust_code", default=False)
 
 @contextlib.contextmanager
 def trusting_code() -> Iterator[None]:
-    """Run any Python file that a model.toml names inside this context, as with `--trust-code`."""
+    """Return a context manager inside which any Python file that a model.toml names may be run.
+
+    The option `--trust-code` uses it.
+    """
     before = _TRUST.set(True)
     try:
         yield
@@ -50,21 +53,27 @@ def trusted_file(named_by: Path, file: str, digest: str | None) -> Path:
 
     Without `--trust-code`, the file must lie in the folder of model.toml after resolving symbolic links. It must have
     the hash in model.toml, and this user must have run it before. With `--trust-code`, the file need only exist; its
-    hash is then stored as known.
+    hash is then stored as known, so that it may be run later without the option.
 
     Parameters
     ----------
     named_by : Path
-        The model.toml.
+        Path of the model.toml.
     file : str
         Path of the Python file in model.toml, relative to the folder of model.toml.
     digest : str or None
-        First 16 digits of the SHA-256 of the Python file in model.toml. None: model.toml has no hash.
+        First 16 digits of the SHA-256 of the Python file, as stored in model.toml. None: model.toml has no hash, and
+        the file may only be run with `--trust-code`.
+
+    Returns
+    -------
+    Path
+        Path of the Python file without ``..``. The file itself is not run here.
 
     Raises
     ------
     SeatrialError
-        If the file is missing or may not be run. No part of it has been run then.
+        If the file is missing or may not be run. The message states the violated condition.
     """
     folder, path = named_by.parent.resolve(), named_by.parent / file
     if not path.is_file():
@@ -97,10 +106,10 @@ def known_file() -> Path:
 
 
 def remember_trusted_file(path: Path) -> None:
-    """Append the hash of a Python file that the user trusts to the file of known hashes (`known_file`).
+    """Append the SHA-256 of a Python file that the user trusts to the user's file of known hashes (`known_file`).
 
-    Models that name the Python file are run from then on. If the hash cannot be written, the file stays unknown,
-    without an error.
+    From then on, models that name the Python file may run it without `--trust-code`. A hash that is known already is
+    not added again. If the hash cannot be written, the Python file stays unknown, without an error.
     """
     digest = _full_digest(path)
     if digest in _known_digests():
@@ -113,9 +122,9 @@ def remember_trusted_file(path: Path) -> None:
 
 
 def _known_digests() -> set[str]:
-    """Return the SHA-256 hashes of known Python files.
+    """Return the SHA-256 hashes of the Python files that this user has run.
 
-    Return the empty set if the file of hashes is missing, cannot be read, or may have been written by another user.
+    Return the empty set if the file of hashes is missing, is not ASCII text, or may have been written by another user.
     """
     try:
         about = known_file().stat()
@@ -127,12 +136,12 @@ def _known_digests() -> set[str]:
 
 
 def _full_digest(path: Path) -> str:
-    """Return the SHA-256 of a file, as 64 hexadecimal digits."""
+    """Return the SHA-256 of a file's contents, as 64 hexadecimal digits. A missing file raises OSError."""
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def file_digest(path: Path) -> str:
-    """Return the first 16 hexadecimal digits of a file's SHA-256."""
+    """Return the first 16 hexadecimal digits of the SHA-256 of a file's contents. A missing file raises OSError."""
     return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
 
 
@@ -142,7 +151,7 @@ def load_python(path: Path) -> ModuleType:
     Raises
     ------
     SeatrialError
-        If the file is missing or fails. The message has the file, the line and the reason.
+        If the file is missing or raises an error. The message has the file, the line and the reason.
     """
     spec = importlib.util.spec_from_file_location(path.stem, path)
     if not path.is_file() or spec is None:
@@ -157,9 +166,17 @@ def load_python(path: Path) -> ModuleType:
 
 
 def load_object(source: str) -> Any:
-    """Run the file of ``FILE.py:NAME`` and return the object NAME.
+    """Run a Python file of the user and return an object that it defines.
 
-    If NAME is a function or class, return the result of its call.
+    Parameters
+    ----------
+    source : str
+        ``FILE.py:NAME``: path of the file, and name of the object.
+
+    Returns
+    -------
+    Any
+        The object. If it is a function or class, the result of calling it without arguments.
 
     Raises
     ------
@@ -178,7 +195,9 @@ def load_object(source: str) -> Any:
 
 
 def load_effects(path: Path) -> dict[str, Effect]:
-    """Run a Python file and return the effects in its ``EFFECTS``, or otherwise its ``EFFECT``, by name.
+    """Run a Python file and return its effects by name.
+
+    The effects are the entries of its variable ``EFFECTS``, or, if this is absent or empty, its variable ``EFFECT``.
 
     Raises
     ------
@@ -193,14 +212,26 @@ def load_effects(path: Path) -> dict[str, Effect]:
 
 
 def effects_for(model: Model, path: Path) -> dict[str, Effect]:
-    """Run a Python file and return its effects, by name, after evaluating each with the model.
+    """Run a Python file and return its effects by name, after checking each with a model.
 
-    Effects that the model cannot have are returned too, but are not evaluated.
+    Parameters
+    ----------
+    model : Model
+        Model to which the effects may be added later. Each effect is added to it and evaluated once with symbols.
+    path : Path
+        Python file of the user.
+
+    Returns
+    -------
+    dict
+        All effects of the file. Those that the model cannot accept, for example because it lacks a signal, are not
+        checked.
 
     Raises
     ------
     SeatrialError
-        If an effect cannot be evaluated. The message has the file, the line and the reason.
+        If the file cannot be loaded, or an effect cannot be evaluated. The message has the file, the line and the
+        reason.
     """
     effects = load_effects(path)
     for effect in effects.values():
@@ -210,14 +241,14 @@ def effects_for(model: Model, path: Path) -> dict[str, Effect]:
 
 
 def check_user_model(model: Model, path: Path) -> Model:
-    """Return the model after calling its functions once with symbols, as every estimation does.
+    """Return the model unchanged, after calling its functions once with symbols, as every estimation does.
 
     Parameters
     ----------
     model : Model
         User-defined model, or a model with a user-defined effect.
     path : Path
-        Python file of the user.
+        Python file of the user, for the message.
 
     Raises
     ------
@@ -234,7 +265,7 @@ def check_user_model(model: Model, path: Path) -> Model:
 
 
 def error_place(problem: BaseException, path: Path, model: Model | None = None) -> str:
-    """Return ``FILE:LINE`` of an error: the last line of the user's file in the traceback.
+    """Return the place of an error in the user's Python file, ``FILE:LINE``.
 
     Parameters
     ----------
@@ -243,13 +274,14 @@ def error_place(problem: BaseException, path: Path, model: Model | None = None) 
     path : Path
         Python file of the user.
     model : Model or None
-        Model whose functions failed. If the traceback has no line of the file, the result has the first line of the
-        function for the rates or outputs.
+        Model whose functions failed. It is used if no line of the file is in the traceback.
 
     Returns
     -------
     str
-        Only the file if no line is known.
+        The last line of the file in the traceback, or the line of a syntax error. Without either, the first line of the
+        function of ``model`` that sets the outputs (if the message is about an output) or the time derivatives. Only
+        the file if no line is known.
     """
     if isinstance(problem, SyntaxError) and problem.lineno:
         return f"{problem.filename or path}:{problem.lineno}"
@@ -265,21 +297,25 @@ def error_place(problem: BaseException, path: Path, model: Model | None = None) 
 
 
 def _first_lines(function: Any, path: Path) -> list[int]:
-    """Return the first line of a function as a list, which is empty if the function is not in the file ``path``."""
+    """Return the number of the first line of a function in the file ``path``, as a list.
+
+    The list is empty if the function is not defined in this file.
+    """
     code = getattr(inspect.unwrap(function), "__code__", None)
     return [code.co_firstlineno] if code is not None and _same_file(code.co_filename, path) else []
 
 
 def _same_file(file: str, path: Path) -> bool:
-    """Return whether two paths are the same file after resolving symbolic links."""
+    """Return whether the paths ``file`` and ``path`` are the same file after resolving symbolic links."""
     return Path(file).resolve() == path.resolve()
 
 
 def error_message(problem: BaseException) -> str:
     """Return the message for an error in the user's code, in one line.
 
-    If the error comes from the use of symbols, the message is advice. The name of the type is added if the message is
-    empty or not clear without it.
+    If the error comes from the use of symbols, for example in an ``if``, the message is advice from `ADVICE`, or the
+    text of the error with a hint. Otherwise it is the text of the error. The texts of ValueError, TypeError and similar
+    types are clear alone; for other types, and for an empty text, the name of the type is put before it.
     """
     message = " ".join(str(problem).split())
     for fragment, advice in ADVICE.items():

@@ -18,14 +18,20 @@ COMPASS = Parameter("e_psi", 0.01, "rad", "noise of the heading", "log")
 
 
 def yaw_model(measured: Literal["rate", "both"] = "rate", *, hold: Literal["zero", "linear"] = "zero") -> Model:
-    """Return the model of turning on the spot. The input is the moment N [N m].
+    """Return the model of turning on the spot: ``m_r r' = N - d_r r - d_rr |r| r``, with the input N [N m].
 
     Parameters
     ----------
     measured : "rate" or "both"
-        Sensors: yaw rate r [rad/s], or also the heading psi [rad], which is then a second state.
+        Outputs of the model. ``rate``: the yaw rate r [rad/s]. ``both``: also the heading psi [rad], which is then a
+        second state.
     hold : "zero" or "linear"
-        Hold of the input between its samples: constant, or linear interpolation.
+        Input between its samples: constant, or linear interpolation.
+
+    Returns
+    -------
+    Model
+        Model with initial parameter values from the thesis.
     """
     heading = measured == "both"
     states = [State("r", "rad/s", "yaw rate", "s_r", from_output="r", sd0=0.1)]
@@ -45,17 +51,23 @@ def yaw_model(measured: Literal["rate", "both"] = "rate", *, hold: Literal["zero
 
 
 def _set_moment(s: Signals) -> None:
-    """Set the yaw moment ``N`` [N m]: the input less linear and quadratic damping."""
+    """Set the yaw moment less damping, ``s.N = N - d_r r - d_rr |r| r`` [N m], from the input N and the yaw rate r."""
     s.N = s.u.N - s.p.d_r * s.x.r - s.p.d_rr * abs(s.x.r) * s.x.r
 
 
 def _set_rates(s: Signals) -> None:
-    """Set the rates of the yaw rate and of the heading. The latter is ignored in a model without heading."""
+    """Set the time derivatives ``s.rate``: r' = N / m_r and psi' = r.
+
+    A model without the state psi ignores the latter.
+    """
     s.rate["r"] = s.N / s.p.m_r
     s.rate["psi"] = s.x.r
 
 
 def _set_outputs(s: Signals) -> None:
-    """Set the outputs r [rad/s] and psi [rad]. In a model without heading, psi is zero and no sensor selects it."""
+    """Set the outputs ``s.y``: yaw rate r [rad/s] and heading psi [rad].
+
+    In a model without the state psi, the output psi is zero, and no sensor of the model measures it.
+    """
     s.y["r"] = s.x.r
     s.y["psi"] = getattr(s.x, "psi", 0.0)

@@ -1,5 +1,5 @@
-"""Results of the commands as data: types and table rows of result.json, their writer, and the sentences about fits and
-diagnoses. Pages and terminal tables are in report.
+"""Results of the commands as data: the types of result.json and of its tables, their builders, the sentences about fits
+and diagnoses, and the reader and writer of the file. Report pages and tables for the terminal are in report.
 """
 
 import lazy_loader

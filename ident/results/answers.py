@@ -1,7 +1,7 @@
 """Sentences of the results: answers, warnings and notes of fits, thruster tests and designs.
 
-Reports and the terminal print these sentences. Warnings are about what must be known before an estimate is used: a fit
-that did not converge, a stuck sensor, an unknown scale.
+Reports and the terminal print these sentences. Warnings are about what must be known before an estimate is used: a
+prior that the data contradict, a stuck sensor, an unknown scale of forces.
 """
 
 from __future__ import annotations
@@ -54,8 +54,8 @@ NAMES = {
     "n": "shaft speed",
 }
 LATE_CODES = frozenset({"sensor-late", "thrust-late", "motion-late"})  # findings of `seatrial check`
-DELAY_BIASED = frozenset({"m", "d", "T", "K"})  # first letters of masses, damping, time constants and gains
-MOST_NAMES = 4  # channels or logs that a sentence lists by name
+DELAY_BIASED = frozenset({"m", "d", "T", "K"})  # masses, damping, time constants, gains: their names before a "_"
+MOST_NAMES = 4  # channels or logs that a sentence lists by name; the others are counted
 FINE_SHIFT_PERCENT = 2.0  # smaller changes are printed with one decimal
 FACTOR_FROM = 3.0  # larger ratios of errors are printed as a factor, not in per cent
 LEVEL = 0.01  # significance level of the whiteness tests
@@ -67,16 +67,16 @@ FEWEST_SAMPLES = 10  # equal samples from which a sensor is called stuck
 
 
 def change_sentence(change: PredictionChangeRow, horizon: float) -> str:
-    """Return the sentence of a result on how added effects changed the prediction errors over the horizon [s].
+    """Return the sentence of a result on how added effects changed the prediction errors over the horizon.
 
-    The sentence claims a fall or a rise only if ``change.verdict`` does, and a rise by three times or more is a factor
-    instead of per cent. Up to four better channels and all worse channels are named. Without an interval the sentence
-    says that the data are too short.
+    The sentence claims a fall or a rise only if ``change.verdict`` does. The change is in per cent; a rise to three
+    times the error or more is a factor instead. Up to four better channels and all worse channels are named. Without a
+    95 % interval the sentence only states that the data are too short.
 
     Parameters
     ----------
     change
-        Change of the errors over the horizon, with its 95 % interval and verdict.
+        Change of the errors over the horizon, with its 95 % interval, its verdict, and the channels that changed.
     horizon
         Prediction horizon [s].
     """
@@ -103,9 +103,10 @@ def change_sentence(change: PredictionChangeRow, horizon: float) -> str:
 
 
 def _first_names(channels: Sequence[str], most: int = MOST_NAMES) -> str:
-    """Return the first ``most`` of some names for a sentence, separated by commas, and the number of the others.
+    """Return names of channels or logs for a sentence, separated by commas: ``heading, north and 2 more``.
 
-    ``channels``: names of channels or logs. Known channels are written out: ``psi`` as heading.
+    Names in ``NAMES`` are written out (``psi`` as heading). Of more than ``most`` names, the first ``most`` are
+    returned with the number of the others.
     """
     names = [NAMES.get(name, name) for name in channels]
     more = len(names) - most
@@ -113,7 +114,7 @@ def _first_names(channels: Sequence[str], most: int = MOST_NAMES) -> str:
 
 
 def _percent(share: float) -> str:
-    """Return a share (1: all) in whole per cent for a sentence: 0.34 -> ``34 %``."""
+    """Return a share (1: all) as text in whole per cent: 0.34 -> ``34 %``."""
     return f"{100 * share:.0f} %"
 
 
@@ -126,32 +127,33 @@ def vehicle_answer(
     *,
     searchable: bool,
 ) -> str:
-    """Return the answer of a vehicle fit: the fit over the horizon and the whiteness of the residuals.
+    """Return the answer of a vehicle fit: its fit in per cent over the horizon, and the whiteness of its residuals.
 
     Parameters
     ----------
     prediction : PredictionFit or None
-        Fit of all channels over the horizon. Without it the answer has only the sentence on the residuals.
+        Fit of all channels over the horizon. If it is None, the answer has only the sentence on the residuals.
     errors : Errors
         RMS prediction errors by channel.
     horizon : float
         Prediction horizon [s].
     residuals : sequence of ResidualTests
-        Whiteness tests of each record and channel.
+        Whiteness tests of each record and channel. If there are none, the answer states that the samples are too few.
     cross : sequence of CrossCorrelationRow
         Correlations of the residuals with each input.
     searchable : bool
-        Whether `seatrial ident diagnose` can search this model for missing effects.
+        Whether `seatrial ident diagnose` can search this model for missing effects. If it can, the answer advises it.
     """
     fit_sentence = "" if prediction is None else f"{_fit_sentence(prediction, errors, horizon)} "
     return f"{fit_sentence}{_whiteness_sentence(errors, residuals, cross, searchable)}"
 
 
 def _fit_sentence(prediction: PredictionFit, errors: Errors, horizon: float) -> str:
-    """Return the sentence on the fit of all channels over the horizon [s], with the best and the worst channel.
+    """Return the sentence on the fit (per cent) of all channels over the horizon [s], with the best and worst channel.
 
-    The channels are those of the validation data, or of the estimation data if there are no others. If the prediction
-    of some channels diverges, the sentence names only them.
+    The fits of the channels are those on the validation data, or on the estimation data if there are no others. If the
+    prediction of some channels diverges, the sentence names only them. A 95 % interval wider than 50 per cent points
+    is replaced by the interval of time with the largest errors.
     """
     begin = f"{horizon:g} s ahead on {prediction.role} data, all channels: "
     table = errors.estimation if errors.validation is None else errors.validation
@@ -174,10 +176,12 @@ def _fit_sentence(prediction: PredictionFit, errors: Errors, horizon: float) -> 
 def _whiteness_sentence(
     errors: Errors, residuals: Sequence[ResidualTests], cross: Sequence[CrossCorrelationRow], searchable: bool
 ) -> str:
-    """Return the sentence on the residuals: whether they are white and uncorrelated with the inputs.
+    """Return the sentence on the residuals: whether they are white, and whether they are uncorrelated with the inputs.
 
-    Each is tested at 1 % over all channels; the level is divided by the number of tests (Bonferroni). Without tests the
-    sentence says that there are too few samples. ``searchable`` adds the advice to run `seatrial ident diagnose`.
+    Each of both is tested at 1 % over all channels: the significance level is divided by the number of tests
+    (Bonferroni). If only measured inputs such as the heading are correlated, the sentence names sensor noise as a
+    possible cause. Without ``residuals`` it states that there are too few samples. ``searchable`` adds the advice to
+    run `seatrial ident diagnose`.
     """
     tests = [p for r in residuals for p in (r.ljung_box_p, r.periodogram_p)]
     pairs = [c for c in cross if c.p is not None]
@@ -206,18 +210,19 @@ def _whiteness_sentence(
 
 
 def _largest_correlation(significant: Sequence[CrossCorrelationRow]) -> str:
-    """Return the largest of the significant correlations of residuals with inputs, with its channel in brackets.
+    """Return the largest correlation of residuals with an input and its channel, in brackets, as the end of a sentence.
 
-    Empty if there is none. The size matters, because in a long record even negligible correlations are significant.
+    ``significant`` has the correlations that are significant. The text is empty without correlations. The size matters,
+    because in a long record even negligible correlations are significant.
     """
     most = max((c for c in significant if c.largest is not None), key=lambda c: c.largest or 0.0, default=None)
     return "" if most is None else f" (correlation up to {most.largest:.2g}, {NAMES.get(most.channel, most.channel)})"
 
 
 def _untested_channels(errors: Errors, residuals: Sequence[ResidualTests]) -> str:
-    """Return, in brackets for a sentence, the channels of the estimation data with too few samples for residual tests.
+    """Return the channels of the estimation data without residual tests, in brackets, as the end of a sentence.
 
-    Empty if there are none.
+    They have too few samples in every record. The text is empty if all channels were tested.
     """
     tested = {r.channel for r in residuals}
     left = [n for n in errors.estimation.one_step if n not in tested]
@@ -225,15 +230,17 @@ def _untested_channels(errors: Errors, residuals: Sequence[ResidualTests]) -> st
 
 
 def calibration_notes(calibration: Calibrations, horizon: float) -> list[str]:
-    """Return one sentence for each kind of prediction whose intervals are too narrow or too wide, with the channels.
+    """Return sentences on prediction intervals that are too narrow or too wide, with the channels concerned.
 
-    The kinds are one step ahead, over the horizon [s] and simulated. The sentences are about the validation data, or
-    about the estimation data if there are no validation data. Empty if all intervals are right.
+    There is at most one sentence on narrow and one on wide intervals for each kind of prediction: one step ahead, over
+    the horizon, simulated. The factor of each channel is its RMS error over the predicted one. The sentences are about
+    the validation data, or about the estimation data if there are no validation data. The list is empty if no channel
+    is overconfident or underconfident.
 
     Parameters
     ----------
     calibration
-        Calibration of each channel by set of data and kind of prediction.
+        Calibration of each channel by set of data (estimation, validation) and kind of prediction.
     horizon
         Prediction horizon [s].
     """
@@ -262,19 +269,20 @@ def calibration_notes(calibration: Calibrations, horizon: float) -> list[str]:
 
 
 def estimation_warnings(fit: Fit, records: Sequence[Record], length: float | None = None) -> list[ResultWarning]:
-    """Return the warnings of a fit, those about its scale first.
+    """Return the warnings of a fit, those about an unknown scale of forces first.
 
-    Further warnings are about declared noise or priors that the data contradict, masses that the data do not determine,
-    a yaw inertia that is too small for the mass, records that were cut, and stuck sensors.
+    Further warnings are about declared noise or priors that the data contradict, a search that stopped close to the
+    maximum, masses that the data do not determine, a yaw inertia that is too small for the mass, records that were cut,
+    and stuck sensors. The list is empty if none of these applies.
 
     Parameters
     ----------
     fit : Fit
-        The fit.
+        Fit of a vehicle or thruster model.
     records : sequence of Record
         Records that the parameters were fitted to.
     length : float, optional
-        Length of the hull [m]; without it the least yaw inertia follows from the thrusters' arms alone.
+        Length of the hull [m]. If it is None, the least plausible yaw inertia follows from the thrusters' arms alone.
     """
     warnings = scale_warnings(thrust_scale_of(fit.model))
     for p, value, widths in contradicted_priors(fit):
@@ -316,16 +324,20 @@ def estimation_warnings(fit: Fit, records: Sequence[Record], length: float | Non
 
 
 def design_warnings(model: Model, thrust: float, pole: float | None) -> list[ResultWarning]:
-    """Return warnings about the built-in values that an experiment design assumes.
+    """Return warnings about the built-in values that an experiment design assumes in place of measured ones.
+
+    The values are the thrust and the thrusters' arms of the model, the thrust behind inputs that are forces, and the
+    time constant of the shafts.
 
     Parameters
     ----------
     model : Model
-        The model that is designed for.
+        Model for which the mission is designed.
     thrust : float
-        Assumed thrust of one thruster at full speed [N], if the inputs of the model are forces.
+        Assumed thrust of one thruster at full speed [N]. It is used only if inputs of the model are forces.
     pole : float or None
-        Assumed pole of the shafts between command and model [1/s]; None if the model contains the shafts.
+        Assumed pole of the shafts' lag between command and shaft speed [1/s]. If it is None, because the model contains
+        the shafts, there is no such warning.
     """
     warnings = scale_warnings(thrust_scale_of(model))
     forces = [i.name for i in model.inputs if i.unit in ("N", "N m")]
@@ -346,9 +358,10 @@ def design_warnings(model: Model, thrust: float, pole: float | None) -> list[Res
 
 
 def scale_warnings(scale: ThrustScale) -> list[ResultWarning]:
-    """Return one warning each if the thrust or the thrusters' arms were not given.
+    """Return a warning if the thrust was not given, and another if the thrusters' arms were not given.
 
-    Masses and inertias are then ratios to the thrust or to the arm.
+    Masses and damping are then ratios to the thrust, or inertia and damping in yaw ratios to the arm. The list is empty
+    if both were given or are not needed.
     """
     warnings = []
     if scale.relative:
@@ -372,14 +385,15 @@ def scale_warnings(scale: ThrustScale) -> list[ResultWarning]:
 def outlier_lines(residuals: Sequence[ChannelResiduals], model: Model) -> list[str]:
     """Return one sentence with advice for each record and channel that has outliers among its innovations.
 
-    Channels that are already estimated robustly have no sentence.
+    An outlier is beyond six standard deviations. Channels that are already estimated robustly, with outliers as part of
+    their density, have no sentence.
 
     Parameters
     ----------
     residuals
-        Innovations of each record and channel, with their tests.
+        Standardised innovations of each record and channel, with their tests.
     model
-        Model, of which the outputs that are estimated robustly are left out.
+        Model; each of its outputs is marked as estimated robustly or not.
     """
     robust = {o.name for o in model.outputs if o.robust}
     lines = []
@@ -394,16 +408,29 @@ def outlier_lines(residuals: Sequence[ChannelResiduals], model: Model) -> list[s
 
 
 def faults_first(made: Provenance) -> str:
-    """Return the beginning of an answer that was fitted to logs with faults (`--despite-faults`).
+    """Return the beginning of the answer of a fit to logs with faults (`--despite-faults`), which lists the faults.
 
-    Empty if no log has a fault that makes a fit meaningless.
+    It ends with a space. It is empty if no log has a fault that makes a fit meaningless.
+
+    Parameters
+    ----------
+    made
+        Provenance of the result, with the findings of the checks of each log.
     """
     faults = [f"{log.path}: {f.where}: {f.text}" for log in made.logs for f in log.findings if f.spoils]
     return f"The logs have faults that can make this result meaningless ({'; '.join(faults)}). " * bool(faults)
 
 
 def check_warnings(made: Provenance) -> list[ResultWarning]:
-    """Return one warning for each finding of the checks before a fit, with up to four of the logs that have it."""
+    """Return one warning for each different finding of the checks of the logs before a fit.
+
+    A warning names up to four of the logs that have the finding, and the number of the others.
+
+    Parameters
+    ----------
+    made
+        Provenance of the result, with the findings of the checks of each log.
+    """
     logs: dict[str, list[str]] = {}
     for log in made.logs:
         for f in log.findings:
@@ -412,10 +439,10 @@ def check_warnings(made: Provenance) -> list[ResultWarning]:
 
 
 def late_sensor_warnings(made: Provenance, model: Model) -> list[ResultWarning]:
-    """Return a warning if a log has a late sensor or thrust signal, with the parameters that the delay biases.
+    """Return a warning if a sensor or thrust signal of a log is late, with the parameters that the delay biases.
 
-    Only delays that `seatrial check` calls a fault count. Empty if no free parameter is a mass, damping, time constant
-    or gain.
+    Only a delay that `seatrial check` calls a fault counts. The biased parameters are the free masses, damping
+    coefficients, time constants and gains. The list is empty if no signal is late or the model has no such parameter.
 
     Parameters
     ----------
@@ -437,14 +464,17 @@ def late_sensor_warnings(made: Provenance, model: Model) -> list[ResultWarning]:
 
 
 def frame_warnings(model: Model, unplaced: Sequence[str], *, saved_origin_unknown: bool = False) -> list[ResultWarning]:
-    """Return a warning if a fixed point of the model is shared by logs whose x and y may have different origins.
+    """Return a warning if the model has an effect at a fixed point, and the x and y of logs may have different origins.
+
+    A fixed point, for example of a mooring, has the same x and y in all logs. The list is empty if the model has no
+    effect at a fixed point, or if all origins are known.
 
     Parameters
     ----------
     model : Model
-        Model with its effects. Without an effect at a fixed point there is no warning.
+        Model with its effects.
     unplaced : sequence of str
-        Logs without latitude and longitude, so that the origin of their x and y is unknown.
+        Names of the logs without latitude and longitude, so that the origin of their x and y is unknown.
     saved_origin_unknown : bool
         Whether the model file lacks the origin of the x and y that the model was fitted to.
     """
@@ -467,7 +497,11 @@ def frame_warnings(model: Model, unplaced: Sequence[str], *, saved_origin_unknow
 
 
 def frames_assumed(fitted: FittedModel) -> list[ResultWarning]:
-    """Return warnings that records of a fit may have different origins of x and y; none for a single record."""
+    """Return the warning of ``frame_warnings`` for the records of a fit: their x and y may have different origins.
+
+    The records are those of the estimation data and of the validation runs. The list is empty for a single record, if
+    the origin of each record is known, or if the model has no effect at a fixed point.
+    """
     records = {
         r.name: r for r in (*fitted.records, *(v.record for v in fitted.validation if not fitted.cross_validated))
     }
@@ -476,7 +510,10 @@ def frames_assumed(fitted: FittedModel) -> list[ResultWarning]:
 
 
 def not_converged(fit: Fit) -> str | None:
-    """Return the sentence that replaces the answer of a fit that did not converge; None if it converged."""
+    """Return the sentences that replace the answer of a fit that did not converge: the reason and advice.
+
+    The result is None if the fit converged.
+    """
     if fit.converged:
         return None
     return (
@@ -486,13 +523,13 @@ def not_converged(fit: Fit) -> str | None:
 
 
 def failed_run_warnings(failed: Sequence[FailedRun]) -> list[ResultWarning]:
-    """Return one warning for each validation run that could not be evaluated."""
+    """Return one warning for each validation run that could not be evaluated, with the reason."""
     text = "Left out of the validation: {0.record}, which cannot be evaluated: {0.reason}."
     return [ResultWarning(code="validation-run-failed", text=text.format(f)) for f in failed]
 
 
 def cut_records(records: Sequence[Record]) -> list[ResultWarning]:
-    """Return one warning for each record that was cut at its end because one of its signals ends early."""
+    """Return one warning for each record whose end was cut off because one of its signals ends early."""
     cuts = ((r, *r.meta["cut"]) for r in records if "cut" in r.meta)
     return [
         ResultWarning(
@@ -504,7 +541,7 @@ def cut_records(records: Sequence[Record]) -> list[ResultWarning]:
 
 
 def stuck_sensors(records: Sequence[Record]) -> list[ResultWarning]:
-    """Return one warning for each channel of any record with at least ten samples that are all equal."""
+    """Return one warning for each channel of any record with at least ten samples that are all equal (stuck sensor)."""
     return [line for record in records for line in _stuck_channel_warnings(record)]
 
 
@@ -524,19 +561,20 @@ def _stuck_channel_warnings(record: Record) -> list[ResultWarning]:
 
 
 def smallest_command(records: Sequence[Record]) -> float:
-    """Return the smallest command that was held on a thruster bench, as a part of full command.
+    """Return the smallest command that was held on a thruster bench, as a part of full command (0 to 1).
 
-    It is the 5 % quantile of the absolute commands that are not zero, because a ramp may only pass through the
-    smallest. 1.0 if all commands are zero.
+    It is the 5 % quantile of the absolute commands that are not zero, because a ramp passes through smaller commands
+    without holding them. It is 1.0 if all commands are zero. Each record must have the input ``n_cmd_0``.
     """
     size = np.abs(np.concatenate([r.u[:, r.inputs.index("n_cmd_0")] for r in records]))
     return float(np.quantile(size[size > 0.0], RAMP_SHARE)) if size.any() else 1.0
 
 
 def plus_minus(value: float, error: float) -> str:
-    """Format a value and its standard error to two digits of the error, for a sentence: ``40.783 ± 0.029``.
+    """Return a value and its standard error as text to two digits of the error: ``40.783 ± 0.029``.
 
-    At most nine decimals are printed, and one decimal if the error is not positive.
+    Both have the same number of decimals, at most nine; an error of 10 or more has none. If the error is not positive
+    or NaN, both have one decimal.
     """
     decimals = min(max(1 - math.floor(math.log10(error)), 0), 9) if error > 0.0 else 1
     return f"{round(value, decimals) + 0.0:.{decimals}f} ± {error:.{decimals}f}"  # + 0.0 turns -0 into 0
@@ -549,20 +587,22 @@ def thruster_answer(
     calibration: float | None = None,
     smallest: float = 0.0,
 ) -> str:
-    """Return the answer of a thruster fit: thrust at full speed, delay, time constant and dead zone.
+    """Return the answer of a thruster fit: thrust at full shaft speed, delay, time constant and dead zone.
 
     Parameters
     ----------
     fitted : Fit
         Fit of the thruster model.
     has_force : bool
-        Whether the bench has a load cell. Without it the answer has no thrust.
+        Whether the bench has a load cell. Without it the answer states that the thrust is unknown.
     directions : sequence of float
-        Directions in which the shaft turned: 1 forward, -1 reverse. Other directions are called not measured.
+        Directions in which the shaft turned: 1 forward, -1 reverse. A direction that is missing is called not measured.
+        A direction without a finite standard error is called not identifiable.
     calibration : float, optional
-        Relative standard uncertainty of the measured force; None if it was not given.
+        Relative standard uncertainty of the load cell's force, which is added to the standard errors of the thrust. If
+        it is None, the errors are called statistical only.
     smallest : float
-        Smallest command that was tried, as a part of full command. The dead zone below it is unknown.
+        Smallest command that was tried, as a part of full command. A dead zone below it cannot be measured.
     """
     a, tau, d = (fitted.estimate(n) for n in ("a", "tau", "d"))
     shaft = (
@@ -590,9 +630,10 @@ def thruster_answer(
 
 
 def thruster_warnings(directions: Sequence[float]) -> list[ResultWarning]:
-    """Return a warning if the shaft turned in one direction only on the bench.
+    """Return a warning if the shaft turned in one direction only on the bench, so that the other thrust is unknown.
 
-    ``directions``: 1 for forward, -1 for reverse; the thrust in the other direction is then unknown.
+    ``directions`` has the directions in which the shaft turned: 1 for forward, -1 for reverse. The list is empty for
+    two directions.
     """
     if len(directions) != 1:
         return []
@@ -605,7 +646,10 @@ def thruster_warnings(directions: Sequence[float]) -> list[ResultWarning]:
 
 
 def curve_warnings(levels: Levels) -> list[ResultWarning]:
-    """Return a warning if the zero of the load cell is unknown because the command was never held at zero."""
+    """Return a warning if the zero of the load cell is unknown, because the command was never held at zero.
+
+    The list is empty if the zero is known. ``levels`` has the held commands with their mean forces.
+    """
     if levels.offset is not None:
         return []
     text = (
@@ -616,16 +660,21 @@ def curve_warnings(levels: Levels) -> list[ResultWarning]:
 
 
 def curve_notes(levels: Levels, measured: ThrustCurve, quadratic: Quadratic) -> list[str]:
-    """Return the notes of a static thrust curve: zero, quadratic fit, standard errors, calibration, pooled levels.
+    """Return the notes of a static thrust curve, one text each on the following.
+
+    - The load cell's reading at rest, which was subtracted; left out if the command was never held at zero.
+    - The quadratic fit, and what the standard errors include.
+    - The error of the load cell's calibration.
+    - The commands whose forces were averaged so that the force rises with the command; left out if there are none.
 
     Parameters
     ----------
     levels
-        Levels of held command with their mean forces [N].
+        Held commands (levels) with their mean forces [N].
     measured
         Thrust curve through the levels, and the uncertainty of the load cell's calibration.
     quadratic
-        Quadratic fit c1 n|n| + c2 n^2 to the levels.
+        Quadratic fit ``c1 n|n| + c2 n^2`` [N] to the levels.
     """
     curve, calibration = measured.curve, measured.calibration
     errors = np.sqrt(np.diag(quadratic.covariance))
@@ -666,9 +715,10 @@ def curve_notes(levels: Levels, measured: ThrustCurve, quadratic: Quadratic) -> 
 
 
 def homogeneity_sentence(a: HomogeneityTest) -> str:
-    """Return the sentence on a homogeneity test: shared value, value of each log, verdict and scatter.
+    """Return the sentence on a homogeneity test: one value of a parameter for all logs against one for each log.
 
-    If fewer than two logs inform the parameter, the sentence says only that.
+    It has the common value, the value of each log, the verdict, and the mean with the scatter between the logs. Logs
+    that do not inform the parameter are named. If fewer than two logs inform it, the sentence states only that.
     """
     each = ", ".join(f"{v:.3g} ± {e:.2g}" for v, e in zip(a.values, a.errors, strict=True))
     low, high = a.interval

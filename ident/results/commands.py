@@ -1,6 +1,6 @@
-"""Result types of the commands that are not diagnoses, and builders of the vehicle and thruster results.
+"""Types of the results that are not fits, and builders of the results of a vehicle or thruster fit.
 
-The types are those of information, navigation, noise, experiment design and Monte Carlo study.
+The types are those of information in logs, navigation, sensor noise, mission design and Monte Carlo study.
 """
 
 from __future__ import annotations
@@ -66,12 +66,12 @@ from seatrial.ident.validation import PredictionEvaluation
 
 @dataclass(frozen=True)
 class FitContext:
-    """Context of a fit: facts that are reported with the estimates but were fixed before the fit.
+    """Context of a fit: what is reported with the estimates, but is not part of the fit itself.
 
     Attributes
     ----------
     start
-        Initial value of each parameter by name.
+        Initial value of each parameter by name, in the unit of the parameter.
     notes
         Sentences that precede the other notes of the result.
     unused
@@ -79,7 +79,8 @@ class FitContext:
     length
         Length of the hull [m]; None if the rig does not give it.
     assessment
-        Result of the score tests, with the common errors that were added; None without tests.
+        Result of the score tests of the model: the common errors that were added, and the shifts of the estimates by
+        other missing effects. None if the model was not tested.
     """
 
     start: Mapping[str, float]
@@ -97,14 +98,14 @@ def vehicle_result(
     homogeneity: Sequence[HomogeneityTest],
     posed: FitContext,
 ) -> VehicleResult:
-    """Return the result of a vehicle fit and its evaluation.
+    """Return the result of `seatrial ident vehicle` from a fit and its evaluation.
 
-    If the fit did not converge, the answer says only that.
+    If the fit did not converge, the answer states only that. If the logs have faults, the answer begins with them.
 
     Parameters
     ----------
     fitted : FittedModel
-        The fit and its evaluation on each record.
+        Model, its fit, and its evaluation on each record.
     evaluation : PredictionEvaluation
         Predictions, residuals and calibration of the fitted model.
     made : Provenance
@@ -112,9 +113,9 @@ def vehicle_result(
     profiles : sequence of Profile
         Profile likelihoods; empty without `--profile`.
     homogeneity : sequence of HomogeneityTest
-        Tests of one value for all logs; empty without `--test-homogeneity`.
+        Tests of one value of a parameter for all logs; empty without `--test-homogeneity`.
     posed : FitContext
-        Initial values, notes and unused signals from before the fit.
+        Initial values, notes, unused signals, length of the hull and score tests of the model.
     """
     reported = ReportedEstimates(fitted.fit)
     common = None if posed.assessment is None else posed.assessment.common_errors
@@ -167,14 +168,14 @@ def thruster_result(
     posed: FitContext,
     calibration: float | None,
 ) -> ThrusterResult:
-    """Return the result of a thruster fit and its evaluation.
+    """Return the result of `seatrial ident thruster` for logs with a shaft speed, from a fit and its evaluation.
 
-    If the fit did not converge, the answer says only that.
+    If the fit did not converge, the answer states only that.
 
     Parameters
     ----------
     fitted : FittedModel
-        The fit and its evaluation on each record.
+        Model, its fit, and its evaluation on each record.
     evaluation : PredictionEvaluation
         Predictions, residuals and calibration of the fitted model.
     made : Provenance
@@ -182,11 +183,12 @@ def thruster_result(
     profiles : sequence of Profile
         Profile likelihoods; empty without `--profile`.
     static : StaticForce or None
-        Measured and fitted static thrust; None if the logs have no force.
+        Measured and fitted static thrust; None if the logs have no measured force.
     posed : FitContext
-        Initial values and notes from before the fit.
+        Initial values and notes; its other fields are not used.
     calibration : float or None
-        Relative standard uncertainty of the load cell's force; None if the rig does not give it.
+        Relative standard uncertainty of the load cell's force, which the standard errors of forces then include. None
+        if the rig does not give it.
     """
     bands, ways = calibration_tables(evaluation), directions(fitted.records)
     return ThrusterResult(
@@ -217,15 +219,15 @@ def thruster_result(
 def _notes(first: Sequence[str], evaluation: PredictionEvaluation, calibration: Calibrations) -> tuple[str, ...]:
     """Return the notes of the result of a vehicle or thruster fit.
 
-    The order is: ``first`` (notes from before the fit), channels with outliers, and prediction intervals that are too
-    narrow or too wide.
+    The order is: ``first`` (given sentences), channels with outliers, and prediction intervals that are too narrow or
+    too wide.
     """
     outliers = outlier_lines(evaluation.residuals, evaluation.model)
     return (*first, *outliers, *calibration_notes(calibration, evaluation.horizon))
 
 
 class LogSpan(Part, frozen=True, kw_only=True):
-    """Interval of a log."""
+    """Interval of time of a log, with the step of the mission in it."""
 
     record: Annotated[str, Meta(description="name of the record")]
     t_from: Annotated[float, Meta(description="[s of the log]")]
@@ -234,7 +236,7 @@ class LogSpan(Part, frozen=True, kw_only=True):
 
 
 class InformedParameter(LogSpan, frozen=True, kw_only=True):
-    """Information of all logs about a parameter, and the segment that contributes most."""
+    """Fisher information of all logs about a parameter, and the segment of a log that contributes most to it."""
 
     name: Annotated[str, Meta(description="name of the parameter")]
     meaning: Annotated[str, Meta(description="meaning in words")]
@@ -253,7 +255,7 @@ class InformedParameter(LogSpan, frozen=True, kw_only=True):
 
 
 class SegmentInformation(LogSpan, frozen=True, kw_only=True):
-    """Information of a segment about each parameter, in the order of `names`."""
+    """Fisher information of one segment of a log about each parameter; arrays are in the order of `names`."""
 
     weight: Annotated[
         Array,
@@ -273,14 +275,14 @@ class Information(Part, frozen=True, kw_only=True):
 
 
 class InformationResult(Result, frozen=True, kw_only=True, tag_field="kind", tag="information"):
-    """`seatrial ident information`: Fisher information of log segments about the parameters of a fitted model."""
+    """Result of `seatrial ident information`: Fisher information of log segments about parameters of a fitted model."""
 
     information: Annotated[Information, Meta(description="information of the logs")]
     inputs: Annotated[tuple[InputTrace, ...], Meta(description="inputs of each log")]
 
 
 class StateTrace(Part, frozen=True, kw_only=True):
-    """State over time, estimated from the model and all sensors."""
+    """State of the model in one log over time, estimated from the model and all sensors."""
 
     name: Annotated[str, Meta(description="name of the state")]
     unit: Annotated[str, Meta(description="unit of the values, SI and radians; empty: none")]
@@ -292,7 +294,7 @@ class StateTrace(Part, frozen=True, kw_only=True):
 
 
 class GnssFixes(Part, frozen=True, kw_only=True):
-    """Measured GNSS positions."""
+    """Positions in one log that GNSS measured (fixes)."""
 
     t: Annotated[Array, Meta(description="[s of the log]")]
     x: Annotated[Array, Meta(description="north [m]")]
@@ -313,7 +315,7 @@ class NavigatedRecord(Part, frozen=True, kw_only=True):
 
 
 class PositionEllipse(Part, frozen=True, kw_only=True):
-    """Ellipse that contains the position with 95 % probability."""
+    """Ellipse about a predicted position that contains the true position with 95 % probability."""
 
     major: Annotated[float, Meta(description="half axis [m]")]
     minor: Annotated[float, Meta(description="half axis [m]")]
@@ -322,7 +324,7 @@ class PositionEllipse(Part, frozen=True, kw_only=True):
 
 
 class WithheldErrors(Part, frozen=True, kw_only=True):
-    """Errors of the estimated position at the fixes that were withheld."""
+    """Distances between estimated positions and the GNSS fixes that were withheld on purpose in an outage."""
 
     rms: Annotated[float, Meta(description="[m]")]
     largest: Annotated[float, Meta(description="[m]")]
@@ -331,7 +333,10 @@ class WithheldErrors(Part, frozen=True, kw_only=True):
 
 
 class GnssOutage(Part, frozen=True, kw_only=True):
-    """GNSS outage: predicted position at its end, and the error of this prediction."""
+    """GNSS outage (time without a position fix): predicted position at its end, and the error of this prediction.
+
+    Keys about fixes are null if the outage has no such fix.
+    """
 
     record: Annotated[str, Meta(description="name of the record")]
     start: Annotated[float, Meta(description="[s of the log]")]
@@ -356,7 +361,7 @@ class GnssOutage(Part, frozen=True, kw_only=True):
 
 
 class NavigationResult(Result, frozen=True, kw_only=True, tag_field="kind", tag="navigation"):
-    """`seatrial ident navigate`: states of the boat, estimated with a fitted model."""
+    """Result of `seatrial ident navigate`: states of the boat, estimated with a fitted model."""
 
     navigation: Annotated[tuple[NavigatedRecord, ...], Meta(description="one for each log")]
     outages: Annotated[tuple[GnssOutage, ...], Meta(description="one for each outage")]
@@ -373,7 +378,7 @@ class SpectrumBands(Part, frozen=True, kw_only=True):
 
 
 class ChannelNoise(Part, frozen=True, kw_only=True):
-    """Noise model of a channel of a sensor at rest: white noise plus a random walk, and its test."""
+    """Noise model of a channel of a sensor at rest: white noise plus a random walk, and the test of this model."""
 
     channel: Annotated[
         str, Meta(description="name of the channel, preceded by that of the log if there are several logs")
@@ -403,13 +408,13 @@ class ChannelNoise(Part, frozen=True, kw_only=True):
 
 
 class NoiseResult(Result, frozen=True, kw_only=True, tag_field="kind", tag="noise"):
-    """`seatrial ident noise`: the noise of sensors at rest."""
+    """Result of `seatrial ident noise`: the noise of sensors at rest."""
 
     noise: Annotated[tuple[ChannelNoise, ...], Meta(description="one for each channel of each log")]
 
 
 class DesignedParameter(Part, frozen=True, kw_only=True):
-    """Standard errors of a parameter before and after the mission; null: no information."""
+    """Standard errors of a parameter before and after the designed mission; null: no information."""
 
     name: Annotated[str, Meta(description="name of the parameter")]
     meaning: Annotated[str, Meta(description="meaning in words")]
@@ -426,7 +431,7 @@ class DesignedParameter(Part, frozen=True, kw_only=True):
 
 
 class Baseline(Part, frozen=True, kw_only=True):
-    """Baseline signal: the best of several random sequences, which the design is compared with."""
+    """Baseline signal: a kind of random sequence (PRBS or RGS) whose best sequence is compared with the design."""
 
     name: Annotated[str, Meta(description="`PRBS` or `RGS`")]
     value: Annotated[float, Meta(description="criterion of the best sequence")]
@@ -435,7 +440,7 @@ class Baseline(Part, frozen=True, kw_only=True):
 
 
 class CommandTrace(Part, frozen=True, kw_only=True):
-    """Command of an input over time."""
+    """Command of the designed mission for one input over time."""
 
     name: Annotated[str, Meta(description="name of the input")]
     t: Annotated[Array, Meta(description="time since the first step [s]")]
@@ -443,7 +448,10 @@ class CommandTrace(Part, frozen=True, kw_only=True):
 
 
 class DesignTrack(Part, frozen=True, kw_only=True):
-    """Predicted track of the boat, from rest and heading north: before, during and after the steps."""
+    """Predicted track of the boat in the designed mission, before, during and after its steps.
+
+    The boat starts at rest, heading north. The other tracks are those of boats with sampled parameters.
+    """
 
     t: Annotated[Array, Meta(description="time since the beginning of the mission [s]")]
     x: Annotated[Array, Meta(description="north of the start [m]")]
@@ -464,7 +472,10 @@ class DesignTrack(Part, frozen=True, kw_only=True):
 
 
 class Discrimination(Part, frozen=True, kw_only=True):
-    """Discrimination of two effects by the mission (`--discriminate`)."""
+    """Discrimination of two effects by the designed mission (`--discriminate`).
+
+    Criterion T is twice the expected log-likelihood ratio of the model with the true effect against the other model.
+    """
 
     effects: Annotated[tuple[str, str], Meta(description="names of the first and the second effect")]
     if_second: Annotated[float, Meta(description="criterion T if the second effect is true")]
@@ -474,7 +485,7 @@ class Discrimination(Part, frozen=True, kw_only=True):
 
 
 class DesignResult(Result, frozen=True, kw_only=True, tag_field="kind", tag="design"):
-    """`seatrial mission design`: the most informative mission for a model."""
+    """Result of `seatrial mission design`: the most informative mission for a model."""
 
     model: Annotated[str, Meta(description="file or name of the model")]
     criterion: Annotated[str, Meta(description="`D`, `A`, `E` or `Ds`")]
@@ -499,18 +510,22 @@ class DesignResult(Result, frozen=True, kw_only=True, tag_field="kind", tag="des
 
     @property
     def margin(self) -> float:
-        """Criterion of the designed mission less that of the best baseline signal; negative if the design is worse."""
+        """Criterion of the designed mission minus that of the best baseline signal; negative if the design is worse."""
         return self.value - max(b.value for b in self.baselines)
 
 
-APART = 0.4  # initial values of a fit are within a factor exp(+-APART) of the truth
+APART = 0.4  # initial values of the fits of a study are within a factor exp(+-APART) of the truth
 BIAS, COVERAGE, VARIANCE = 0.15, (0.93, 0.97), 0.1  # aims of a study: |bias| / sd, coverage, |variance ratio - 1|
 MOST_LOST = 0.05  # share of the replicates that may fail or not converge; with more, the others are a biased sample
 AIMS = {"bias": (-BIAS, BIAS), "ratio": (1.0 - VARIANCE, 1.0 + VARIANCE), "coverage": COVERAGE}
 
 
 class ParameterStudy(Part, frozen=True, kw_only=True):
-    """Bias, variance and coverage of a parameter, in the coordinate of the estimator; intervals are 95 %."""
+    """Bias, variance and coverage of the estimates of a parameter in a Monte Carlo study.
+
+    They are in the coordinate of the estimator, the parameter or the logarithm of a positive parameter. Intervals are
+    95 % intervals.
+    """
 
     name: Annotated[str, Meta(description="name of the parameter")]
     unit: Annotated[str, Meta(description="unit of the values, SI and radians; empty: none")]
@@ -551,21 +566,18 @@ class ModelStudy(Part, frozen=True, kw_only=True):
 
     @property
     def left_out(self) -> str:
-        """Number and reason of the replicates that the statistics leave out: ``2 failed and 3 did not converge``.
-
-        An empty text if there are none.
-        """
+        """Replicates that the statistics leave out as text, ``2 failed and 3 did not converge``; empty without any."""
         counts = ((self.failed, "failed"), (self.unconverged, "did not converge"))
         return " and ".join(f"{n} {reason}" for n, reason in counts if n)
 
     @property
     def too_many_left_out(self) -> bool:
-        """Whether more than 5 % of the replicates failed or did not converge; the others are then a biased sample."""
+        """Whether more than 5 % of the replicates failed or did not converge. The others are then a biased sample."""
         return self.failed + self.unconverged > MOST_LOST * self.replicates
 
 
 class StudyResult(Result, frozen=True, kw_only=True, tag_field="kind", tag="study"):
-    """`seatrial ident study`: Monte Carlo study of bias, variance and coverage of the estimator."""
+    """Result of `seatrial ident study`: Monte Carlo study of bias, variance and coverage of the estimator."""
 
     seed: Annotated[int, Meta(description="seed of the random numbers")]
     studies: Annotated[tuple[ModelStudy, ...], Meta(description="one for each model")]

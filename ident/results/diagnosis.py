@@ -1,4 +1,4 @@
-"""Builder of the result of a diagnosis: the answer in sentences, and the evidence in tables."""
+"""Builder of the result of a diagnosis (`seatrial ident diagnose`): the answer in sentences, the evidence in tables."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ from seatrial.ident.results.tables import (
     tracks,
 )
 
-MOST_CANDIDATES = 24  # candidates of a round that are reported
+MOST_CANDIDATES = 24  # best candidates of a round that are reported; others are reported if they passed
 CHANCE_P = 1e-6  # larger p values of the best score test may occur by chance in data without a missing effect
 
 
@@ -67,24 +67,25 @@ def diagnosis_result(
     model_path: str,
     unused: Sequence[parts.UnusedSignal] = (),
 ) -> DiagnosisResult:
-    """Return the result of a diagnosis and its evaluation.
+    """Return the result of a diagnosis from its findings and its evaluation.
 
-    If one of both fits did not converge, the answer says only that, and there is no caveat.
+    If the fit without or with the effects did not converge, the answer states that, and there is no caveat. If the logs
+    have faults, the answer begins with them.
 
     Parameters
     ----------
     diagnosis : Diagnosis
-        Findings of the search.
+        Findings of the search for missing effects.
     evaluation : DiagnosisEvaluation
-        Predictions of the models without and with the effects.
+        Predictions of the models without and with the effects that were added.
     made : Provenance
         Logs, command line, time and software version.
     warnings : sequence of ResultWarning
-        Warnings of the final fit.
+        Warnings of the fit with the effects.
     notes : sequence of str
         Sentences that precede the other notes of the result.
     model_path : str
-        File of the diagnosed model, which replaces MODEL in the recommended command.
+        File of the diagnosed model, which replaces MODEL in the command of the recommended experiment.
     unused : sequence of UnusedSignal
         Signals of the logs that the model does not use.
     """
@@ -167,14 +168,17 @@ def diagnosis_result(
 
 
 def diagnosis_answer(diagnosis: Diagnosis, prediction: parts.PredictionChangeRow | None, horizon: float) -> str:
-    """Return the answer: the missing effects, the change of the prediction errors, and the kind of validation.
+    """Return the answer of a diagnosis: the missing effects, and the change of the prediction errors by them.
+
+    A last sentence follows if the diagnosis was validated by blocked cross-validation instead of separate runs.
 
     Parameters
     ----------
     diagnosis : Diagnosis
-        Findings of the search.
-    prediction : PredictionChange or None
-        Change of the prediction errors by the effects. Without it, or without effects, the answer has no such sentence.
+        Findings of the search for missing effects.
+    prediction : PredictionChangeRow or None
+        Change of the prediction errors by the effects. If it is None, or if no effect was added, the answer has no
+        sentence on it.
     horizon : float
         Prediction horizon [s].
     """
@@ -190,11 +194,12 @@ def diagnosis_answer(diagnosis: Diagnosis, prediction: parts.PredictionChangeRow
 
 
 def _missing_effects_sentence(diagnosis: Diagnosis, prediction: parts.PredictionChangeRow | None) -> str:
-    """Return one or two sentences on the missing effects, or on why no effect was found.
+    """Return the sentences on the missing effects, or on why no effect was added.
 
-    Without effects the first of these applies: validation runs that the model does not fit; no candidate passed
-    (perhaps because the data are short); candidates could not be fitted; effects were removed as immaterial; the
-    residuals may differ from white noise by chance (no p value below 1e-6); no candidate explains the residuals.
+    Without effects, the first of these that applies is stated: there are validation runs that the model does not fit;
+    no candidate passed the score test (perhaps because the data are short); candidates could not be refitted; effects
+    were removed because the prediction is as good without them; the smallest p value, above 1e-6, may be by chance; no
+    candidate explains the residuals.
     """
     if diagnosis.effects:
         return f"{what_is_lacking(diagnosis, fell=prediction is not None and prediction.verdict == 'fell')}."
@@ -231,9 +236,9 @@ def _missing_effects_sentence(diagnosis: Diagnosis, prediction: parts.Prediction
 
 
 def _short_data_sentence(diagnosis: Diagnosis) -> str:
-    """Return the sentence of a diagnosis on estimation data that are too short to test some candidates.
+    """Return a sentence: no effect was found, but the estimation data are too short to test some candidates.
 
-    It gives the needed length. Empty if all candidates could be tested.
+    It has the needed length [s] of the data. The text is empty if all candidates could be tested.
     """
     short = diagnosis.short_data
     return (
@@ -247,9 +252,10 @@ def _short_data_sentence(diagnosis: Diagnosis) -> str:
 
 
 def reported_mismatches(diagnosis: Diagnosis) -> list[ValidationMismatch]:
-    """Return the validation runs that a diagnosed model does not fit, with parameters in reported units.
+    """Return the validation runs with larger errors than the model predicts, with numbers in reported units.
 
-    These are ratios to the thrust if its scale is unknown.
+    The numbers are those of the parameter change that explains the errors of a run. In reported units they are ratios
+    to the thrust if the thrust was not given.
     """
     return [
         m if m.shift is None else replace(m, shift=_reported_shift(m.shift, ReportedEstimates(diagnosis.after.fit)))
@@ -258,9 +264,10 @@ def reported_mismatches(diagnosis: Diagnosis) -> list[ValidationMismatch]:
 
 
 def _reported_shift(shift: ParameterShift, reported: ReportedEstimates) -> ParameterShift:
-    """Convert the shift of a parameter to reported units.
+    """Convert the change of a parameter in one run, with its standard errors, to reported units.
 
-    The errors need no delta method: the thrust was held while this parameter alone was fitted to the run.
+    These are ratios to the thrust if the thrust was not given. The errors need no delta method, because the thrust was
+    held while this parameter alone was fitted to the run.
     """
     k, scale = reported.factor(shift.unit), reported.scale
     return replace(
@@ -270,10 +277,10 @@ def _reported_shift(shift: ParameterShift, reported: ReportedEstimates) -> Param
 
 
 def mismatch_sentence(m: ValidationMismatch) -> str:
-    """Return the sentence on a validation run with larger errors than predicted.
+    """Return the sentence on a validation run whose one-step errors are larger than the model predicts.
 
-    A second sentence has the parameter change that explains the errors best, if there is one. ``m`` is in reported
-    units.
+    A second sentence has the parameter change that explains the errors best; it is left out if no change does. The
+    numbers of ``m`` are printed as they are (see ``reported_mismatches``).
     """
     name = NAMES.get(m.channel, m.channel)
     mismatch = (
@@ -288,9 +295,9 @@ def mismatch_sentence(m: ValidationMismatch) -> str:
 
 
 def _mismatch_row(m: ValidationMismatch) -> parts.ValidationMismatchRow:
-    """Return the table row of a validation run with larger errors than predicted.
+    """Return the table row of a validation run whose one-step errors are larger than the model predicts.
 
-    ``m`` is already in reported units. Its parameter change is left out of the row if there is none.
+    The numbers of ``m`` are copied. The keys of the parameter change are null if no change explains the errors.
     """
     found = parts.ValidationMismatchRow(record=m.record, channel=m.channel, scale=m.scale)
     if m.shift is None:
@@ -306,24 +313,29 @@ def _mismatch_row(m: ValidationMismatch) -> parts.ValidationMismatchRow:
 
 
 def _passed_candidates(last: Round) -> str:
-    """Return the title of the only candidate that passed the score test of a round, or the number of those."""
+    """Return which candidates passed the score test of a round: the title of a single one, or ``3 candidates``.
+
+    A single candidate without a refit has its name in place of the title.
+    """
     titles = {r.effect.name: r.effect.title for r in last.refits}
     names = [titles.get(name, name) for name in last.passed]
     return names[0] if len(names) == 1 else f"{len(names)} candidates"
 
 
 def what_is_lacking(diagnosis: Diagnosis, *, fell: bool) -> str:
-    """Return the beginning of the answer: identified, then ambiguous, then nonparametric effects, without a full stop.
+    """Return the beginning of the answer, ``The model lacks ...``, with the titles of the effects, without a full stop.
 
-    A nonparametric effect comes first if it is the most important one. The diagnosis must have at least one effect.
+    Identified effects come first, then ambiguous effects as "an effect that resembles ...", then nonparametric effects.
+    Nonparametric effects come first if the most important effect is nonparametric. The diagnosis must have at least
+    one effect.
 
     Parameters
     ----------
     diagnosis : Diagnosis
-        Findings of the search.
+        Findings of the search for missing effects.
     fell : bool
-        Whether the prediction error over the horizon fell. If it did not fall, a nonparametric curve is only said to
-        resemble the missing effect, because its prediction is the only evidence for a curve.
+        Whether the prediction error over the horizon fell. If it did not fall and a nonparametric effect comes first,
+        the text is "The missing effect resembles ...", because a better prediction is the only evidence for a curve.
     """
     titles: dict[str, list[str]] = {"identified": [], "ambiguous": [], "nonparametric": []}
     for r, judged in zip(diagnosis.effects, diagnosis.attributions, strict=True):
@@ -346,7 +358,9 @@ def what_is_lacking(diagnosis: Diagnosis, *, fell: bool) -> str:
 
 
 def in_words(effect: Effect, fitted: FittedModel) -> str:
-    """Return the estimates of an effect as a clause for reports (``Effect.in_words``); empty if it has none.
+    """Return the estimates of an effect as a clause for reports, by the effect's own function ``Effect.in_words``.
+
+    The text is empty if the effect has no such function.
 
     Parameters
     ----------
@@ -361,15 +375,16 @@ def in_words(effect: Effect, fitted: FittedModel) -> str:
 
 
 def _resemblance_clause(titles: Sequence[str]) -> str:
-    """Return the beginning of an answer that the missing effects resemble the effects with these titles."""
+    """Return ``The missing effect resembles TITLE`` (plural for several titles), the beginning of an answer."""
     missing = "The missing effect resembles" if len(titles) == 1 else "The missing effects resemble"
     return f"{missing} {_joined_titles(titles)}"
 
 
 def diagnosis_caveat(diagnosis: Diagnosis) -> str | None:
-    """Return why the name of an effect is uncertain, and whether --max-effects ended the search; None if neither.
+    """Return the caveat of a diagnosis: an uncertain name of an effect, and an end of the search by --max-effects.
 
-    Only the first reason of the first ambiguous effect is given.
+    For the name, only the first reason of the first ambiguous effect is given. For the end, the number of added effects
+    and the candidates that were not tried are given. The result is None if neither applies.
     """
     reasons = [reason for j in diagnosis.attributions if j.attribution == "ambiguous" for reason in j.reasons]
     sentences = [f"The name is uncertain: {reasons[0]}."] if reasons else []
@@ -386,9 +401,10 @@ def _joined_titles(titles: Sequence[str]) -> str:
 
 
 def _residual_force_rows(diagnosis: Diagnosis, evaluation: DiagnosisEvaluation) -> tuple[parts.ResidualForce, ...]:
-    """Return the smoothed disturbance forces without and, if effects were added, with the effects.
+    """Return the smoothed disturbance forces without the effects and, if effects were added, with them.
 
-    There is one row for each record and force, in reported units. Without effects the second columns are None.
+    There is one row for each record and force, in reported units: ratios to the thrust if the thrust was not given. If
+    no effects were added, the columns of the forces with effects are None.
     """
     before, after = (ReportedEstimates(fitted.fit) for fitted in (diagnosis.before, diagnosis.after))
     changed = bool(diagnosis.effects)
@@ -408,10 +424,10 @@ def _residual_force_rows(diagnosis: Diagnosis, evaluation: DiagnosisEvaluation) 
 
 
 def _quiet_round(diagnosis: Diagnosis) -> parts.RoundRow:
-    """Return the table row of a search round in which no candidate passed the score test.
+    """Return the table row of a search without rounds, in which no candidate passed the score test.
 
-    It has the best 24 score tests and the reason why the search ended, which also says so if the data were too short to
-    test some candidates.
+    It has the best 24 score tests and the reason why the search ended. The reason has the number of candidates for
+    which the data were too short, if there are any.
     """
     tested = _round_row(Round(diagnosis.scores, (), (), None))
     why = "no candidate passes the score tests"
@@ -421,9 +437,10 @@ def _quiet_round(diagnosis: Diagnosis) -> parts.RoundRow:
 
 
 def _round_row(search_round: Round) -> parts.RoundRow:
-    """Return the table of one round: the best 24 candidates and all that passed, the refits and the choice.
+    """Return the table row of one round of the search: score tests, refits and the choice of the added effect.
 
-    The best candidates have the largest statistic per degree of freedom.
+    The score tests are those of the 24 best candidates and of all others that passed, best first. The best candidates
+    have the largest statistic per degree of freedom.
     """
     titles = {n: e.title for n, e in catalogue().items()} | {r.effect.name: r.effect.title for r in search_round.refits}
     ranked = sorted(search_round.scores, key=lambda s: -s.lm / max(s.df, 1))
@@ -456,7 +473,7 @@ def _round_row(search_round: Round) -> parts.RoundRow:
 
 
 def _refit_row(r: Refit) -> parts.RefitRow:
-    """Return the result's table row of one refit of the search, with the estimates of the tested effect."""
+    """Return the table row of one refit of the search: gains, outcome, and estimates of the added effect."""
     return parts.RefitRow(
         name=r.effect.name,
         title=r.effect.title,
@@ -472,10 +489,11 @@ def _refit_row(r: Refit) -> parts.RefitRow:
 
 
 def _effect_rows(diagnosis: Diagnosis, role: parts.Role) -> tuple[parts.EffectRow, ...]:
-    """Return the added effects with their estimates in the final model and their importance, the largest first.
+    """Return one table row for each added effect, the most important first.
 
-    The alternatives of an effect are the other refits of its round. ``role`` names the data of the importance:
-    validation data, or estimation data without them.
+    It has the attribution, the estimates in the final model, the competing models and the importance of the effect. The
+    competing models are the other refits of the round that added the effect. ``role`` names the data on which the
+    importance was computed: validation data, or estimation data if there are no validation data.
     """
     rows = []
     rounds = {
@@ -514,9 +532,11 @@ def _effect_rows(diagnosis: Diagnosis, role: parts.Role) -> tuple[parts.EffectRo
 
 
 def _parameter_change_rows(diagnosis: Diagnosis) -> tuple[parts.ParameterChange, ...]:
-    """Return the estimates of the shared free parameters before and after the effects were added, in reported units.
+    """Return the estimates of parameters before and after the effects were added, one row for each parameter.
 
-    The parameters are those of the model without effects. Per-record parameters are left out.
+    The parameters are the free parameters of the model without effects that all records share; per-record parameters
+    are left out. Estimates are in reported units: ratios to the thrust if the thrust was not given. A standard error
+    that is not finite is None.
     """
     before, after = (ReportedEstimates(fitted.fit) for fitted in (diagnosis.before, diagnosis.after))
     scale, rows = before.scale, []
@@ -537,7 +557,11 @@ def _parameter_change_rows(diagnosis: Diagnosis) -> tuple[parts.ParameterChange,
 
 
 def _untested_warnings(diagnosis: Diagnosis) -> list[parts.ResultWarning]:
-    """Return warnings about candidates, effects and curves that could not be tested or fitted."""
+    """Return one warning for each candidate, effect or curve of a diagnosis that could not be tested or fitted.
+
+    Candidates could not have a score test or a refit. The importance of an effect is unknown if the model without it
+    could not be fitted. A nonparametric curve could not be fitted in place of an ambiguous effect.
+    """
     texts = [f"Not tested, because it could not be fitted: {u.effect.title} ({u.reason})." for u in diagnosis.untested]
     texts += [f"Not tested: {u.effect.title} ({u.reason})." for u in diagnosis.untestable]
     texts += [
@@ -554,10 +578,10 @@ def _untested_warnings(diagnosis: Diagnosis) -> list[parts.ResultWarning]:
 
 
 def _blocks_note(evaluation: DiagnosisEvaluation) -> list[str]:
-    """Return the note on how validation runs are predicted if added effects have per-record parameters.
+    """Return the note that validation runs are predicted in blocks of time, because of effects with per-record values.
 
-    Each block of time of a run is predicted with the values that fit its other blocks. The list is empty without such
-    effects.
+    Each block is predicted with the values that fit the other blocks of its run. The list is empty if no added effect
+    has parameters with a separate value for each run.
     """
     if not evaluation.in_blocks:
         return []
@@ -570,9 +594,10 @@ def _blocks_note(evaluation: DiagnosisEvaluation) -> list[str]:
 
 
 def _removal_reason(removed: RemovedEffect, policy: SearchPolicy) -> str:
-    """Return the clause for a note why an effect was removed again by backward elimination.
+    """Return as a clause why backward elimination removed an effect again.
 
-    ``policy`` has the thresholds of the search.
+    The prediction is as good without the effect, or the validation data do not support it. ``policy`` has the
+    thresholds of the search.
     """
     if is_immaterial(removed, policy):
         return "the prediction is as good without it"
@@ -580,15 +605,16 @@ def _removal_reason(removed: RemovedEffect, policy: SearchPolicy) -> str:
 
 
 def _remaining_names(diagnosis: Diagnosis) -> str:
-    """Return the names of the first four candidates that still pass the score test after the last effect."""
+    """Return the names of the best four candidates that still pass the score test, separated by commas."""
     return ", ".join(s.name for s in diagnosis.remaining[:4])
 
 
 def _notes(diagnosis: Diagnosis) -> list[str]:
-    """Return the notes of a diagnosis.
+    """Return the notes of a diagnosis, in this order.
 
-    The notes are about candidates that still pass the score test, the reason why the search ended, removed effects,
-    validation runs that the model does not fit, and flagged parameters.
+    They are about common errors in the model, candidates that still pass the score test, the reason why the search
+    ended, effects that were removed again, validation runs that the model does not fit (without effects, the answer has
+    them), and parameters with a flag. A note that does not apply is left out.
     """
     notes = common_errors_notes(diagnosis.common_errors, "the effects")
     if diagnosis.remaining and not diagnosis.untried_scores:

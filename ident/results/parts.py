@@ -1,4 +1,8 @@
-"""Types of the results: their common keys, and the tables that several results share."""
+"""Types of result.json: the keys that all results have in common, the results of the fits, and their tables.
+
+A table is an object of JSON with named keys, for example one parameter with its estimate. The results of the commands
+that are not fits are in ``commands``.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +27,9 @@ RefitOutcome = Literal[
 
 
 class Part(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Base class of the tables of a result: immutable, with fields by keyword.
+    """Base class of the tables of a result.json: immutable objects whose fields are given by keyword.
+
+    Decoding a file with a key that is not a field of the table raises an error.
 
     Notes
     -----
@@ -35,9 +41,14 @@ class Part(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 
 def same_length(part: Part, *names: str) -> None:
-    """Check that the named arrays of a result's table, which are plotted over each other, have one shape.
+    """Check that array fields of a result's table have the same shape, for example times and values of a curve.
 
-    An array that is None is left out.
+    Parameters
+    ----------
+    part
+        The table.
+    *names
+        Names of the fields. A field that is None is not checked.
 
     Raises
     ------
@@ -50,7 +61,7 @@ def same_length(part: Part, *names: str) -> None:
 
 
 class LogFinding(Part, frozen=True, kw_only=True):
-    """Finding of a check of a log (`seatrial check`)."""
+    """Warning or fault that the checks of a log before a fit (those of `seatrial check`) found."""
 
     level: Annotated[str, Meta(description="`warning` or `fault`")]
     code: Annotated[str, Meta(description="code of the finding, for programs")]
@@ -62,7 +73,7 @@ class LogFinding(Part, frozen=True, kw_only=True):
 
 
 class LogSummary(Part, frozen=True, kw_only=True):
-    """Log that a result was made from."""
+    """Log that a result was made from: file, role, duration and findings of its checks."""
 
     path: Annotated[str, Meta(description="file name, with the time window if only a part was used")]
     sha256: Annotated[str, Meta(description="SHA-256 of the file; empty if a time window was given")]
@@ -115,14 +126,14 @@ WarningCode = Literal[
 
 
 class ResultWarning(Part, frozen=True, kw_only=True):
-    """Warning to be read before the estimates."""
+    """Warning of a result, to be read before its estimates are used."""
 
     code: Annotated[WarningCode, Meta(description="code of the warning, for programs")]
     text: Annotated[str, Meta(description="one line for the reader")]
 
 
 class Result(Provenance, frozen=True, kw_only=True):
-    """Keys that all results have in common."""  # subclasses add tag_field="kind" and their kind as tag
+    """Keys that the results of all commands have in common."""  # subclasses add tag_field="kind" and their kind as tag
 
     format: Literal["seatrial-result 2"] = "seatrial-result 2"
     answer: Annotated[
@@ -141,7 +152,7 @@ class Result(Provenance, frozen=True, kw_only=True):
     ] = ()
 
     def __repr__(self) -> str:
-        """Return the type and the answer. All fields of a result with its traces would be megabytes of text."""
+        """Return ``<TYPE: answer>`` in place of all fields, whose curves would be megabytes of text."""
         return f"<{type(self).__name__}: {self.answer}>"
 
 
@@ -152,7 +163,10 @@ ORIGINS = (
 
 
 class ForceScale(Part, frozen=True, kw_only=True):
-    """Scale of forces, masses and damping: the provenance of the thrust and of the thrusters' arms."""
+    """Scale of forces, masses and damping: the provenance of the thrust and of the thrusters' arms that determine it.
+
+    An arm is the distance of a thruster from the centre line.
+    """
 
     thrust: Annotated[str | None, Meta(description=f"provenance of c1; null: the model has no c1. {ORIGINS}")] = None
     arm: Annotated[
@@ -192,7 +206,7 @@ class UnusedSignal(Part, frozen=True, kw_only=True):
 
 
 class EffectParameter(Part, frozen=True, kw_only=True):
-    """Estimated parameter of an effect."""
+    """Parameter of an effect, a physical phenomenon that was added to the model, with its estimate."""
 
     name: Annotated[str, Meta(description="name of the parameter")]
     meaning: Annotated[str, Meta(description="meaning in words")]
@@ -205,7 +219,10 @@ class EffectParameter(Part, frozen=True, kw_only=True):
 
 
 class ParameterRow(Part, frozen=True, kw_only=True):
-    """Parameter of the model. A per-record parameter has one row for each record."""
+    """Parameter of the model with its value and standard error.
+
+    An estimated parameter that has its own value in each record (per-record parameter) has one row for each record.
+    """
 
     name: Annotated[str, Meta(description="name of the parameter; a ratio to the thrust is `NAME/T`")]
     meaning: Annotated[str, Meta(description="meaning in words")]
@@ -229,13 +246,13 @@ class ParameterRow(Part, frozen=True, kw_only=True):
 
 
 class Correlation(Part, frozen=True, kw_only=True):
-    """Correlation matrix of the estimates."""
+    """Correlation matrix of the estimated parameters."""
 
     names: Annotated[tuple[str, ...], Meta(description="names of the parameters, in the order of the rows and columns")]
     matrix: Annotated[Array, Meta(description="(names, names)")]
 
     def __post_init__(self) -> None:
-        """Raise ValueError if the correlation matrix has another size than the parameter names."""
+        """Raise ValueError if the correlation matrix does not have one row and one column for each parameter name."""
         if self.matrix.shape != (len(self.names), len(self.names)):
             raise ValueError(
                 f"the correlation matrix has the shape {self.matrix.shape}, but there are {len(self.names)} names"
@@ -268,7 +285,10 @@ class FitSummary(Part, frozen=True, kw_only=True):
 
 
 class Trace(Part, frozen=True, kw_only=True):
-    """Channel of a record: measured, predicted over the horizon, and simulated from the inputs alone."""
+    """Measured channel of a record over time, with its prediction over the horizon and its simulation.
+
+    A prediction starts from the filtered state `horizon_seconds` earlier. The simulation uses the inputs alone.
+    """
 
     record: Annotated[str, Meta(description="name of the record")]
     role: Annotated[Role, Meta(description="`estimation` or `validation`")]
@@ -291,13 +311,13 @@ class Trace(Part, frozen=True, kw_only=True):
     ] = None
 
     def __post_init__(self) -> None:
-        """Raise ValueError if arrays of the channel that are plotted over each other differ in length."""
+        """Raise ValueError if arrays of the channel over the same times, `t` or `t_horizon`, differ in length."""
         same_length(self, "t", "measured", "model", "sd", "before")
         same_length(self, "t_horizon", "horizon", "sd_horizon", "horizon_before")
 
 
 class Track(Part, frozen=True, kw_only=True):
-    """Track of a record: north (x) and east (y) [m]."""
+    """Measured and simulated track of the boat in a record: positions north (x) and east (y) [m]."""
 
     record: Annotated[str, Meta(description="name of the record")]
     role: Annotated[Role, Meta(description="`estimation` or `validation`")]
@@ -309,12 +329,12 @@ class Track(Part, frozen=True, kw_only=True):
     y_before: Annotated[Array | None, Meta(description="diagnosis: simulated without the effects, east [m]")] = None
 
     def __post_init__(self) -> None:
-        """Raise ValueError if the coordinates of the track differ in length."""
+        """Raise ValueError if the arrays of the track's coordinates differ in length."""
         same_length(self, "x_measured", "y_measured", "x_model", "y_model", "x_before", "y_before")
 
 
 class InputTrace(Part, frozen=True, kw_only=True):
-    """Input of the model over time."""
+    """Input of the model in a record over time."""
 
     record: Annotated[str, Meta(description="name of the record")]
     name: Annotated[str, Meta(description="name of the input")]
@@ -328,7 +348,10 @@ class InputTrace(Part, frozen=True, kw_only=True):
 
 
 class WhitenessTests(Part, frozen=True, kw_only=True):
-    """Whiteness tests of the standardised innovations of a channel."""
+    """Whiteness tests of the standardised innovations of a channel.
+
+    A standardised innovation is measured minus predicted value, divided by the predicted standard deviation.
+    """
 
     e: Annotated[Array, Meta(description="standardised innovations")]
     acf: Annotated[Array, Meta(description="autocorrelation at `lags`")]
@@ -344,7 +367,7 @@ class WhitenessTests(Part, frozen=True, kw_only=True):
 
 
 class ResidualTests(WhitenessTests, frozen=True, kw_only=True):
-    """Whiteness of the residuals of a channel in a record."""
+    """Whiteness tests of the residuals (standardised innovations) of a channel in a record."""
 
     record: Annotated[str, Meta(description="name of the record")]
     channel: Annotated[str, Meta(description="name of the measured channel")]
@@ -356,14 +379,14 @@ class ResidualTests(WhitenessTests, frozen=True, kw_only=True):
     after: Annotated[WhitenessTests | None, Meta(description="diagnosis: the same with the effects")] = None
 
     def __post_init__(self) -> None:
-        """Raise ValueError if arrays of the residual tests that are plotted over each other differ in length."""
+        """Raise ValueError if arrays of the tests over the same times, lags or frequencies differ in length."""
         same_length(self, "t", "e")
         same_length(self, "lags", "acf")
         same_length(self, "frequency", "cumulative")
 
 
 class CorrelationTest(Part, frozen=True, kw_only=True):
-    """Correlation of innovations with earlier values of an input."""
+    """Correlation of the innovations of a channel with values of an input at earlier times, and its test."""
 
     z: Annotated[Array, Meta(description="correlation at `lags`, in standard deviations under independence")]
     p: Annotated[float | None, Meta(description="p value of the largest correlation over all lags")]
@@ -371,7 +394,7 @@ class CorrelationTest(Part, frozen=True, kw_only=True):
 
 
 class CrossCorrelationRow(CorrelationTest, frozen=True, kw_only=True):
-    """Correlation of the residuals of a channel with an input."""
+    """Correlation of the residuals (innovations) of a channel in a record with an input of the model."""
 
     record: Annotated[str, Meta(description="name of the record")]
     channel: Annotated[str, Meta(description="name of the measured channel")]
@@ -380,12 +403,12 @@ class CrossCorrelationRow(CorrelationTest, frozen=True, kw_only=True):
     after: Annotated[CorrelationTest | None, Meta(description="diagnosis: the same with the effects")] = None
 
     def __post_init__(self) -> None:
-        """Raise ValueError if lags and correlations differ in length."""
+        """Raise ValueError if the arrays of the lags and of the correlations differ in length."""
         same_length(self, "lags", "z")
 
 
 class ErrorComparison(Part, frozen=True, kw_only=True):
-    """RMS prediction error of a channel."""
+    """RMS prediction error of a channel for one kind of prediction; in a diagnosis without and with the effects."""
 
     before: Annotated[float | None, Meta(description="diagnosis: RMS error without the effects")] = None
     after: Annotated[float | None, Meta(description="RMS error of the model; null: the prediction diverged")]
@@ -405,7 +428,7 @@ class ErrorComparison(Part, frozen=True, kw_only=True):
 
 
 class ErrorTable(Part, frozen=True, kw_only=True):
-    """Prediction errors of each channel: one step ahead, over the horizon, and in simulation."""
+    """RMS prediction errors by channel for each kind of prediction: one step ahead, over the horizon, simulation."""
 
     one_step: Annotated[dict[str, ErrorComparison], Meta(description="one step ahead")]
     horizon: Annotated[dict[str, ErrorComparison], Meta(description="over `horizon_seconds`")]
@@ -429,7 +452,10 @@ class PredictionFit(Part, frozen=True, kw_only=True):
 
 
 class LargestErrorsRow(Part, frozen=True, kw_only=True):
-    """Interval of two horizons with the largest share of the squared prediction errors over the horizon."""
+    """Interval of time that has the largest share of the squared prediction errors over the horizon.
+
+    It is two horizons long.
+    """
 
     record: Annotated[str, Meta(description="name of the record")]
     begin: Annotated[float, Meta(description="begin of the interval, in seconds of the log")]
@@ -438,7 +464,7 @@ class LargestErrorsRow(Part, frozen=True, kw_only=True):
 
 
 class PredictionChangeRow(Part, frozen=True, kw_only=True):
-    """Prediction change: effect of the added effects on the prediction errors over the horizon.
+    """Prediction change: change of the RMS prediction errors over the horizon by effects that were added to the model.
 
     The ratio is the geometric mean over all channels of RMS error after / before.
     """
@@ -453,14 +479,14 @@ class PredictionChangeRow(Part, frozen=True, kw_only=True):
 
 
 class Errors(Part, frozen=True, kw_only=True):
-    """Prediction errors on the estimation data and on the validation data."""
+    """RMS prediction errors on the estimation data and on the validation data."""
 
     estimation: Annotated[ErrorTable, Meta(description="on the estimation data")]
     validation: Annotated[ErrorTable | None, Meta(description="null: there were no validation data")] = None
 
 
 class CalibrationRow(Part, frozen=True, kw_only=True):
-    """Calibration of the prediction intervals of a channel."""
+    """Calibration of the prediction intervals of a channel: whether the errors are as large as the model predicts."""
 
     n: Annotated[int, Meta(description="number of errors")]
     n_effective: Annotated[float, Meta(description="effective sample size: number of independent errors")]
@@ -479,13 +505,16 @@ class CalibrationRow(Part, frozen=True, kw_only=True):
     ]
 
     def __post_init__(self) -> None:
-        """Raise ValueError if ``pit`` has not ten shares, one for each tenth of the predicted distribution."""
+        """Raise ValueError unless ``pit`` has ten shares, one for each tenth of the predicted distribution."""
         if self.pit.shape != (10,):
             raise ValueError(f"pit must have ten shares, one for each tenth of the distribution, not {self.pit.shape}")
 
 
 class CalibrationTable(Part, frozen=True, kw_only=True):
-    """Calibration of each channel: one step ahead, over the horizon, and in simulation."""
+    """Calibration of the prediction intervals by channel for each kind of prediction.
+
+    The kinds are one step ahead, over the horizon, and simulation.
+    """
 
     one_step: Annotated[dict[str, CalibrationRow], Meta(description="one step ahead")]
     horizon: Annotated[dict[str, CalibrationRow], Meta(description="over `horizon_seconds`")]
@@ -493,14 +522,17 @@ class CalibrationTable(Part, frozen=True, kw_only=True):
 
 
 class Calibrations(Part, frozen=True, kw_only=True):
-    """Calibration on the estimation data and on the validation data (diagnosis: with the effects)."""
+    """Calibration of the prediction intervals on the estimation data and on the validation data.
+
+    In a diagnosis it is that of the model with the effects.
+    """
 
     estimation: Annotated[CalibrationTable, Meta(description="on the estimation data")]
     validation: Annotated[CalibrationTable | None, Meta(description="null: there were no validation data")] = None
 
 
 class ProfileCurve(Part, frozen=True, kw_only=True):
-    """Profile likelihood of a parameter."""
+    """Profile likelihood of a parameter: log-likelihood over its value, with all other parameters fitted again."""
 
     name: Annotated[str, Meta(description="parameter; `V_x@0` is that of the first log")]
     unit: Annotated[str, Meta(description="unit of the values, SI and radians; empty: none")]
@@ -558,11 +590,11 @@ class Homogeneity(Part, frozen=True, kw_only=True):
 
 
 class FitResult(Result, frozen=True, kw_only=True):
-    """Result of a fit: estimates, predictions and residuals."""
+    """Result of a fit of a vehicle or thruster model, or of a diagnosis: estimates, predictions and residuals."""
 
     @property
     def converged(self) -> bool:
-        """Whether all fits that the answer of the result depends on converged."""
+        """Whether the fit converged. A diagnosis replaces this by the convergence of its two fits."""
         return self.fit.converged
 
     fit: Annotated[FitSummary, Meta(description="method, convergence and estimates")]
@@ -586,7 +618,7 @@ class FitResult(Result, frozen=True, kw_only=True):
 
 
 class StaticForce(Part, frozen=True, kw_only=True):
-    """Static thrust curve: measured points and the fitted curve."""
+    """Static thrust curve, force against shaft speed or command: measured points and the fitted curve."""
 
     n: Annotated[Array, Meta(description="measured shaft speed or command, as a part of full")]
     force: Annotated[Array, Meta(description="[N]")]
@@ -625,7 +657,7 @@ class CommonErrorsRow(Part, frozen=True, kw_only=True):
 
 
 class VehicleResult(FitResult, frozen=True, kw_only=True, tag_field="kind", tag="vehicle"):
-    """`seatrial ident vehicle`: the model of a vehicle."""
+    """Result of `seatrial ident vehicle`: the fit of a model of a vehicle."""
 
     prediction: Annotated[
         PredictionFit | None, Meta(description="null: no prediction over the horizon was possible")
@@ -641,20 +673,23 @@ class VehicleResult(FitResult, frozen=True, kw_only=True, tag_field="kind", tag=
 
 
 class ThrusterResult(FitResult, frozen=True, kw_only=True, tag_field="kind", tag="thruster"):
-    """`seatrial ident thruster`: the model of a thruster whose shaft was measured."""
+    """Result of `seatrial ident thruster` for logs with a measured shaft speed: the fit of a thruster model."""
 
     static: Annotated[StaticForce | None, Meta(description="null: there was no load cell")] = None
     profiles: Annotated[tuple[ProfileCurve, ...], Meta(description="with `--profile`: one for each parameter")] = ()
 
 
 class ThrustCurveResult(Result, frozen=True, kw_only=True, tag_field="kind", tag="thrust_curve"):
-    """`seatrial ident thruster` if the logs have no shaft speed: a static thrust curve."""
+    """Result of `seatrial ident thruster` for logs without a shaft speed: a static thrust curve."""
 
     static: Annotated[StaticForce, Meta(description="measured points and fitted curve")]
 
 
 class Candidate(Part, frozen=True, kw_only=True):
-    """Candidate in a round of the search, with its score test."""
+    """Candidate in a round of the search for missing effects: a possible effect, or a nonparametric curve.
+
+    Its score test shows, without a refit, whether the likelihood would rise with the candidate in the model.
+    """
 
     name: Annotated[str, Meta(description="name of the candidate")]
     title: Annotated[str, Meta(description="title for readers")]
@@ -668,7 +703,7 @@ class Candidate(Part, frozen=True, kw_only=True):
 
 
 class RefitRow(Part, frozen=True, kw_only=True):
-    """Refit: the model of a round with one more effect, all parameters estimated again."""
+    """Refit in a round of the search: the model with one more effect, all parameters estimated again."""
 
     name: Annotated[str, Meta(description="name of the added effect")]
     title: Annotated[str, Meta(description="title for readers")]
@@ -694,7 +729,7 @@ class RefitRow(Part, frozen=True, kw_only=True):
 
 
 class UntestedCandidateRow(Part, frozen=True, kw_only=True):
-    """Candidate that passed the score test but could not be fitted."""
+    """Candidate of a round of the search that passed the score test, but whose refit failed."""
 
     name: Annotated[str, Meta(description="name of the candidate")]
     title: Annotated[str, Meta(description="title for readers")]
@@ -702,7 +737,10 @@ class UntestedCandidateRow(Part, frozen=True, kw_only=True):
 
 
 class RemovedEffectRow(Part, frozen=True, kw_only=True):
-    """Effect that was added and removed again by backward elimination: the validation data do not support it."""
+    """Effect that the search added and that backward elimination removed again.
+
+    With the other effects in the model, the validation data do not support it, or the prediction is as good without it.
+    """
 
     name: Annotated[str, Meta(description="name of the effect")]
     title: Annotated[str, Meta(description="title for readers")]
@@ -717,7 +755,10 @@ class RemovedEffectRow(Part, frozen=True, kw_only=True):
 
 
 class ValidationMismatchRow(Part, frozen=True, kw_only=True):
-    """Validation run whose prediction errors are larger than the model predicts."""
+    """Validation run whose one-step prediction errors are larger than the model predicts.
+
+    The keys from `parameter` on are empty or null if no change of a parameter explains the errors.
+    """
 
     record: Annotated[str, Meta(description="name of the validation run")]
     channel: Annotated[str, Meta(description="channel with the largest `scale`")]
@@ -730,7 +771,10 @@ class ValidationMismatchRow(Part, frozen=True, kw_only=True):
 
 
 class RoundRow(Part, frozen=True, kw_only=True):
-    """Round of the search for missing effects."""
+    """Round of the search for missing effects.
+
+    The candidates have a score test, the model is refitted with the best that passed, and at most one effect is added.
+    """
 
     tested: Annotated[int, Meta(description="number of candidates")] = 0
     passed: Annotated[int, Meta(description="number of candidates that passed the score test")] = 0
@@ -746,7 +790,7 @@ class RoundRow(Part, frozen=True, kw_only=True):
 
 
 class Alternative(Part, frozen=True, kw_only=True):
-    """Competing model: another refit of the same round, which was not chosen."""
+    """Competing model of an added effect: another refit of the round that added the effect."""
 
     name: Annotated[str, Meta(description="name of the competing effect")]
     title: Annotated[str, Meta(description="title for readers")]
@@ -754,7 +798,7 @@ class Alternative(Part, frozen=True, kw_only=True):
 
 
 class EffectRow(Part, frozen=True, kw_only=True):
-    """Effect that was added to the model."""
+    """Effect that the search added to the model and did not remove again."""
 
     name: Annotated[str, Meta(description="name of the effect")]
     title: Annotated[str, Meta(description="title for readers")]
@@ -805,7 +849,7 @@ class RemainingCandidate(Part, frozen=True, kw_only=True):
 
 
 class NonparametricCurve(Part, frozen=True, kw_only=True):
-    """Nonparametric effect: curve estimated from the data."""
+    """Nonparametric effect: a force or sensor error as a curve over one variable, estimated from the data."""
 
     force: Annotated[str, Meta(description="force, relative change of thrust (`T`, `T_left`), or sensor")]
     sensor_error: Annotated[bool, Meta(description="true: the curve is the error of this sensor, not a force")]
@@ -820,12 +864,12 @@ class NonparametricCurve(Part, frozen=True, kw_only=True):
     ]
 
     def __post_init__(self) -> None:
-        """Raise ValueError if the arrays of the curve differ in length."""
+        """Raise ValueError if the arrays of the curve over its variable differ in length."""
         same_length(self, "grid", "value", "sd", "band")
 
 
 class ResidualForce(Part, frozen=True, kw_only=True):
-    """Disturbance force: smoothed estimate of a force that the model does not explain."""
+    """Disturbance force in a record over time: smoothed estimate of a force that the model does not explain."""
 
     record: Annotated[str, Meta(description="name of the record")]
     force: Annotated[str, Meta(description="`X`, `Y`, `N`; on the bench `F` [N] and `n_dot` [1/s]")]
@@ -842,7 +886,7 @@ class ResidualForce(Part, frozen=True, kw_only=True):
 
 
 class ParameterChange(Part, frozen=True, kw_only=True):
-    """Estimate of a parameter without and with the effects."""
+    """Estimate of a parameter without and with the effects that a diagnosis added."""
 
     name: Annotated[str, Meta(description="name of the parameter")]
     unit: Annotated[str, Meta(description="unit of the values, SI and radians; empty: none")]
@@ -853,14 +897,14 @@ class ParameterChange(Part, frozen=True, kw_only=True):
 
 
 class DiagnosisResult(FitResult, frozen=True, kw_only=True, tag_field="kind", tag="diagnosis"):
-    """`seatrial ident diagnose`: effects that a model lacks.
+    """Result of `seatrial ident diagnose`: effects that a model lacks.
 
     `fit` and `calibration` are those of the model with the added effects.
     """
 
     @property
     def converged(self) -> bool:
-        """Whether the fits without and with the added effects both converged."""
+        """Whether the fit without the added effects and the fit with them both converged."""
         return self.fit.converged and self.converged_before
 
     caveat: Annotated[

@@ -1,8 +1,9 @@
 """Reader and writer of result.json.
 
-A result is a frozen ``Result`` that a workflow fills once. ``read_result`` inverts ``write_result``. Arrays become
-lists, and NaN and infinity become null. Numbers keep seven significant digits, except in the types of ``EXACT``. A
-missing, misspelt or mistyped key is an error that names its path.
+A result is a frozen ``Result`` that a workflow fills once. ``read_result`` inverts ``write_result``, except for the
+rounding. Arrays become lists, and NaN and infinity become null. Numbers keep seven significant digits; the origin of
+the NED frame keeps all. A required key that is missing, and a key that is misspelt or of a wrong type, is an error that
+contains the path of the key.
 """
 
 from __future__ import annotations
@@ -39,21 +40,21 @@ AnyResult = (
 
 
 def to_json(result: Part) -> bytes:
-    """Return a result as JSON in UTF-8.
+    """Return a result, or a table of a result, as JSON in UTF-8.
 
-    Keys are in the order of the fields. NaN and infinity become null, and numbers keep seven significant digits except
-    in the types of ``EXACT``.
+    Keys are in the order of the fields. NaN and infinity become null. Numbers keep seven significant digits; an origin
+    of the NED frame (latitude and longitude) keeps all.
     """
     return msgspec.json.encode(_as_json_types(result))
 
 
 def write_result(result: Part, path: Path) -> None:
-    """Write a result as JSON to a file. An existing file is replaced.
+    """Write a result as JSON to a file (result.json). An existing file is replaced.
 
     Parameters
     ----------
     result
-        Result or table.
+        Result of a command, or a table of a result.
     path
         File to write, in a folder that exists.
 
@@ -71,24 +72,26 @@ def write_result(result: Part, path: Path) -> None:
 
 
 def from_json(content: bytes) -> AnyResult:
-    """Decode the JSON of ``to_json``; the key ``kind`` selects the type.
+    """Return the result whose JSON ``to_json`` wrote. Its key ``kind`` selects the type, for example ``vehicle``.
 
     Raises
     ------
     msgspec.DecodeError
-        If a key is missing, misspelt or mistyped; the message contains its path.
+        If the content is not JSON, if a required key is missing, or if a key is misspelt or of a wrong type. The
+        message contains the path of the key.
     """
     found: AnyResult = msgspec.json.decode(content, type=AnyResult, dec_hook=_decode_array)
     return found
 
 
 def read_result(path: Path | str) -> AnyResult:
-    """Read a result.json.
+    """Read a result.json, and return the result. Its key ``kind`` selects the type, for example ``vehicle``.
 
     Raises
     ------
     SeatrialError
-        If the file cannot be read, or if a key is missing, misspelt or mistyped; the message contains its path.
+        If the file cannot be read or is not JSON, if a required key is missing, or if a key is misspelt or of a wrong
+        type. The message contains the file and the path of the key.
     """
     path = Path(path)
     try:
@@ -102,8 +105,8 @@ def read_result(path: Path | str) -> AnyResult:
 def _decode_array(kind: Any, value: Any) -> Any:
     """Convert a list of numbers from result.json to a float64 array, in which null becomes NaN.
 
-    msgspec calls it for arrays, the only type that it does not decode itself; ``kind`` is this type and is not used.
-    Raise ValueError for other JSON values.
+    msgspec calls this function for the type of arrays, the only type that it does not decode itself; ``kind`` is this
+    type and is not used. Raise ValueError if the value is not a list.
     """
     if not isinstance(value, list):
         raise ValueError(f"expected a list of numbers, got {type(value).__name__}")
@@ -111,11 +114,11 @@ def _decode_array(kind: Any, value: Any) -> Any:
 
 
 def _as_json_types(value: Any) -> Any:
-    """Convert a value of a result to the types of JSON.
+    """Convert a result, or any value in it, to the types of JSON, recursively.
 
-    Tables become objects, with their tag first, and arrays become lists. Numbers are rounded to seven significant
-    digits (``DIGITS``), except in the types of ``EXACT``. NaN and infinity become None. Other values are returned
-    unchanged.
+    A table becomes a dict of its fields; a type of result has its ``kind`` first. An array becomes a list, already
+    encoded. Numbers are rounded to seven significant digits, except those of the types in ``EXACT``. NaN and infinity
+    become None. Values that JSON has (text, integer, bool, None) are returned unchanged.
     """
     if isinstance(value, EXACT):
         return msgspec.structs.asdict(value)
@@ -138,9 +141,9 @@ def _as_json_types(value: Any) -> Any:
 
 
 def _rounded(value: Array) -> Any:
-    """Round an array of a result to seven significant digits (``DIGITS``) and convert it to nested lists for JSON.
+    """Round an array of a result to seven significant digits and convert it to nested lists for JSON.
 
-    NaN and infinity become None. The rounding is vectorised, because the traces of a result may contain a million
+    NaN and infinity become None. The rounding is vectorised, because the curves of a result may contain a million
     numbers.
     """
     finite = np.isfinite(value)

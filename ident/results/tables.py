@@ -1,4 +1,4 @@
-"""Converters from fits and evaluations to the tables of a result; they copy numbers and compute none."""
+"""Converters from fits and evaluations to the tables of a result. They copy and convert numbers, and estimate none."""
 
 from __future__ import annotations
 
@@ -57,16 +57,16 @@ from seatrial.ident.validation import (
     shown_inputs,
 )
 
-NO_PREDICTION = HorizonPrediction(*(np.zeros(0),) * 3)  # of a channel without a sample after the horizon
+NO_PREDICTION = HorizonPrediction(*(np.zeros(0),) * 3)  # empty: of a channel without a sample after the first horizon
 
 
 def finite(value: float | None) -> float | None:
-    """Return a number for a result as a float, or None (null in result.json) for None, NaN and infinity."""
+    """Return a number as a float for a result, or None (null in result.json) for None, NaN and infinity."""
     return None if value is None or not math.isfinite(value) else float(value)
 
 
 def format_number(value: float) -> str:
-    """Format a number for a sentence: two significant digits, or an integer from 100 on (113, 8.4, 0.66)."""
+    """Return a number as text for a sentence: two significant digits, or an integer from 99.5 on (113, 8.4, 0.66)."""
     # From 99.5: with two digits, 99.6 would be printed with an exponent.
     return f"{value:.0f}" if abs(value) >= 99.5 else f"{value:#.2g}".rstrip(".")
 
@@ -77,9 +77,9 @@ def provenance(loaded: Sequence[LoadedLog], command: str) -> Provenance:
     Parameters
     ----------
     loaded
-        Logs, with their description: path, hash, role, name, duration, rig, mission.
+        Logs, each with its description: path, hash, role, name, duration, rig, mission, findings of its checks.
     command
-        Command line.
+        Command line that made the result.
     """
     return Provenance(
         created=datetime.now(UTC).isoformat(timespec="seconds"),
@@ -90,20 +90,22 @@ def provenance(loaded: Sequence[LoadedLog], command: str) -> Provenance:
 
 
 def fit_summary(fit: Fit, start: Mapping[str, float], calibration: float | None = None) -> FitSummary:
-    """Return the summary of a fit: parameters with standard errors, correlation and convergence.
+    """Return the summary of a fit: parameters with standard errors, their correlation, method and convergence.
 
-    Values are in reported units: ratios to the thrust if its scale is unknown. A free per-record parameter has one row
-    for each record.
+    Values are in reported units: ratios to the thrust if the thrust was not given. An estimated per-record parameter
+    has one row for each record. The standard error of a considered parameter, which is not estimated, is that of its
+    prior. A standard error that is not finite is None.
 
     Parameters
     ----------
     fit : Fit
-        The fit.
+        Fit of a model.
     start : mapping of str to float
-        Initial values of the parameters by name.
+        Initial values of the parameters by name, in the units of the model. Parameters may be missing.
     calibration : float, optional
-        On the bench: relative standard uncertainty of the measured force. It is added to the standard errors. None: not
-        given, so that the standard errors are called statistical only.
+        On the bench: relative standard uncertainty of the load cell's force. It is added in quadrature to the standard
+        errors of parameters that scale with the force. If it is None, the standard errors of a bench model are called
+        statistical only.
     """
     flags, reported, rows = dict(fit.flags), ReportedEstimates(fit), []
     scale = reported.scale
@@ -168,9 +170,10 @@ def error_tables(
     after : PredictionEvaluation
         Evaluation of the model.
     before : PredictionEvaluation, optional
-        Evaluation of another model, whose errors are reported beside those of ``after``.
+        Evaluation of another model on the same data, whose errors are reported beside those of ``after``.
     changes : mapping, optional
-        Changes of the errors over the horizon, by role of the data (``estimation``, ``validation``).
+        Changes of the errors over the horizon from ``before`` to ``after``, by role of the data (``estimation``,
+        ``validation``), with the 95 % intervals of their ratios. If it is None, the errors have no interval.
     """
     units = {o.name: o.unit for o in after.model.outputs}
 
@@ -179,9 +182,10 @@ def error_tables(
         old: Mapping[str, PredictionErrors],
         change: validation.PredictionChange | None = None,
     ) -> dict[str, ErrorComparison]:
-        """Return the table of RMS errors by channel for one kind of prediction, such as one step ahead.
+        """Return the RMS errors by channel for one kind of prediction, such as one step ahead.
 
-        ``new`` and ``old``: errors of the two models. ``change`` gives the interval of their ratio.
+        ``new`` has the errors of the model, ``old`` those of the other model (empty without one). ``change`` has the
+        interval and verdict of their ratio; if it is None, or lacks the channel, these are None.
         """
         spans = {} if change is None else change.channels
         return {
@@ -209,10 +213,11 @@ def error_tables(
 
 
 def prediction_fit(evaluation: PredictionEvaluation) -> PredictionFit | None:
-    """Return the fit over the horizon on the validation data, or on the estimation data if there are no others.
+    """Return the fit of all channels over the horizon on the validation data, with its 95 % interval.
 
-    The fit is 1 less the geometric mean of RMS error over standard deviation. None if no channel is predicted over the
-    horizon.
+    It is that on the estimation data if there are no validation data. The fit is 1 minus the geometric mean over the
+    channels of RMS prediction error / standard deviation of the measured output. The interval of time with the largest
+    errors is added. The result is None if no channel is predicted over the horizon.
     """
     found = evaluation.sets[evaluation.headline_set].explained
     if not found.channels:
@@ -230,14 +235,14 @@ def prediction_fit(evaluation: PredictionEvaluation) -> PredictionFit | None:
 
 
 def prediction_change(found: validation.PredictionChange, role: Role) -> PredictionChangeRow | None:
-    """Return the change of the errors over the horizon on the data of a role; None if no channel can be compared.
+    """Return the table row of a change of the prediction errors over the horizon; None if no channel can be compared.
 
     Parameters
     ----------
     found
-        Change of the errors from the model without the effects to that with them.
+        Change of the errors from the model without effects to the model with them.
     role
-        Role of the data, `estimation` or `validation`.
+        Role of the data on which the errors were computed, ``estimation`` or ``validation``.
     """
     if not found.channels:
         return None
@@ -256,7 +261,7 @@ def calibration_tables(evaluation: PredictionEvaluation) -> Calibrations:
     """Return the calibration of the prediction intervals for each set of data, kind of prediction and channel."""
 
     def table(found: Mapping[str, Calibration]) -> dict[str, CalibrationRow]:
-        """Return the table of the calibration by channel for one kind of prediction, such as one step ahead."""
+        """Return the calibration by channel as table rows for one kind of prediction, such as one step ahead."""
         return {
             name: CalibrationRow(
                 n=c.n,
@@ -285,17 +290,18 @@ def calibration_tables(evaluation: PredictionEvaluation) -> Calibrations:
 
 
 def traces(after: PredictionEvaluation, before: PredictionEvaluation | None = None) -> tuple[Trace, ...]:
-    """Return each measured channel of each record with its prediction over the horizon and its simulation.
+    """Return each measured channel of each record over time, with its prediction over the horizon and its simulation.
 
-    Rows without a measurement are left out, and so are channels without any. ``before`` is the evaluation of another
-    model, whose predictions are added.
+    Instants without a measurement of the channel are left out, and so are channels without any measurement. Estimation
+    records come first.
 
     Parameters
     ----------
     after
         Evaluation of the model.
     before
-        Evaluation of another model on the same records, or None.
+        Evaluation of another model on the same records, whose simulations and predictions are added. None: no other
+        model.
     """
     return tuple(
         Trace(
@@ -323,16 +329,16 @@ def traces(after: PredictionEvaluation, before: PredictionEvaluation | None = No
 
 
 def tracks(after: PredictionEvaluation, before: PredictionEvaluation | None = None) -> tuple[Track, ...]:
-    """Return the measured and the simulated track of each record with positions; empty for a model without positions.
+    """Return the measured and the simulated track of each record with positions, estimation records first.
 
-    ``before`` is the evaluation of another model, whose simulated tracks are added.
+    Instants without a measured position are left out. The result is empty for a model without the output ``x``.
 
     Parameters
     ----------
     after
         Evaluation of the model.
     before
-        Evaluation of another model on the same records, or None.
+        Evaluation of another model on the same records, whose simulated tracks are added. None: no other model.
     """
     names = [o.name for o in after.model.outputs]
     if "x" not in names:
@@ -357,9 +363,10 @@ def tracks(after: PredictionEvaluation, before: PredictionEvaluation | None = No
 def _predictions_of_both(
     after: PredictionEvaluation, before: PredictionEvaluation | None
 ) -> list[tuple[Role, RecordPrediction, RecordPrediction | None]]:
-    """Return the role of each record and its predictions by both models, estimation records first.
+    """Return (role, prediction by the model, prediction by the other model) of each record, estimation records first.
 
-    The second prediction is None without another model (``before``).
+    The role is that of the record's data, ``estimation`` or ``validation``. The last entry is None if ``before``, the
+    evaluation of the other model, is None.
     """
     found: list[tuple[Role, RecordPrediction, RecordPrediction | None]] = []
     roles: tuple[Role, ...] = ("estimation", "validation")
@@ -371,7 +378,17 @@ def _predictions_of_both(
 
 
 def record_inputs(model: Model, record: Record) -> tuple[InputTrace, ...]:
-    """Return the inputs of a record as traces of the result: those that reports show, as the model uses them."""
+    """Return the inputs of a record over time as rows of a result: those of the model's inputs that reports show.
+
+    Time and the delayed copies of an input are not shown.
+
+    Parameters
+    ----------
+    model
+        Model that uses the inputs.
+    record
+        Record with the values of all inputs of the model.
+    """
     return tuple(
         InputTrace(record=record.name, name=name, unit=unit, t=record.t, value=record.u[:, j])
         for j, name, unit in shown_inputs(model)
@@ -379,7 +396,7 @@ def record_inputs(model: Model, record: Record) -> tuple[InputTrace, ...]:
 
 
 def all_inputs(evaluation: PredictionEvaluation) -> tuple[InputTrace, ...]:
-    """Return the inputs of all records of an evaluation as traces of the result, estimation records first."""
+    """Return the inputs of all records of an evaluation over time as rows of a result, estimation records first."""
     return tuple(
         row
         for data in evaluation.sets.values()
@@ -389,25 +406,29 @@ def all_inputs(evaluation: PredictionEvaluation) -> tuple[InputTrace, ...]:
 
 
 def residual_rows(before: PredictionEvaluation, after: PredictionEvaluation | None = None) -> tuple[ResidualTests, ...]:
-    """Return the whiteness tests of all records and channels.
-
-    ``after`` is the evaluation of another model, whose tests are added to those of the same record and channel.
+    """Return the whiteness tests of the residuals, one row for each estimation record and channel.
 
     Parameters
     ----------
     before
-        Evaluation of the model, or in a diagnosis of the model without effects.
+        Evaluation of the model; in a diagnosis, of the model without effects.
     after
-        Evaluation of the model with effects, or None.
+        Evaluation of the model with effects, whose tests are added to the rows of the same record and channel. None: no
+        second model.
     """
     later = {} if after is None else {(r.record, r.channel): r for r in after.residuals}
     return tuple(residual_row(r, later.get((r.record, r.channel))) for r in before.residuals)
 
 
 def residual_row(r: ChannelResiduals, after: ChannelResiduals | None = None) -> ResidualTests:
-    """Return the result's row of whiteness tests for one channel of a record.
+    """Return the table row of whiteness tests of one channel of a record.
 
-    ``after``: tests of the model with added effects, which the row gets too; None if there is only one model.
+    Parameters
+    ----------
+    r
+        Residuals of the channel with their tests.
+    after
+        Residuals of the model with added effects, whose tests the row gets too. None: no second model.
     """
     return ResidualTests(
         **msgspec.structs.asdict(_whiteness_tests(r)),
@@ -423,7 +444,11 @@ def residual_row(r: ChannelResiduals, after: ChannelResiduals | None = None) -> 
 
 
 def _whiteness_tests(r: ChannelResiduals) -> WhitenessTests:
-    """Return the part of a row of whiteness tests that depends on the model, without record, lags and frequencies."""
+    """Return the residuals of a channel and their whiteness tests, without names, times, lags and frequencies.
+
+    These other entries of a row are the same for the model without and with effects. A p value that is not finite is
+    None.
+    """
     return WhitenessTests(
         e=r.e,
         acf=r.tests.acf,
@@ -440,25 +465,29 @@ def _whiteness_tests(r: ChannelResiduals) -> WhitenessTests:
 def cross_correlations(
     before: PredictionEvaluation, after: PredictionEvaluation | None = None
 ) -> tuple[CrossCorrelationRow, ...]:
-    """Return the correlations of the residuals with the inputs, one for each record, channel and input.
-
-    ``after`` is the evaluation of another model, whose correlations are added.
+    """Return the correlations of the residuals with the inputs, one row for each estimation record, channel and input.
 
     Parameters
     ----------
     before
-        Evaluation of the model, or in a diagnosis of the model without effects.
+        Evaluation of the model; in a diagnosis, of the model without effects.
     after
-        Evaluation of the model with effects, or None.
+        Evaluation of the model with effects, whose correlations are added to the rows of the same record, channel and
+        input. None: no second model.
     """
     later = {} if after is None else {(r.record, r.channel): r for r in after.residuals}
     return tuple(row for r in before.residuals for row in cross_rows(r, later.get((r.record, r.channel))))
 
 
 def cross_rows(r: ChannelResiduals, after: ChannelResiduals | None = None) -> list[CrossCorrelationRow]:
-    """Return the result's rows of correlations of one channel's residuals with each input.
+    """Return the table rows of the correlations of one channel's residuals with the inputs, one row for each input.
 
-    ``after``: correlations of the model with added effects, which the rows get too; None if there is only one model.
+    Parameters
+    ----------
+    r
+        Residuals of the channel with their correlations.
+    after
+        Residuals of the model with added effects, whose correlations the rows get too. None: no second model.
     """
     later = {
         c.input: CorrelationTest(z=c.z, p=finite(c.p), largest=finite(c.largest))
@@ -480,14 +509,16 @@ def cross_rows(r: ChannelResiduals, after: ChannelResiduals | None = None) -> li
 
 
 def profile_curve(found: Profile, reported: ReportedEstimates) -> ProfileCurve:
-    """Return a profile likelihood in the units in which the estimates are reported.
+    """Return the table row of a profile likelihood, in the units in which the estimates are reported.
+
+    An end of an interval that is not finite is None.
 
     Parameters
     ----------
     found
-        Profile likelihood in the units of the parameters.
+        Profile likelihood of a parameter, in the unit of the parameter.
     reported
-        Converter to reported units: ratios to the thrust if its scale is unknown.
+        Converter to reported units: ratios to the thrust if the thrust was not given.
     """
     scale, factor = reported.scale, reported.factor(found.unit)
     return ProfileCurve(
@@ -510,9 +541,9 @@ def homogeneity_reported(a: HomogeneityTest, reported: ReportedEstimates) -> Hom
     Parameters
     ----------
     a
-        Homogeneity test in the units of the parameters.
+        Homogeneity test of a parameter, in the unit of the parameter.
     reported
-        Converter to reported units: ratios to the thrust if its scale is unknown.
+        Converter to reported units: ratios to the thrust if the thrust was not given.
     """
     k = reported.factor(a.unit)
     low, high = a.interval
@@ -533,7 +564,11 @@ def homogeneity_reported(a: HomogeneityTest, reported: ReportedEstimates) -> Hom
 
 
 def homogeneity_row(a: HomogeneityTest) -> Homogeneity:
-    """Return the result's row of a homogeneity test (one value for all logs?), already in reported units."""
+    """Return the table row of a homogeneity test: one value of a parameter for all logs against one for each log.
+
+    The numbers of ``a`` are copied, so that it must already be in reported units (``homogeneity_reported``). Standard
+    errors, scatter and mean that are not finite become None.
+    """
     return Homogeneity(
         name=a.name,
         unit=a.unit,
@@ -557,16 +592,17 @@ def homogeneity_row(a: HomogeneityTest) -> Homogeneity:
 
 
 def effect_parameter_rows(effect: Effect, fitted: FittedModel) -> tuple[EffectParameter, ...]:
-    """Return the estimates of an effect's parameters in reported units, one row for each run of a per-record parameter.
+    """Return the estimates of an effect's parameters, one row for each parameter, in reported units.
 
-    For an effect that differs between runs, return the differences from the first run.
+    A parameter with its own value in each run (per-record parameter) has one row for each run. For an effect of the
+    kind "differs between runs", the rows are the differences from the first run instead.
 
     Parameters
     ----------
     effect : Effect
-        Effect of the model.
+        Effect of the fitted model.
     fitted : FittedModel
-        Model whose estimates are reported.
+        Fitted model, whose estimates are reported: as ratios to the thrust if the thrust was not given.
     """
     reported, rows = ReportedEstimates(fitted.fit), []
     for p in effect.parameters:
@@ -585,16 +621,18 @@ def effect_parameter_rows(effect: Effect, fitted: FittedModel) -> tuple[EffectPa
 
 
 def common_errors_row(found: CommonErrorsFit | None, fitted: FittedModel, role: Role) -> CommonErrorsRow | None:
-    """Return the row of the common errors with their estimates. The result is None if the model has no common errors.
+    """Return the table row of the common errors: their gain, and their estimates.
+
+    Common errors are small errors that every craft has: sensor timing, mounting, hull form.
 
     Parameters
     ----------
     found : CommonErrorsFit or None
-        The common errors.
+        Fit with the common errors. If it is None, because the model has none, the result is None.
     fitted : FittedModel
-        Last model, with their estimates.
+        Last fitted model, with the estimates of the common errors.
     role : Role
-        Role of the data that judged them.
+        Role of the data on which the change of the prediction errors was computed.
     """
     if found is None:
         return None
@@ -612,9 +650,16 @@ def common_errors_row(found: CommonErrorsFit | None, fitted: FittedModel, role: 
 
 
 def common_errors_notes(found: CommonErrorsFit | None, beside: str) -> list[str]:
-    """Return a note that names the common errors in the model; no note if it has none.
+    """Return a note that names the common errors in the model, with their gain on the validation data.
 
-    ``beside`` names what they are estimated with, for example "the effects".
+    Common errors are small errors that every craft has: sensor timing, mounting, hull form.
+
+    Parameters
+    ----------
+    found : CommonErrorsFit or None
+        Fit with the common errors. If it is None, because the model has none, the list is empty.
+    beside : str
+        What they are estimated together with, for example "the effects".
     """
     if found is None:
         return []
@@ -629,16 +674,17 @@ def common_errors_notes(found: CommonErrorsFit | None, beside: str) -> list[str]
 
 
 def model_uncertainty_notes(found: ModelUncertainty | None, fit: Fit) -> list[str]:
-    """Return a note on the shifts that the standard errors include; no note if there is none.
+    """Return a note on standard errors that include the uncertainty of the model.
 
-    The note names the first three parameters of the model, which are those of the hull.
+    Missing effects (candidates) that still pass the score tests would shift the estimates. The note has the factor by
+    which this multiplies the standard errors of the first three parameters concerned, usually those of the hull.
 
     Parameters
     ----------
     found : ModelUncertainty or None
-        Shifts of the estimates by candidates that still pass the score tests.
+        Shifts of the estimates by these candidates. If it is None or increases no standard error, the list is empty.
     fit : Fit
-        Fit whose standard errors include them.
+        Fit whose standard errors include the shifts.
     """
     if found is None:
         return []

@@ -1,4 +1,5 @@
-"""Workflows of the ident commands: options and sequence of steps of each, from logs to files and the answer. The
-numerical work is in the packages below, such as estimation and characterisation; the options of the command line are in
-cli.
+"""Workflows of the `seatrial ident` commands.
+
+A module contains the options of one command and its sequence of steps, from logs to result files. The numerical work is
+in other packages, such as estimation and characterisation. The options of the command line are in cli.
 """

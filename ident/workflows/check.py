@@ -1,4 +1,4 @@
-"""Checks of logs: the page of `seatrial check`, and the checks before a fit.
+"""Checks of logs: the HTML page of `seatrial check`, and the checks that run before a fit.
 
 The checks before a fit refuse logs whose faults would make its result meaningless. They also adapt the noise model to
 signals that are filtered or rounded.
@@ -41,12 +41,13 @@ INITIAL_FACTOR = 1.5  # initial value of a noise with a floor, relative to the f
 
 
 def write_check(report: CheckReport, command: str, out: Path) -> None:
-    """Write the HTML page of `seatrial check`, with the findings and the curves of its logs.
+    """Write the HTML page of `seatrial check`: the findings, and plots of the signals of the checked logs.
 
     Parameters
     ----------
     report
-        Findings and logs of the check.
+        Findings of the check, and the paths of the checked logs. If the check has a rig file and one log, the plots are
+        labelled with the subject of the check, otherwise with the name of each log.
     command
         Command line, for the provenance on the page.
     out
@@ -71,22 +72,23 @@ def check_first(
     Parameters
     ----------
     loaded, validation_logs : sequence of LoadedLog
-        Logs that were loaded with ``device_faults``.
+        Logs whose devices were checked when they were loaded (argument ``device_faults`` of the loading function).
     model : Model
-        Its arms ``y_left`` and ``y_right`` [m] give the sides of the thrusters; without arms the rig gives them.
+        Model of the fit. Its parameters ``y_left`` and ``y_right`` [m] give the sides of the thrusters. Without them
+        the rig gives the sides.
     despite_faults : bool
         Whether faults that make a fit meaningless are accepted.
 
     Returns
     -------
     tuple of list of LoadedLog
-        Estimation logs and validation logs, with the findings in ``about["findings"]``.
+        Copies of the estimation logs and of the validation logs, with the findings in ``about["findings"]``.
 
     Raises
     ------
     SeatrialError
-        At the first fault that makes a fit meaningless (frames, signs, units, sides, time, frozen signals), unless
-        ``despite_faults``.
+        If a log has a fault that makes a fit meaningless (frames, signs, units, sides, time, frozen signals, a copied
+        log), and ``despite_faults`` is false.
     """
     logs = [*loaded, *validation_logs]
     copies = check_copies([(x.about["path"], x.run.channels) for x in logs])
@@ -105,24 +107,24 @@ def with_findings(
     Parameters
     ----------
     log : LoadedLog
-        Log that was loaded with ``device_faults``.
+        Log whose devices were checked when it was loaded (argument ``device_faults`` of the loading function).
     sides : mapping of str to float
-        Position of each thruster to starboard [m]; empty for a bench.
+        Position of each thruster to starboard [m], by name of the thruster; empty for a bench.
     despite_faults : bool
-        Whether a fault that makes a fit meaningless is accepted.
+        Whether faults that make a fit meaningless are accepted.
     more : sequence of Finding
-        Findings from other checks, which are added.
+        Findings of other checks of this log.
 
     Returns
     -------
     LoadedLog
-        Its findings are all except those of the level ``ok``. Each has the key ``spoils``: whether it makes a fit
-        meaningless.
+        Copy of the log. Its findings are those on the devices, on the signals, and ``more``, each as a dictionary;
+        those of the level ``ok`` are left out. Its key ``spoils`` is true if the finding makes a fit meaningless.
 
     Raises
     ------
     SeatrialError
-        If the log has such a fault, and it is not accepted.
+        If the log has a fault that makes a fit meaningless, and ``despite_faults`` is false.
     """
     name = log.about["path"]
     assert log.device_faults is not None, "logs of a fit are loaded with `device_faults`"
@@ -141,10 +143,10 @@ def with_findings(
 
 
 def sides_of_model(model: Model, log: LoadedLog) -> Mapping[str, float]:
-    """Return the position of each thruster to starboard [m], for the checks before a fit.
+    """Return the position of each thruster to starboard [m] by name of the thruster, for the checks before a fit.
 
-    The positions are those of the model's arms ``y_left`` and ``y_right``, else those of the rig, else -1 for ``left``
-    and +1 for ``right``.
+    The positions are the values of the parameters ``y_left`` and ``y_right`` of the model. If the model has neither,
+    they are those in the rig of the log. Without a rig they are -1 m for ``left`` and +1 m for ``right``.
 
     Parameters
     ----------
@@ -162,14 +164,16 @@ def sides_of_model(model: Model, log: LoadedLog) -> Mapping[str, float]:
 def with_estimator_errors(
     model: Model, logs: Sequence[LoadedLog], user_given: Collection[str] = ()
 ) -> tuple[Model, list[str]]:
-    """Add states for navigation errors if the position of a log is the output of a navigation filter.
+    """Add states for correlated navigation errors if the position of a log is the output of a navigation filter.
+
+    Such a position has less white noise than a GNSS receiver.
 
     Parameters
     ----------
     model : Model
         Model of the boat.
     logs : sequence of LoadedLog
-        Estimation logs. One with such a position is enough.
+        Estimation logs. One log with such a position is enough.
     user_given : collection of str
         Names of the parameters that the user fixed or gave a prior. If they include the noise of the position, this
         noise is taken as white and no states are added.
@@ -177,8 +181,9 @@ def with_estimator_errors(
     Returns
     -------
     tuple of Model and list of str
-        The model, and a line about the added states. The unchanged model and an empty list if none are added: also if
-        the model has no position or heading, or has these states already.
+        The model, and a list with one line of text about the added states. If no states are added, the unchanged model
+        and an empty list. This is also so if the model has no position noise or no heading, or has these states
+        already.
     """
     position = next((o.noise for o in model.outputs if o.name == "x" and o.noise), None)
     there = ESTIMATOR_ERROR in {e.name for e in model.effects}
@@ -198,25 +203,30 @@ def with_estimator_errors(
 def with_noise_floors(model: Model, logs: Sequence[LoadedLog]) -> tuple[Model, list[str]]:
     """Set lower bounds for the free noise parameters of smoothed channels, and raise their values above the bounds.
 
+    A channel is smoothed if it has less white noise than any sensor, for example the output of a filter. Values below
+    1.5 times the bound are set to 1.5 times the bound.
+
     Parameters
     ----------
     model : Model
         Model of the boat.
     logs : sequence of LoadedLog
-        Estimation logs. A channel is smoothed if it is so in any of them.
+        Estimation logs. A channel counts as smoothed if it is so in at least one of them.
 
     Returns
     -------
     tuple of Model and list of str
-        The model, and a line with the smoothed channels and their bounds; an empty list if there are none.
+        The model, and a list with one line of text: the smoothed channels and their bounds. The list is empty if there
+        is no such channel with a free noise parameter.
 
     Notes
     -----
     The output of a filter has correlated errors and almost no noise from sample to sample. A fit that takes the noise
     as white estimates it near zero, and the states then follow the filter. The bound is the noise of a usual sensor
-    (``seatrial.ident.models.NOISE``). If correlated errors are states of the model, the bound is a small part of that
-    noise, and no line is returned. The bound is never less than the rounding error of the signal: consecutive rounded
-    samples may be equal, so the noise would be underestimated, and the forces would follow the rounding steps.
+    (``seatrial.ident.models.NOISE``). Channels whose correlated errors are states of the model have a bound too, even
+    if they are not smoothed. It is 2 % of that noise, and the line does not list it. No bound is less than the rounding
+    error of the signal: consecutive rounded samples may be equal, so the noise would be underestimated, and the forces
+    would follow the rounding steps.
     """
     usual, states = {p.name: p.value for p in NOISE.values()}, ESTIMATOR_ERROR in {e.name for e in model.effects}
     lasting = {o.name for s in model.sensors if states and s.name in SENSORS_WITH_CORRELATED_ERRORS for o in s.outputs}
@@ -237,11 +247,11 @@ def with_noise_floors(model: Model, logs: Sequence[LoadedLog]) -> tuple[Model, l
 
 
 def _rounding_error(channels: Mapping[str, Channel], name: str) -> float:
-    """Return the standard deviation of the rounding error of a logged signal, for the lower bound of its noise.
+    """Return the standard deviation of the rounding error of the signal ``name``, in the unit of the signal.
 
-    It is zero if the signal ``name`` is not rounded or not logged. The error is uniform over one step (Bennett 1948). A
-    receiver that reports speed and course rounds the speed, so the steps of a velocity are looked for in its magnitude
-    too.
+    ``channels`` are the signals of a log by name. The result is zero if the signal is not rounded or not in the log.
+    The error is uniform over one rounding step (Bennett 1948). A receiver that reports speed and course rounds the
+    speed. The steps of ``vx`` and ``vy`` are therefore also searched in the magnitude of the velocity.
     """
     if name not in channels:
         return 0.0

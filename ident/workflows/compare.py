@@ -1,4 +1,4 @@
-"""Workflow of `seatrial ident compare`: several fitted models on the same logs."""
+"""Workflow of `seatrial ident compare`: comparison of the predictions of several fitted models on the same logs."""
 
 from __future__ import annotations
 
@@ -36,13 +36,15 @@ class CompareRequest:
     horizon
         Prediction horizon [s]; None: that of the first model.
     rate
-        Rate of the rows [Hz]; None: the usual rate of the first model.
+        Rate of the rows (instants of a record) [Hz], over which faster sensors are averaged. None: 50 Hz if the first
+        model is a thruster model, 10 Hz if it is a vehicle model.
     thruster
-        As in `seatrial ident diagnose`, for all models.
+        For vehicle models: file of the static thrust curve that they were fitted with. For thruster models: name of the
+        thruster, if the logs have several. None: no curve, and the only thruster.
     despite_faults
         Whether to compare on logs with faults that make a fit meaningless.
     window
-        Interval of the logs to use.
+        Interval of time of each log to use.
     """
 
     models: Sequence[Path]
@@ -58,8 +60,8 @@ class CompareRequest:
 class LogScore:
     """Difference of two models in the log-likelihood of the samples, each predicted one step ahead.
 
-    It is the logarithmic score of the predictions (Gneiting and Raftery 2007). It needs no correction for the number of
-    parameters if neither model was fitted to these logs.
+    The log-likelihood is the logarithmic score of the predictions (Gneiting and Raftery 2007). It needs no correction
+    for the number of parameters if neither model was fitted to these logs.
 
     Attributes
     ----------
@@ -68,7 +70,8 @@ class LogScore:
     low, high
         95 % interval of the gain, by Student's t over blocks of time; NaN for fewer than four blocks.
     blocks
-        Number of blocks.
+        Number of blocks of time into which the logs are divided. They are so long that their gains are nearly
+        independent.
     """
 
     gain: float
@@ -78,7 +81,10 @@ class LogScore:
 
     @property
     def verdict(self) -> str:
-        """``better`` or ``worse`` (the second model) if the interval excludes zero, otherwise ``unchanged``."""
+        """Result for the second model: ``better`` or ``worse`` if the interval excludes zero, otherwise ``unchanged``.
+
+        It is ``unchanged`` without an interval.
+        """
         return "better" if self.low > 0.0 else "worse" if self.high < 0.0 else "unchanged"
 
 
@@ -95,8 +101,8 @@ class InformationCriteria:
     aic, bic
         Change of Akaike's and of the Bayesian information criterion; negative if the second model is better.
     p
-        p value of the likelihood-ratio test of the first model inside the second one. None if the first model is not
-        the second one with fewer parameters.
+        p value of the likelihood-ratio test of the hypothesis that the additional parameters of the second model are
+        not needed. None unless the first model is the second one with some of its free parameters fixed.
     """
 
     gain: float
@@ -117,18 +123,20 @@ class ComparedModel:
     saved
         The model with its estimates.
     rms
-        RMS prediction error over the horizon by channel, over all logs, in the unit of the channel.
+        RMS prediction error over the horizon by channel, over all logs, in the unit of the channel; infinite if a
+        prediction diverged.
     fitted_to_logs
         Names of the logs of the comparison that the model was fitted to. Its errors on them are too small.
     change
         Change of the prediction errors from the first model to this one; None for the first model.
     score
-        Difference to the first model in log score. None for the first model, and if the models do not predict the same
-        samples.
+        Difference in log-likelihood of the samples from the first model to this one. None for the first model, and if
+        the models do not predict the same samples.
     criteria
-        Information criteria against the first model. None for the first model, and if ``no_criteria`` has a reason.
+        Information criteria of this model against the first one. None for the first model, and if ``no_criteria`` is
+        not empty.
     no_criteria
-        Reason why there are no information criteria; empty for the first model and if there are some.
+        Reason why there are no information criteria; empty for the first model, and if there are criteria.
     """
 
     name: str
@@ -142,7 +150,7 @@ class ComparedModel:
 
     @property
     def n_free(self) -> int:
-        """Number of free parameters that all logs share."""
+        """Number of estimated parameters with one value for all logs; per-record parameters are not counted."""
         return sum(p.free and not p.per_record for p in self.saved.model.parameters)
 
 
@@ -155,9 +163,9 @@ class ModelComparison:
     horizon
         Prediction horizon [s].
     units
-        Unit of each channel, by name.
+        Unit of each output channel, by name of the channel.
     models
-        The models, in the order in which they were given.
+        The compared models in the order of the request. The first one is the reference.
     """
 
     horizon: float
@@ -181,12 +189,14 @@ def compare_models(request: CompareRequest, reporter: Reporter) -> ModelComparis
     Returns
     -------
     ModelComparison
-        Errors of each model, and its difference to the first one.
+        Prediction errors of each model, and its differences to the first model.
 
     Raises
     ------
     SeatrialError
-        If there are fewer than two models, or if a model does not go with the logs.
+        If there are fewer than two models, if a file cannot be read, if the logs have faults that make a fit
+        meaningless (unless ``despite_faults``), if no log is longer than the horizon, or if a model cannot predict a
+        log.
     """
     if len(request.models) < 2:
         raise SeatrialError("a comparison needs two models or more; give another model.toml")
@@ -225,9 +235,10 @@ def compare_models(request: CompareRequest, reporter: Reporter) -> ModelComparis
 
 
 def _logs_of_fit(saved: SavedModel, logs: Sequence[LoadedLog]) -> tuple[str, ...]:
-    """Return the names of the logs that a model was fitted to, by their hashes, or by their names without a hash.
+    """Return the names of those of ``logs`` that the model ``saved`` was fitted to.
 
-    A log of which only a window is read has no hash.
+    A log is recognised by its hash, which the model file lists. A log of which only an interval was read has no hash
+    and is recognised by the name of its file.
     """
     used = [str(line) for line in saved.provenance.get("logs", ())]
     found = []
@@ -241,11 +252,15 @@ def _logs_of_fit(saved: SavedModel, logs: Sequence[LoadedLog]) -> tuple[str, ...
 def _why_not_comparable(
     first: ComparedModel, second: ComparedModel, logs: Sequence[LoadedLog], score: LogScore | None
 ) -> str:
-    """Return why the likelihoods of two fits are no basis for information criteria; empty if they are."""
+    """Return the reason why there are no information criteria of two models; an empty text if they are valid.
+
+    They are valid if both models are plain maximum likelihood fits to exactly the compared ``logs``, each read as a
+    whole. ``score``: difference of the models in log-likelihood; None if they do not predict the same samples.
+    """
     if score is None:
         return "the models do not predict the same samples"
     if any(not log.about.get("sha256") for log in logs):
-        return "only a part of a log is used, and a model file does not say which part it was fitted to"
+        return "only a part of a log is used, and a model file does not contain the part that it was fitted to"
     both = (first, second)
     if any(len(m.fitted_to_logs) != len(logs) or len(m.saved.provenance["logs"]) != len(logs) for m in both):
         return "not all models were fitted to exactly these logs"
@@ -257,14 +272,14 @@ def _why_not_comparable(
 
 
 def _criteria(first: Model, second: Model, first_views: Sequence[RecordEvaluation], gain: float) -> InformationCriteria:
-    """Return the information criteria of two models with their estimates.
+    """Return the information criteria of the second of two fitted models against the first.
 
     Parameters
     ----------
     first, second : Model
-        The models.
+        The models with their estimates.
     first_views : sequence of RecordEvaluation
-        Evaluation of the first model on each record; the second one has the same samples.
+        Evaluation of the first model on each record. The evaluation of the second model has the same samples.
     gain : float
         Log-likelihood of the second model less that of the first.
     """
@@ -275,15 +290,16 @@ def _criteria(first: Model, second: Model, first_views: Sequence[RecordEvaluatio
 
 
 def _n_estimates(model: Model, n_records: int) -> int:
-    """Return the number of estimates of a fit to ``n_records`` records; a per-record parameter counts in each."""
+    """Return the number of estimates of a fit to ``n_records`` records; a per-record parameter has one per record."""
     return sum(n_records if p.per_record else 1 for p in model.parameters if p.free)
 
 
 def _is_nested(first: Model, second: Model) -> bool:
-    """Return whether the first model is the second one with some free parameters fixed.
+    """Return whether the first model is the second model with some free parameters fixed, or without them.
 
-    Both have the same structure, the second one has all free parameters of the first, and a parameter that is fixed in
-    the second one has the same value in the first.
+    Both models must have the same source (name of the structure). Each parameter of the first must exist in the second,
+    and each free parameter of the first must be free there. A parameter that is fixed in the second must have the same
+    value in the first, to nine digits.
     """
     free = [{p.name for p in m.parameters if p.free} for m in (first, second)]
     fixed = [p for p in second.parameters if not p.free and p.name in first.values]
@@ -296,16 +312,21 @@ def _is_nested(first: Model, second: Model) -> bool:
 
 
 def _rms_by_channel(errors: Mapping[str, Mapping[str, PredictionErrors]]) -> dict[str, float]:
-    """Return the RMS error of each channel over all records."""
+    """Return the RMS prediction error of each channel over all records, in the unit of the channel.
+
+    ``errors`` has the prediction errors by record and channel. The RMS error is infinite if a prediction diverged.
+    """
     names = dict.fromkeys(name for by_channel in errors.values() for name in by_channel)
     pooled = {n: np.concatenate([by[n].e for by in errors.values() if n in by]) for n in names}
     return {n: float(np.sqrt(np.mean(e**2))) for n, e in pooled.items()}
 
 
 def _log_score(before: Sequence[RecordEvaluation], after: Sequence[RecordEvaluation]) -> LogScore | None:
-    """Return the difference in log score of two models that were evaluated on the same logs, in the same order.
+    """Return the difference in log-likelihood of the samples between two models, ``before`` and ``after``.
 
-    None if the models do not predict the same samples: then the likelihoods are not comparable.
+    Each sequence has the evaluation of a model on the same logs in the same order. Only the time that both records of a
+    log cover is used. The result is None if the models do not predict the same samples: then the likelihoods are not
+    comparable.
     """
     gains: list[float] = []
     for a, b in zip(before, after, strict=True):
@@ -330,20 +351,26 @@ def _log_score(before: Sequence[RecordEvaluation], after: Sequence[RecordEvaluat
 
 
 def _samples_by_channel(record: Record, rows: NDArray[np.bool_]) -> dict[str, int]:
-    """Return the number of samples of each channel in some rows of a record, without channels that have none."""
+    """Return the number of samples of each channel in the rows of a record for which the mask ``rows`` is true.
+
+    Channels without samples in these rows are left out.
+    """
     counts = np.isfinite(record.y[rows]).sum(axis=0).tolist()
     return {name: n for name, n in zip(record.outputs, counts, strict=True) if n}
 
 
 def comparison_lines(found: ModelComparison, names: Sequence[str] | None = None) -> list[str]:
-    """Return a comparison as lines of text: a table of errors by channel, then each difference to the first model.
+    """Return a comparison as lines of text.
+
+    The lines are the list of models, a table of the RMS prediction errors by channel, the differences of each model to
+    the first one, and warnings about models that were fitted to the compared logs.
 
     Parameters
     ----------
     found : ModelComparison
         The comparison.
     names : sequence of str, optional
-        Names of the models; by default their paths.
+        Names of the models, in their order; by default the paths of their files.
     """
     names = list(names or (m.name for m in found.models))
     channels = list(dict.fromkeys(n for m in found.models for n in m.rms))
@@ -372,12 +399,15 @@ def comparison_lines(found: ModelComparison, names: Sequence[str] | None = None)
 
 
 def _error_text(error: float | None) -> str:
-    """Return an RMS error with three digits; ``-`` for a channel that the model does not predict."""
+    """Return the text of an RMS error: a number of three digits, or ``diverged`` if it is not finite.
+
+    The text for None, a channel that the model does not predict, is ``-``.
+    """
     return "-" if error is None else f"{error:.3g}" if np.isfinite(error) else "diverged"
 
 
 def _change_text(change: PredictionChange) -> str:
-    """Return the change of the prediction errors of all channels in words, with its 95 % interval."""
+    """Return a sentence on the change of the prediction error of all channels, with its 95 % interval if finite."""
     by, low, high = (100.0 * (r - 1.0) for r in (change.ratio, change.low, change.high))
     if not np.isfinite(low):
         return f"the prediction error of all channels changes by {by:+.0f} %; the logs are too short for an interval."
@@ -386,7 +416,7 @@ def _change_text(change: PredictionChange) -> str:
 
 
 def _score_text(score: LogScore | None) -> str:
-    """Return the difference in log score in words."""
+    """Return a sentence on the difference of two models in log-likelihood, or on its absence if ``score`` is None."""
     if score is None:
         return "The models do not predict the same samples, so their likelihoods are not compared."
     interval = f" (95 %: {score.low:.1f} to {score.high:.1f})" if np.isfinite(score.low) else ""
@@ -395,7 +425,7 @@ def _score_text(score: LogScore | None) -> str:
 
 
 def _criteria_text(m: ComparedModel) -> str:
-    """Return the information criteria of a model in words, or the reason why there are none."""
+    """Return a sentence with the information criteria of a compared model, or with the reason why there are none."""
     c = m.criteria
     if c is None:
         return f"AIC, BIC and likelihood ratio are not given: {m.no_criteria}."

@@ -1,4 +1,4 @@
-"""Workflow of `seatrial mission design`: from a model to mission.toml, its numbers (JSON) and its page."""
+"""Workflow of `seatrial mission design`: from a model to a mission file, a result file (.json) and a page (.html)."""
 
 from __future__ import annotations
 
@@ -83,21 +83,23 @@ class DesignRequest:
     criterion
         Scalar of the information matrix that is maximised: D, A, E or Ds.
     chosen
-        Parameters of the criterion; empty: all.
+        Names of the parameters of the criterion; empty: all that the sensors observe.
     limits
-        Limits on the track, the speed, the energy and the current.
+        Limits on area, speed and energy, and the largest current in which the boat must keep to them.
     shortest
         Length of the shortest step [s].
     n_max
-        Largest command, as a part of full command.
+        Largest size of a command, 0 to 1 (full command).
     slew
         Slew limit of a command [1/s].
     rates
-        Rate of each sensor [Hz] by name; others have the rate of the fitted data, else 10 Hz.
+        Sample rates [Hz] by name of the sensor. Other sensors have the rate of the data that the model was fitted to,
+        or 10 Hz if it is unknown.
     robust
         Number of parameter samples that the criterion is averaged over; 0: nominal values only.
     spread
-        Relative half-width of the prior, if the model is not a model.toml.
+        Half-width of the uniform prior of each parameter, relative to its value. It is not used with a model.toml,
+        whose covariance is the prior.
     process_noise
         True: information of prediction error. False: of output error.
     seed
@@ -105,7 +107,7 @@ class DesignRequest:
     evaluations
         Number of simulations of the search.
     between
-        Two effects to discriminate; empty: none.
+        Names of two effects to discriminate; empty: the mission is designed for the criterion.
     thrusters
         Names of the thrusters in the rig; empty: those of the model.
     """
@@ -129,12 +131,14 @@ class DesignRequest:
 
 
 def make_design(source: str, request: DesignRequest, out: Path, command: str, reporter: Reporter) -> DesignResult:
-    """Design a mission, compare it with baseline signals, and write the mission, its numbers and its page.
+    """Design a mission, compare it with baseline signals, and write the mission, its result and its page.
+
+    The mission maximises the criterion, or discriminates the two effects of ``request.between``.
 
     Parameters
     ----------
     source : str
-        A model.toml, a name, or FILE.py:NAME.
+        A file model.toml, the name of a built-in model, or FILE.py:NAME for a user-defined model.
     request : DesignRequest
         Options of the design.
     out : Path
@@ -214,7 +218,7 @@ def make_design(source: str, request: DesignRequest, out: Path, command: str, re
 
 
 def _paths_beside_mission(out: Path) -> dict[str, Path]:
-    """Return the paths of the .json and .html files beside the mission ``out``, by suffix. No file is written.
+    """Return the paths of the .json and .html files beside the mission file ``out``, by suffix. No file is written.
 
     Raise SeatrialError if one of the three files exists already, if ``out`` has one of these suffixes, or if its folder
     does not exist.
@@ -236,8 +240,9 @@ def _paths_beside_mission(out: Path) -> dict[str, Path]:
 def _design_warnings(made: Design) -> list[ResultWarning]:
     """Return the warnings of a designed mission, for its result.
 
-    They are about values that the model lacks and the design assumes, about sensor rates that were assumed or are above
-    those of the fit, and about inputs and states that leave the range of the fitted data.
+    They are about thruster data that the model lacks and the design assumes, about sensor rates that are assumed or are
+    above those of the data that the model was fitted to, and about inputs and states that leave the range of these
+    data.
     """
     task = made.problem
     pole = None if task.actuation.shafts_are_states else task.actuation.pole
@@ -277,13 +282,13 @@ def beyond_validity(made: Design) -> list[str]:
     Returns
     -------
     list of str
-        Name, reached range and range of the fitted data. Empty if no signal leaves its range, or if the model has no
-        ranges.
+        Name, reached range and range in the fitted data of each such signal. Empty if no signal leaves its range, or if
+        the model file has no ranges.
 
     Notes
     -----
-    A signal leaves the range if it exceeds it by more than 10 % of its width. As in the fitted data, the range of an
-    input is from its minimum to its maximum, that of a state from its 1 % to its 99 % quantile.
+    A signal leaves its range if it exceeds an end by more than 10 % of the width of the range. As in the fitted data,
+    the reached range of an input is from its minimum to its maximum, that of a state from its 1 % to its 99 % quantile.
     """
     task = made.problem
     if not task.validity:
@@ -316,7 +321,9 @@ def designed_mission(
     source: str,
     command: str,
 ) -> Mission:
-    """Return the designed steps as a mission, after a segment at rest, with numbers of few digits.
+    """Return a designed mission: a segment at rest of 5 s, then the steps of the design.
+
+    Numbers are rounded: times to 1 ms, levels to six digits, positions to 1 cm. Levels are limited to ``n_max``.
 
     Parameters
     ----------
@@ -325,13 +332,13 @@ def designed_mission(
     thrusters : sequence of str
         Names of the thrusters in the rig, in the order of the design.
     made : Design
-        Levels and durations of the steps, and expected standard errors.
+        Design with the levels and durations of the steps, and with the expected standard errors.
     track : Track or None
-        Predicted track; None if the model has no position.
+        Predicted track; None if the model has no position. The mission then has no prediction of the track.
     request : DesignRequest
         Options of the design: limits of the commands and seed.
     source : str
-        Model that was designed for.
+        Model of the design, as named on the command line.
     command : str
         Command line, for the provenance.
     """
@@ -386,12 +393,15 @@ def round_to_digits(values: Array, digits: int) -> Array:
 
 
 def make_task(source: str, request: DesignRequest) -> DesignProblem:
-    """Return the design problem of the command: model, steps, criterion, limits and prior.
+    """Return the design problem that the options of `seatrial mission design` define.
+
+    It has the model, the number of steps, the criterion, the limits, the prior and the spacing of the rows in time.
 
     Parameters
     ----------
     source : str
-        A model.toml, a name, or FILE.py:NAME. A model.toml gives its covariance as the prior, its ranges and its rates.
+        A file model.toml, the name of a built-in model, or FILE.py:NAME for a user-defined model. A model.toml gives
+        the prior (the covariance of its estimates), the ranges of its signals and its sensor rates.
     request : DesignRequest
         Options of the design.
 
@@ -445,7 +455,7 @@ def make_task(source: str, request: DesignRequest) -> DesignProblem:
 
 
 def _criterion_parameters(task: DesignProblem) -> tuple[str, ...]:
-    """Return the parameters of the design criterion: the chosen ones, or all that the sensors observe."""
+    """Return the names of the parameters of the design criterion: the chosen ones, or all that the sensors observe."""
     return task.chosen or task.observed_parameters
 
 
@@ -454,8 +464,9 @@ def _discrimination_design(
 ) -> tuple[Design, Discrimination]:
     """Search the mission that discriminates the two effects of ``request.between``.
 
-    The first result is this mission as a design, with the criterion of the parameters, for the same page as other
-    designs. The second has the separation T of the effects by this mission and by eight random missions.
+    The first result is the mission as a design. Its value is the criterion of the parameters, so that its page is that
+    of any design. The second result has the separation T of the two effects by this mission and by eight random
+    missions. T is the expected value of twice the log-likelihood ratio of the true model against the wrong model.
     """
     a, b = hypotheses(task.model, request.between)
     made: DiscriminationDesign = discriminate(
@@ -483,10 +494,10 @@ def _discrimination_design(
 
 
 def hypotheses(model: Model, names: Sequence[str]) -> tuple[Model, Model]:
-    """Return the two models that a mission is to discriminate, each with one of two effects.
+    """Return the two models that a mission is to discriminate: one with the first effect, one with the second.
 
-    Each model has one of the effects. The other effect is removed if the model has it, because a model with both
-    effects would predict well whichever is true.
+    The other effect is removed if the model has it, because a model with both effects would predict well whichever is
+    true. The size of each effect is that of `with_effect`.
 
     Parameters
     ----------
@@ -513,9 +524,12 @@ def hypotheses(model: Model, names: Sequence[str]) -> tuple[Model, Model]:
 def with_effect(model: Model, name: str) -> Model:
     """Return the model with an effect that is large enough for a discrimination of two effects.
 
-    If the model already has the effect, and its fitted size is at least 2 % of the standard deviation of its prior
-    (without a prior, one characteristic step), the size is kept. Otherwise its parameters are shifted by half of the
-    standard deviation of their prior, or by five characteristic steps without a prior, inside their bounds.
+    The fitted effect of the model is kept if it is not negligible. It is negligible if each parameter that is zero
+    without the effect is below 2 % of the standard deviation of its prior, or below one characteristic step if it has
+    no prior. Of a one-sided effect only the first parameter counts.
+
+    A negligible or new effect gets larger values: the initial value of each parameter plus half of the standard
+    deviation of its prior, or plus five characteristic steps if it has no prior, limited to its bounds.
 
     Parameters
     ----------
@@ -527,7 +541,7 @@ def with_effect(model: Model, name: str) -> Model:
     Raises
     ------
     SeatrialError
-        If there is no such effect, or if it does not apply to the model.
+        If there is no effect of this name, or if it does not apply to the model.
     """
     own = next((e for e in model.effects if e.name == name), None)
     if own is None and name not in catalogue():
@@ -550,7 +564,10 @@ def with_effect(model: Model, name: str) -> Model:
 
 
 def _track_table(track: Track, limits: DesignLimits) -> DesignTrack:
-    """Return the predicted track of the boat, with the area and the current of the limits, as a table of the result."""
+    """Return the predicted track of the boat, with the area and the current of the limits, as a table of the result.
+
+    At most 24 of the tracks of sampled boats are kept.
+    """
     corner = None if track.corner is None else (float(track.corner[0]), float(track.corner[1]))
     return DesignTrack(
         t=track.t,
@@ -568,9 +585,10 @@ def _track_table(track: Track, limits: DesignLimits) -> DesignTrack:
 
 
 def _rows_of_finer_grid(task: DesignProblem) -> NDArray[np.intp]:
-    """Return the rows of the design's time grid whose commands hold at the times of its finer grid.
+    """Return, for each time of the finer time grid of a design problem, the index of the last row at or before it.
 
-    The result (n_rows_finer,) has one row index of the design problem for each time of the finer grid.
+    The rows are those of the design problem, between which commands are constant. The finer grid, that of
+    ``task.finer``, is at least as fast as the fastest sensor. The result has the shape (n_rows_finer,).
     """
     return np.asarray(np.searchsorted(task.t, task.finer.t + 1e-9, side="right") - 1)
 
@@ -578,14 +596,15 @@ def _rows_of_finer_grid(task: DesignProblem) -> NDArray[np.intp]:
 def _parameter_table(made: Design, baseline: Mapping[str, float]) -> tuple[DesignedParameter, ...]:
     """Return the table of standard errors in the result of a design, one row for each observed parameter.
 
-    A row has the errors before the mission, after it, and after the best baseline signal, in reported units.
-    ``baseline``: standard error after the baseline signal, by name.
+    A row has the errors before the mission, after it, and after the best baseline signal. They are in reported units:
+    ratios to the thrust if the scale of the forces is unknown. ``baseline``: standard error after the best baseline
+    signal, by name of the parameter.
     """
     model, before, after = made.problem.model, made.before, made.predicted
     chosen, units = _criterion_parameters(made.problem), reported_units(model)
 
     def reported(errors: Mapping[str, float], p: Parameter) -> float | None:
-        """Return the error of parameter ``p`` in reported units; None if it is infinite (no information)."""
+        """Return the standard error of parameter ``p`` in reported units; None if it is infinite (no information)."""
         return finite(errors[p.name] * units.factor(p.unit))
 
     return tuple(
@@ -603,8 +622,9 @@ def _design_answer(
 ) -> str:
     """Return the answer of a design: its expected standard errors, or how well it discriminates two effects.
 
-    ``parameters``: rows of the table of the result. ``apart``: discrimination of two effects, or None. ``baseline``:
-    best baseline signal; if it is better than the design, a warning about it comes first.
+    ``parameters``: rows of the table of standard errors; the answer names the first three chosen ones. ``apart``:
+    discrimination of two effects, or None. ``baseline``: best baseline signal. If its criterion is larger than that of
+    the design, a warning comes first.
     """
     if apart is not None:
         first, second = apart.effects
@@ -628,12 +648,14 @@ def _design_answer(
 
 
 def warn_worse_than_baseline(baseline: BaselineSignal, made: Design) -> str:
-    """Return the warning that a baseline signal (random sequence) is more informative than the design, with advice.
+    """Return the sentences of a warning that a baseline signal (random sequence) is better than the design.
+
+    The criterion of the baseline signal is larger than that of the design. The warning ends with advice.
 
     Parameters
     ----------
     baseline : BaselineSignal
-        Best random sequence.
+        Best of 20 random sequences.
     made : Design
         The design.
     """
@@ -646,7 +668,11 @@ def warn_worse_than_baseline(baseline: BaselineSignal, made: Design) -> str:
 
 
 def design_summary(result: DesignResult) -> Sequence[str]:
-    """Return the lines that the command prints: warnings, answer, one line per parameter, criterion and track.
+    """Return the lines that `seatrial mission design` prints.
+
+    They are the warnings, the answer, a line for each parameter (value, and standard errors before and after the
+    mission), the criterion, and the share of simulated boats that stay inside the area. The criterion is left out if
+    two effects were discriminated, the share if there is no limit of area.
 
     Parameters
     ----------

@@ -37,21 +37,22 @@ class DiagnosisRequest:
     model
         The model.toml to diagnose.
     logs, validation
-        Logs for the search, and other logs that validate each effect.
+        Logs for the search, and other logs on which each found effect is validated.
     out
         Folder for the results.
     estimation
-        Only its outlier model and its horizon are used. The search compares maxima of the plain likelihood of a
-        first-order filter.
+        Options of the estimator, of which only the outlier model and the horizon are used. The search compares maxima
+        of the plain likelihood of a first-order filter.
     max_effects
         Largest number of effects to add.
     effects_file
-        Python file of user-defined candidates.
+        Python file of user-defined effects, which the search tests too; None: no such effects.
     thruster
-        For a vehicle model: file of the static curve that it was fitted with. For a thruster model: name of the
-        thruster, if the logs have several.
+        For a vehicle model: file of the static thrust curve that it was fitted with. For a thruster model: name of the
+        thruster, if the logs have several. None: no curve, and the only thruster.
     rate
-        Rate of the rows [Hz] over which faster sensors are averaged; None: the usual rate of the model.
+        Rate of the rows [Hz] over which faster sensors are averaged. None: 10 Hz for a vehicle model, 50 Hz for a
+        thruster model.
     despite_faults
         Whether to search even if the checks find faults that make a fit meaningless.
     window
@@ -82,7 +83,7 @@ class DiagnosedModel:
     result
         Content of result.json.
     effects_file
-        Python file of the user-defined effects; None if there is none.
+        Python file of user-defined effects, from the request or else from the model.toml; None if neither names one.
     """
 
     found: Diagnosis
@@ -120,7 +121,10 @@ def diagnosis(request: DiagnosisRequest, command: str, reporter: Reporter) -> Di
 
 
 def write_diagnosed_model(done: DiagnosedModel, out: Path) -> None:
-    """Write model.toml with the found effects, result.json and report.html to ``out``; existing files are replaced."""
+    """Write model.toml with the found effects, result.json and report.html to the folder ``out``.
+
+    The folder is created if it does not exist. Existing files of these names are replaced.
+    """
     after = done.found.after
     write_all(out, done.result, after.fit, validity(after), done.effects_file, rates=sensor_rates(after))
 
@@ -140,12 +144,13 @@ def diagnose_model(request: DiagnosisRequest, command: str, reporter: Reporter) 
     Returns
     -------
     DiagnosedModel
-        The findings and their result.
+        The findings, and the content of result.json.
 
     Raises
     ------
     SeatrialError
-        If model or logs cannot be used, or if the logs have faults that make a fit meaningless.
+        If model or logs cannot be used, if no log is longer than the horizon, or if the logs have faults that make a
+        fit meaningless (unless ``despite_faults``).
     """
     loaded, validation_logs = load_all(request.logs, request.validation, request.window, device_faults)
     horizon, effects_file = request.estimation.horizon, request.effects_file

@@ -1,4 +1,4 @@
-"""Workflow of `seatrial ident information`: Fisher information of log segments about the parameters of a model."""
+"""Workflow of `seatrial ident information`: Fisher information about the parameters of a model in segments of logs."""
 
 from __future__ import annotations
 
@@ -71,13 +71,13 @@ class InformationRequest:
     seconds
         Length of a segment [s].
     chosen
-        Parameters to analyse; empty: all dynamic parameters.
+        Names of the parameters to analyse; empty: all free parameters of the dynamics.
     thruster
-        Static curve that the model was fitted with.
+        File of the static thrust curve that the model was fitted with; None: no curve.
     rate
         Rate of the rows [Hz] over which faster sensors are averaged.
     window
-        Interval of the logs to use.
+        Interval of time of each log to use.
     """
 
     model: Path
@@ -91,7 +91,7 @@ class InformationRequest:
 
 
 def information(request: InformationRequest, command: str, reporter: Reporter) -> InformationResult:
-    """Compute the information of each segment of the logs about the model's parameters, and write the results.
+    """Compute the Fisher information in each segment of the logs about the model's parameters, and write the results.
 
     The parameters have the values of the model file, except that per-record parameters (current, biases) are fitted to
     each log. The files are result.json and report.html in the folder ``request.out``.
@@ -113,7 +113,8 @@ def information(request: InformationRequest, command: str, reporter: Reporter) -
     Raises
     ------
     SeatrialError
-        If model and logs do not go together.
+        If a file cannot be read, if a parameter to analyse is not free in the model, or if model and logs do not go
+        together (missing commands for a thrust curve, places too far apart for a fixed point).
     """
     saved, seconds, out = load_model(request.model), request.seconds, request.out
     names = _parameters_to_analyse(saved.model, request.chosen, request.model)
@@ -155,10 +156,10 @@ def information(request: InformationRequest, command: str, reporter: Reporter) -
 
 
 def _parameters_to_analyse(model: Model, chosen: Sequence[str], path: Path) -> tuple[str, ...]:
-    """Return the parameters to analyse: those of ``chosen``, or all free dynamic parameters if it is empty.
+    """Return the names of the parameters to analyse: those in ``chosen``, or all free dynamic ones if it is empty.
 
-    Raise SeatrialError if one of them is not free in the model, or if the model has none. ``path``: file of the model,
-    for the message.
+    Raise SeatrialError if one of them is not free in the model, or if the model has no free dynamic parameter.
+    ``path``: file of the model, for the message.
     """
     free = dynamic_parameters(model)
     lost = [n for n in chosen if n not in free]
@@ -192,11 +193,11 @@ def record_parameters(model: Model, rows: Record) -> Array:
 def _segment_table(
     segments: Sequence[InformationSegment], loaded: Sequence[LoadedLog], records: Sequence[Record]
 ) -> tuple[SegmentInformation, ...]:
-    """Return the table of log segments in the result: the information of each about every parameter.
+    """Return the table of log segments in the result: the information of each segment about every parameter.
 
-    The times are those of the log [s], and each row names the mission step that takes up most of it. ``loaded`` and
-    ``records`` are the logs and records of the same names. ``lost`` of a row is the share of each parameter's
-    information that would be lost without the segment, 0 to 1.
+    The times count from the start of the log [s]. Each row names the mission step that takes up most of the segment.
+    ``loaded`` and ``records``: the logs, and the records of the same names. ``lost`` of a row is the share of each
+    parameter's information that would be lost without the segment, 0 to 1.
     """
     starts = {r.name: float(r.meta["t0"]) for r in records}
     steps = {log.run.name: log.segments for log in loaded}
@@ -223,8 +224,10 @@ def _informed_parameter(
 ) -> InformedParameter:
     """Return the table row of one parameter: standard error from all logs, and the segment that contributes most.
 
-    ``k``: index of the parameter in the arrays of ``segments``. ``segments``: information of each segment of the logs;
-    ``rows``: the table rows of the same segments.
+    This is the segment without which the standard error would grow most. ``k``: index of the parameter ``name`` in the
+    arrays of ``segments``. ``segments``: information of each segment of the logs. ``rows``: table rows of the same
+    segments. ``known`` of the result is true if the standard error is below half of the size of the value. The size of
+    a zero value is the standard deviation of its prior, or five characteristic steps if it has no prior.
     """
     best = max(range(len(rows)), key=lambda i: float(np.nan_to_num(segments[i].weight[k], posinf=np.inf)))
     p, row, units = model.parameter(name), rows[best], reported_units(model)
@@ -251,7 +254,7 @@ def _informed_parameter(
 def _longest_mission_step(segments: Sequence[tuple[float, str]], begin: float, end: float) -> str:
     """Return the name of the mission step that takes up most of the time from ``begin`` to ``end`` [s].
 
-    ``segments``: start [s] and name of each step. Empty if the log has no steps in that time.
+    ``segments``: start [s] and name of each step, in order of time. An empty text if the log has no step in that time.
     """
     length: dict[str, float] = {}
     ends = [t for t, _ in segments[1:]] + [np.inf]
@@ -273,7 +276,9 @@ def _segment_text(row: LogSpan) -> str:
 def _information_answer(parameters: Sequence[InformedParameter], n_segments: int) -> str:
     """Return the answer of `seatrial ident information`: the most informative segment, and poorly known parameters.
 
-    ``n_segments``: number of segments of all logs. If it is 1, the answer asks for more logs or shorter segments.
+    ``parameters``: rows of the result. ``n_segments``: number of segments of all logs. If it is 1, the answer asks for
+    more logs or shorter segments. If no parameter has a finite standard error, the answer is that there is no
+    information.
     """
     known = [p for p in parameters if p.se is not None]
     if not known:

@@ -1,7 +1,9 @@
-"""Choice of a model for logs, and its input signals.
+"""Choice of a model for logs, and preparation of its input signals.
 
-Signals that a log lacks are derived from others: thrust from a static curve, total thrust, surge speed. The module also
-reports signals that the model does not use, and checks that model and logs go together.
+Signals that a log lacks are derived from others: thrust from a static thrust curve, total thrust, surge speed. The
+module also reports signals that the model does not use, and checks that model and logs go together.
+
+The hold of a signal is its interpolation between samples: ``zero`` (constant), ``linear`` or ``average``.
 """
 
 from __future__ import annotations
@@ -44,12 +46,12 @@ def known_curve(thruster: Path | None) -> ThrustCurve | None:
     Parameters
     ----------
     thruster : Path or None
-        File of the curve (model.toml).
+        File of the curve, a model.toml of `seatrial ident thruster`.
 
     Raises
     ------
     SeatrialError
-        If the file cannot be read or contains another kind of model.
+        If the file cannot be read, or contains something other than a thrust curve.
     """
     curve = load_curve(thruster) if thruster is not None else None
     if thruster is not None and curve is None:
@@ -69,7 +71,7 @@ def derived_signals(
     channels : mapping
         Channels of the log by name.
     holds : mapping
-        Hold of each channel by name: ``zero``, ``linear`` or empty.
+        Hold of each channel by name (interpolation between its samples): ``zero``, ``linear``, ``average`` or empty.
     source : str
         Name of the model, such as ``horizontal:force``.
     curve : ThrustCurve or None
@@ -80,18 +82,20 @@ def derived_signals(
     Returns
     -------
     tuple of dict
-        New mappings of channels and holds.
+        New mappings of channels and of holds, with the logged and the derived signals.
 
     Raises
     ------
     SeatrialError
-        If a curve is given and the log lacks the commands.
+        If a curve is given, and the log has neither the command nor the shaft speed of a thruster.
 
     Notes
     -----
-    A curve gives ``f_left``, ``f_right`` and ``X`` from commands. ``X`` is the sum of two thrusts. Commands stand for
-    missing shaft speeds, and shaft speeds for missing commands. Surge models take ``u`` from the speed over ground.
-    Signals of the log are kept, except that the thrust of a curve replaces a logged one.
+    A curve gives the thrusts ``f_left`` and ``f_right``, their sum ``X``, and ``X_n``, the change of ``X`` per
+    unit change of both commands away from zero. Without a curve, ``X`` is the sum of the logged thrusts. Commands are
+    used as missing shaft speeds, and shaft speeds as missing commands. Surge models use ``speed``, the speed along the
+    track over ground, as a missing ``u``. Signals of the log are kept, except that the thrust of a curve replaces a
+    logged one.
     """
     found, held = dict(channels), dict(holds)
     for name, substitute in zip(SHAFTS + COMMANDS, COMMANDS + SHAFTS, strict=True):
@@ -113,10 +117,10 @@ def derived_signals(
 
 
 def with_derived_signals(log: LoadedLog, source: str, curve: ThrustCurve | None) -> LoadedLog:
-    """Return a log with the input signals of a model that can be derived from logged ones.
+    """Return a log with additional input signals of a model, which are derived from logged signals.
 
-    These are thrusts by a static curve, the total thrust, shaft speeds from commands, commands from shaft speeds, and
-    for surge models the speed.
+    These are thrusts by a static curve, the total thrust, missing shaft speeds from commands, missing commands from
+    shaft speeds, and for surge models a missing surge speed from the speed over ground.
 
     Parameters
     ----------
@@ -130,18 +134,20 @@ def with_derived_signals(log: LoadedLog, source: str, curve: ThrustCurve | None)
     Raises
     ------
     SeatrialError
-        If a curve is given and the log lacks the commands.
+        If a curve is given, and the log has neither the command nor the shaft speed of a thruster.
     """
     found, held = derived_signals(log.run.channels, log.holds, source, curve, log.about["path"])
     return replace(log, run=replace(log.run, channels=found), holds=held)
 
 
 def choose_model(source: str, loaded: Sequence[LoadedLog]) -> Model:
-    """Return the model of a name for the logs of a fit.
+    """Return the model with the given name, with the sensors and the holds of the logs of a fit.
 
-    The model has the sensors that at least one log has, and its inputs are held between samples as in the first log.
-    ``auto`` selects the horizontal model with the inputs that all logs have. If a log has commands only, the shafts are
-    states of the model. If the shaft speeds are telemetry, the model includes their age.
+    The model has the sensors whose signals occur in the logs. Its inputs are interpolated between samples (hold) as in
+    the first log. ``auto`` selects the horizontal model with inputs that all logs have: shaft speeds, else thrusts,
+    else force and moment. In place of shaft speeds, the inputs are commands and the shafts are states if the thruster
+    signals of a log are commands. If a log has relayed telemetry and no log has commands, the model includes the age of
+    the telemetry.
 
     Parameters
     ----------
@@ -175,7 +181,7 @@ def choose_model(source: str, loaded: Sequence[LoadedLog]) -> Model:
     return model + telemetry_age() if late else model
 
 
-# Names that other programs use for signals, and advice
+# Names that other programs use for signals (also followed by _ and any text), and advice on the name or unit to use
 OTHER_NAMES = {
     "speed_x": "velocity over ground to the north is called vx",
     "speed_y": "velocity over ground to the east is called vy",
@@ -194,17 +200,18 @@ OTHER_NAMES = {
 def unused_signals(
     model: Model, estimation: Sequence[LoadedLog], validation: Sequence[LoadedLog]
 ) -> list[UnusedSignal]:
-    """Return the signals of the logs that the model does not use, with the reasons, in alphabetical order.
+    """Return the signals of the logs that the model does not use, with the reasons.
 
-    They include sensors that only validation logs have, because their noise cannot be estimated. Signals that were
-    derived from others are left out.
+    Signals that were derived from others, and the second signal (command or shaft speed) of a thruster of which the
+    model uses the first, are left out. The signals are in alphabetical order. Behind them are signals of the model that
+    only validation logs contain, so that their noise cannot be estimated.
 
     Parameters
     ----------
     model : Model
         Model of the fit.
     estimation, validation : sequence of LoadedLog
-        The logs.
+        Logs that the model is fitted to, and logs that validate it.
     """
     loaded = [*estimation, *validation]
     taken = {i.tap_of if i.tap else i.name for i in model.inputs} | {o.name for o in model.outputs}
@@ -227,9 +234,9 @@ def unused_signals(
 
 
 def _advice_on_other_name(name: str) -> str | None:
-    """Return advice on a logged signal whose name other programs use for one of the model's signals.
+    """Return advice on a logged signal with a name that other programs use, for example ``sog`` or ``yaw``.
 
-    None for all names that are not in the table `OTHER_NAMES`.
+    The names are those of the table `OTHER_NAMES`, alone or followed by ``_`` and more. None for other names.
     """
     return next((text for alias, text in OTHER_NAMES.items() if name == alias or name.startswith(f"{alias}_")), None)
 
@@ -237,7 +244,9 @@ def _advice_on_other_name(name: str) -> str | None:
 def _unused_signal(name: str, logs: tuple[str, ...], model: Model, there: set[str]) -> UnusedSignal:
     """Return the entry of the result for one logged signal that the model does not use, with the reason.
 
-    ``logs``: names of the logs that contain the signal ``name``. ``there``: names of all signals of all logs.
+    ``logs``: names of the logs that contain the signal ``name``. ``there``: names of all signals of all logs. The
+    reason is, in this order: a missing signal of the same sensor, a name that other programs use, a signal of other
+    models, or an unknown name.
     """
     advice = _advice_on_other_name(name)
     sensors = [[o.name for o in s.outputs] for s in SENSORS.values()]
@@ -257,31 +266,32 @@ def _unused_signal(name: str, logs: tuple[str, ...], model: Model, there: set[st
 
 
 def unused_lines(found: Sequence[UnusedSignal]) -> list[str]:
-    """Return one line for each reason, with the signals that it is about.
+    """Return lines of text on unused signals: one line for each reason, with the signals that it applies to.
 
     Parameters
     ----------
     found : sequence of UnusedSignal
-        Signals that the model does not use.
+        Signals that the model does not use. Without any, the list is empty.
     """
     reasons = dict.fromkeys(s.reason for s in found)
     return [f"not used: {', '.join(s.signal for s in found if s.reason == r)}: {r}" for r in reasons]
 
 
 def thrust_from(model: Model, loaded: Sequence[LoadedLog]) -> str:
-    """Return a line on the signals that the model's thrust is computed from.
+    """Return a line of text on the signals that the model's thrust is computed from: shaft speeds or commands.
 
     Parameters
     ----------
     model : Model
         Model of the fit.
     loaded : sequence of LoadedLog
-        Logs with derived signals (`with_derived_signals`).
+        Logs with derived signals (`with_derived_signals`). The line names those in which commands are used as shaft
+        speeds, unless all are such logs.
 
     Returns
     -------
     str
-        Empty if the thrust itself is an input.
+        Empty if neither shaft speeds nor commands are inputs, for example if the thrust itself is an input.
     """
     if "n_state" in model.provides:
         return (
@@ -308,25 +318,29 @@ def thrust_from(model: Model, loaded: Sequence[LoadedLog]) -> str:
 
 
 def _has_held_shaft_speeds(log: LoadedLog) -> bool:
-    """Return whether the import map of the log holds ``n_left`` and ``n_right`` constant (``zero``), like commands."""
+    """Return whether ``n_left`` and ``n_right`` were imported with the hold ``zero`` (constant between samples).
+
+    The shaft speeds are then treated as commands. False if the log lacks one of them.
+    """
     return all(n in log.run.channels and log.run.channels[n].source == n and log.holds.get(n) == "zero" for n in SHAFTS)
 
 
 def _has_commands_for_shaft_speeds(log: LoadedLog) -> bool:
-    """Return whether the log has no shaft speeds, so that its commands stand for them (`with_derived_signals`)."""
+    """Return whether the log has no shaft speeds, so that its commands are used as such (`with_derived_signals`)."""
     shaft, command = (log.run.channels.get(names[0]) for names in (SHAFTS, COMMANDS))
     return shaft is command and log.propulsion is PropulsionInput.COMMAND
 
 
 def with_logged_holds(model: Model, holds: Mapping[str, str]) -> Model:
-    """Return the model with its inputs, and their delayed taps, held as in a log.
+    """Return the model whose inputs are interpolated between their samples (hold) as in a log.
 
     Parameters
     ----------
     model : Model
         The model, which is not changed.
     holds : mapping
-        Hold of each signal by name. An input without an entry keeps the hold of the model.
+        Hold of each signal by name. It also applies to the delayed taps of an input (``NAME~k``). An input without an
+        entry, or with an empty one, keeps the hold of the model.
     """
     return replace(model, inputs=tuple(i.held(holds.get(i.tap_of or i.name, "")) for i in model.inputs))
 
@@ -334,16 +348,19 @@ def with_logged_holds(model: Model, holds: Mapping[str, str]) -> Model:
 def in_one_frame(
     model: Model, loaded: Sequence[LoadedLog], validation_logs: Sequence[LoadedLog], reference: FrameOrigin | None
 ) -> tuple[list[LoadedLog], list[LoadedLog]]:
-    """Return the logs with x and y from one origin: that of a saved model, else the first fix of the first log.
+    """Return the logs with positions x and y from one origin.
+
+    The origin is that of a saved model, or else the first fix of the first log with latitude and longitude.
 
     Parameters
     ----------
     model : Model
-        Model of the logs.
+        Model that the logs are used with.
     loaded, validation_logs : sequence of LoadedLog
-        The logs. One that begins too far from the origin is returned unchanged.
+        Logs for the estimation and for the validation. A log that begins more than 10 km from the origin, or has an
+        unknown origin, is returned unchanged.
     reference : FrameOrigin or None
-        Origin of the logs that a saved model was fitted to.
+        Origin of the logs that a saved model was fitted to; None if it is unknown.
 
     Returns
     -------
@@ -361,18 +378,25 @@ def in_one_frame(
 
 
 def require_one_frame(model: Model, logs: Sequence[LoadedLog], reference: FrameOrigin | None = None) -> None:
-    """Check that the logs of a model with a fixed point are near enough to share it; raise SeatrialError if not.
+    """Check that all logs of a model with a fixed point begin within 10 km of one origin.
 
-    A fixed point is the position of a mooring or tether, which is the same for all logs.
+    A fixed point is the position of a mooring or tether, which is the same for all logs. A model without a fixed point
+    is accepted with any logs.
 
     Parameters
     ----------
     model : Model
-        Model of the logs.
+        Model that the logs are used with.
     logs : sequence of LoadedLog
-        Logs whose x and y have one origin if they are near each other. A log with an unknown origin is accepted.
+        Logs after `share_frame`: x and y have one origin in all logs that are near each other. A log with an unknown
+        origin is accepted.
     reference : FrameOrigin, optional
-        Origin of the logs that the model was fitted to; by default that of the first log that has one.
+        Origin of the logs that the model was fitted to; by default that of the first log with a known origin.
+
+    Raises
+    ------
+    SeatrialError
+        If a log begins farther away.
     """
     points = [e.name for e in model.effects if e.fixed_point]
     for log in logs if points else ():
@@ -391,9 +415,9 @@ def saved_frame_warnings(model: Model, logs: Sequence[LoadedLog], reference: Fra
     Parameters
     ----------
     model : Model
-        The saved model.
+        The saved model. Without a fixed point (mooring, tether) the list is empty.
     logs : sequence of LoadedLog
-        The logs.
+        Logs that the model is applied to.
     reference : FrameOrigin or None
         Origin of the logs that the model was fitted to; None if unknown.
 
@@ -420,26 +444,27 @@ def model_of_logs(
     model : Model
         The saved model.
     model_path : Path
-        Its file, for messages.
+        File of the model, for messages.
     loaded, validation_logs : sequence of LoadedLog
         Logs for the estimation and for the validation.
     thruster : str or None
-        For a vehicle model: file of the static curve that it was fitted with. For a thruster model: name of the
-        thruster.
+        For a vehicle model: file of the static thrust curve that it was fitted with, or None without a curve. For a
+        thruster model: name of the thruster, or None if the logs have only one.
 
     Returns
     -------
     model : Model
-        The model, for a vehicle with the holds of the first log.
+        A vehicle model with the holds of the first log; a thruster model unchanged.
     estimation, validation : list of LogSegment
-        Signals of each log, with derived signals.
+        Signals of each log, with those derived from others.
     rate : float
-        Usual rate of the rows [Hz] for this kind of model.
+        Usual rate of the rows for this kind of model: 10 Hz for a vehicle model, 50 Hz for a thruster model.
 
     Raises
     ------
     SeatrialError
-        If model and logs do not go together.
+        If the logs lack an input or all sensors of the model, if there is no such file of a curve, or if the thruster
+        is not unique.
     """
     if model.kind is ModelKind.BENCH:
         runs, validation_runs = (thruster_runs(part, model, thruster) for part in (loaded, validation_logs))
@@ -449,7 +474,7 @@ def model_of_logs(
         [with_derived_signals(x, model.source, curve) for x in part] for part in (loaded, validation_logs)
     )
     _check_thrust_inputs(model, model_path, loaded, validation_logs)
-    model = _with_logged_sensors(model, model_path, loaded, validation_logs)
+    model = _check_sensors_and_set_holds(model, model_path, loaded, validation_logs)
     return model, [x.run for x in loaded], [x.run for x in validation_logs], 10.0
 
 
@@ -484,13 +509,13 @@ def _check_thrust_inputs(
             )
 
 
-def _with_logged_sensors(
+def _check_sensors_and_set_holds(
     model: Model, path: Path, loaded: Sequence[LoadedLog], validation_logs: Sequence[LoadedLog]
 ) -> Model:
-    """Return a saved vehicle model with its inputs held between samples as in the first log.
+    """Return a saved vehicle model whose inputs are interpolated between samples (hold) as in the first log.
 
-    Raise SeatrialError if the logs have no sensor of the model at all. Sensors that only some logs lack are accepted.
-    ``path``: file of the model, for the message.
+    Raise SeatrialError if no log has any sensor of the model. Sensors that only some logs lack are accepted, and so are
+    missing sensors beside others. ``path``: file of the model, for the message.
     """
     logs = [*loaded, *validation_logs]
     present = [n for n, s in SENSORS.items() if any(all(o.name in x.run.channels for o in s.outputs) for x in logs)]
@@ -503,16 +528,22 @@ def _with_logged_sensors(
 
 
 def check_names(model: Model, names: Sequence[str], n_logs: int) -> None:
-    """Check the names of ``--profile``; raise SeatrialError for one that the fit does not estimate: unknown or fixed.
+    """Check that the parameters that the option ``--profile`` names are estimated by the fit.
 
     Parameters
     ----------
     model : Model
         Model of the fit.
     names : sequence of str
-        Names of parameters; a per-record parameter also as ``NAME@0``, ``NAME@1``, ...
+        Names of the parameters. A per-record parameter may also be named with the number of its log: ``NAME@0``,
+        ``NAME@1``, ...
     n_logs : int
         Number of estimation logs.
+
+    Raises
+    ------
+    SeatrialError
+        If the model has no such parameter, or if the parameter is fixed.
     """
     known = {p.name: p for p in model.parameters}
     known |= {segment_name(p.name, i): p for p in model.parameters if p.per_record for i in range(n_logs)}
@@ -531,14 +562,20 @@ def check_names(model: Model, names: Sequence[str], n_logs: int) -> None:
 def check_horizon(
     horizon: float | None, loaded: Sequence[LoadedLog], validation_logs: Sequence[LoadedLog] = ()
 ) -> None:
-    """Check ``--horizon``; raise SeatrialError if it is longer than all logs that the model is evaluated on.
+    """Check that the prediction horizon of the option ``--horizon`` is shorter than the longest log for the evaluation.
 
     Parameters
     ----------
     horizon : float or None
         Prediction horizon [s]; None is accepted.
     loaded, validation_logs : sequence of LoadedLog
-        The model is evaluated on the validation logs, or on the estimation logs if there are no others.
+        Logs for the estimation and for the validation. The model is evaluated on the validation logs, or on the
+        estimation logs if there are no validation logs.
+
+    Raises
+    ------
+    SeatrialError
+        If none of these logs is longer than the horizon.
     """
     longest = max(validation_logs or loaded, key=lambda x: float(x.about["duration"])).about
     if horizon is not None and not horizon < longest["duration"]:

@@ -1,4 +1,7 @@
-"""Workflow of `seatrial ident navigate`: states of logs by a fitted model, as CSV, result.json and report.html."""
+"""Workflow of `seatrial ident navigate`: estimation of the boat's states in logs by a fitted model.
+
+The results are CSV files of the states, result.json and report.html.
+"""
 
 from __future__ import annotations
 
@@ -61,19 +64,20 @@ class NavigationRequest:
     model
         The model.toml.
     logs
-        Logs with different names.
+        Logs, whose file names must differ.
     out
         Folder for the results.
     smoothed
-        Whether states are estimated from all samples, or only from those so far.
+        True: states are estimated from all samples of a log (smoother). False: from the samples up to each time
+        (filter).
     gnss_outages
-        Intervals (from, to) in which GNSS is withheld.
+        Intervals (from, to) in which GNSS is withheld from the filter.
     window
-        Interval of the logs to use.
+        Interval of time of each log to use.
     rate
         Rate of the rows [Hz] over which faster sensors are averaged.
     thruster
-        Static curve that the model was fitted with.
+        File of the static thrust curve that the model was fitted with; None: no curve.
     """
 
     model: Path
@@ -87,7 +91,7 @@ class NavigationRequest:
 
 
 def navigate_logs(request: NavigationRequest, command: str, reporter: Reporter) -> NavigationResult:
-    """Estimate the states of each log, and write the results.
+    """Estimate the states of the boat in each log, and write the results.
 
     The files are one CSV file of the states for each log or segment of a log, result.json and report.html in the folder
     ``request.out``.
@@ -109,7 +113,8 @@ def navigate_logs(request: NavigationRequest, command: str, reporter: Reporter) 
     Raises
     ------
     SeatrialError
-        If two logs have one name, or if model and logs do not go together.
+        If two logs have the same file name, if a file cannot be read, if a log has no GNSS position, or none in an
+        interval to withhold, or if the model has no position.
     """
     logs, saved = request.logs, load_model(request.model)
     # First order: in a long outage the heading may be too uncertain for a second-order expansion.
@@ -163,10 +168,11 @@ def _write_results(out: Path, result: NavigationResult, tables: Mapping[str, Col
 def _outages_by_segment(
     parts: Sequence[LoadedLog], outages: Sequence[tuple[float, float]]
 ) -> list[list[tuple[float, float]]]:
-    """Return, for each segment of one log, the ``outages`` (from, to) [s of the log] of --gnss-outage that it contains.
+    """Return, for each segment of one log, those intervals of the option --gnss-outage that begin in it.
 
-    ``parts``: segments of the log in order of time. An outage that begins between two segments belongs to the later
-    one; an outage that begins after all belongs to the last one.
+    ``outages``: intervals (from, to) [s] from the start of the log. ``parts``: segments of the log in order of time. An
+    interval that begins between two segments belongs to the later one. An interval that begins after all segments
+    belongs to the last one.
     """
     ends = [max(float(c.t[-1]) for c in log.run.channels.values()) for log in parts[:-1]]
     own: list[list[tuple[float, float]]] = [[] for _ in parts]
@@ -182,10 +188,10 @@ def _navigate_log(
     request: NavigationRequest,
     without: Sequence[tuple[float, float]],
 ) -> tuple[Navigation, float]:
-    """Navigate one log or segment of a log; return the navigation and the log time [s] of its first row.
+    """Estimate the states of one log or segment; return the navigation and the time [s] of its first row in the log.
 
-    ``known``: covariance of the parameters. ``without``: intervals (from, to) [s of the log] in which GNSS is withheld.
-    Raise SeatrialError if the log has no position, or none in such an interval.
+    ``known``: covariance of the model's parameters. ``without``: intervals (from, to) [s of the log] in which GNSS is
+    withheld. Raise SeatrialError if the log has no position, or none in such an interval.
     """
     rate = request.rate
     model = with_logged_holds(model, log.holds)
@@ -218,9 +224,10 @@ def _check_fixes(rows: Record, t0: float, without: Sequence[tuple[float, float]]
 def _csv_columns(done: Navigation, t0: float) -> Columns:
     """Return the columns of the CSV file of a navigated log.
 
-    They are time, states, standard deviations, current (if it is a state), covariance of the position, and use of GNSS.
-    ``t0``: log time [s] of the first row. The column ``gnss`` is 1 for a fix that was used, -1 for one that was
-    withheld, else 0. States and standard deviations are in reported units.
+    They are the time, the states and their standard deviations, the current with its standard deviations (if it is a
+    state), the covariance ``cov_x_y`` [m2] of north and east, and ``gnss``: 1 for a fix that was used, -1 for one that
+    was withheld, 0 without a fix. ``t0``: log time [s] of the first row. States are in reported units: forces are
+    ratios to the thrust if the scale of the forces is unknown.
     """
     states, best = done.model.states, done.best
     drift = set(CURRENT.values()) if done.current() is not None else set()
@@ -263,10 +270,10 @@ def _input_traces(done: Navigation, t0: float) -> list[InputTrace]:
 
 
 def _navigated_record(done: Navigation, t0: float, table: Columns) -> NavigatedRecord:
-    """Return the navigation of one record as the entry of the result.
+    """Return the navigation of one record as an entry of the result.
 
-    It contains only the states that the report plots, because a record has ten rows per second. ``t0``: log time [s] of
-    the first row. ``table``: columns of the CSV file.
+    The entry has the estimated states with their standard deviations, beside measurements with the same name, and the
+    GNSS fixes. ``t0``: log time [s] of the first row. ``table``: columns of the CSV file, which give the states.
     """
     values = {name: value for name, _, value in table}
     meaning = {s.name: s.meaning for s in done.model.states} | {
@@ -337,12 +344,15 @@ def _withheld_errors(found: OutageErrors | None) -> WithheldErrors | None:
 
 
 def navigation_answer(found: Sequence[Outage], done: Sequence[Navigation]) -> str:
-    """Return the answer of `ident navigate`: the worst GNSS outage, or without one the accuracy of the position.
+    """Return the answer of `seatrial ident navigate`: the worst GNSS outage, or else the accuracy of the position.
+
+    The worst outage is the one with the largest predicted position error at its end. The time before the first fix of a
+    record has a sentence of its own.
 
     Parameters
     ----------
     found : sequence of Outage
-        Outages of all records. The time before the first fix counts as an outage.
+        Outages of all records, with the times before first fixes.
     done : sequence of Navigation
         Navigations of all records, at least one.
     """
@@ -378,8 +388,8 @@ def _navigation_notes(parts: Sequence[tuple[Navigation, float, list[Outage]]], k
     """Return the notes of the result of `seatrial ident navigate`.
 
     They are about missing sensors, innovations that are larger than the model predicts, fixes outside the predicted
-    95 % region at the end of an outage, and missing standard errors. ``parts``: navigation, log time [s] of its first
-    row, and outages of each record. ``known``: covariance of the parameters.
+    95 % region at the end of an outage, and missing standard errors of the parameters. ``parts``: navigation, log time
+    [s] of its first row, and outages of each record. ``known``: covariance of the parameters.
     """
     notes = []
     for done, t0, found in parts:

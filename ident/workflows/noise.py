@@ -1,4 +1,4 @@
-"""Workflow of `seatrial ident noise`: logs of sensors at rest to noise.toml, result.json and a report.
+"""Workflow of `seatrial ident noise`: from logs of sensors at rest to noise.toml, result.json and report.html.
 
 The format of noise.toml is described in docs/formats/noise.md.
 """
@@ -45,9 +45,9 @@ class NoiseEstimate:
     log, name
         Name of the log and of the channel.
     label
-        Name of the channel for the reader, with that of the log if there are several logs.
+        Name of the channel in texts, with the name of the log if there are several logs.
     channel
-        Samples, with angles unwrapped and times from the first sample [s].
+        Samples of the channel, with unwrapped angles and with times [s] from the first sample.
     fit
         Fitted model: white noise plus a random walk, with tests.
     """
@@ -60,22 +60,26 @@ class NoiseEstimate:
 
     @property
     def reason(self) -> str:
-        """Reason, as a part of a sentence, why the channel is not white noise plus a random walk; empty if it is."""
+        """Reason, as a part of a sentence, why the channel is not white noise plus a random walk.
+
+        The text is empty if no departure from this model is large enough to matter.
+        """
         return " and ".join(words for words, _ in self._departures())
 
     @property
     def remedy(self) -> str:
-        """Advice for a channel that is not white noise plus a random walk.
+        """Advice to the user, a sentence, for a channel that is not white noise plus a random walk.
 
-        It is defined only if there is a `reason`; for other channels it raises IndexError.
+        It is defined only if `reason` is not empty; otherwise it raises IndexError.
         """
         return self._departures()[-1][1]
 
     @property
     def exceptions(self) -> list[tuple[str, str]]:
-        """Spikes, jumps and coarse steps of the channel: pairs of a description and its consequence.
+        """Spikes, jumps and coarse steps of the channel: pairs of a description and a sentence on its consequence.
 
-        White noise plus a random walk does not describe them, but the noise model may be accepted nevertheless.
+        There is at most one pair for spikes, jumps and heavy tails, and one for steps that are coarse beside the noise.
+        White noise plus a random walk does not describe them, but this noise model may be accepted nevertheless.
         """
         f, found = self.fit, []
         size = np.abs(f.innovations)
@@ -93,11 +97,12 @@ class NoiseEstimate:
         return found
 
     def _departures(self) -> list[tuple[str, str]]:
-        """Return the departures of the channel from white noise plus a random walk, each as a text with advice.
+        """Return the departures of the channel from white noise plus a random walk, each as a text and an advice.
 
-        A spectral line is returned alone if it holds more than half of the predictable variance. Otherwise the
-        autocorrelation of the innovations and the frequency band with too high or too low density are returned.
-        Departures that are too small to matter are left out, so that the list may be empty.
+        A spectral line is returned alone if its share is more than half of the predictable share of the variance of the
+        innovations. Otherwise the list has the autocorrelation of the innovations, and the frequency band in which the
+        density of the innovations is too high or too low. Beside an autocorrelation, only a band from frequency zero is
+        listed. Departures that are too small to matter are left out, so that the list may be empty.
         """
         predictable, line, band = self.fit.departures
         rate = 1.0 / self.fit.interval
@@ -115,9 +120,9 @@ class NoiseEstimate:
 
 
 def noise(logs: Sequence[Path], out: Path, *, signals: Sequence[str], command: str, reporter: Reporter) -> NoiseResult:
-    """Estimate white noise and random walk of each channel of logs of sensors at rest, and write the results.
+    """Estimate white noise and random walk of each channel in logs of sensors at rest, and write the results.
 
-    The files are noise.toml, result.json and report.html.
+    The files are noise.toml, result.json and report.html in the folder ``out``.
 
     Parameters
     ----------
@@ -126,7 +131,7 @@ def noise(logs: Sequence[Path], out: Path, *, signals: Sequence[str], command: s
     out : Path
         Folder for the results; it is created if it does not exist.
     signals : sequence of str
-        Channels to estimate; empty: all.
+        Names of the channels to estimate; empty: all channels of each log.
     command : str
         Command line, for the provenance.
     reporter : Reporter
@@ -178,9 +183,11 @@ def noise(logs: Sequence[Path], out: Path, *, signals: Sequence[str], command: s
 
 
 def _channels_to_estimate(path: Path, loaded: LoadedLog, signals: Sequence[str]) -> Mapping[str, Channel]:
-    """Return the channels of a log, with all axes of its AHRS; only the named ones if ``signals`` is not empty.
+    """Return the channels of a log by name, with all axes of its AHRS; only those in ``signals`` if it is not empty.
 
-    Channels with fewer than two samples are left out. Raise SeatrialError if a named one is missing.
+    Times [s] start at the first sample of each channel, and angles are unwrapped. Channels with fewer than two samples
+    are left out. Raise SeatrialError if a channel in ``signals`` is missing. ``path``: file of the log; ``loaded``: the
+    same log in memory.
     """
     everything = dict(loaded.run.channels)
     with open_log(path) as log:
@@ -194,16 +201,20 @@ def _channels_to_estimate(path: Path, loaded: LoadedLog, signals: Sequence[str])
 
 
 def _with_unwrapped_angles(channel: Channel) -> Channel:
-    """Return the channel with times [s] from its first sample and, if it is an angle [rad], with continuous values.
+    """Return a channel with times [s] from its first sample and, if its unit is rad, with unwrapped values.
 
-    A heading that crosses 180 degrees would otherwise have a step.
+    Without this, a heading that crosses 180 degrees would have a step of 360 degrees.
     """
     value = np.unwrap(channel.value) if channel.unit == "rad" else channel.value
     return Channel(channel.t - channel.t[0], value, channel.unit, channel.source)
 
 
 def _channel_noise(estimate: NoiseEstimate) -> ChannelNoise:
-    """Return the row of the result for the noise of one channel, with its spectrum. Non-finite errors are None."""
+    """Return the row of the result for the noise of one channel, with its power spectral density.
+
+    A standard error that is not finite, because no such noise was found, is None. Only then the row has a limit: the
+    noise that would be found in 95 of 100 such records.
+    """
     frequency, density = welch(estimate.channel)
     averaged = band_spectrum(frequency, density)
     f = estimate.fit
@@ -230,7 +241,8 @@ def _channel_noise(estimate: NoiseEstimate) -> ChannelNoise:
 def _noise_answer(found: Sequence[NoiseEstimate]) -> str:
     """Return the answer of `seatrial ident noise`: how many channels are white noise plus a random walk.
 
-    The answer names the channels that are not, and those with spikes, jumps or coarse steps.
+    The answer names at most six channels that are not, and those with spikes, jumps or coarse steps. For a single
+    channel it gives the reason.
     """
     bad = [x for x in found if x.fit.rejected]
     odd = [x for x in found if x.exceptions and not x.fit.rejected]
@@ -256,8 +268,8 @@ def _percent(share: float) -> str:
 def _noise_notes(found: Sequence[NoiseEstimate]) -> list[str]:
     """Return the notes of the result of `seatrial ident noise`.
 
-    They are about channels that are not white noise plus a random walk, departures that are too small to matter,
-    spikes, coarse steps, and remarks of the fits.
+    They are about channels that are not white noise plus a random walk, significant departures that are too small to
+    matter, spikes, coarse steps, and problems of the estimates (``flags`` of the fits).
     """
     lines = [f"{x.label}: not white noise plus a random walk: {x.reason}. {x.remedy}" for x in found if x.fit.rejected]
     lines += [
@@ -271,16 +283,16 @@ def _noise_notes(found: Sequence[NoiseEstimate]) -> list[str]:
 
 
 def save_noise(path: Path, found: Sequence[NoiseEstimate], result: NoiseResult) -> None:
-    """Write noise.toml, the part of the result that other programs use.
+    """Write noise.toml, the part of the result that is made for other programs, for example filters.
 
     Parameters
     ----------
     path : Path
         File, which is replaced if it exists.
     found : sequence of NoiseEstimate
-        Estimates of all channels. Numbers that are not finite are left out.
+        Estimates of all channels, at least one. Numbers that are not finite are left out.
     result : NoiseResult
-        Result, for the provenance.
+        Content of result.json, which gives the provenance.
     """
     document = tomlkit.document()
     document["format"] = FORMAT

@@ -27,19 +27,20 @@ def write_all(
     Parameters
     ----------
     out : Path
-        Folder; it is created if it does not exist.
+        Folder of the results; it is created if it does not exist.
     result : FitResult
-        Content of result.json and report.html.
+        Content of result.json and report.html. Its provenance, and the origin of x and y of its first estimation log
+        that has one, are also written to model.toml.
     fit : Fit
-        Estimates for model.toml.
+        Model and estimates for model.toml.
     ranges : mapping
-        Lower and upper end of the range of each state and input that the data cover, in the unit of the signal.
+        Lower and upper end of the range of each state and input in the data, by name, in the unit of the signal.
     effects_file : Path, optional
         Python file of user-defined effects, which model.toml then names.
     calibration : float, optional
-        Relative standard uncertainty of the measured forces.
+        Relative standard uncertainty of the measured forces; by default unknown.
     rates : mapping, optional
-        Rate of each sensor [Hz].
+        Sample rate [Hz] by name of the sensor; by default unknown.
     """
     out.mkdir(parents=True, exist_ok=True)
     logs = [f"{x.path} sha256:{x.sha256[:16]}" for x in result.logs if x.role == "estimation"]
@@ -62,8 +63,8 @@ def write_all(
 def validity(fitted: FittedModel) -> dict[str, tuple[float, float]]:
     """Return the range of each velocity state (``u``, ``v``, ``r``) and input in the estimation data, for model.toml.
 
-    The range of a filtered state is from its 1 % to its 99 % quantile, that of an input from its minimum to its
-    maximum.
+    The range of a state is from the 1 % to the 99 % quantile of its filtered values, that of an input from its minimum
+    to its maximum. Delayed taps are no separate inputs here.
 
     Parameters
     ----------
@@ -73,7 +74,8 @@ def validity(fitted: FittedModel) -> dict[str, tuple[float, float]]:
     Returns
     -------
     dict
-        Lower and upper end by name. If a name is both state and input, the range of the state is returned.
+        Lower and upper end of each range by name, in the unit of the signal. If a name is both a state and an input,
+        the range is that of the state.
     """
     found: dict[str, tuple[float, float]] = {}
     views = fitted.estimation
@@ -89,7 +91,7 @@ def validity(fitted: FittedModel) -> dict[str, tuple[float, float]]:
 
 
 def sensor_rates(fitted: FittedModel) -> dict[str, float]:
-    """Return the rate [Hz] of each sensor in the estimation data, for model.toml.
+    """Return the sample rate [Hz] of each sensor in the estimation data, for model.toml.
 
     Parameters
     ----------

@@ -1,4 +1,8 @@
-"""Workflow of `seatrial ident study`: replicates in parallel, one JSON line each, then result.json and a page."""
+"""Workflow of `seatrial ident study`: Monte Carlo study of the estimator on simulated missions.
+
+A replicate is one simulated mission and the fit to it. Replicates run in parallel, and each is stored as one line of
+JSON. The summary is written to result.json and to a page, study.md.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +37,7 @@ from seatrial.ident.studies import (
 
 BATCH = 25  # largest number of replicates in a task, which are simulated together
 TASK_S = 10.0  # s: aim for the CPU time of a task; its replicates are lost if the study is stopped before its end
-ROWS = 3  # version of the content of a line
+ROWS = 3  # version of the content of a line of JSON
 
 
 def run_study(
@@ -46,12 +50,15 @@ def run_study(
     jobs: int | None = None,
     reporter: Reporter = QUIET,
 ) -> list[Row]:
-    """Run the replicates of a Monte Carlo case that are missing in ``out``, and return all.
+    """Run the replicates of a Monte Carlo case that are missing in the file ``out``, and return all replicates.
+
+    A replicate is one simulated mission and the fit to it. Stored replicates are used only if mission, model, true
+    values, seed and estimator are the same.
 
     Parameters
     ----------
     case : Case
-        Mission, model and true values.
+        Mission, model and true values of its parameters.
     n : int
         Number of replicates.
     seed : int
@@ -63,12 +70,13 @@ def run_study(
     jobs : int, optional
         Number of processes; None: that of ``joblib.parallel_config``. Any backend of joblib works.
     reporter : Reporter
-        Receives progress, and a warning if replicates of ``out`` come from another version of the code.
+        Receives progress, and a warning if used replicates of ``out`` come from another version of the code.
 
     Returns
     -------
     list of Row
-        Replicates 0 to n - 1, in order. A failed one has the key ``error``; it is run again by the next call.
+        Replicates 0 to n - 1, in order: dictionaries with the estimates, as from ``run_replicates``. A failed replicate
+        has the key ``error`` instead, and is run again by the next call.
     """
     key, out = _study_key(case, seed, method), Path(out)
     done = {r["k"]: r for r in read_replicates(out) if r["key"] == key and r["k"] < n}
@@ -91,10 +99,11 @@ def run_study(
 
 
 def _rows_by_task(case: Case, todo: Sequence[int], seed: int, method: Method, jobs: int | None) -> Iterator[list[Row]]:
-    """Run the replicates of a study in parallel, and yield the rows of each task as soon as it is done, in any order.
+    """Run the replicates of a study in parallel tasks, and yield the rows of each task as soon as it is done.
 
-    ``todo``: numbers of the replicates. ``jobs``: number of processes, or None for that of joblib. Some backends of
-    joblib return no result before all tasks are done. For these, the tasks are run in waves.
+    A row is the dictionary of one replicate. Tasks end in any order. ``todo``: numbers of the replicates. ``jobs``:
+    number of processes, or None for that of joblib. Some backends of joblib return no result before all tasks are done.
+    With these, the tasks are run in waves of one task per process.
     """
     pace = _TaskSize(todo)
     calls = (joblib.delayed(_run_timed)(case, task, seed, method) for task in pace.tasks())
@@ -112,12 +121,12 @@ def _rows_by_task(case: Case, todo: Sequence[int], seed: int, method: Method, jo
 
 
 class _TaskSize:
-    """Controller of the number of replicates in a task.
+    """Controller of the number of replicates in a parallel task of a study.
 
-    The first task has one replicate. The size of the next tasks follows from the CPU time of the last one. The aim is
-    about 10 s, and at least as much time for estimation as for simulation. The replicates of a task are simulated
-    together, so the simulation of many takes little longer than that of one. A task has at most twice as many
-    replicates as the last finished one, and at most 25.
+    The first task has one replicate. The size of the next tasks follows from the CPU time of the last finished task.
+    The aim is a task of about 10 s, in which estimation takes at least as much time as simulation. The replicates of a
+    task are simulated together, so the simulation of many takes little longer than that of one. A task has at most
+    twice as many replicates as the last finished one, and at most 25.
 
     Parameters
     ----------
@@ -126,13 +135,13 @@ class _TaskSize:
     """
 
     def __init__(self, todo: Sequence[int]) -> None:
-        """Start with tasks of one replicate; ``todo`` has the numbers of all replicates to run."""
+        """Set the size of the first tasks to one replicate; ``todo`` has the numbers of all replicates to run."""
         self.todo, self.size = todo, 1
 
     def tasks(self) -> Iterator[Sequence[int]]:
-        """Yield the replicate numbers of one parallel task after the other.
+        """Yield the replicate numbers of one task after another, until all replicates are in a task.
 
-        A worker that becomes free requests the next task, so that it has the size of that moment.
+        A process that becomes free requests the next task, which has the size that is set at that moment.
         """
         at = 0
         while at < len(self.todo):
@@ -146,7 +155,7 @@ class _TaskSize:
         Parameters
         ----------
         rows
-            Rows of the replicates of the task, at least one.
+            Rows of the replicates of the task, at least one, each with the CPU time of its ``simulation`` [s].
         seconds
             CPU time of the task [s], with the simulation.
         """
@@ -169,9 +178,9 @@ class StudyRequest:
     Attributes
     ----------
     models
-        Names, files, or ``FILE.py:NAME``; each has its own study.
+        Names of built-in cases, files model.toml, or ``FILE.py:NAME``. Each has its own study.
     replicates
-        Number of missions to simulate.
+        Number of missions to simulate for each model.
     seed
         Seed of all random draws.
     out
@@ -179,15 +188,16 @@ class StudyRequest:
     method
         Prediction error or output error.
     reml, mean_order
-        Restricted likelihood and order of the filter; None: as in the model.toml, else as the commands (``make_case``).
+        Whether noise is estimated by restricted maximum likelihood, and order of the filter mean (1 or 2). None: as a
+        model.toml was fitted, otherwise as the fit commands do.
     truth
-        True values of parameters that replace those of the case.
+        True values that replace those of the case, by name of the parameter.
     free
-        Parameters to estimate; empty: all.
+        Names of the parameters to estimate; empty: all free parameters of the model.
     seconds
         Length of the mission [s]; None: that of the case.
     bounded
-        Whether damping is bounded below by zero.
+        Whether parameters keep their bounds, for example zero as the lower bound of damping.
     jobs
         Number of processes; None: that of ``joblib.parallel_config``.
     """
@@ -206,7 +216,7 @@ class StudyRequest:
     jobs: int | None = None
 
     def cases(self) -> list[Case]:
-        """Return the case (mission, model and true values) of each model, in their order and without repetitions.
+        """Return the case (mission, model and true values) of each model, in the order of ``models``, repeats left out.
 
         Raises
         ------
@@ -228,7 +238,10 @@ class StudyRequest:
 
 
 def run_studies(request: StudyRequest, command: str, reporter: Reporter) -> StudyResult:
-    """Run the studies of the models, and write NAME.jsonl for each, result.json and study.md.
+    """Run the study of each model, and write the results.
+
+    The files are one NAME.jsonl of replicates for each model, result.json and study.md in the folder ``request.out``.
+    Replicates that exist there from an earlier run are used.
 
     Parameters
     ----------
@@ -247,7 +260,7 @@ def run_studies(request: StudyRequest, command: str, reporter: Reporter) -> Stud
     Raises
     ------
     SeatrialError
-        If a model is unknown, or if ``out`` is a file.
+        If a model or an option cannot be used, or if ``request.out`` is a file.
     """
     cases, out, method = request.cases(), request.out, request.method
     if out.exists() and not out.is_dir():
@@ -283,7 +296,7 @@ def model_study(case: Case, rows: Sequence[Row], method: Method) -> ModelStudy:
     case : Case
         Mission, model and true values.
     rows : sequence of Row
-        Replicates.
+        Replicates of `run_study`. Failed and unconverged replicates are counted but not used in the statistics.
     method : str
         ``prediction-error`` or ``output-error``.
     """
@@ -308,12 +321,12 @@ def model_study(case: Case, rows: Sequence[Row], method: Method) -> ModelStudy:
 
 
 def estimator(case: Case, method: Method) -> str:
-    """Return the description of the estimator of a study, for a table.
+    """Return the description of the estimator of a study for a table: method, noise estimation, order of the filter.
 
     Parameters
     ----------
     case : Case
-        Its model gives the order of the filter.
+        Case of the study. Its model gives the order of the filter.
     method : str
         ``prediction-error`` or ``output-error``.
     """
@@ -325,7 +338,10 @@ def estimator(case: Case, method: Method) -> str:
 
 
 def _parameter_study(j: ParameterCoverage, truth: float, unit: str) -> ParameterStudy:
-    """Return the row of the result for one parameter of a study. ``truth``, ``unit``: its true value and unit."""
+    """Return the row of the result for one parameter of a study: its bias, variance and coverage over the replicates.
+
+    ``j``: these statistics. ``truth``: true value of the parameter in its ``unit``.
+    """
     return ParameterStudy(
         name=j.name, unit=unit, truth=truth, n=j.n, at_bound=j.at_bound, sd=j.sd, bias=j.bias,
         bias_error=j.bias_error, ratio=j.ratio, ratio_low=j.ratio_interval[0], ratio_high=j.ratio_interval[1],
@@ -336,7 +352,10 @@ def _parameter_study(j: ParameterCoverage, truth: float, unit: str) -> Parameter
 
 
 def study_answer(study: ModelStudy) -> str:
-    """Return the sentence on a study: replicates that were left out, and parameters that meet or miss the aims.
+    """Return a sentence on a study: replicates that were left out, and parameters that meet or miss the aims.
+
+    The aims are limits for bias, variance and coverage. If more than 5 % of the replicates failed or did not converge,
+    there is no verdict.
 
     Parameters
     ----------
@@ -361,9 +380,9 @@ def study_answer(study: ModelStudy) -> str:
 
 
 def _study_key(case: Case, seed: int, method: Method) -> str:
-    """Return the key of a study: 12 hexadecimal digits, a hash of mission, model, truth, seed and estimator.
+    """Return the key of a study: 12 hexadecimal digits, a hash of mission, model, true values, seed and estimator.
 
-    Replicates of an earlier run are used only if their key is the same.
+    Stored replicates of an earlier run are used only if their key is the same.
     """
     parameters = [(p.name, p.value, p.bounds, p.free) for p in case.model.parameters]
     values: Any = (

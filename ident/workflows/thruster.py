@@ -1,6 +1,7 @@
-"""Workflow of `seatrial ident thruster`: bench logs to a thruster model, or to a static thrust curve.
+"""Workflow of `seatrial ident thruster`: from bench logs to a thruster model, or to a static thrust curve.
 
-Logs with shaft speeds give a model of shaft dynamics and thrust. Logs with only force and command give a static curve.
+Logs with shaft speeds give a model of shaft dynamics and thrust. Logs with only force and command give a static thrust
+curve: a table of steady force against command.
 """
 
 from __future__ import annotations
@@ -62,7 +63,9 @@ from seatrial.ident.workflows.check import with_findings
 from seatrial.ident.workflows.model_inputs import check_horizon, check_names
 from seatrial.ident.workflows.output import write_all
 
-SETTLED_S, AVERAGED_S = 1.0, 0.6  # time after a change of command, and time at its end over which is averaged
+# s, for the steady points of a plot: time that is left out after a change of command, and time before the next change
+# over which the measurements are averaged
+SETTLED_S, AVERAGED_S = 1.0, 0.6
 
 
 @dataclass(frozen=True)
@@ -76,13 +79,14 @@ class ThrusterRequest:
     out
         Folder for the results.
     name
-        Name of the thruster in the rig, if the logs have several.
+        Name of the thruster in the rig, if the logs have several; None: the only one.
     estimation
         Options of the estimator.
     settle
-        For a static curve: time that is left out after each change of command [s].
+        Time after each change of command that is left out from means of the force [s]: from the levels of a static
+        curve, and from rests, which give the zero of the load cell.
     profiles
-        Parameters for the profile likelihood.
+        Names of the parameters for the profile likelihood.
     despite_faults
         Whether to fit even if the checks find faults that make a fit meaningless.
     """
@@ -97,7 +101,7 @@ class ThrusterRequest:
 
 
 def characterise(request: ThrusterRequest, command: str, reporter: Reporter) -> ThrusterResult | ThrustCurveResult:
-    """Fit the thruster model to bench logs of one thruster, or a static curve if they have no shaft speed.
+    """Fit the thruster model to bench logs of one thruster, or a static thrust curve if they have no shaft speed.
 
     The files are model.toml, result.json and report.html in the folder ``request.out``.
 
@@ -118,7 +122,8 @@ def characterise(request: ThrusterRequest, command: str, reporter: Reporter) -> 
     Raises
     ------
     SeatrialError
-        If the logs lack signals, have faults that make a fit meaningless, or do not go with an option.
+        If the logs lack signals, if they have faults that make a fit meaningless (unless ``despite_faults``), or if an
+        option does not apply to them.
     """
     name, profiles = request.name, request.profiles
     loaded = load_runs(request.logs, "estimation", device_faults=device_faults)
@@ -167,10 +172,11 @@ def characterise(request: ThrusterRequest, command: str, reporter: Reporter) -> 
 def _without_zero_drift(
     loaded: Sequence[LoadedLog], command_name: Callable[[LoadedLog], str], settle: float
 ) -> tuple[list[LoadedLog], list[str]]:
-    """Subtract the drift of the load cell's zero, measured at rests, from the force of each bench log.
+    """Subtract the drift of the load cell's zero from the force of each bench log.
 
-    Return the new logs, and a line for each drift. ``command_name``: function that returns the name of a log's command.
-    ``settle``: time [s] after a change of command that is left out. A log without force, command or rests is unchanged.
+    The zero is the mean force at rests, times of zero command. Return the new logs, and a line of text for each drift.
+    ``command_name``: function of a log that returns the name of its command signal. ``settle``: time [s] at the
+    beginning of a rest that is left out. A log without force or command, or without a significant drift, is unchanged.
     """
     found, lines = [], []
     for x in loaded:
@@ -185,9 +191,9 @@ def _without_zero_drift(
 
 
 def _calibration(loaded: Sequence[LoadedLog]) -> float | None:
-    """Return the largest relative standard uncertainty of the load cells in the rigs of the bench logs.
+    """Return the largest relative standard uncertainty of the load cells' calibrations in the rigs of the bench logs.
 
-    None if no rig gives one.
+    None if no rig gives an uncertainty.
     """
     cells = [d.calibration for x in loaded if x.rig for d in x.rig.devices if d.calibration is not None]
     found = [sd for sd in (c.relative_sd for c in cells) if sd is not None]
@@ -195,9 +201,9 @@ def _calibration(loaded: Sequence[LoadedLog]) -> float | None:
 
 
 def _refuse_options(path: Path, options: Sequence[str]) -> None:
-    """Refuse options of the command that do not apply to a static curve: raise SeatrialError if there are any.
+    """Raise SeatrialError if ``options`` is not empty: options of the command that do not apply to a static curve.
 
-    ``path``: file of the log, for the message. ``options``: names of these options; empty if none was given.
+    ``options``: names of those of these options that the user gave. ``path``: file of the log, for the message.
     """
     if options:
         raise SeatrialError(
@@ -207,15 +213,20 @@ def _refuse_options(path: Path, options: Sequence[str]) -> None:
 
 
 def _thruster_record(model: Model, loaded: LoadedLog, name: str) -> Record:
-    """Return the record of one bench log for the fit of a thruster model. ``name``: name of the thruster."""
+    """Return the record of one bench log for the fit of a thruster model, with rows at 50 Hz.
+
+    ``name``: name of the thruster. Raise SeatrialError if the log lacks its command or its shaft speed.
+    """
     channels = thruster_channels(loaded, model, name)
     return build_record(model, channels, name=loaded.run.name, rate=THRUSTER_RATE)
 
 
 def _static_force(fitted: Fit, records: Sequence[Record], loaded: Sequence[LoadedLog], name: str) -> StaticForce:
-    """Return the measured steady thrust and the fitted static curve with its standard error, for the result.
+    """Return the measured steady thrust, and that of the fitted model with its standard error, for the result.
 
-    The curve covers the directions in which the shaft turned. ``name``: name of the thruster.
+    ``fitted``: fit of the thruster model to ``records``, which belong to the logs ``loaded``. ``name``: name of the
+    thruster. The model's thrust is given at 81 shaft speeds, from 0 to full speed in each direction in which the shaft
+    turned. The fitted offset of the load cell is subtracted from the measurements.
     """
     points = [p for i, x in enumerate(loaded) for p in _steady_points(x, name, fitted.estimate("bias", i)[0])]
     n, force, sd = np.array(points).reshape(-1, 3).T
@@ -226,10 +237,11 @@ def _static_force(fitted: Fit, records: Sequence[Record], loaded: Sequence[Loade
 
 
 def _steady_points(loaded: LoadedLog, name: str, bias: float) -> list[tuple[float, float, float]]:
-    """Return the steady points of a bench log for a plot: one for each command that was held long enough.
+    """Return the steady points of a bench log for a plot: one for each command that was held for 1.6 s or longer.
 
-    A point has the normalised shaft speed, the force [N] and its standard error [N], averaged over the last 0.6 s of
-    the command. ``name``: name of the thruster. ``bias`` [N] is subtracted from the force.
+    A point has the normalised shaft speed, the force [N] and the standard error of the force [N], averaged over the
+    last 0.6 s of the command. A command with three or fewer samples of a signal in that time is left out. ``name``:
+    name of the thruster. ``bias``: offset of the load cell [N], which is subtracted from the force.
     """
     command, n, f = (loaded.run.channels[c] for c in (command_of(name), shaft_speed_of(name), "force"))
     points = []
@@ -243,23 +255,25 @@ def _steady_points(loaded: LoadedLog, name: str, bias: float) -> list[tuple[floa
 
 
 def _value_range(z: Array) -> tuple[float, float]:
-    """Return minimum and maximum of the values of a signal, for the range of validity in model.toml."""
+    """Return minimum and maximum of the values z (n,) of a signal, for the range of validity in model.toml."""
     return float(z.min()), float(z.max())
 
 
 def static_curve(
     loaded: Sequence[LoadedLog], request: ThrusterRequest, command: str, reporter: Reporter
 ) -> ThrustCurveResult:
-    """Fit a static curve to steady segments of one bench log with force and command, and write the results.
+    """Fit a static thrust curve to one bench log with force and command, and write the results.
+
+    The curve goes through steady levels: means of the force over the times in which the command is constant.
 
     The files are model.toml, result.json and report.html in the folder ``request.out``.
 
     Parameters
     ----------
     loaded : sequence of LoadedLog
-        The log.
+        The log, as the only element.
     request : ThrusterRequest
-        Name of the thruster, folder, and time to settle.
+        Options, of which the name of the thruster, the folder and the time to settle are used.
     command : str
         Command line, for the provenance.
     reporter : Reporter
@@ -268,7 +282,8 @@ def static_curve(
     Raises
     ------
     SeatrialError
-        If there are several logs, or if the log has too few steady levels or a reversed load cell.
+        If there are several logs, or if the log has no force, no changing command, several commands that differ, fewer
+        than four steady levels, or a reversed load cell.
     """
     if len(loaded) != 1:
         raise SeatrialError(f"{loaded[1].about['path']}: a static curve is fitted to one log only; give one log")
@@ -315,14 +330,15 @@ def static_curve(
 
 
 def is_static(loaded: Sequence[LoadedLog], name: str | None) -> bool:
-    """Return whether the logs have a force and commands, but no shaft speed of a commanded thruster.
+    """Return whether only a static curve can be fitted: the logs have force and commands, but no shaft speeds.
 
     Parameters
     ----------
     loaded : sequence of LoadedLog
-        Bench logs, at least one. The force and the commands of the first one count.
+        Bench logs, at least one. None of them may have both command and shaft speed of the thruster. The first one must
+        have the force and a command, or a shaft speed in place of the command.
     name : str or None
-        Name of the thruster; None: any.
+        Name of the thruster; None: any thruster.
     """
     for log in loaded:
         names = [name] if name else commanded_thrusters(log.run.channels)
@@ -334,7 +350,7 @@ def is_static(loaded: Sequence[LoadedLog], name: str | None) -> bool:
 def _command_names(channels: Mapping[str, Channel], name: str | None) -> list[str]:
     """Return the names of the channels with the command of the thruster ``name``, or of all thrusters if it is None.
 
-    The shaft speed of a thruster stands for its missing command. A thruster with neither is left out.
+    The shaft speed of a thruster is used in place of a missing command. A thruster with neither is left out.
     """
     thrusters = [name] if name else ["left", "right", *commanded_thrusters(channels)]
     signals = [(command_of(thruster), shaft_speed_of(thruster)) for thruster in dict.fromkeys(thrusters)]
@@ -345,8 +361,8 @@ def _command_names(channels: Mapping[str, Channel], name: str | None) -> list[st
 def _changing_commands(log: LoadedLog, name: str | None) -> list[str]:
     """Return the names of the command channels whose value changes in a bench log.
 
-    Raise SeatrialError if no command changes, or if the changing ones differ from each other: the user must then name
-    the thruster whose force was measured. ``name``: name of the thruster, or None for any.
+    ``name``: name of the thruster, or None for all thrusters. Raise SeatrialError if no command changes, or if the
+    changing commands differ from each other: the user must then name the thruster whose force was measured.
     """
     channels = log.run.channels
     moved = [n for n in _command_names(channels, name) if np.ptp(channels[n].value) > 0]
@@ -367,7 +383,7 @@ def _changing_commands(log: LoadedLog, name: str | None) -> list[str]:
 
 
 def _curve_points(levels: Levels, curve: Curve, quadratic: Quadratic) -> StaticForce:
-    """Return the measured levels, the monotone curve and the quadratic curve for the plots of the result."""
+    """Return the measured levels, the monotone curve and the quadratic as arrays for the plots of the result."""
     grid = np.union1d(np.linspace(curve.n[0], curve.n[-1], 161), curve.n)
     return StaticForce(
         n=levels.n,
@@ -387,16 +403,16 @@ def _format_force(force: float) -> str:
 
 
 def curve_answer(levels: Levels, measured: ThrustCurve, quadratic: Quadratic) -> str:
-    """Return the answer of a static curve: force at the largest commands, and fit of the quadratic to the levels.
+    """Return the answer of a static curve: force at the largest commands, and misfit of the quadratic to the levels.
 
     Parameters
     ----------
     levels : Levels
-        Measured steady levels.
+        Measured steady levels (mean force for each command).
     measured : ThrustCurve
-        Monotone curve, number of thrusters, and calibration.
+        Monotone curve, number of thrusters, and uncertainty of the load cell's calibration.
     quadratic : Quadratic
-        Quadratic curve with its misfit.
+        Quadratic ``c1 n|n| + c2 n^2`` fitted to the levels, with its misfit.
     """
     curve, thrusters, calibration = measured.curve, measured.thrusters, measured.calibration
     words = {1: "The thruster gives", 2: "Both thrusters together give"}

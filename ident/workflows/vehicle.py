@@ -27,7 +27,7 @@ class VehicleFit:
     Attributes
     ----------
     fitted
-        The fitted model with its records.
+        The fitted model with its estimation and validation records.
     result
         Content of result.json.
     """
@@ -66,7 +66,10 @@ def vehicle(request: VehicleRequest, command: str, reporter: Reporter) -> Vehicl
 
 
 def write_vehicle_fit(done: VehicleFit, out: Path) -> None:
-    """Write model.toml, result.json and report.html to the folder ``out``; existing files are replaced."""
+    """Write model.toml, result.json and report.html of a fit to the folder ``out``.
+
+    The folder is created if it does not exist. Existing files of these names are replaced.
+    """
     write_all(out, done.result, done.fitted.fit, validity(done.fitted), rates=sensor_rates(done.fitted))
 
 
@@ -85,12 +88,13 @@ def fit_vehicle(request: VehicleRequest, command: str, reporter: Reporter) -> Ve
     Returns
     -------
     VehicleFit
-        The fitted model and its result.
+        The fitted model, and the content of result.json.
 
     Raises
     ------
     SeatrialError
-        If the logs cannot be read, lack signals that the model needs, or have faults that make a fit meaningless.
+        If the logs cannot be read, lack signals that the model needs, or have faults that make a fit meaningless
+        (unless ``despite_faults``), or if an option does not apply to the model.
     """
     loaded, validation_logs = load_all(request.logs, request.validation, request.window, device_faults)
     problem = vehicle_problem(request, loaded, validation_logs)
@@ -136,10 +140,10 @@ def fit_vehicle(request: VehicleRequest, command: str, reporter: Reporter) -> Ve
 
 
 def _assess(request: VehicleRequest, problem: VehicleProblem, reporter: Reporter) -> ModelAssessment | None:
-    """Test the vehicle model by the score tests of the catalogue of effects, before the fit.
+    """Test by score tests, before the fit, whether the vehicle model lacks effects of the catalogue.
 
     Return None if the request excludes the tests, for a user-defined model, and for output error, which has no score
-    tests. Return None with a warning if the tests fail, because the model can be fitted without them.
+    tests. Return None with a warning if the tests fail: the fit is possible without them.
     """
     if not request.score_tests or is_own_model(request.model) or request.estimation.method != "prediction-error":
         return None

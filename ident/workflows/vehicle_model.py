@@ -1,4 +1,4 @@
-"""Vehicle model for a fit: structure, rig geometry, bench results, priors and noise bounds."""
+"""Choice of the vehicle model for a fit: structure, geometry of the rig, bench results, priors and noise bounds."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from seatrial.ident.workflows.model_inputs import (
     with_derived_signals,
 )
 
-SLOW_INPUT_S = 0.015  # s: if samples of an output are farther apart, the times of its changes are uncertain
+SLOW_INPUT_S = 0.015  # s: if samples of an autopilot's output are farther apart, times of its changes are uncertain
 
 
 @dataclass(frozen=True)
@@ -48,28 +48,30 @@ class VehicleRequest:
     estimation
         Options of the estimator.
     model
-        Name of the structure, or ``auto`` for the horizontal model with the inputs that the logs have.
+        Name of the structure, FILE.py:NAME for a user-defined model, or ``auto`` for the horizontal model with the
+        inputs that the logs have.
     thruster
-        model.toml of a bench test, or a static curve from command to thrust.
+        File of the thrust from a bench test: the model.toml of a thruster model, or of a static curve from command to
+        thrust. None: no bench test.
     fixed, initial
-        Values of fixed parameters, and initial values of estimated ones.
+        Values of fixed parameters, and initial values of estimated parameters, by name.
     priors
-        Mean and standard deviation of the prior of parameters.
+        Mean and standard deviation of the prior of each parameter, by name.
     effects
-        Effects of the catalogue that are added with free parameters.
+        Names of effects of the catalogue that are added with free parameters.
     score_tests
         Whether to test the model by the score tests of the catalogue. The common errors of sensors and hull form are
         then added if the data need them, and the standard errors include what remains unexplained.
     despite_faults
         Whether to fit even if the checks find faults that make a fit meaningless.
     homogeneity
-        Parameters for the homogeneity test.
+        Names of the parameters for the homogeneity test.
     profiles
-        Parameters for the profile likelihood.
+        Names of the parameters for the profile likelihood.
     rate
         Rate of the rows [Hz] over which faster sensors are averaged.
     window
-        Interval of ``logs`` to use; validation logs are used whole.
+        Interval of time of each of ``logs`` to use; validation logs are used as a whole.
     """
 
     logs: Sequence[Path]
@@ -99,11 +101,11 @@ class VehicleProblem:
     model
         Model with free and fixed parameters, ready for the fit.
     segments, validation
-        Signals of each log for the estimation, and for the validation.
+        Signals of each log for the estimation, and of each log for the validation.
     notes
-        Lines on rig geometry, calibration, priors and noise bounds.
+        Lines of text on geometry of the rig, calibration, priors and noise bounds.
     thrust
-        Line on the signals that the thrust is computed from; may be empty.
+        Line of text on the signals that the thrust is computed from; empty if the thrust itself is an input.
     unused
         Signals of the logs that the model does not use.
     """
@@ -117,22 +119,24 @@ class VehicleProblem:
 
 
 def with_calibration(model: Model, curve: ThrustCurve, user_defined: bool) -> tuple[Model, list[str]]:
-    """Add the calibration factor of a thrust curve to the model, with a prior.
+    """Add the calibration factor ``k_thrust`` of a thrust curve to the model, with a prior.
+
+    The factor is the true thrust divided by the thrust of the curve.
 
     Parameters
     ----------
     model : Model
         Model of the boat, with thrust as an input.
     curve : ThrustCurve
-        Curve with the relative standard uncertainty of its forces, or None for it.
+        Thrust curve. The relative standard uncertainty of its forces is the standard deviation of the prior.
     user_defined : bool
         Whether the model is user-defined. Its thrust terms are unknown, so the factor cannot be added.
 
     Returns
     -------
     tuple of Model and list of str
-        The model, and one line about the calibration. The model is unchanged if it is user-defined or the curve has no
-        uncertainty.
+        The model, and a list with one line of text about the calibration. The model is unchanged if it is user-defined,
+        or if the uncertainty of the curve is unknown.
     """
     if curve.calibration is None:
         return model, ["The thrust curve has no calibration error: the standard errors exclude this error."]
@@ -145,20 +149,22 @@ def with_calibration(model: Model, curve: ThrustCurve, user_defined: bool) -> tu
 
 
 def with_sampled_inputs(source: str, loaded: Sequence[LoadedLog]) -> tuple[str, list[str]]:
-    """Choose the variant of a Nomoto model with inputs that are uncertain in time, if the inputs are sampled slowly.
+    """Choose the variant ``sampled`` of a Nomoto model if its inputs are sampled slowly.
+
+    The times at which these inputs change are uncertain, and the variant includes this uncertainty.
 
     Parameters
     ----------
     source : str
         Name of the model, with its options after colons.
     loaded : sequence of LoadedLog
-        Estimation logs. The slowest sampling of their shaft speeds counts.
+        Estimation logs. The largest sample interval of their shaft speeds counts.
 
     Returns
     -------
     tuple of str and list of str
-        Name of the model, and a line about the choice. The name is unchanged, without a line, for other structures, if
-        it is this variant already, or for samples less than 15 ms apart.
+        Name of the model, and a list with one line of text about the choice. The name is unchanged and the list empty
+        for other structures, for a name with this variant, or for samples less than 15 ms apart.
 
     Notes
     -----
@@ -176,17 +182,19 @@ def with_sampled_inputs(source: str, loaded: Sequence[LoadedLog]) -> tuple[str, 
 
 
 def considered_notes(model: Model) -> list[str]:
-    """Return a line on the considered parameters, whose prior uncertainty is included in the standard errors.
+    """Return a line of text on the considered parameters of a model.
+
+    They are not estimated, but the standard errors of the estimates include the uncertainty of their priors.
 
     Parameters
     ----------
     model : Model
-        Fitted model.
+        Model before or after a fit.
 
     Returns
     -------
     list of str
-        One line; empty if the model has no such parameter.
+        One line; an empty list if the model has no considered parameter.
     """
     held = [p for p in model.parameters if p.considered_sd is not None]
     if not held:

@@ -44,7 +44,7 @@ NEUTRAL_N = 0.02  # a stick that is further from neutral forbids arming
 
 @final
 class AutopilotEmulator(DeviceEmulator):
-    """Emulator of one autopilot.
+    """Emulator of one autopilot on a MAVLink link. It drives the thrusters of a simulated boat as commanded by a host.
 
     `encode` must be called with an attitude at the rate of the autopilot's loop, LOOP_HZ (50 Hz). `receive` must be
     called with the bytes of the host. The attribute `vehicle` is the state of the autopilot.
@@ -93,10 +93,11 @@ class AutopilotEmulator(DeviceEmulator):
     # Messages to the host.
 
     def encode(self, sample: Sample, t: float) -> bytes:
-        """Return the messages that the autopilot sends at run time ``t`` [s], queued answers last.
+        """Take a sample of a simulated sensor at run time ``t`` [s]; return the bytes that the autopilot then sends.
 
-        An AHRS sample runs the loop of the autopilot: its failsafes, the messages that are due, and one text. Telemetry
-        and GNSS samples are stored for later messages.
+        An AHRS sample runs the loop of the autopilot once: failsafes are checked, and the messages that are due and at
+        most one text are returned. Telemetry and GNSS samples are stored for later messages. For any sample, queued
+        answers to the host come last.
         """
         self._now = self._reports.t = t
         self._reports.clock_error = self.clock_error
@@ -111,9 +112,10 @@ class AutopilotEmulator(DeviceEmulator):
         return self._take_answers()
 
     def _is_due(self, name: str) -> bool:
-        """Return whether the message ``name`` is due, and note that it was sent. It is due once in each interval.
+        """Return whether the MAVLink message ``name`` must be sent now. If so, the caller sends it.
 
-        The intervals are counted from boot, so messages of one rate are sent together, as by ArduPilot.
+        It is due at the first call in each interval of its rate. The intervals are counted from boot, so that messages
+        of one rate are sent together, as by ArduPilot. Each call marks the present interval as served.
         """
         count = math.floor((self._now + BOOT_S) * self._rates[name] + 1e-6)
         previous, self._sent[name] = self._sent.get(name, -1), count
@@ -140,9 +142,11 @@ class AutopilotEmulator(DeviceEmulator):
     # Actions of the autopilot.
 
     def _check_failsafes(self) -> None:
-        """End RC overrides that have timed out, and start the failsafe of a lost ground station, like Rover 4.7.
+        """Act on missing messages of the ground station, like ArduPilot Rover 4.7. It is called in each loop.
 
-        The outputs repeat a command that lasts. The failsafe disarms, or changes the mode, as FS_ACTION says.
+        If the last RC override has timed out, the thrusters are stopped; otherwise they get its command again. In AUTO
+        and RTL the autopilot drives by itself. If heartbeats are missing for too long, the failsafe disarms the
+        autopilot or changes its mode, as its parameter FS_ACTION demands.
         """
         own, p = self.vehicle, self.vehicle.parameters
         silence = (self._now - own.overridden) / self._speed
@@ -168,16 +172,17 @@ class AutopilotEmulator(DeviceEmulator):
                 self._set_mode(RTL if p["FS_ACTION"] == 1.0 else HOLD)
 
     def disarm(self, text: str = "Throttle disarmed") -> None:
-        """Disarm and stop the thrusters. If the autopilot was armed, ``text`` is queued for the host."""
+        """Disarm the autopilot and stop its thrusters. If it was armed, ``text`` is queued as a message to the host."""
         if self.vehicle.armed:
             self.vehicle.armed = False
             self._queue_text(INFO, text)
         self._stop_thrusters()
 
     def _set_mode(self, mode: int) -> None:
-        """Change the mode to the number ``mode``. All modes except MANUAL stop the thrusters first.
+        """Change the mode of the autopilot to ``mode``, a number of ArduPilot Rover.
 
-        AUTO and RTL then drive by themselves, if the autopilot is armed.
+        In all modes except MANUAL the thrusters are stopped first. In AUTO and RTL an armed autopilot then drives by
+        itself.
         """
         self.vehicle.mode = mode
         if mode != MANUAL:
@@ -185,10 +190,7 @@ class AutopilotEmulator(DeviceEmulator):
         self._drive_by_itself()
 
     def _drive_by_itself(self) -> None:
-        """Command OWN_N (0.4) to all thrusters if the autopilot is armed and in AUTO or RTL; else do nothing.
-
-        RC overrides have no effect in these modes.
-        """
+        """Command 0.4 (OWN_N) to all thrusters if the autopilot is armed and in mode AUTO or RTL; else do nothing."""
         if self.vehicle.armed and self.vehicle.mode in (AUTO, RTL):
             for controller in self._controllers.values():
                 controller.command(self._now, OWN_N)
@@ -201,9 +203,9 @@ class AutopilotEmulator(DeviceEmulator):
     # Messages of the host.
 
     def receive(self, data: bytes, t: float) -> bytes:
-        """Process bytes of the host that arrive at run time ``t`` [s], and return the answers.
+        """Process bytes of the host that arrive at run time ``t`` [s], and return the bytes of the answers.
 
-        Bytes may end within a message; the rest is kept for the next call.
+        If the bytes end within a MAVLink message, its beginning is kept for the next call.
         """
         self._now = self._reports.t = t
         self._decoder.feed(data, t)
@@ -244,10 +246,10 @@ class AutopilotEmulator(DeviceEmulator):
         self._queue.append(self._codec.encode("PARAM_VALUE", name.encode(), value, 9, len(names), names.index(name)))
 
     def _apply_override(self, m: Any) -> None:
-        """Apply the message RC_CHANNELS_OVERRIDE to the sticks.
+        """Apply the decoded message RC_CHANNELS_OVERRIDE: store its pulses as commands of the thrusters' RC channels.
 
-        If the autopilot is armed and in MANUAL, the sticks command the thrusters. The message is ignored if the ground
-        station is not MAV_GCS_SYSID, or if RC_OPTIONS forbids overrides.
+        If the autopilot is armed and in MANUAL, the thrusters get these commands at once. The message is ignored if the
+        parameter MAV_GCS_SYSID is not the id of the ground station, or if RC_OPTIONS forbids overrides.
         """
         own = self.vehicle
         if own.parameters.get("MAV_GCS_SYSID") != self._ground or int(own.parameters["RC_OPTIONS"]) & IGNORES_OVERRIDES:
@@ -269,7 +271,11 @@ class AutopilotEmulator(DeviceEmulator):
                 self._controllers[node].command(self._now, self.vehicle.sticks[node])
 
     def _execute_command(self, m: Any) -> int:
-        """Execute the message COMMAND_LONG and return its MAV_RESULT, which is UNSUPPORTED for unknown commands."""
+        """Execute the decoded message COMMAND_LONG, and return the result code (MAV_RESULT) for the host.
+
+        The commands are to set a message interval, to set the mode, and to arm or disarm. A command to set a servo is
+        denied. Other commands give UNSUPPORTED.
+        """
         if m.command == 511:  # SET_MESSAGE_INTERVAL
             return self._set_message_interval(int(m.param1), m.param2)
         if m.command == 176:  # DO_SET_MODE
@@ -284,10 +290,10 @@ class AutopilotEmulator(DeviceEmulator):
         return UNSUPPORTED
 
     def _set_message_interval(self, number: int, interval_us: float) -> int:
-        """Set the interval [us] of the message with this number, and return the MAV_RESULT.
+        """Set the time between two messages with the MAVLink ``number`` [us], and return the result code (MAV_RESULT).
 
-        An interval of 0 or less stops the message. Unknown messages and HEARTBEAT fail. A rate above 80 % of the loop's
-        rate is denied.
+        An interval of 0 or less stops the message. Unknown messages and HEARTBEAT give FAILED. A rate above 80 % of the
+        loop's 50 Hz gives DENIED, and nothing is changed. Otherwise the result is ACCEPTED.
         """
         name = mavlink.message_name(number)
         if not name or name in ALWAYS:
@@ -301,14 +307,15 @@ class AutopilotEmulator(DeviceEmulator):
         return ACCEPTED
 
     def _disarm_by_command(self) -> int:
-        """Disarm, stop the thrusters and return the MAV_RESULT, which is always ACCEPTED."""
+        """Disarm the autopilot, stop its thrusters, and return the result code (MAV_RESULT), always ACCEPTED."""
         self.disarm()
         return ACCEPTED
 
     def _arm_by_command(self) -> int:
-        """Arm if all conditions are met, and return the MAV_RESULT: ACCEPTED, or FAILED with the reason as a text.
+        """Arm the autopilot if all conditions are met, and return the result code (MAV_RESULT).
 
-        An autopilot that is armed already accepts.
+        It is ACCEPTED, also if the autopilot is armed already. If a condition is not met, it is FAILED, and the reason
+        is queued as a text for the host.
         """
         if self.vehicle.armed:
             return ACCEPTED
@@ -321,9 +328,10 @@ class AutopilotEmulator(DeviceEmulator):
         return ACCEPTED
 
     def _arming_refusal(self) -> str:
-        """Return the text with the reason why the autopilot does not arm; empty if it can arm.
+        """Return the reason why the autopilot refuses to arm, as a text of ArduPilot; empty if it can arm.
 
-        The estimator must be ready, the mode MANUAL or HOLD, and all sticks neutral (within 0.02).
+        The position estimator must be ready, the mode must be MANUAL or HOLD, and the commands of the last RC override
+        must be neutral (within 0.02).
         """
         if self._reports.ekf != EKF_READY:
             return "PreArm: AHRS: EKF3 is still initialising, wait for it or reboot"

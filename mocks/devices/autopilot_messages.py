@@ -21,9 +21,9 @@ ROVER, ARDUPILOT, UNUSED = 11, 3, 0xFFFF  # MAV_TYPE_SURFACE_BOAT, MAV_AUTOPILOT
 
 
 def parameters(thrusters: list[Thruster], own_system: int, override_s: float) -> dict[str, float]:
-    """Return the ArduPilot parameters of an emulated autopilot whose ground station drives two thrusters.
+    """Return the ArduPilot parameters of an emulated autopilot whose ground station drives its thrusters.
 
-    The values are those that `seatrial check` accepts. A thruster with ``position_m`` y < 0 is the left one.
+    `seatrial check` accepts these values. A thruster with ``position_m`` y < 0 is the left one.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ def parameters(thrusters: list[Thruster], own_system: int, override_s: float) ->
 
 @dataclass
 class Vehicle:
-    """State of the emulated autopilot.
+    """State of an emulated autopilot: its parameters, mode, estimator and last messages of the ground station.
 
     Attributes
     ----------
@@ -101,7 +101,7 @@ class Reports:
     Attributes
     ----------
     t : float
-        Present run time [s]. The owner sets it before each call.
+        Present run time [s]. The emulator of the autopilot sets it before it calls a method.
     clock_error : float
         Time [s] by which the clock of the autopilot is fast.
     """
@@ -136,9 +136,10 @@ class Reports:
         self._fix_at, self._fix_boot_ms = 0.0, 0  # its run time [s], and its time since boot [ms]
 
     def take(self, sample: Esc | Gnss) -> None:
-        """Store telemetry of a speed controller, or a GNSS sample, as the latest measurement.
+        """Store a telemetry or GNSS sample as the latest measurement, for messages that are encoded later.
 
-        A GNSS sample without a fix keeps the position and the time of the latest fix.
+        Telemetry is stored by speed controller. If a GNSS sample has no position fix, position and time of the latest
+        fix are kept.
         """
         if isinstance(sample, Esc):
             self._esc[sample.node] = sample
@@ -150,9 +151,9 @@ class Reports:
 
     @property
     def ekf(self) -> int:
-        """Flags of the autopilot's position estimator (EKF), for the message EKF_STATUS_REPORT.
+        """Present flags of the autopilot's position estimator (EKF), as in the message EKF_STATUS_REPORT.
 
-        Before `Vehicle.ekf_ready_at` they report no position.
+        Before the run time `Vehicle.ekf_ready_at` they report that the estimator has no position.
         """
         return EKF_READY if self.t >= self._vehicle.ekf_ready_at else EKF_INITIALISING
 
@@ -167,10 +168,10 @@ class Reports:
         return round((self.t + self.clock_error + BOOT_S) * 1e6)
 
     def encode_message(self, name: str, ahrs: Ahrs) -> bytes:
-        """Return the frame of the MAVLink message ``name`` at the present time.
+        """Return the bytes (frame) of the MAVLink message ``name`` with the present state and latest measurements.
 
-        ``ahrs`` is the newest attitude, for ATTITUDE and RAW_IMU. Empty bytes are returned for an unknown name, and for
-        a message whose data have not been measured yet.
+        ``ahrs`` is the newest AHRS sample, for ATTITUDE and RAW_IMU. Empty bytes are returned for an unknown name, and
+        for a message whose data have not been measured yet.
         """
         ms = self._boot_ms
         if name == "ATTITUDE":
@@ -197,10 +198,11 @@ class Reports:
         return self._encode_measurement(name)
 
     def _encode_measurement(self, name: str) -> bytes:
-        """Return the frame of GPS_RAW_INT, BATTERY_STATUS or ESC_TELEMETRY_1_TO_4.
+        """Return the bytes (frame) of a MAVLink message with latest measurements.
 
-        Empty bytes are returned for other names, and if the quantity has not been measured yet. The battery has the
-        mean voltage and the sum of the currents of all speed controllers.
+        ``name`` is GPS_RAW_INT, BATTERY_STATUS or ESC_TELEMETRY_1_TO_4. Empty bytes are returned for other names, and
+        if the quantity has not been measured yet. The battery has the mean voltage and the sum of the currents of all
+        speed controllers.
         """
         if name == "GPS_RAW_INT" and self._gnss is not None:
             return self._encode_fix(self._gnss)
@@ -216,7 +218,7 @@ class Reports:
         return b""
 
     def _encode_fix(self, gnss: Gnss) -> bytes:
-        """Return the frame of GPS_RAW_INT for the latest sample ``gnss``.
+        """Return the bytes (frame) of the message GPS_RAW_INT for the latest GNSS sample, with or without a fix.
 
         Time, position, velocity and accuracy are those of the latest fix. Before the first fix they are 0, or the
         value for "unknown" of the field. The type of fix and the satellites are those of the latest sample.
@@ -242,7 +244,10 @@ class Reports:
         )
 
     def _encode_escs(self, name: str) -> bytes:
-        """Return the frame of ESC_TELEMETRY_1_TO_4. Outputs 1 to 4 without telemetry so far have zeros."""
+        """Return the bytes (frame) of the message ``name``, ESC_TELEMETRY_1_TO_4, with telemetry of outputs 1 to 4.
+
+        An output without telemetry so far has zeros.
+        """
         zeros = Esc(0, 0.0, 0.0, 0.0, 0.0, 0.0)
         escs = [self._esc.get(node, zeros) for node in range(1, 5)]
         return self._codec.encode(
@@ -256,9 +261,9 @@ class Reports:
         )
 
     def _pulse_us(self, node: int) -> int:
-        """Return the pulse width [us] at servo output ``node`` for its effective command.
+        """Return the pulse width [us] at the servo output with the number ``node``, by the command of its controller.
 
-        An output without a thruster or a speed controller has 0.
+        Return 0 for an output without a thruster or a speed controller.
         """
         thruster, controller = self._thrusters.get(node), self._controllers.get(node)
         if thruster is None or thruster.output is None or controller is None:

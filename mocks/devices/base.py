@@ -20,9 +20,9 @@ class DeviceEmulator(ABC):
 
     @abstractmethod
     def encode(self, sample: Sample, t: float) -> bytes:
-        """Return the message of a sample that the device takes at run time ``t`` [s].
+        """Return the bytes by which the device reports a sample that it has taken at run time ``t`` [s].
 
-        The bytes are empty if no message is due.
+        They are empty if the device sends no message for this sample.
         """
 
     def receive(self, data: bytes, t: float) -> bytes:

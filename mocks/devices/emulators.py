@@ -43,7 +43,10 @@ class Nmea(DeviceEmulator):
     """Emulated GNSS receiver that sends NMEA sentences."""
 
     def encode(self, sample: Sample, t: float) -> bytes:
-        """Return the NMEA sentences GGA, RMC, VTG and GST of one fix. The clock error is added to its UTC."""
+        """Return the NMEA sentences GGA, RMC, VTG and GST of one GNSS sample.
+
+        The clock error of the device is added to its UTC. ``t`` is not used.
+        """
         assert isinstance(sample, Gnss)
         return nmea.encode(replace(sample, utc=sample.utc + self.clock_error))
 
@@ -53,7 +56,7 @@ class LoadCellLine(DeviceEmulator):
     """Emulated load cell that sends one line of text for each sample."""
 
     def encode(self, sample: Sample, t: float) -> bytes:
-        """Return the line of text with the counts of one load cell sample."""
+        """Return the line of text with the counts of one load cell sample. ``t`` is not used."""
         assert isinstance(sample, LoadCell)
         return loadcell.encode(sample.counts)
 
@@ -71,9 +74,10 @@ class VescBus(DeviceEmulator):
         vesc.encode_duty(0, 0.0)  # loads the library at once, so that the first sample is not late
 
     def encode(self, sample: Sample, t: float) -> bytes:
-        """Return the status of one controller as bytes of the slcan adapter; empty while its channel is closed.
+        """Return the bytes of the slcan adapter with the status frames of one speed controller at run time ``t`` [s].
 
-        STATUS 1 is always sent, STATUS 4 and 5 (temperature and voltage) at most five times per second.
+        ``sample`` is its telemetry. STATUS 1 is always sent, STATUS 4 and 5 (temperature and voltage) at most five
+        times per second. The bytes are empty while the channel of the adapter is closed.
         """
         assert isinstance(sample, Esc)
         if t < self._slow_due.get(sample.node, 0.0):
@@ -84,9 +88,10 @@ class VescBus(DeviceEmulator):
         return b"".join(self._adapter.encode(CanFrame(*frame)) for frame in frames)
 
     def receive(self, data: bytes, t: float) -> bytes:
-        """Pass duty commands, clipped to -1 to 1, to their controllers. Return the answers of the adapter.
+        """Process bytes of the host at run time ``t`` [s], and return the answers of the slcan adapter.
 
-        Other frames, and commands to unknown nodes, have no effect.
+        Duty commands, clipped to -1 to 1, are passed to their speed controllers. Other frames, and commands to unknown
+        nodes, have no effect.
         """
         answers, frames = self._adapter.feed(data)
         for frame in frames:
@@ -108,17 +113,20 @@ class DronecanBus(DeviceEmulator):
         self._sent: dict[int, int] = {}  # transfer number of the last message, by index
 
     def encode(self, sample: Sample, t: float) -> bytes:
-        """Return one esc.Status message as bytes of the slcan adapter; empty while its channel is closed."""
+        """Return the bytes of the slcan adapter with one esc.Status message for the telemetry ``sample``.
+
+        They are empty while the channel of the adapter is closed. ``t`` is not used.
+        """
         assert isinstance(sample, Esc)
         number = self._sent[sample.node] = (self._sent.get(sample.node, -1) + 1) % NUMBERS
         frames = dronecan.encode(sample, FIRST_ESC_NODE + sample.node, number)
         return b"".join(self._adapter.encode(CanFrame(*frame)) for frame in frames)
 
     def receive(self, data: bytes, t: float) -> bytes:
-        """Pass commands to their controllers and return the answers of the adapter.
+        """Process bytes of the host at run time ``t`` [s], and return the answers of the slcan adapter.
 
-        A RawCommand has the set-points of all controllers in the order of their indices. Set-points of unknown indices
-        and other messages have no effect.
+        The set-points of a RawCommand message are passed to the speed controllers in the order of their indices.
+        Set-points of unknown indices, and other messages, have no effect.
         """
         answers, frames = self._adapter.feed(data)
         for frame in frames:
@@ -134,7 +142,7 @@ class DronecanBus(DeviceEmulator):
 def make_emulator(
     rig: Rig, device: Device, controllers: Mapping[int, EscController], ascii_: bool = False
 ) -> DeviceEmulator:
-    """Return the emulator that suits the protocol of a device.
+    """Return an emulator for a device of a rig, by the protocol of the device.
 
     Parameters
     ----------
@@ -150,7 +158,8 @@ def make_emulator(
     Raises
     ------
     SeatrialError
-        If a mock cannot serve the device: its load cell has another line format, or its CAN bus is not `slcan:PORT`.
+        If the device cannot be simulated, for example a load cell with another line format, or a CAN bus whose port is
+        not `slcan:PORT`.
     """
     if device.protocol == "vectornav":
         return VectorNav(ascii_)

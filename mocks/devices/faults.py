@@ -23,7 +23,7 @@ NOISE_SIGMAS = (math.radians(5.0), 0.1, 1.0, 1.0)
 
 @dataclass(frozen=True)
 class Kind:
-    """Kind of fault, such as "silence".
+    """Kind of fault of a mock device, such as "silence".
 
     Attributes
     ----------
@@ -67,18 +67,18 @@ _FORM = re.compile(r"(?P<kind>[a-z-]+)(?:/(?P<target>\w+))?@(?P<t>usr1|\d+(?:\.\
 
 @dataclass(frozen=True)
 class Fault:
-    """One fault on the schedule.
+    """Fault of mock devices or speed controllers in an interval of run time.
 
     Attributes
     ----------
     kind : str
-        A key of KINDS.
+        Kind of fault, a key of KINDS such as "silence".
     target : str
-        Name of a device, or of a thruster for esc-dead and esc-stuck; empty for all of them.
+        Name of the device, or of the thruster for the kinds esc-dead and esc-stuck; empty for all of them.
     start : float or None
-        Start [s since the start of the run]; None until the signal SIGUSR1 arrives.
+        Start [run s since the start of the mock]; None until the signal SIGUSR1 arrives.
     seconds : float
-        Duration [s].
+        Duration [run s].
     """
 
     kind: str
@@ -87,11 +87,14 @@ class Fault:
     seconds: float
 
     def active(self, t: float) -> bool:
-        """Return whether the fault is active at run time ``t`` [s]: from its start to just before its end."""
+        """Return whether the fault is active at run time ``t`` [s]: from its start to just before its end.
+
+        Return False if its start is None.
+        """
         return self.start is not None and self.start <= t < self.start + self.seconds
 
     def hits(self, target: str) -> bool:
-        """Return whether the fault concerns the device or thruster named ``target``."""
+        """Return whether the fault concerns the device or thruster named ``target``: this one or all of them."""
         return self.target in ("", target)
 
 
@@ -103,7 +106,7 @@ def parse_fault(text: str, devices: Sequence[str] = (), thrusters: Sequence[str]
     text : str
         `NAME[/TARGET]@T[:SECONDS]`, for example `pull/gnss@30:5`.
     devices, thrusters : sequence of str
-        Names that the rig has.
+        Names of all devices and of all thrusters of the rig.
 
     Returns
     -------
@@ -146,9 +149,9 @@ class Faults:
         self._past: dict[_Source, deque[tuple[float, Sample]]] = {}  # readings of the last LATE_S, for "late"
 
     def trigger(self, t: float) -> None:
-        """Start the faults that wait for the signal SIGUSR1 (time `usr1`) at run time ``t`` [s].
+        """Start, at run time ``t`` [s], the faults whose start on the command line is `usr1` (the signal SIGUSR1).
 
-        A fault that has ended starts again, with its spikes. An active fault goes on.
+        A fault that has ended starts again, and its spikes are counted from zero. An active fault goes on unchanged.
         """
         for index in self._on_signal:
             if not self._faults[index].active(t):
@@ -163,7 +166,7 @@ class Faults:
         return any(f.kind == kind and f.hits(target) and f.active(t) for f in self._faults)
 
     def reading(self, device: str, sample: Sample, t: float) -> Sample | None:
-        """Return the sample that a device sends under the active faults, or None if it sends no sample.
+        """Return the sample that a device really sends while faults are active, or None if it sends no sample.
 
         Parameters
         ----------
@@ -176,8 +179,8 @@ class Faults:
 
         Notes
         -----
-        Each call updates the memory of the schedule: the last sample of each source, the samples of the last second for
-        the fault "late", and the number of spikes. Call it once for each sample.
+        Call it once for each sample, because each call stores the sample and counts spikes: some faults repeat or
+        delay earlier samples.
         """
         if not self._faults:
             return sample
@@ -227,16 +230,16 @@ class Faults:
         return self._rng.bytes(len(data)) if self._faults and self.active("garbage", device, t) else data
 
     def _with_noise(self, sample: Sample) -> Sample:
-        """Return an AHRS sample with additional noise; other samples are returned unchanged."""
+        """Return an AHRS sample with noise added to heading, yaw rate and acceleration; other samples unchanged."""
         if not isinstance(sample, Ahrs):
             return sample
         yaw, r, ax, ay = self._rng.normal(0.0, NOISE_SIGMAS).tolist()
         return replace(sample, yaw=sample.yaw + yaw, r=sample.r + r, ax=sample.ax + ax, ay=sample.ay + ay)
 
     def _spike_due(self, device: str, t: float) -> bool:
-        """Return whether the next reading of a device is a spike, and count the spike.
+        """Return whether a fault "spike" changes the sample of a device at run time ``t`` [s], and count the spike.
 
-        A fault "spike" has one spike at its start, and one more in each further second of its duration.
+        Such a fault has one spike at its start, and one more in each further second of its duration.
         """
         for index, fault in enumerate(self._faults):
             if fault.kind == "spike" and fault.hits(device) and fault.start is not None and t >= fault.start:
@@ -248,7 +251,7 @@ class Faults:
 
 
 def _overloaded(sample: Sample) -> Sample:
-    """Return a load cell sample with 500,000 more counts, or telemetry with 200 A more; other samples unchanged."""
+    """Return a load cell sample with 500,000 more counts, or ESC telemetry with 200 A more; other samples unchanged."""
     if isinstance(sample, LoadCell):
         return replace(sample, counts=sample.counts + 500_000.0)
     return replace(sample, current=sample.current + 200.0) if isinstance(sample, Esc) else sample

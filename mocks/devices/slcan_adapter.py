@@ -32,7 +32,7 @@ class CanFrame(NamedTuple):
 
 
 class Adapter:
-    """CAN-to-serial adapter. It passes frames while its channel is open.
+    """Emulated CAN-to-serial adapter. It passes frames between host and bus while its channel is open.
 
     Attributes
     ----------
@@ -45,7 +45,7 @@ class Adapter:
     def __init__(self, version: str = "1013", serial_number: str = "A001") -> None:
         """Set up an adapter with a closed channel.
 
-        ``version`` and ``serial_number`` are its answers to the commands `V` and `v`, and `N`.
+        ``version`` is its answer to the commands `V` and `v`, and ``serial_number`` that to the command `N`.
         """
         self.open = False
         self.listen_only = False
@@ -54,12 +54,12 @@ class Adapter:
         self._line = bytearray()
 
     def feed(self, data: bytes) -> tuple[bytes, list[CanFrame]]:
-        """Process bytes of the host, which may end within a command line; the rest is kept for the next call.
+        """Process bytes of the host. If they end within a command line, its beginning is kept for the next call.
 
         Returns
         -------
         bytes
-            Answers of the adapter: one for each complete line, and BELL for a line that is too long.
+            Answers of the adapter: one for each complete line, and the character BELL for a line that is too long.
         list of CanFrame
             Frames that the adapter sends on the bus.
         """
@@ -82,16 +82,16 @@ class Adapter:
         return bytes(answers), frames
 
     def encode(self, frame: CanFrame) -> bytes:
-        """Return the bytes by which the host receives a frame of the bus; empty while the channel is closed."""
+        """Return the bytes that the adapter sends to the host for a CAN frame; empty while the channel is closed."""
         if not self.open:
             return b""
         digits = f"T{frame.arbitration_id:08X}" if frame.extended else f"t{frame.arbitration_id:03X}"
         return f"{digits}{len(frame.data)}{frame.data.hex().upper()}\r".encode()
 
     def _parse_frame(self, line: bytes) -> CanFrame | None:
-        """Return the frame of a command line ``t`` (11 bits) or ``T`` (29 bits).
+        """Return the CAN frame that the host sends by the command line `t` (11-bit identifier) or `T` (29 bits).
 
-        None is returned if the line is malformed, or if the channel is closed or listens only.
+        Return None if the line is malformed, or if the channel is closed or listens only.
         """
         if not self.open or self.listen_only:
             return None
@@ -107,9 +107,10 @@ class Adapter:
         return CanFrame(arbitration_id, data, extended)
 
     def _execute_line(self, line: bytes) -> bytes:
-        """Execute a command line that sends no frame, and return the answer; BELL for an error or unknown command.
+        """Execute a command line of the host that sends no CAN frame, and return the adapter's answer.
 
-        The commands `O` and `L` open the channel, and `C` closes it.
+        The commands `O` and `L` open the channel, and `C` closes it. The answer to an unknown command, or to one that
+        is not possible in this state, is the character BELL.
         """
         command = line[:1]
         if command in (b"", b"X") or (command == b"Z" and line == b"Z0"):

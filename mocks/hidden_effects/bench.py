@@ -59,25 +59,28 @@ DEMO = ("rod-flex", "recirculation", "cell-drift")  # effects that `--effect dra
 
 
 def _random_size(rng: np.random.Generator, size: float, *, signed: bool = False) -> float:
-    """Return ``size`` times a random factor between 0.85 and 1.15. If ``signed`` is true, the sign is random too."""
+    """Return a random size of an effect: ``size`` times a factor that is uniform between 0.85 and 1.15.
+
+    If ``signed`` is true, the sign is random too. ``rng`` draws both.
+    """
     return float(size * rng.uniform(0.85, 1.15)) * (1 - 2 * (signed and rng.uniform() < 0.5))
 
 
 def _shaft_effect(name: str, sentence: str, **sizes: float) -> BenchEffect:
-    """Return the hidden effect ``name`` that acts on the response of the shaft only.
+    """Return the hidden effect of the mock bench with this ``name`` that acts only on the response of the shaft.
 
-    ``sentence`` is its description for the user. ``sizes`` are fields of `ShaftEffect`.
+    ``sentence`` is its description for the user. ``sizes`` are the sizes of the effect, by field of `ShaftEffect`.
     """
     return BenchEffect(name, sentence, shaft=ShaftEffect(**sizes))
 
 
 def make_effect(name: str, seed: int, scale: float = 1.0) -> BenchEffect:
-    """Return a hidden effect of the bench with a size that is drawn at random.
+    """Return a hidden effect of the mock bench with a size that is drawn at random.
 
     Parameters
     ----------
     name : str
-        A key of EFFECTS.
+        Name of the effect, a key of EFFECTS such as "rod-flex".
     seed : int
         Seed of the size and the sign. The same seed gives the same effect.
     scale : float
@@ -92,5 +95,8 @@ def make_effect(name: str, seed: int, scale: float = 1.0) -> BenchEffect:
 
 
 def draw_name(seed: int) -> str:
-    """Return the name of the effect of DEMO that ``--effect draw`` chooses for a bench of this seed."""
+    """Return the name of the hidden effect that ``--effect draw`` chooses for a mock bench of this seed.
+
+    It is one of DEMO: "rod-flex", "recirculation" or "cell-drift".
+    """
     return DEMO[int(random_stream(seed, EFFECT_NAME, index=1).integers(len(DEMO)))]

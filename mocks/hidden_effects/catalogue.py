@@ -64,12 +64,12 @@ _TABLES = ((0, EFFECTS), (200, OUTSIDE), (300, NOISE), (400, EQUIPMENT), (600, S
 
 
 def make_effect(name: str, seed: int, scale: float = 1.0) -> HiddenEffect:
-    """Return a hidden effect of the boat with a size that is drawn at random.
+    """Return a hidden effect of the mock boat with a size that is drawn at random.
 
     Parameters
     ----------
     name : str
-        A key of EFFECTS, OUTSIDE, NOISE, EQUIPMENT or SITE.
+        Name of the effect, such as "wind": a key of EFFECTS, OUTSIDE, NOISE, EQUIPMENT or SITE.
     seed : int
         Seed of the size, the sign and the direction of the effect. The same seed gives the same effect.
     scale : float
@@ -87,7 +87,7 @@ def make_effect(name: str, seed: int, scale: float = 1.0) -> HiddenEffect:
 
 
 def mixture(name: str, seed: int, scale: float = 1.0, small: float = SMALL) -> tuple[HiddenEffect, ...]:
-    """Return one large hidden effect together with all other effects of EFFECTS at a small size.
+    """Return one large hidden effect of the mock boat together with all other effects of EFFECTS at a small size.
 
     Parameters
     ----------
@@ -104,14 +104,19 @@ def mixture(name: str, seed: int, scale: float = 1.0, small: float = SMALL) -> t
     -------
     tuple of HiddenEffect
         The large effect first, then the others in the order of EFFECTS.
+
+    Raises
+    ------
+    KeyError
+        If no effect has this name.
     """
     minor_effects = (make_effect(minor, seed, small) for minor in EFFECTS if minor != name)
     return (make_effect(name, seed, scale), *minor_effects)
 
 
 def draw_name(seed: int, names: tuple[str, ...] = DEMO) -> str:
-    """Return one of ``names``, drawn with the seed.
+    """Return the name of a hidden effect, drawn at random from ``names`` with the seed of a mock boat.
 
-    With the default names it is the effect that ``--effect draw`` chooses for a boat of this seed.
+    The same seed gives the same name. With the default names it is the effect that ``--effect draw`` chooses.
     """
     return names[int(random_stream(seed, EFFECT_NAME).integers(len(names)))]

@@ -36,7 +36,7 @@ IMPERFECTIONS = tuple(_FRACTIONS)  # names of the small effects of a realistic b
 
 
 def realistic(seed: int) -> tuple[HiddenEffect, ...]:
-    """Return the small imperfections of the realistic boat of a seed.
+    """Return the small hidden effects (imperfections) of the realistic mock boat of a seed.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ def realistic(seed: int) -> tuple[HiddenEffect, ...]:
 
 
 def realistic_with(name: str, seed: int, scale: float = 1.0) -> tuple[HiddenEffect, ...]:
-    """Return one large hidden effect together with the small imperfections of the realistic boat of a seed.
+    """Return one large hidden effect, and the small ones (imperfections) of the realistic mock boat of a seed.
 
     Parameters
     ----------

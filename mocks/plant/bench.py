@@ -26,7 +26,7 @@ SIGMA, TAU = 0.1, 0.3  # N, s; standard deviation and correlation time of the di
 
 @dataclass(frozen=True)
 class Bench:
-    """Bench parameters that are the same in all runs.
+    """Parameters of a simulated bench that are the same in all its runs.
 
     Attributes
     ----------
@@ -43,15 +43,15 @@ class Bench:
     seed: int
 
     def truth(self) -> dict[str, float]:
-        """Return the true parameters of the thruster (SI), by the names of the fields of `ThrusterTruth`."""
+        """Return the true parameters of the bench's thruster (SI), by the names of the fields of `ThrusterTruth`."""
         return asdict(self.thruster)
 
 
 def draw_bench(seed: int, effect: BenchEffect = NONE) -> Bench:
-    """Return the bench of a seed.
+    """Return the parameters of the simulated bench that belongs to ``seed``, with the hidden effect ``effect``.
 
-    The thrust coefficients c1 and c2 of its thruster are drawn within 5 % of their nominal values. ``effect`` is not
-    drawn.
+    The thrust coefficients c1 and c2 of its thruster are drawn within 5 % of their nominal values. The effect is not
+    drawn here. The same seed gives the same thruster.
     """
     return Bench(draw_thruster(seed), effect, seed)
 
@@ -110,14 +110,18 @@ class BenchPlant:
         return self.steps * self.step_s
 
     def command(self, thruster: int, t: float, n_cmd: float) -> None:
-        """Set the command from time ``t`` [s] on: -1 to 1, positive forward. ``thruster`` must be 0.
+        """Set the command ``n_cmd`` of the thruster from time ``t`` [s] on: -1 to 1, positive forward.
 
-        Values beyond -1 to 1 are clipped. Values in the dead zone count as 0. Times must not decrease.
+        ``thruster`` must be 0, the only one. Values beyond -1 to 1 are clipped. Values in the thruster's dead zone
+        count as 0. From call to call ``t`` must not decrease.
         """
         self.shafts[thruster].command(t, n_cmd)
 
     def advance(self) -> None:
-        """Integrate the bench by one step: disturbance, shaft, used energy, motion of the pool, rod and cell filter."""
+        """Integrate the simulated bench by one step ``step_s``.
+
+        This advances disturbance, shaft, used energy, motion of the pool, rod and filter of the load cell.
+        """
         if self._disturbance is not None and self.steps % DISTURBANCE_EVERY == 0:
             self._water_force = self._disturbance.step()
         n = self.shafts[0].advance()
@@ -131,9 +135,10 @@ class BenchPlant:
         self.steps += 1
 
     def thrust(self, thruster: int = 0) -> float:
-        """Return the thrust [N] of the propeller at its present shaft speed, positive forward.
+        """Return the thrust [N] of the bench's propeller at its present shaft speed, positive forward.
 
-        The losses of hidden effects are included. The rod, the load cell and the disturbance are not.
+        ``thruster`` must be 0. The losses of thrust by hidden effects are included. The rod, the load cell and the
+        random force of the water are not.
         """
         effect, n = self.bench.effect, self.shafts[thruster].n
         if effect.band:
@@ -150,7 +155,8 @@ class BenchPlant:
     def force(self) -> float:
         """Return the force [N] that the load cell measures, positive forward.
 
-        It includes the rod, the disturbance, and the filter and drift of the load cell, but no sensor noise.
+        It includes the resonance of the rod, the random force of the water, and the filter and drift of the load cell,
+        but no sensor noise.
         """
         effect = self.bench.effect
         if effect.smooth_s:
@@ -158,7 +164,7 @@ class BenchPlant:
         return self._rod_force() + effect.drift * math.sqrt(self.t / 60.0)
 
     def _rod_force(self) -> float:
-        """Return the force [N] on the load cell: the thrust, filtered by the resonance of the rod, plus disturbance."""
+        """Return the force [N] on the load cell: the thrust behind the rod's resonance, plus the force of the water."""
         effect, force = self.bench.effect, self.thrust()
         if effect.flex_hz:
             force += effect.flex_share * (self._rod.force - force)
@@ -172,13 +178,17 @@ class BenchPlant:
 
 
 class _Rod:
-    """Rod in its mount: a second-order system with little damping and unit static gain.
+    """Rod of the bench in its mount: a second-order system from the thrust to the force on the load cell.
 
-    The solution is exact for a force that is constant in each step. `force` is the present output [N].
+    Its static gain is one, and its damping ratio is below 1. The solution is exact for a thrust that is constant in
+    each step. The attribute `force` is the present force on the load cell [N].
     """
 
     def __init__(self, frequency_hz: float, damping: float, step: float) -> None:
-        """Set up a rod at rest: natural frequency [Hz], damping ratio (below 1) and step of the simulation [s]."""
+        """Set up a rod at rest with its natural frequency [Hz] and damping ratio (below 1).
+
+        ``step`` is the step of the simulation [s]. With the frequency 0 (a rigid rod) `advance` must not be called.
+        """
         omega = 2.0 * math.pi * frequency_hz
         sigma, self._omega_d = damping * omega, omega * math.sqrt(1.0 - damping**2)
         decay, angle = math.exp(-sigma * step), self._omega_d * step
@@ -187,7 +197,7 @@ class _Rod:
         self._rate = 0.0
 
     def advance(self, force: float) -> None:
-        """Advance the rod by one step under the constant ``force`` [N]. Its new output is then in `self.force`."""
+        """Advance the rod by one step under the constant thrust ``force`` [N]; `self.force` is then its new output."""
         c, s, sigma = self._rotate
         x, v, w = self.force - force, self._rate, self._omega_d
         self.force = force + c * x + s * (v + sigma * x) / w
@@ -195,18 +205,19 @@ class _Rod:
 
 
 class BenchShaft:
-    """Shaft of a thruster with a hidden effect.
+    """Shaft of a simulated thruster whose response to commands has a hidden effect (`ShaftEffect`).
 
-    Delay and dead zone are those of ``Shaft``. The reference is then reduced by droop and sag, and passes an additional
-    lag. The pole of the shaft may depend on the direction of the change, and the acceleration may be limited.
+    Delay and dead zone are those of ``Shaft``. The delayed command is then reduced by droop and sag, and passes an
+    additional lag. The pole of the shaft may depend on the direction of the change, and the acceleration may be
+    limited.
 
-    Each step is split at the times at which the reference changes. Lag and shaft are solved exactly one after the
-    other. `n` is the present shaft speed (normalised, positive forward), and `energy` is the integral of ``|n|^3`` over
-    time [s].
+    Each step is split at the times at which the delayed command changes. Lag and shaft are solved exactly one after the
+    other. The attribute `n` is the present shaft speed (normalised, positive forward), and `energy` is the integral of
+    ``|n|^3`` over time [s].
     """
 
     def __init__(self, truth: ThrusterTruth, effect: ShaftEffect, dt: float) -> None:
-        """Start at rest at time 0.
+        """Set up a shaft at rest at time 0.
 
         Parameters
         ----------
@@ -215,7 +226,7 @@ class BenchShaft:
         effect : ShaftEffect
             Hidden effects of the shaft's response.
         dt : float
-            Step [s].
+            Step of the simulation [s].
         """
         self._truth, self._effect, self._dt = truth, effect, dt
         self._steps = 0
@@ -225,15 +236,16 @@ class BenchShaft:
         self.energy = 0.0
 
     def command(self, t: float, n_cmd: float) -> None:
-        """Queue a command (-1 to 1, positive forward) that was received at time ``t`` [s]; ``t`` never decreases.
+        """Take a command (-1 to 1, positive forward) at time ``t`` [s]; it acts after the thruster's delay.
 
-        Values beyond -1 to 1 are clipped. Values in the dead zone count as 0. The delay is added to ``t``.
+        Values beyond -1 to 1 are clipped. Values in the thruster's dead zone count as 0. From call to call ``t`` must
+        not decrease.
         """
         ref = 0.0 if abs(n_cmd) < self._truth.dead_zone else max(-1.0, min(1.0, n_cmd))
         self._pending.append((t + self._truth.delay, ref))
 
     def advance(self) -> float:
-        """Advance the shaft by one step and return its speed (normalised)."""
+        """Advance the shaft by one step of the simulation, and return its speed (normalised, positive forward)."""
         t, self._steps = self._steps * self._dt, self._steps + 1
         end = self._steps * self._dt
         while self._pending and self._pending[0][0] < end:
@@ -246,7 +258,10 @@ class BenchShaft:
         return self.n
 
     def _advance_with_constant_reference(self, dt: float) -> None:
-        """Advance the lag and the shaft by ``dt`` [s] with a constant reference, and add up the used energy."""
+        """Advance the additional lag and the shaft by ``dt`` [s] while the delayed command is constant.
+
+        The integral of ``|n|^3`` (`energy`) is advanced too.
+        """
         effect = self._effect
         target = self._ref * (1.0 - effect.droop * abs(self._ref) ** 1.3)
         target *= 1.0 - effect.sag * (1.0 - math.exp(-self.energy / 30.0))

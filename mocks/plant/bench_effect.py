@@ -24,7 +24,7 @@ _PARAMETERS: dict[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True)
 class ShaftEffect:
-    """Hidden effects of the shaft's response to commands. A size of zero switches an effect off.
+    """Sizes of the hidden effects of the response of a bench's shaft to commands. Zero switches an effect off.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class ShaftEffect:
 
     @property
     def any(self) -> bool:
-        """Return whether at least one of the five effects is switched on, that is, not zero."""
+        """Whether at least one of the five effects of the shaft's response is switched on (its size is not zero)."""
         return bool(self.late or self.brisk or self.slew or self.droop or self.sag)
 
 
@@ -107,10 +107,10 @@ class BenchEffect:
 
     @property
     def parameters(self) -> dict[str, float]:
-        """Return the true sizes that belong to this effect: values by field name, in the units of the fields.
+        """True sizes of this hidden effect, by the names of its fields and in their units, for the ground-truth file.
 
-        Fields of other effects are left out. The dict is empty for the effect "none". An unknown `name` raises
-        KeyError.
+        Fields that belong to other effects are left out. The dict is empty for the effect "none". If the name of the
+        effect is unknown, KeyError is raised.
         """
         values = asdict(self) | asdict(self.shaft)
         return {name: float(values[name]) for name in _PARAMETERS[self.name]}

@@ -22,12 +22,12 @@ TAU = 2.0  # s, correlation time of the disturbance forces
 
 @dataclass(frozen=True)
 class Boat:
-    """Boat parameters that are the same in all runs. The same seed and effects give the same boat.
+    """Parameters of a simulated boat that are the same in all its runs. The same seed and effects give the same boat.
 
     Attributes
     ----------
     hull : Hull
-        Masses and damping.
+        Masses and damping of the hull.
     thruster : ThrusterTruth
         Parameters of both thrusters.
     current : tuple of two floats
@@ -45,10 +45,11 @@ class Boat:
     seed: int
 
     def truth(self) -> dict[str, float]:
-        """Return the true parameters of this boat (SI) by name: masses, damping, thruster, current and arm.
+        """Return the true parameters of this simulated boat (SI) by name, for the ground-truth file.
 
-        The masses of the thesis' model (m_u, m_v, m_r) include the added mass; ``mass`` and ``inertia`` are those of
-        the rigid body. The parameters of hidden effects are not included.
+        They are masses, damping, thruster, current and the arm of the thrusters. The masses of the thesis' model (m_u,
+        m_v, m_r) include the added mass; ``mass`` and ``inertia`` are those of the rigid body. The parameters of hidden
+        effects are not included.
         """
         rigid = {"mass": self.hull.mass, "inertia": self.hull.inertia}
         current = {"current_n": self.current[0], "current_e": self.current[1], "arm": ARM}
@@ -56,9 +57,9 @@ class Boat:
 
 
 def draw_boat(seed: int, effects: Sequence[HiddenEffect] = (), thruster: ThrusterTruth | None = None) -> Boat:
-    """Return the boat of a seed.
+    """Return the parameters of the simulated boat that belongs to a seed.
 
-    The parameters of the hull are drawn within 10 % of their nominal values. The current is constant and drawn too.
+    The parameters of the hull are drawn within 10 % of their nominal values. The constant ocean current is drawn too.
 
     Parameters
     ----------
@@ -73,7 +74,7 @@ def draw_boat(seed: int, effects: Sequence[HiddenEffect] = (), thruster: Thruste
 
 
 class RigidBodyState(NamedTuple):
-    """True motion of the plant at one time, as the input of the sensors.
+    """True motion of the simulated boat or bench at one time, as the input of the sensor models.
 
     The axes are NED and body axes as in seatrial.daq.samples.
 
@@ -145,7 +146,7 @@ class BoatPlant:
         disturbed: bool = True,
         n: float = 0.0,
     ) -> None:
-        """Set up the boat at time 0.
+        """Set up the simulation of a boat at time 0.
 
         Parameters
         ----------
@@ -156,8 +157,8 @@ class BoatPlant:
         step : float
             Step of the integration [s].
         state : State, optional
-            Initial state. If it is None, the boat drifts with the current from the position (0, 0), with a random
-            heading.
+            Initial state: the tuple of eight floats of the attribute `state`. If it is None, the boat drifts with the
+            current from the position (0, 0), with a random heading.
         disturbed : bool
             Whether random disturbance forces act. Waves and gusts of hidden effects act in any case.
         n : float
@@ -191,15 +192,19 @@ class BoatPlant:
         self._antenna = Antenna(arm, sum(e.latency for e in boat.effects), step)
 
     def _make_inflows(self, n: float) -> list[Inflow]:
-        """Return the filters from shaft speed to thrust of both thrusters; empty if no effect delays the thrust.
+        """Return the delays of both thrusters from shaft speed to thrust, which hidden effects cause.
 
-        Delays and lags of several effects add up. ``n`` is the initial shaft speed (normalised).
+        Dead times and lags of several effects add up. ``n`` is the initial shaft speed (normalised). The list is empty
+        if no effect delays the thrust.
         """
         delay, lag = (sum(e.inflow[k] for e in self.boat.effects) for k in (0, 1))
         return [Inflow(delay, lag, 0.5 * self.step_s, n) for _ in range(2)] if delay or lag else []
 
     def _first_state(self, run: int) -> State:
-        """Return the boat's state at the start of a run: at (0, 0), drifting with the current, at a random heading."""
+        """Return the boat's state at the start of the run with this number.
+
+        The boat is at (0, 0), drifts with the current, does not turn, and has a heading that is random with the run.
+        """
         psi = float(random_stream(self.boat.seed, START, run).uniform(-math.pi, math.pi))
         v_n, v_e = self.boat.current
         c, s = math.cos(psi), math.sin(psi)
@@ -213,12 +218,13 @@ class BoatPlant:
     def command(self, thruster: int, t: float, n_cmd: float) -> None:
         """Set the command of thruster 0 (left) or 1 (right) from time ``t`` [s] on: -1 to 1, positive forward.
 
-        Values beyond -1 to 1 are clipped. Values in the dead zone count as 0. Times must not decrease.
+        Values beyond -1 to 1 are clipped. Values in the thruster's dead zone count as 0. From call to call ``t`` must
+        not decrease.
         """
         self.shafts[thruster].command(t, n_cmd)
 
     def advance(self) -> None:
-        """Integrate the boat by one step: external forces, shafts, state, used energy and GNSS latency."""
+        """Integrate the simulated boat by one step: external forces, shafts, state, used energy and GNSS latency."""
         if self.steps % DISTURBANCE_EVERY == 0:
             self._update_external_forces()
         left, right = self.shafts
@@ -234,9 +240,10 @@ class BoatPlant:
             self._antenna.push(self.state)
 
     def _delayed_shaft_speeds(self, n: tuple[float, float]) -> tuple[float, float]:
-        """Return the shaft speeds that produce thrust: left and right, behind the delays of hidden effects.
+        """Return the shaft speeds, left and right, that produce thrust at present: ``n`` after the effects' delays.
 
-        Each call advances the delays by half a step. Without such effects ``n`` is returned.
+        ``n`` has the present shaft speeds (normalised). Each call advances the delays by half a step of the simulation.
+        If no hidden effect delays the thrust, ``n`` is returned.
         """
         if not self._inflows:
             return n
@@ -244,7 +251,10 @@ class BoatPlant:
         return left.advance(n[0]), right.advance(n[1])
 
     def _update_external_forces(self) -> None:
-        """Draw the disturbance forces, waves, gusts and the current for the next DISTURBANCE_EVERY steps."""
+        """Draw the random forces on the boat (disturbance, waves, gusts), and set the current, for the next few steps.
+
+        They are constant for DISTURBANCE_EVERY steps. Hidden effects may change the current with time.
+        """
         x, y, n = (d.step() for d in self._disturbances) if self._disturbances else (0.0, 0.0, 0.0)
         if self._weather:
             weather = self._weather.forces(self.t, self.state[2])
@@ -264,7 +274,10 @@ class BoatPlant:
         self._rhs = make_rhs(self.boat.hull, self.boat.thruster, self._water, effects)
 
     def motion(self) -> RigidBodyState:
-        """Return the true motion at the present time, as the input of the sensors. The plant does not change."""
+        """Return the true motion of the boat at the present time, as the input of the sensor models.
+
+        The simulation does not advance.
+        """
         s = self.state
         x, y, psi, u, v, r = s[:6]
         rate = self._rhs(s, *self._n, self.energy / ENERGY_UNIT, *self._forces)
@@ -274,9 +287,9 @@ class BoatPlant:
         return RigidBodyState(self.t, x, y, psi, r, ax, ay, vel_n, vel_e, *self._antenna.place(s), thrust)
 
     def thrust(self, thruster: int) -> float:
-        """Return the static thrust [N] of thruster 0 (left) or 1 (right) at its shaft speed, positive forward.
+        """Return the static thrust [N] of thruster 0 (left) or 1 (right) at its present shaft speed, positive forward.
 
-        Hidden effects and delays are not included. The simulated motor current depends on this thrust.
+        Hidden effects and delays of the thrust are not included. The simulated motor current depends on this thrust.
         """
         return thrust(self.boat.thruster, self.shafts[thruster].n)
 
@@ -298,7 +311,10 @@ class Antenna:
         self._filtered: tuple[float, float, float, float] | None = None
 
     def push(self, state: State) -> None:
-        """Add the state of the boat after a step to the antenna's latency. Needed only with a latency."""
+        """Pass the state of the boat after a step through the latency of the antenna.
+
+        It must be called after each step of the simulation if the latency is not 0, and not otherwise.
+        """
         self._queue.append(self._position_and_velocity(state))
         if self._filtered is None:
             self._filtered = self._queue[0]
@@ -308,10 +324,10 @@ class Antenna:
             self._filtered = (x, y, v_n, v_e)
 
     def place(self, state: State) -> tuple[float, float, float, float]:
-        """Return the reported position and velocity of the antenna: north [m], east [m], north [m/s], east [m/s].
+        """Return the position and velocity that the GNSS receiver reports: north, east [m], north, east [m/s].
 
-        Without a latency, or before the first `push`, they belong to ``state``. With a latency they belong to the
-        states that `push` has added.
+        They are those of the antenna, without noise. Without a latency, or before the first `push`, they belong to
+        ``state``, the present state of the boat. With a latency they follow from the states that `push` has taken.
         """
         return self._position_and_velocity(state) if self._filtered is None else self._filtered
 

@@ -85,7 +85,7 @@ class Gust:
 
 @dataclass(frozen=True)
 class Noise:
-    """Size of the noise of AHRS and GNSS, and GNSS errors that are not white: correlated errors and outliers.
+    """Noise of AHRS and GNSS that a hidden effect changes: size of white noise, correlated GNSS errors and outliers.
 
     Attributes
     ----------
@@ -126,7 +126,7 @@ class Answer:
 
 @dataclass(frozen=True)
 class HeadingFilter:
-    """Heading of an AHRS that is filtered and late. Yaw rate and acceleration are neither.
+    """Filter and dead time of the heading that an AHRS reports. Yaw rate and acceleration are not affected.
 
     Attributes
     ----------
@@ -144,7 +144,7 @@ class HeadingFilter:
 
 @dataclass(frozen=True)
 class Telemetry:
-    """Age, resolution and limit of the telemetry of the speed controllers.
+    """Age, resolution and limit of the telemetry of the speed controllers, which a hidden effect changes.
 
     Attributes
     ----------
@@ -284,7 +284,7 @@ Maker = Callable[[np.random.Generator, float], HiddenEffect]
 
 
 def effect_size(rng: np.random.Generator, full: float, *, signed: bool = False) -> float:
-    """Draw the random size of an effect.
+    """Draw the random size of a hidden effect.
 
     Parameters
     ----------

@@ -28,7 +28,7 @@ Rhs = Callable[[State, float, float, float, float, float, float], State]
 
 @dataclass(frozen=True)
 class Hull:
-    """True parameters of the hull.
+    """True parameters of the hull of a simulated boat.
 
     The defaults are the nominal values of table 1 of the thesis. Rigid-body and added masses are separated as in DSOR's
     mred_sim.yaml.
@@ -60,10 +60,10 @@ class Hull:
     d_rr: float = 6.23
 
     def lumped(self) -> dict[str, float]:
-        """Return the parameters of the thesis' model by name.
+        """Return the hull's parameters in the form of the thesis' model, by name.
 
-        m_u, m_v and m_r [kg, kg, kg m2] are sums of the rigid-body and the added mass. d_u, d_uu, d_v, d_vv, d_r and
-        d_rr are the fields of the same name.
+        m_u, m_v and m_r [kg, kg, kg m2] are sums of the rigid-body and the added mass (inertia). The damping
+        parameters d_u, d_uu, d_v, d_vv, d_r and d_rr are the fields of the same name.
         """
         return {
             "m_u": self.mass + self.added_u,
@@ -78,9 +78,10 @@ CURRENT_MAX = 0.25  # m/s, largest speed of the current
 
 
 def draw_hull(seed: int, spread: float = 0.10) -> Hull:
-    """Return the hull of a seed.
+    """Return the parameters of the simulated hull that belongs to a seed.
 
-    Each parameter is its nominal value times a factor that is uniform between ``1 - spread`` and ``1 + spread``.
+    Each parameter is its nominal value times a factor of its own, which is uniform between ``1 - spread`` and
+    ``1 + spread``. The same seed gives the same hull.
     """
     nominal = Hull()
     factors = 1.0 + spread * random_stream(seed, PARAMETERS).uniform(-1.0, 1.0, len(fields(Hull)))
@@ -91,7 +92,7 @@ def draw_hull(seed: int, spread: float = 0.10) -> Hull:
 
 
 def draw_current(seed: int) -> tuple[float, float]:
-    """Return the ocean current of a seed: its constant velocity [m/s], north and east.
+    """Return the ocean current of the simulated boat that belongs to a seed: its velocity [m/s], north and east.
 
     The speed is uniform between 0 and CURRENT_MAX (0.25 m/s), and the direction is uniform.
     """
@@ -108,10 +109,11 @@ Forces = Callable[[State, Pair, Pair, Pair, Pair, float, Triple], Triple]
 
 
 def _make_forces(hull: Hull, thruster: ThrusterTruth, effects: Sequence[HiddenEffect]) -> Forces:
-    """Return the function that sums all forces on the boat: surge force, sway force and yaw moment [N, N, N m].
+    """Return a function that computes the sum of the forces on the boat: surge, sway and yaw moment [N, N, N m].
 
-    The sum contains the thrust, the damping, the forces of the hidden ``effects``, and the external forces, which are
-    an argument of the function. `Forces` gives all its arguments. Coriolis forces and masses are not in the sum.
+    Its arguments are state, velocity through the water and over ground, heading, shaft speeds, used energy and external
+    forces (`Forces`). The sum contains the thrust by ``thruster``, the damping by ``hull``, the forces of the hidden
+    ``effects`` and the external forces. Coriolis forces are not in it.
     """
     c1, c2 = thruster.c1, thruster.c2
     d_u, d_uu, d_v, d_vv, d_r, d_rr = hull.d_u, hull.d_uu, hull.d_v, hull.d_vv, hull.d_r, hull.d_rr
@@ -157,7 +159,7 @@ def _make_forces(hull: Hull, thruster: ThrusterTruth, effects: Sequence[HiddenEf
 def make_rhs(
     hull: Hull, thruster: ThrusterTruth, current: Sequence[float], effects: Sequence[HiddenEffect] = ()
 ) -> Rhs:
-    """Return the right-hand side of the equations of motion as a function.
+    """Return a function that computes the time derivative of a boat's state: its equations of motion.
 
     Parameters
     ----------
@@ -174,8 +176,9 @@ def make_rhs(
     Returns
     -------
     callable
-        Function of the state, the shaft speeds of the left and the right thruster (normalised), the used energy in
-        units of ENERGY_UNIT, and the external forces X, Y, N [N, N, N m]. It returns the time derivative of the state.
+        Function of the state (x, y, psi, u, v, r, and angle and rate of a swinging payload), the shaft speeds of the
+        left and the right thruster (normalised), the used energy in units of ENERGY_UNIT, and the external forces X, Y,
+        N [N, N, N m]. It returns the time derivative of the state.
 
     Notes
     -----
@@ -229,12 +232,12 @@ def rk4(
     energy: float,
     forces: tuple[float, float, float],
 ) -> State:
-    """Return the state after one step of the classical Runge-Kutta method of fourth order.
+    """Return the state of the boat after one step of the classical Runge-Kutta method of fourth order.
 
     Parameters
     ----------
     rhs : Rhs
-        Right-hand side of the equations of motion.
+        Equations of motion: the function that `make_rhs` returns.
     s : State
         State at the start of the step.
     k1 : State
@@ -242,7 +245,7 @@ def rk4(
     h : float
         Step [s].
     n : tuple of four floats
-        Shaft speeds (normalised): left and right at half the step, left and right at its end.
+        Shaft speeds (normalised): left and right in the middle of the step, left and right at its end.
     energy : float
         Used energy in units of ENERGY_UNIT, constant in the step.
     forces : tuple of three floats

@@ -38,10 +38,10 @@ class ThrusterTruth:
 
 
 def draw_thruster(seed: int, spread: float = 0.05) -> ThrusterTruth:
-    """Return the thruster of a seed.
+    """Return the parameters of the simulated thruster that belongs to a seed.
 
-    c1 and c2 are their nominal values, each times a factor that is uniform between ``1 - spread`` and ``1 + spread``.
-    The other parameters are nominal.
+    The thrust coefficients c1 and c2 are their nominal values, each times a factor that is uniform between
+    ``1 - spread`` and ``1 + spread``. The other parameters are nominal. The same seed gives the same thruster.
     """
     rng = random_stream(seed, THRUSTER)
     nominal = ThrusterTruth()
@@ -50,7 +50,7 @@ def draw_thruster(seed: int, spread: float = 0.05) -> ThrusterTruth:
 
 
 class Shaft:
-    """Shaft of a thruster, with delayed commands and a first-order lag.
+    """Shaft of a simulated thruster, with delayed commands and a first-order lag.
 
     The equation ``n' = pole (n_ref(t - delay) - n)`` is linear, and ``n_ref`` is piecewise constant. The solution is
     therefore exact between the switching times and needs no numerical integration. The attribute `n` is the present
@@ -77,15 +77,16 @@ class Shaft:
         self.n = n
 
     def command(self, t: float, n_cmd: float) -> None:
-        """Queue a command (-1 to 1, positive forward) that was received at time ``t`` [s]; ``t`` never decreases.
+        """Take a command (-1 to 1, positive forward) at time ``t`` [s]; it acts after the thruster's delay.
 
-        Values beyond -1 to 1 are clipped. Values in the dead zone count as 0. The delay is added to ``t``.
+        Values beyond -1 to 1 are clipped. Values in the thruster's dead zone count as 0. From call to call ``t`` must
+        not decrease.
         """
         ref = 0.0 if abs(n_cmd) < self._truth.dead_zone else max(-1.0, min(1.0, n_cmd))
         self._pending.append((t + self._truth.delay, ref))
 
     def advance(self) -> float:
-        """Advance the shaft by one step and return its speed (normalised)."""
+        """Advance the shaft by one step of the simulation, and return its speed (normalised, positive forward)."""
         self._steps += 1
         pending = self._pending
         if pending and pending[0][0] < self._steps * self._dt:
@@ -96,11 +97,14 @@ class Shaft:
         return self.n
 
     def _slows_down(self) -> bool:
-        """Return whether the reference lets the magnitude of the shaft speed decrease; False for a shaft at rest."""
+        """Return whether the delayed command makes the shaft turn more slowly; False for a shaft at rest."""
         return (self._ref - self.n) * self.n < 0.0
 
     def _advance_with_new_references(self) -> None:
-        """Advance the shaft by one step that is split at the times at which its reference (delayed command) changes."""
+        """Advance the shaft by one step of the simulation in which its delayed command changes.
+
+        The step is split at the times of the changes.
+        """
         t, t_end = (self._steps - 1) * self._dt, self._steps * self._dt
         while self._pending and self._pending[0][0] < t_end:
             t_switch, ref = self._pending.popleft()
@@ -111,26 +115,32 @@ class Shaft:
         self._advance_with_constant_reference(t_end - t)
 
     def _advance_with_constant_reference(self, dt: float) -> None:
-        """Advance the shaft by ``dt`` [s] with a constant reference (the delayed command that it follows)."""
+        """Advance the shaft by ``dt`` [s] while the delayed command that it follows is constant."""
         pole = self._pole_braking if self._slows_down() else self._truth.pole
         self.n = self._ref + (self.n - self._ref) * math.exp(-pole * dt)
 
 
 class Inflow:
-    """Delay and first-order lag of the water: from the shaft speed to the shaft speed that produces thrust."""
+    """Dead time and first-order lag of the thrust behind the shaft speed, which a hidden effect causes.
+
+    The output is the shaft speed that would produce the present thrust without them.
+    """
 
     def __init__(self, delay: float, lag: float, dt: float, n: float = 0.0) -> None:
-        """Set up the delay [s] and the first-order lag [s] from shaft speed to thrust.
+        """Set up the dead time ``delay`` [s] and the time constant ``lag`` [s] from shaft speed to thrust.
 
-        ``dt`` is the step of the simulation [s], and ``n`` the initial shaft speed (-1 to 1). The time constant ``lag``
-        is 20 % longer while the shaft slows down.
+        ``dt`` is the time between two calls of `advance` [s], and ``n`` the initial shaft speed (-1 to 1). The time
+        constant is 20 % longer while the shaft slows down. 0 switches dead time or lag off.
         """
         self._queue = deque([n] * round(delay / dt))
         self._rise, self._fall = (math.exp(-dt / (k * lag)) if lag else 0.0 for k in (1.0, 1.2))
         self._n = n
 
     def advance(self, n: float) -> float:
-        """Advance by one step, at whose end the shaft turns at ``n`` (-1 to 1). Return the speed that makes thrust."""
+        """Advance dead time and lag by one step, at whose end the shaft turns at ``n`` (-1 to 1).
+
+        Return the shaft speed (-1 to 1) that produces the thrust at the end of the step.
+        """
         self._queue.append(n)
         delayed = self._queue.popleft()
         decay = self._rise if abs(delayed) > abs(self._n) else self._fall

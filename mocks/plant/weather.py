@@ -18,7 +18,7 @@ class Weather:
     """All waves and gusts of a boat in one run. Its truth value is False if the boat has no waves and no gusts."""
 
     def __init__(self, effects: Sequence[HiddenEffect], seed: int, run: int, dt: float) -> None:
-        """Draw the waves and gusts of a run.
+        """Set up the waves and gusts of a run of a simulated boat: draw their random numbers.
 
         Parameters
         ----------
@@ -43,9 +43,9 @@ class Weather:
         return bool(self._sources)
 
     def forces(self, t: float, psi: float) -> Forces:
-        """Return the sum of all forces X, Y, N [N, N, N m] at time ``t`` [s] and heading ``psi`` [rad].
+        """Return the sum of the forces of all waves and gusts on the boat: X, Y, N [N, N, N m] in body axes.
 
-        Each call advances the gusts by one step.
+        ``t`` is the time [s], and ``psi`` the heading [rad]. Each call advances the gusts by one step.
         """
         every = [part.forces(t, psi) for part in self._sources]
         return sum(f[0] for f in every), sum(f[1] for f in every), sum(f[2] for f in every)
@@ -59,7 +59,7 @@ class Sea:
     """
 
     def __init__(self, wave: Wave, rng: np.random.Generator) -> None:
-        """Draw the frequencies and phases of 24 sines.
+        """Set up the forces of the waves ``wave``: draw the frequencies and phases of 24 sines with ``rng``.
 
         The spectrum is ``1 / (1 + s^4)``. ``s`` is the distance from the peak in units of the peak's width, -3 to 3.
         """
@@ -72,7 +72,10 @@ class Sea:
         self._components = list(zip(amplitude.tolist(), omega.tolist(), phase.tolist(), strict=True))
 
     def forces(self, t: float, psi: float) -> Forces:
-        """Return the wave forces X, Y, N [N, N, N m] at time ``t`` [s] and heading ``psi`` [rad]."""
+        """Return the forces of the waves on the boat at time ``t`` [s] and heading ``psi`` [rad].
+
+        They are X, Y, N [N, N, N m] in body axes.
+        """
         w = self._wave
         angles = [(a, omega * t + phase) for a, omega, phase in self._components]
         along = sum(a * math.cos(angle) for a, angle in angles)
@@ -85,15 +88,18 @@ class Squalls:
     """Forces of gusts on the boat: first-order coloured noise, a fifth as strong in the second half of each period."""
 
     def __init__(self, gust: Gust, rng: np.random.Generator, dt: float) -> None:
-        """Set up gusts: draw the initial forces of ``gust`` with ``rng``. Call `forces` every ``dt`` [s] afterwards."""
+        """Set up the forces of the gusts ``gust``: draw their initial values with ``rng``.
+
+        `forces` must be called every ``dt`` [s] afterwards.
+        """
         draw = normals(rng)
         self._period = gust.period
         self._sources = [OrnsteinUhlenbeck(draw, dt, sigma, gust.tau) for sigma in gust.sigma]
 
     def forces(self, t: float, psi: float) -> Forces:
-        """Return the gust forces X, Y, N [N, N, N m] at time ``t`` [s]. Each call advances the noise by one step.
+        """Return the forces of the gusts on the boat at time ``t`` [s]: X, Y, N [N, N, N m] in body axes.
 
-        The forces do not depend on the heading ``psi``.
+        Each call advances the coloured noise by one step. The forces do not depend on the heading ``psi``.
         """
         # The factors keep the mean variance near one: (1.4^2 + 0.28^2) / 2.
         strength = 1.4 if math.sin(2.0 * math.pi * t / self._period) > 0.0 else 0.28

@@ -14,7 +14,7 @@ BACKLOG_MAX = 1 << 20  # bytes that wait for a slow reader; more are dropped
 
 
 class NetPort:
-    """Device's end of a `udp:`, `udpin:`, `udpout:` or `tcp:` port of a rig, on loopback only.
+    """Port of a mock device by UDP or TCP on loopback: the device's end of `udp:`, `udpin:`, `udpout:` or `tcp:`.
 
     With `udp:` and `udpin:` the host listens at the address, and the device sends first. With `udpout:` and `tcp:` the
     device listens, and the host sends or connects first.
@@ -24,11 +24,11 @@ class NetPort:
     path : str
         Address as in the rig file.
     dropped : int
-        Bytes that were lost because no host received them.
+        Number of bytes that were lost because no host received them.
     """
 
     def __init__(self, port: str) -> None:
-        """Open the port.
+        """Open the network port of a mock device.
 
         Parameters
         ----------
@@ -54,11 +54,11 @@ class NetPort:
 
     @property
     def plugged(self) -> bool:
-        """Whether the port is open: between `plug` and `unplug`."""
+        """Whether the network port is open: between `plug` and `unplug`."""
         return self._socket is not None
 
     def plug(self) -> None:
-        """Open the socket. Raises SeatrialError if the system refuses, for example if the port is in use."""
+        """Open the socket of the port. Raises SeatrialError if the system refuses, for example if it is in use."""
         family = socket.AF_INET6 if ":" in self._address[0] else socket.AF_INET
         sock = socket.socket(family, socket.SOCK_STREAM if self._kind == "tcp" else socket.SOCK_DGRAM)
         try:
@@ -86,11 +86,14 @@ class NetPort:
             self._peer = None
 
     def close(self) -> None:
-        """Close the port for good."""
+        """Close the sockets of the port at the end of the mock."""
         self.unplug()
 
     def fileno(self) -> int:
-        """Return the file descriptor for `select`: of the client if one is connected. The port must be plugged."""
+        """Return the file descriptor by which `select` waits for bytes of the host.
+
+        For TCP it is that of the connection if a host is connected. The port must be plugged.
+        """
         current = self._client or self._socket
         assert current is not None
         return current.fileno()
@@ -98,8 +101,8 @@ class NetPort:
     def read(self) -> bytes:
         """Return the bytes that the host has sent since the last call; empty without any. The call never blocks.
 
-        A UDP port sends its answers to the host from which the newest datagram came. A TCP port accepts a client, or
-        closes a client that has left.
+        A UDP port stores the sender of the newest datagram, to which `write` then sends. A TCP port accepts a host that
+        connects, and closes the connection of a host that has left.
         """
         if self._kind == "tcp":
             return self._read_stream()
@@ -113,9 +116,10 @@ class NetPort:
         return b"".join(datagrams)
 
     def _read_stream(self) -> bytes:
-        """Return the received bytes of a TCP port; empty if there are none or no client is connected.
+        """Return the bytes that a TCP port has received; empty if there are none or no host is connected.
 
-        Without a client, one is accepted. A client that has left is closed, and the bytes for it are dropped.
+        Without a connection, that of a waiting host is accepted. If the host has left, its connection is closed, and
+        the bytes that wait for it are dropped.
         """
         assert self._socket is not None
         if self._client is None:
@@ -139,7 +143,7 @@ class NetPort:
         """Send ``data`` to the host. The call never blocks.
 
         The bytes are dropped if the port is not plugged or no host receives them. Bytes of a TCP port may wait for a
-        slow host. ``wall`` is passed to `flush`.
+        slow host. ``wall`` is the monotonic time [s], which has no effect here.
         """
         if not (self.plugged and data):
             return
@@ -155,9 +159,10 @@ class NetPort:
                 self.dropped += len(data)
 
     def flush(self, wall: float) -> None:
-        """Send waiting bytes of a TCP port without blocking. If more than BACKLOG_MAX (1 MiB) still wait, drop them.
+        """Send the bytes of a TCP port that wait for a slow host, as far as possible without blocking.
 
-        ``wall`` is not used; the ptys need it.
+        If more than 1 MiB (BACKLOG_MAX) still wait, they are dropped. Other ports have no waiting bytes. ``wall`` is
+        not used.
         """
         if self._client is None or not self._backlog:
             return

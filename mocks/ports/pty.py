@@ -21,7 +21,7 @@ READ_MAX = 1 << 16  # bytes
 
 
 class PtyPort:
-    """Device's end of a pty, and the link to the host's end.
+    """Serial port of a mock device: the device's end of a pty, and a symbolic link to the host's end.
 
     This process holds the host's end open as well. Otherwise the line discipline would return to echo when the last
     reader leaves.
@@ -34,11 +34,11 @@ class PtyPort:
     path : Path
         Path of the link to the host's end.
     dropped : int
-        Bytes that were not read in time.
+        Number of bytes that the host did not read in time.
     """
 
     def __init__(self, path: Path) -> None:
-        """Lock the path, and open the port (`plug`).
+        """Lock the path of the port against other mocks, and open the port (`plug`).
 
         Parameters
         ----------
@@ -71,9 +71,9 @@ class PtyPort:
         return self._master >= 0
 
     def plug(self) -> None:
-        """Open the pty and create its link. A link of the same name is replaced.
+        """Open the pty, and create the symbolic link to its host's end at the path of the port.
 
-        Raises SeatrialError if the path is a file that is not a link.
+        A link of the same name is replaced. Raises SeatrialError if the path is a file that is not a link.
         """
         if os.path.lexists(self.path) and not self.path.is_symlink():
             raise SeatrialError(f"{self.path}: exists and is no mock's port; give the rig a port path that is free")
@@ -107,13 +107,13 @@ class PtyPort:
         self._port_lock.close()
 
     def fileno(self) -> int:
-        """Return the file descriptor for `select`. The port must be plugged."""
+        """Return the file descriptor by which `select` waits for bytes of the host. The port must be plugged."""
         return self._master
 
     def read(self) -> bytes:
         """Return the bytes that the host has written since the last call; empty without any. The call never blocks.
 
-        A host that has written is assumed to read too.
+        A host that has written counts as a reader, so that bytes for it are kept.
         """
         try:
             data = os.read(self._master, READ_MAX)
@@ -140,9 +140,9 @@ class PtyPort:
         self.flush(wall)
 
     def flush(self, wall: float) -> None:
-        """Send waiting bytes without blocking. If more than BACKLOG_MAX (1 MiB) still wait, drop them.
+        """Send the bytes that wait for a slow reader, as far as possible without blocking.
 
-        ``wall`` is not used.
+        If more than 1 MiB (BACKLOG_MAX) still wait, they are dropped. ``wall`` is not used.
         """
         if self._backlog:
             with contextlib.suppress(BlockingIOError):
@@ -151,10 +151,10 @@ class PtyPort:
                 self._drop_waiting_bytes()
 
     def _detect_reader(self, wall: float) -> None:
-        """Detect from the number of unread bytes whether the port has a reader. Drop waiting bytes if it has none.
+        """Detect whether a host reads the port, from the number of unread bytes. Drop waiting bytes if none does.
 
-        A port has a reader if unread bytes became fewer than those written. A port whose bytes were not read for
-        PATIENCE (0.3 s) has none. ``wall`` is the monotonic time [s].
+        A host reads if there are fewer unread bytes than were written. If no byte was read for 0.3 s (PATIENCE), no
+        host reads. ``wall`` is the monotonic time [s].
         """
         unread: int = struct.unpack("i", fcntl.ioctl(self._slave, termios.FIONREAD, b"\0\0\0\0"))[0]
         read = unread == 0 or unread < min(self._unread + self._written, FULL)
@@ -168,7 +168,10 @@ class PtyPort:
         self._checked, self._unread, self._written = wall, unread, 0
 
     def _drop_waiting_bytes(self) -> None:
-        """Mark the port as one without a reader, and drop all bytes that wait here and in the line discipline."""
+        """Mark the port as one that no host reads, and drop all bytes that wait here or in the pty.
+
+        They are counted in `dropped`.
+        """
         self._become_idle()
         self.dropped += len(self._backlog)
         self._backlog.clear()
@@ -177,16 +180,16 @@ class PtyPort:
                 self.dropped += len(data)
 
     def _become_idle(self) -> None:
-        """Mark the port as one without a reader, and reset the counts of unread and written bytes."""
+        """Mark the port as one that no host reads, and reset the counts of unread and written bytes."""
         self._idle = True
         self._unread = self._written = 0
 
 
 def _lock_port_path(path: Path) -> IO[str]:
-    """Lock the path of a port, and return the open lock file `.NAME.lock`. Its folder is made if it does not exist.
+    """Lock the path of a mock's port against other mocks, and return the open lock file `.NAME.lock`.
 
-    The system releases the lock at the end of this process, even after a crash. Raises SeatrialError if another process
-    holds the lock.
+    Its folder is made if it does not exist. The system releases the lock at the end of this process, even after a
+    crash. Raises SeatrialError if another process holds the lock.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     file = open(path.with_name(f".{path.name}.lock"), "w")  # noqa: SIM115 (held open as long as the port)

@@ -139,7 +139,7 @@ def test_a_thruster_has_to_be_named_when_there_are_two(
     rig.write_text(text.replace("[limits]", second + "[limits]"), encoding="utf-8")
     status, _, err = run(capsys, "bench", "steps", str(rig))
     assert status == 1
-    assert "which thruster? name one with --thruster; there is: left, right" in err
+    assert "a bench run drives one thruster, and the rig has: left, right; name one with --thruster" in err
     status, _, err = run(capsys, "bench", "steps", str(rig), "--thruster", "middle")
     assert status == 1
     assert "no thruster 'middle'" in err

@@ -8,7 +8,10 @@ from seatrial.ident.model import Effect, Input, Parameter, Signals
 
 
 def creep(s: Signals) -> None:
-    """Add the drift [N] since the start of the record to the measured force."""
+    """Add the drift of the load cell to the measured force [N], in place.
+
+    The drift is ``F_creep (1 - exp(-t / T_creep))`` at the time t since the start of the record.
+    """
     s.y["force"] = s.y["force"] + s.p.F_creep * (1 - np.exp(-s.u.t / s.p.T_creep))
 
 

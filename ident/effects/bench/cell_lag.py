@@ -6,12 +6,12 @@ from seatrial.ident.model import Effect, Parameter, Signals, State
 
 
 def smooth(s: Signals) -> None:
-    """Replace a share of the measured force by the filtered force."""
+    """Replace the share ``k_cell`` of the measured force of the load cell by the low-pass-filtered force, in place."""
     s.y["force"] = s.y["force"] + s.p.k_cell * (s.x.cell - s.force)
 
 
 def follow(s: Signals) -> None:
-    """Set the rate of the filtered force [N/s], which follows the thrust."""
+    """Set the rate of the filtered force [N/s], which follows the thrust with the time constant ``T_cell`` [s]."""
     s.rate["cell"] = (s.force - s.x.cell) / s.p.T_cell
 
 

@@ -6,12 +6,18 @@ from seatrial.ident.model import Effect, Parameter, Signals, State
 
 
 def lose(s: Signals) -> None:
-    """Reduce the thrust in proportion to the recirculation of the water."""
+    """Multiply the thrust ``s.force`` by ``1 - k_wash w``, in place.
+
+    The state w is the recirculation of the water in the basin. It is one in steady state at full speed.
+    """
     s.force = s.force * (1 - s.p.k_wash * s.x.wash)
 
 
 def drive_recirculation(s: Signals) -> None:
-    """Set the rate of the recirculation, which follows the squared shaft speed with a lag."""
+    """Set the rate of the recirculation of the water in the basin, in place.
+
+    The recirculation follows the squared normalised shaft speed with the time constant ``T_wash``.
+    """
     s.rate["wash"] = (s.x.n * s.x.n - s.x.wash) / s.p.T_wash
 
 

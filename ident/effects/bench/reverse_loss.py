@@ -6,7 +6,7 @@ from seatrial.ident.model import Effect, Parameter, Signals
 
 
 def lose(s: Signals) -> None:
-    """Reduce the thrust in reverse, in proportion to the shaft speed."""
+    """Multiply the thrust ``s.force`` by ``1 - rho_astern |n|`` if the shaft speed n is negative, in place."""
     s.force = s.force * (1 - s.p.rho_astern * abs(s.n) * (s.n < 0))
 
 

@@ -8,16 +8,20 @@ from seatrial.ident.model import Effect, Parameter, Signals, State
 
 
 def filter_force(s: Signals) -> None:
-    """Replace a share of the thrust by the force after the resonance of the rod.
+    """Replace the share ``g_rod`` of the thrust ``s.force`` by the force after the resonance of the rod, in place.
 
-    ``s.pushed`` keeps the thrust before.
+    ``s.pushed`` is set to the thrust before, which drives the resonance.
     """
     s.pushed = s.force
     s.force = s.force + s.p.g_rod * (s.x.rod - s.force)
 
 
 def swing(s: Signals) -> None:
-    """Set the rates of the two states of the resonance."""
+    """Set the rates of the two states of the resonance of the rod that holds the thruster, in place.
+
+    The thrust ``s.pushed`` drives the resonance, with the natural frequency ``f_rod`` [Hz] and damping ratio
+    ``zeta_rod``.
+    """
     omega = 2 * math.pi * s.p.f_rod
     s.rate["rod"] = omega * s.x.rod_rate
     s.rate["rod_rate"] = omega * (s.pushed - s.x.rod) - 2 * s.p.zeta_rod * omega * s.x.rod_rate

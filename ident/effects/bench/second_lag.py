@@ -6,16 +6,16 @@ from seatrial.ident.model import Effect, Parameter, Signals, State
 
 
 def filter_command(s: Signals) -> None:
-    """Replace a share of the reference speed by its value after the lag.
+    """Replace the share ``k_lag`` of the reference shaft speed ``s.n_ref`` by its value after the lag, in place.
 
-    ``s.n_commanded`` keeps the reference before.
+    ``s.n_commanded`` is set to the reference before, which drives the lag.
     """
     s.n_commanded = s.n_ref
     s.n_ref = s.n_ref + s.p.k_lag * (s.x.n_late - s.n_ref)
 
 
 def follow(s: Signals) -> None:
-    """Set the rate of the state after the lag."""
+    """Set the rate of the lagged reference, which follows ``s.n_commanded`` with the time constant ``T_late`` [s]."""
     s.rate["n_late"] = (s.n_commanded - s.x.n_late) / s.p.T_late
 
 

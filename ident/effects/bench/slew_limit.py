@@ -8,7 +8,10 @@ from seatrial.ident.model import Effect, Parameter, Signals
 
 
 def limit(s: Signals) -> None:
-    """Reduce the rate of the shaft speed [1/s] smoothly to the slew-rate limit, by a share of the excess."""
+    """Limit the rate of the shaft speed [1/s] to the slew-rate limit ``n_slew``, in place, with a smooth transition.
+
+    Only the share ``k_slew`` of the excess over the limit is removed.
+    """
     unlimited = s.p.a * (s.n_ref - s.x.n)
     square = (unlimited / s.p.n_slew) * (unlimited / s.p.n_slew)
     fourth = square * square

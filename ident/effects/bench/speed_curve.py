@@ -6,7 +6,10 @@ from seatrial.ident.model import Effect, Parameter, Signals
 
 
 def change_gain(s: Signals) -> None:
-    """Multiply the reference speed by a gain that depends on its magnitude and sign."""
+    """Multiply the reference shaft speed ``s.n_ref`` by a gain that depends on its magnitude and sign, in place.
+
+    The gain is ``1 + g_0 + g_1 |n_ref| + g_2 sgn(n_ref) + g_3 n_ref^2``.
+    """
     change = s.p.g_1 * abs(s.n_ref) + s.p.g_3 * s.n_ref * s.n_ref
     s.n_ref = s.n_ref * (1 + s.p.g_0 + change + s.p.g_2 * ((s.n_ref > 0) - 1.0 * (s.n_ref < 0)))
 

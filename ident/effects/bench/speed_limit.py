@@ -8,7 +8,10 @@ from seatrial.ident.model import Effect, Parameter, Signals
 
 
 def saturate(s: Signals) -> None:
-    """Reduce the magnitude of the reference speed smoothly to its limit, by a share of the excess."""
+    """Limit the magnitude of the reference shaft speed ``s.n_ref`` to ``n_top``, in place, with a smooth transition.
+
+    Only the share ``k_top`` of the excess over the limit is removed.
+    """
     square = (s.n_ref / s.p.n_top) * (s.n_ref / s.p.n_top)
     eighth = square * square * square * square
     power = eighth * eighth * eighth * eighth

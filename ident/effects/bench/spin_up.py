@@ -10,7 +10,10 @@ EDGE = 0.01  # width of the transition between acceleration and deceleration, re
 
 
 def change_pole(s: Signals) -> None:
-    """Change the rate of the shaft speed [1/s]: faster in acceleration, slower in deceleration, or the opposite."""
+    """Multiply the pole of the shaft by ``1 + k_up`` in acceleration and by ``1 - k_up`` in deceleration, in place.
+
+    The rate of the shaft speed [1/s] is changed accordingly. The transition between both is smooth.
+    """
     up = np.tanh((abs(s.n_ref) - abs(s.x.n)) / EDGE)
     s.rate["n"] = s.rate["n"] + s.p.k_up * up * s.p.a * (s.n_ref - s.x.n)
 

@@ -8,12 +8,18 @@ WORK_UNIT_S = 30.0  # s at full power: the unit of work
 
 
 def reduce_speed(s: Signals) -> None:
-    """Reduce the reference speed in proportion to the work that the thruster has done since the start."""
+    """Multiply the reference shaft speed ``s.n_ref`` by ``1 - k_sag E``, in place.
+
+    The state E is the work of the thruster since the start of the record, relative to that of 30 s at full speed.
+    """
     s.n_ref = s.n_ref * (1 - s.p.k_sag * s.x.used)
 
 
 def discharge(s: Signals) -> None:
-    """Set the rate of the work, relative to that of 30 s at full power: the cubed magnitude of the shaft speed."""
+    """Set the rate of the work of the thruster to ``|n|^3 / 30 s``, in place, with the normalised shaft speed n.
+
+    The work is relative to that of 30 s at full speed.
+    """
     s.rate["used"] = abs(s.x.n) * s.x.n * s.x.n / WORK_UNIT_S
 
 

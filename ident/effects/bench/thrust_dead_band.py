@@ -7,7 +7,10 @@ from seatrial.ident.models import beyond_dead_band
 
 
 def cut(s: Signals) -> None:
-    """Reduce the shaft speed that determines the thrust by the dead band; inside the band it is zero."""
+    """Reduce the magnitude of the shaft speed ``s.n`` of the thrust curve by the dead band ``n_band``, in place.
+
+    Inside the band the shaft speed is set to zero.
+    """
     s.n = beyond_dead_band(s.n, s.p.n_band)
 
 

@@ -18,15 +18,19 @@ SOURCE = "Reynolds number and cavitation; manufacturers' curves have exponents o
 
 
 def factor(n: Any, p_n: Any) -> Any:
-    """Return |n|^p_n, the factor from a quadratic thrust to a thrust with the exponent 2 + p_n.
+    """Return |n|^p_n: the factor from a quadratic thrust to a thrust with the exponent 2 + p_n.
 
-    ``n`` is the normalised shaft speed. At rest, |n| is replaced by 0.001, so that the factor has a finite derivative.
+    ``n`` is the normalised shaft speed. |n| is computed as ``sqrt(n^2 + 1e-6)``, so that the factor has a finite
+    derivative at rest.
     """
     return np.exp(p_n / 2 * np.log(n * n + AT_REST))
 
 
 def bend(s: Signals) -> None:
-    """Multiply the quadratic thrust by a power of the shaft speed."""
+    """Change the exponent of the thrust ``s.force`` from 2 to ``2 + p_n``, in place: multiply it by |n|^p_n.
+
+    n is the normalised shaft speed.
+    """
     s.force = s.force * factor(s.n, s.p.p_n)
 
 

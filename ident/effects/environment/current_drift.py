@@ -6,7 +6,11 @@ from seatrial.ident.model import Effect, Input, Parameter, Signals
 
 
 def drift(s: Signals) -> None:
-    """Add the change of the current since the middle of 600 s to the rates of position."""
+    """Add an ocean current that changes linearly with time to the rates of the position north and east [m/s], in place.
+
+    The added velocity is ``V_d (t / 600 s - 1/2)``: V_d (parameters ``V_dx``, ``V_dy``) is the change in 600 s, and t
+    the time since the start of the record. At 300 s it is zero.
+    """
     elapsed = s.u.t / 600.0 - 0.5  # centred, so that V_x and V_y are the current in the middle of 600 s
     s.rate["x"] = s.rate["x"] + s.p.V_dx * elapsed
     s.rate["y"] = s.rate["y"] + s.p.V_dy * elapsed

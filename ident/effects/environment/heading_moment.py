@@ -8,7 +8,10 @@ from seatrial.ident.model import Effect, ForceCurve, Parameter, Signals
 
 
 def add(s: Signals) -> None:
-    """Add a moment [N m] to the yaw moment: the first two harmonics of the heading."""
+    """Add a moment that depends on the heading psi to the yaw moment ``s.N`` [N m], in place.
+
+    The moment is ``N_s sin psi + N_c cos psi + N_2s sin 2psi + N_2c cos 2psi``, with parameters as coefficients.
+    """
     psi = s.x.psi
     s.N = s.N + s.p.N_s * np.sin(psi) + s.p.N_c * np.cos(psi) + s.p.N_2s * np.sin(2 * psi) + s.p.N_2c * np.cos(2 * psi)
 

@@ -8,7 +8,7 @@ from seatrial.ident.model import Effect, Parameter, Signals
 
 
 def pull(s: Signals) -> None:
-    """Add a constant force in NED [N] to the forces in body axes."""
+    """Add the force ``(F_north, F_east)``, constant in NED, to the surge and sway forces ``s.X`` and ``s.Y`` [N]."""
     cos, sin = np.cos(s.x.psi), np.sin(s.x.psi)
     s.X = s.X + cos * s.p.F_north + sin * s.p.F_east
     s.Y = s.Y - sin * s.p.F_north + cos * s.p.F_east

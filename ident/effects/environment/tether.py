@@ -8,7 +8,11 @@ from seatrial.ident.model import INF, Effect, Parameter, Signals
 
 
 def drag(s: Signals) -> None:
-    """Add a drag force [N] against the velocity over ground, in proportion to the distance from the fixed end."""
+    """Add the drag of a towed line to the surge and sway forces ``s.X``, ``s.Y`` [N], in place.
+
+    The drag is ``k_tether d |V| V`` against the velocity V over ground, with the distance d of the boat from the fixed
+    end of the line (``x_tether``, ``y_tether``). In a model without current, the current is zero.
+    """
     p, x = s.p, s.x
     cos, sin = np.cos(x.psi), np.sin(x.psi)
     over_x = cos * x.u - sin * x.v + getattr(p, "V_x", 0.0)

@@ -19,10 +19,11 @@ FORCES = {"X": ("N", 5.0), "Y": ("N", 5.0), "N": ("N m", 0.6)}  # units and typi
 
 
 def push(s: Signals) -> None:
-    """Add the wave forces X, Y [N] and N [N m] to the forces of the boat.
+    """Add the wave forces to the surge and sway forces [N] and the yaw moment [N m] of the signals, in place.
 
-    Unit white noise drives the second-order filter of each force. Its output has the variance 1 / (4 zeta omega), so
-    the gain makes ``A`` the standard deviation of the force.
+    Each wave force is the state of a second-order filter that unit white noise drives, times a gain. The variance of
+    the state is 1 / (4 zeta omega), with the damping ratio zeta and the angular frequency omega of the filter. The gain
+    makes the parameter ``A_X``, ``A_Y`` or ``A_N`` the standard deviation of the force.
     """
     gain = np.sqrt(4 * s.p.zeta_wave * 2 * np.pi * s.p.f_wave)
     for force in FORCES:
@@ -30,7 +31,10 @@ def push(s: Signals) -> None:
 
 
 def shape(s: Signals) -> None:
-    """Set the rates of the two states of each wave filter."""
+    """Set the rates of the two states of the second-order filter of each wave force, in place.
+
+    The natural frequency ``f_wave`` [Hz] and the damping ratio ``zeta_wave`` are common to all forces.
+    """
     omega = 2 * np.pi * s.p.f_wave
     for force in FORCES:
         wave, quadrature = getattr(s.x, f"wave_{force}"), getattr(s.x, f"wave_{force}_rate")
@@ -85,14 +89,15 @@ EFFECT = Effect(
 
 
 def waves_at(frequency: float, size: float = 0.4) -> Effect:
-    """Return the effect `waves` with initial values for a fit.
+    """Return the effect ``waves`` (wave forces in surge, sway and yaw) with initial values for a fit.
 
     Parameters
     ----------
     frequency : float
-        Peak frequency [Hz], within 0.1 to 2.5.
+        Initial peak frequency [Hz], within 0.1 to 2.5.
     size : float
-        Initial standard deviation of each wave force, as a multiple of its typical size (N, N m) in ``FORCES``.
+        Initial standard deviation of each wave force, relative to its typical value: 5 N in surge and sway, 0.6 N m in
+        yaw.
 
     Raises
     ------

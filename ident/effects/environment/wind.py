@@ -8,14 +8,14 @@ from seatrial.ident.model import Effect, Parameter, Signals
 
 
 def blow(s: Signals) -> None:
-    """Add the wind force [N] and moment [N m].
+    """Add the force and moment of a steady wind to ``s.X``, ``s.Y`` [N] and ``s.N`` [N m], in place.
 
-    (F_wx, F_wy) is the wind force in NED on a boat at rest with the wind on the broadside. The wind velocity follows
-    from this force and k_air.
+    The parameters ``F_wx``, ``F_wy`` are the wind force in NED on a boat at rest with the wind on the broadside. The
+    wind velocity follows from this force and ``k_air``, the force per squared wind velocity.
 
-    The velocity of the boat changes the relative wind. This change has no derivative at zero wind, because the wind
-    velocity is the square root of the force. The change is therefore faded out below the force of a wind of 1 m/s. The
-    derivative at zero wind is then that of a steady force.
+    The velocity of the boat over ground changes the relative wind. This change has no derivative at zero wind, because
+    the wind velocity is the square root of the force. It is therefore faded out for winds weaker than about 1 m/s, and
+    the derivative at zero wind is that of a steady force.
     """
     p, psi = s.p, s.x.psi
     cos, sin = np.cos(psi), np.sin(psi)

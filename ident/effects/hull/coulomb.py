@@ -8,9 +8,9 @@ from seatrial.ident.model import INF, Effect, ForceCurve, Parameter, Signals
 
 
 def resist(s: Signals) -> None:
-    """Subtract a friction force [N] from the surge force.
+    """Subtract the friction force ``f_C tanh(u / 0.05)`` [N] from the surge force ``s.X``, in place.
 
-    It has the sign of the surge speed, smoothed within 0.05 m/s.
+    The friction opposes the surge speed u and is constant, except for a smooth change of sign within about 0.05 m/s.
     """
     s.X = s.X - s.p.f_C * np.tanh(s.x.u / 0.05)
 

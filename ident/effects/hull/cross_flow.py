@@ -6,7 +6,10 @@ from seatrial.ident.model import SPEED_WIDTH, YAW_RATE_WIDTH, Effect, Parameter,
 
 
 def couple(s: Signals) -> None:
-    """Subtract cross-flow drag from the sway force [N] and the yaw moment [N m]."""
+    """Subtract cross-flow drag from the sway force ``s.Y`` [N] and the yaw moment ``s.N`` [N m], in place.
+
+    The drag is ``d_vr |r| v`` in sway and ``n_vr |v| r`` in yaw. The moduli are smoothed at zero.
+    """
     s.Y = s.Y - s.p.d_vr * smooth_modulus(s.x.r, YAW_RATE_WIDTH) * s.x.v
     s.N = s.N - s.p.n_vr * smooth_modulus(s.x.v, SPEED_WIDTH) * s.x.r
 

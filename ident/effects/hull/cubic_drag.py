@@ -6,7 +6,7 @@ from seatrial.ident.model import Effect, ForceCurve, Parameter, Signals
 
 
 def resist(s: Signals) -> None:
-    """Subtract a drag in proportion to the cube of the surge speed from the surge force [N]."""
+    """Subtract ``d_uuu u^3``, a drag cubic in the surge speed u, from the surge force ``s.X`` [N], in place."""
     s.X = s.X - s.p.d_uuu * s.x.u * s.x.u * s.x.u
 
 

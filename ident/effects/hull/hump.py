@@ -8,7 +8,11 @@ from seatrial.ident.model import INF, Effect, ForceCurve, Parameter, Signals
 
 
 def resist(s: Signals) -> None:
-    """Subtract a resistance [N] with a maximum at one speed from the surge force, against the direction of motion."""
+    """Subtract a resistance with a maximum at one speed from the surge force ``s.X`` [N], in place.
+
+    The resistance over |u| is a Gaussian bell of the height ``A_hump`` [N], centred at ``u_hump`` with the width
+    ``w_hump`` [m/s]. It opposes the surge speed u; the change of sign is smooth (tanh(u / 0.1)).
+    """
     u, p = s.x.u, s.p
     off = (abs(u) - p.u_hump) / p.w_hump
     s.X = s.X - p.A_hump * np.exp(-off * off / 2) * np.tanh(u / 0.1)

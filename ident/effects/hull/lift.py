@@ -6,7 +6,11 @@ from seatrial.ident.model import SPEED_WIDTH, Effect, Parameter, Signals, smooth
 
 
 def damp(s: Signals) -> None:
-    """Subtract damping that grows with surge speed from the sway force [N] and yaw moment [N m]."""
+    """Subtract damping from the sway force ``s.Y`` [N] and the yaw moment ``s.N`` [N m], in place.
+
+    The damping grows with the surge speed u. It is ``Y_uv |u| v`` in sway and ``N_ur |u| r`` in yaw. The modulus is
+    smoothed at zero.
+    """
     speed = smooth_modulus(s.x.u, SPEED_WIDTH)
     s.Y = s.Y - s.p.Y_uv * speed * s.x.v
     s.N = s.N - s.p.N_ur * speed * s.x.r

@@ -18,24 +18,26 @@ LARGEST_MASS_KG = 30.0
 
 
 def _moving_mass_hooks(force: str, of: str) -> dict[str, ModelFunction]:
-    """Return the hooks of a moving mass along one axis.
+    """Return the two hooks of a sprung mass that moves along one axis of the boat, by the stage of the model.
+
+    The first adds the force of the mass; the second sets the rates of its displacement and velocity.
 
     Parameters
     ----------
     force : str
         ``X`` for motion along the boat, ``Y`` for motion across it.
     of : str
-        Letter in the names of the parameters and states.
+        Letter at the end of the names of the parameters and states, for example ``p`` in ``m_p``.
 
     Notes
     -----
-    The moving mass is a part of the masses m_u and m_v. Along one axis it moves freely, and only its spring and damper
-    accelerate it: (m - m_p) a = F + m_p (2 zeta w z' + w^2 z). The hook adds the force that gives the whole mass m this
-    acceleration a.
+    The moving mass m_p is a part of the mass m (``m_u`` or ``m_v``). Along one axis it moves freely, and only its
+    spring and damper accelerate it: (m - m_p) a = F + m_p (2 zeta w z' + w^2 z). The hook adds the force that gives the
+    whole mass m this acceleration a.
     """
 
     def pull(s: Signals) -> None:
-        """Add the force [N] of the moving mass to the total force along the axis."""
+        """Add the force [N] of the moving mass to the total surge or sway force, in place."""
         omega, x, p = 2 * math.pi * getattr(s.p, f"f_{of}"), s.x, s.p
         z, z_rate = getattr(x, f"swing_{of}"), getattr(x, f"swing_rate_{of}")
         spring = 2 * getattr(p, f"zeta_{of}") * omega * z_rate + omega * omega * z
@@ -44,7 +46,7 @@ def _moving_mass_hooks(force: str, of: str) -> dict[str, ModelFunction]:
         setattr(s, force, getattr(s, force) + free * (rigid + mass * spring) / (mass - free))
 
     def swing(s: Signals) -> None:
-        """Set the rates of the displacement [m/s] and velocity [m/s2] of the moving mass."""
+        """Set the rates of the displacement [m/s] and velocity [m/s2] of the moving mass, in place."""
         omega = 2 * math.pi * getattr(s.p, f"f_{of}")
         z, z_rate = getattr(s.x, f"swing_{of}"), getattr(s.x, f"swing_rate_{of}")
         acceleration = s.rate["u"] - s.x.v * s.x.r if force == "X" else s.rate["v"] + s.x.u * s.x.r
@@ -55,16 +57,16 @@ def _moving_mass_hooks(force: str, of: str) -> dict[str, ModelFunction]:
 
 
 def _moving_mass_effect(name: str, title: str, force: str, of: str, alternatives: tuple[str, ...]) -> Effect:
-    """Return the effect of a moving mass along the axis of ``force``.
+    """Return the effect of a sloshing or suspended mass that moves along one axis of the boat.
 
     Parameters
     ----------
     name, title : str
-        Name in the catalogue and in reports.
+        Name in the catalogue, and name in reports.
     force : str
         ``X`` for motion along the boat, ``Y`` for motion across it.
     of : str
-        Letter in the names of the parameters and states.
+        Letter at the end of the names of the parameters and states, for example ``p`` in ``m_p``.
     alternatives : tuple[str, ...]
         Names of competing effects.
     """

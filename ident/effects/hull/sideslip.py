@@ -6,7 +6,10 @@ from seatrial.ident.model import INF, Effect, Parameter, Signals
 
 
 def slide(s: Signals) -> None:
-    """Add the time constant of sway to ``slip_time`` [s], by which a Nomoto model computes its sideslip."""
+    """Add the time constant of sway ``tau_s`` to ``s.slip_time`` [s], in place.
+
+    A Nomoto model, which has no state for the sway, computes its sideslip ``v = -slip_time u r`` from it.
+    """
     s.slip_time = s.slip_time + s.p.tau_s
 
 

@@ -6,7 +6,7 @@ from seatrial.ident.model import Effect, Parameter, Signals
 
 
 def add(s: Signals) -> None:
-    """Add constant forces [N] in surge and sway."""
+    """Add the constant forces ``X_0`` and ``Y_0`` [N] to the surge and sway forces ``s.X`` and ``s.Y``, in place."""
     s.X, s.Y = s.X + s.p.X_0, s.Y + s.p.Y_0
 
 

@@ -6,7 +6,10 @@ from seatrial.ident.model import SPEED_WIDTH, Effect, Parameter, Signals, smooth
 
 
 def couple(s: Signals) -> None:
-    """Subtract damping by yaw rate from the sway force [N], and by sway speed from the yaw moment [N m]."""
+    """Subtract the coupling in damping from the sway force ``s.Y`` [N] and the yaw moment ``s.N`` [N m], in place.
+
+    It is ``(Y_r + Y_ur |u|) r`` in sway and ``(N_v + N_uv |u|) v`` in yaw. The modulus is smoothed at zero.
+    """
     speed = smooth_modulus(s.x.u, SPEED_WIDTH)
     s.Y = s.Y - (s.p.Y_r + s.p.Y_ur * speed) * s.x.r
     s.N = s.N - (s.p.N_v + s.p.N_uv * speed) * s.x.v

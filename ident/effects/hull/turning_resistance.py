@@ -6,7 +6,7 @@ from seatrial.ident.model import Effect, Parameter, Signals
 
 
 def resist(s: Signals) -> None:
-    """Subtract a resistance in proportion to the squared yaw rate from the surge force [N]."""
+    """Subtract the resistance ``X_rr r^2`` from the surge force ``s.X`` [N], in place; r is the yaw rate [rad/s]."""
     s.X = s.X - s.p.X_rr * s.x.r * s.x.r
 
 

@@ -6,7 +6,7 @@ from seatrial.ident.model import Effect, Parameter, Signals
 
 
 def add(s: Signals) -> None:
-    """Add a constant moment and a moment in proportion to the signed squared surge speed to the yaw moment [N m]."""
+    """Add ``N_0 + N_uu u|u|`` to the yaw moment ``s.N`` [N m], in place; u is the surge speed [m/s]."""
     s.N = s.N + s.p.N_0 + s.p.N_uu * s.x.u * abs(s.x.u)
 
 

@@ -6,7 +6,11 @@ from seatrial.ident.model import INF, Effect, Parameter, Signals
 
 
 def lose(s: Signals) -> None:
-    """Reduce the thrust [N] of each thruster by |shaft speed| times its forward speed through the water."""
+    """Reduce the thrust [N] of each thruster by ``k_J |n| u_i``, in place in ``s.f``.
+
+    n is its normalised shaft speed, and u_i its forward speed through the water [m/s], including the speed from the yaw
+    rate. A negative u_i increases the thrust.
+    """
     for side, n in s.n.items():
         inflow = s.x.u - s.arm[side] * s.x.r  # forward speed of the thruster through the water
         s.f[side] = s.f[side] - s.p.k_J * abs(n) * inflow

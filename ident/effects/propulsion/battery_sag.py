@@ -6,7 +6,11 @@ from seatrial.ident.model import INF, Effect, Input, Parameter, Signals
 
 
 def sag(s: Signals) -> None:
-    """Reduce the thrust of each thruster in proportion to the work that the thrusters have done since the start."""
+    """Multiply the thrust of each thruster by ``1 - beta_E E``, in place in ``s.f``.
+
+    E is the work of both thrusters since the start of the record: the integral of ``|n_left|^3 + |n_right|^3`` over
+    time, divided by 150 s.
+    """
     for side, f in s.f.items():
         s.f[side] = f * (1 - s.p.beta_E * s.u.work)
 

@@ -7,7 +7,7 @@ from seatrial.ident.models import beyond_dead_band
 
 
 def cut(s: Signals) -> None:
-    """Reduce the magnitude of each shaft speed by the dead band; inside the band it is zero."""
+    """Reduce the magnitude of each shaft speed ``s.n`` by the dead band ``n_dead``; inside the band, set it to zero."""
     for side, n in s.n.items():
         s.n[side] = beyond_dead_band(n, s.p.n_dead)
 

@@ -9,13 +9,26 @@ from seatrial.ident.model import Effect, Parameter, Signals
 
 
 def scale(s: Signals) -> None:
-    """Multiply the thrust of the left thruster by one plus the mismatch, and that of the right one by one minus it."""
+    """Multiply the thrust of the left thruster by ``1 + eps_LR`` and that of the right by ``1 - eps_LR``, in place."""
     s.f["left"] = s.f["left"] * (1 + s.p.eps_LR)
     s.f["right"] = s.f["right"] * (1 - s.p.eps_LR)
 
 
 def compare_sides(estimates: Mapping[str, tuple[float, float]]) -> str:
-    """Return the thrust of the weaker side in per cent of the stronger side, with its standard error, as a clause."""
+    """Return a clause for reports: "the left thruster gives 90 ± 2 % of the thrust of the right one".
+
+    Parameters
+    ----------
+    estimates : Mapping[str, tuple[float, float]]
+        Estimate and standard error by parameter. Only ``eps_LR`` is used: half the relative difference, left minus
+        right.
+
+    Returns
+    -------
+    str
+        The thrust of the weaker thruster in per cent of that of the stronger one, with its standard error. Without the
+        error if that is zero or not finite.
+    """
     eps, se = estimates["eps_LR"]
     weaker, stronger = ("left", "right") if eps < 0 else ("right", "left")
     share = 100 * (1 - abs(eps)) / (1 + abs(eps))

@@ -6,7 +6,7 @@ from seatrial.ident.model import Effect, Parameter, Signals
 
 
 def lose(s: Signals) -> None:
-    """Reduce the thrust of each thruster by a constant share while its shaft turns in reverse."""
+    """Multiply the thrust of each thruster whose shaft turns in reverse by ``1 - rho_rev``, in place in ``s.f``."""
     for side, n in s.n.items():
         s.f[side] = s.f[side] * (1 - s.p.rho_rev * (n < 0))
 

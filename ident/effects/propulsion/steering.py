@@ -6,9 +6,9 @@ from seatrial.ident.model import Effect, Parameter, Signals
 
 
 def steer(s: Signals) -> None:
-    """Add the steering moment to the yaw moment [N m].
+    """Add the moment of rudders or a deflected jet to the yaw moment ``s.N`` [N m], in place.
 
-    It is in proportion to the difference of the shaft speeds, left minus right, and to the signed squared surge speed.
+    The moment is ``N_delta |u| u (n_left - n_right) / 2``, with the surge speed u [m/s] and normalised shaft speeds n.
     """
     n = list(s.n.values())
     s.N = s.N + s.p.N_delta * abs(s.x.u) * s.x.u * (n[0] - n[1]) / 2

@@ -23,14 +23,14 @@ Quantity = Literal["n", "f"]
 
 
 def _delay_effect(name: str, quantity: Quantity, requires: tuple[str, ...], **described: Any) -> Effect:
-    """Return the effect of a delay of the shaft speeds (n) or thrusts (f) of 0 to 0.75 s.
+    """Return the effect of a delay of 0 to 0.75 s of the shaft speeds or thrusts, which are inputs of the model.
 
     Parameters
     ----------
     name : str
         Name in the catalogue.
     quantity : "n" or "f"
-        Input of the model that is delayed.
+        Input that is delayed: shaft speeds or thrusts.
     requires : tuple[str, ...]
         Signals that the model must provide.
     described
@@ -38,7 +38,7 @@ def _delay_effect(name: str, quantity: Quantity, requires: tuple[str, ...], **de
     """
 
     def late(s: Signals) -> None:
-        """Replace the shaft speeds or thrusts by their delayed values."""
+        """Replace the shaft speeds or thrusts by their delayed values, in place."""
         shift_in_time(s, quantity)
 
     now = [Input(f"{quantity}_{side}", "", "linear") for side in SIDES]
@@ -70,14 +70,14 @@ def _delay_effect(name: str, quantity: Quantity, requires: tuple[str, ...], **de
 
 
 def _lag_effect(name: str, title: str, quantity: Quantity, requires: tuple[str, ...], **described: Any) -> Effect:
-    """Return the effect of a first-order lag of the shaft speeds (n) or thrusts (f).
+    """Return the effect of a first-order lag of the shaft speeds or thrusts, with a time constant of 0 to 1.2 s.
 
     Parameters
     ----------
     name, title : str
-        Name in the catalogue and in reports.
+        Name in the catalogue, and name in reports.
     quantity : "n" or "f"
-        Signal of the model that passes the lag.
+        Signal that passes the lag: shaft speeds or thrusts.
     requires : tuple[str, ...]
         Signals that the model must provide.
     described

@@ -6,7 +6,10 @@ from seatrial.ident.model import Effect, Parameter, Signals
 
 
 def bend(s: Signals) -> None:
-    """Replace a share of the quadratic thrust of each thruster by a thrust that is linear in shaft speed."""
+    """Make the share ``lambda_n`` of the thrust of each thruster linear in shaft speed instead of quadratic, in place.
+
+    Add ``lambda_n c1 (n - n |n|)`` to each thrust in ``s.f`` [N]. Only the odd part c1 of the thrust is changed.
+    """
     for side, n in s.n.items():
         s.f[side] = s.f[side] + s.p.lambda_n * s.p.c1 * (n - n * abs(n))
 

@@ -7,7 +7,10 @@ from seatrial.ident.model import Effect, Signals
 
 
 def bend(s: Signals) -> None:
-    """Multiply the quadratic thrust of each thruster by a power of the shaft speed."""
+    """Change the exponent of the thrust of each thruster from 2 to ``2 + p_n``, in place in ``s.f``.
+
+    Add ``(c1 n |n| + c2 n^2) (|n|^p_n - 1)`` [N] to each thrust, with the normalised shaft speed n.
+    """
     for side, n in s.n.items():
         s.f[side] = s.f[side] + (s.p.c1 * n * abs(n) + s.p.c2 * n * n) * (factor(n, s.p.p_n) - 1)
 

@@ -6,7 +6,7 @@ from seatrial.ident.model import INF, Effect, Parameter, Signals
 
 
 def lose(s: Signals) -> None:
-    """Reduce the thrust of each thruster in proportion to the shaft speed of the other one."""
+    """Multiply the thrust of each thruster by ``1 - kappa |n|``, in place; n is the shaft speed of the other one."""
     left, right = s.f["left"], s.f["right"]
     s.f["left"] = left * (1 - s.p.kappa * abs(s.n["right"]))
     s.f["right"] = right * (1 - s.p.kappa * abs(s.n["left"]))

@@ -16,15 +16,16 @@ from seatrial.ident.model import (
 
 
 def _thrust_reducer(parameter: str, variable: str) -> ModelFunction:
-    """Return the hook that divides the thrusts by ``1 + parameter |variable|``.
+    """Return the hook that divides the thrust of each thruster by ``1 + p |variable|``.
 
-    ``parameter`` is the name of a parameter, and ``variable`` that of a state: ``r`` or ``v``.
+    ``parameter`` is the name of the parameter p, and ``variable`` that of the state: ``r`` (yaw rate) or ``v`` (sway).
+    The modulus is smoothed at zero.
     """
 
     width = YAW_RATE_WIDTH if variable == "r" else SPEED_WIDTH
 
     def lose(s: Signals) -> None:
-        """Reduce the thrust of each thruster."""
+        """Reduce the thrust of each thruster, in place in ``s.f``."""
         modulus = smooth_modulus(getattr(s.x, variable), width)
         remaining = 1 / (1 + getattr(s.p, parameter) * modulus)
         for side, f in s.f.items():
@@ -36,16 +37,16 @@ def _thrust_reducer(parameter: str, variable: str) -> ModelFunction:
 def _loss_effect(
     name: str, title: str, variable: str, parameter: Parameter, requires: tuple[str, ...], alternatives: tuple[str, ...]
 ) -> Effect:
-    """Return the effect of a thrust loss with one variable of the motion.
+    """Return the effect of a loss of thrust in turns: each thrust is divided by ``1 + parameter |variable|``.
 
     Parameters
     ----------
     name, title : str
-        Name in the catalogue and in reports.
+        Name in the catalogue, and name in reports.
     variable : str
         State on which the loss depends: ``r`` (yaw rate) or ``v`` (sway speed).
     parameter : Parameter
-        Relative loss per unit of the variable.
+        Relative loss of thrust per unit of the variable.
     requires : tuple[str, ...]
         Signals that the model must provide.
     alternatives : tuple[str, ...]

@@ -6,7 +6,7 @@ from seatrial.ident.model import Effect, Parameter, Signals
 
 
 def scale(s: Signals) -> None:
-    """Multiply the outputs ``ax`` and ``ay`` by one plus the scale-factor error."""
+    """Multiply the accelerometer outputs ``ax`` and ``ay`` by one plus the relative scale error ``k_acc``, in place."""
     s.y["ax"] = s.y["ax"] * (1 + s.p.k_acc)
     s.y["ay"] = s.y["ay"] * (1 + s.p.k_acc)
 

@@ -7,7 +7,10 @@ from seatrial.ident.models import rotations
 
 
 def add_gravity(s: Signals) -> None:
-    """Add the part of gravity [m/s2] that the accelerometers measure in pitch and roll to ``ax`` and ``ay``."""
+    """Add the gravity measured in pitch and roll to the accelerometer outputs ``ax`` and ``ay`` [m/s2], in place.
+
+    Pitch is ``k_pitch`` [rad/N] times the total thrust. Roll is ``k_roll`` times the lateral acceleration u r.
+    """
     s.y["ax"] = s.y["ax"] + rotations.G * s.p.k_pitch * s.X_thrust
     s.y["ay"] = s.y["ay"] + rotations.G * s.p.k_roll * s.x.u * s.x.r
 

@@ -14,9 +14,9 @@ from seatrial.ident.model import Effect, Parameter, Signals
 
 
 def turn_body_velocity(s: Signals, angle: Any) -> None:
-    """Rotate the measured body velocity by a heading error.
+    """Rotate the measured body velocity by a heading error, in place.
 
-    Use this function if the body velocity was computed from the velocity over ground and the measured heading.
+    Use this function for a body velocity that was computed from the velocity over ground and the erroneous heading.
 
     Parameters
     ----------
@@ -30,7 +30,10 @@ def turn_body_velocity(s: Signals, angle: Any) -> None:
 
 
 def deviate(s: Signals) -> None:
-    """Add the compass deviation [rad] to the measured heading, and rotate the measured body velocity by it."""
+    """Add the compass deviation to the measured heading [rad], and rotate the measured body velocity by it, in place.
+
+    The deviation is ``dev_s sin psi + dev_c cos psi + dev_2s sin 2psi + dev_2c cos 2psi`` at the true heading psi.
+    """
     p, psi = s.p, s.x.psi
     quadrantal = p.dev_2s * np.sin(2 * psi) + p.dev_2c * np.cos(2 * psi)
     deviation = p.dev_s * np.sin(psi) + p.dev_c * np.cos(psi) + quadrantal

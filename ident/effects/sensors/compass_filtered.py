@@ -16,9 +16,11 @@ TERMS = (("1s", "sin psi", 0.15), ("1c", "cos psi", 0.15), ("2s", "sin 2 psi", 0
 
 
 def _set_filter_rates(s: Signals) -> None:
-    """Set the rates of the part of each term that the filter has not yet reached.
+    """Set the rates of the filter states of the compass deviation, in place.
 
-    Each state is the term (for example sin psi) less the term after the filter. It is zero on a straight track.
+    The deviation is a sum of sin psi, cos psi, sin 2psi and cos 2psi, and passes a first-order filter with the time
+    constant ``T_head``. Each state is one of these terms less the same term after the filter. On a constant heading,
+    the states decay to zero.
     """
     psi, r = s.x.psi, s.x.r
     s.rate["behind_1s"] = np.cos(psi) * r - s.x.behind_1s / s.p.T_head
@@ -28,7 +30,10 @@ def _set_filter_rates(s: Signals) -> None:
 
 
 def _add_deviation(s: Signals) -> None:
-    """Add the filtered deviation [rad] to the measured heading, and rotate the measured body velocity by it."""
+    """Add the compass deviation after the heading filter to the measured heading [rad], in place.
+
+    Rotate the measured body velocity by the same angle.
+    """
     p, x, psi = s.p, s.x, s.x.psi
     deviation = p.dev_f1s * (np.sin(psi) - x.behind_1s) + p.dev_f1c * (np.cos(psi) - x.behind_1c)
     deviation = deviation + p.dev_f2s * (np.sin(2 * psi) - x.behind_2s) + p.dev_f2c * (np.cos(2 * psi) - x.behind_2c)

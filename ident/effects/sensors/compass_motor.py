@@ -15,14 +15,22 @@ from seatrial.ident.model import Effect, Parameter, Signals, State
 
 
 def follow(s: Signals) -> None:
-    """Set the rates of the two filtered regressors: sum of |shaft speed| times sin psi and times cos psi."""
+    """Set the rates of the two filter states of the magnetic interference of the motors, in place.
+
+    With the sum of the magnitudes of the shaft speeds as the load, the states follow load times sin psi and load times
+    cos psi with the time constant ``T_dev`` of the heading filter.
+    """
     load = sum(abs(n) for n in s.n.values())
     s.rate["drawn_s"] = (load * np.sin(s.x.psi) - s.x.drawn_s) / s.p.T_dev
     s.rate["drawn_c"] = (load * np.cos(s.x.psi) - s.x.drawn_c) / s.p.T_dev
 
 
 def turn(s: Signals) -> None:
-    """Add the heading error by the motors to the measured heading, and rotate the body velocity by it."""
+    """Add the heading error due to the motor currents to the measured heading [rad], in place.
+
+    The error is ``dev_ms`` and ``dev_mc`` times the two filter states (load times sin psi and cos psi). The measured
+    body velocity is rotated by the same error.
+    """
     error = s.p.dev_ms * s.x.drawn_s + s.p.dev_mc * s.x.drawn_c
     s.y["psi"] = s.y["psi"] + error
     turn_body_velocity(s, error)

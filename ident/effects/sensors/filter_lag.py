@@ -8,7 +8,12 @@ from seatrial.ident.model import INF, Effect, Parameter, Signals
 
 
 def lag(s: Signals) -> None:
-    """Delay the measured body velocities and yaw rate by their lag, to first order: subtract lag times rate."""
+    """Delay the measured body velocity and yaw rate by the lag of their filters, in place.
+
+    The lag is of first order: lag times rate of change is subtracted from ``u``, ``v`` (lag ``T_uv`` [s]) and ``r``
+    (lag ``T_r`` [s]). ``u`` and ``v`` are over ground, so their rates include the rotation of the current in the body
+    frame.
+    """
     x, T = s.x, s.p.T_uv
     cos, sin = np.cos(x.psi), np.sin(x.psi)
     V_x, V_y = getattr(s.p, "V_x", 0.0), getattr(s.p, "V_y", 0.0)

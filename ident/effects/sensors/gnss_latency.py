@@ -21,10 +21,10 @@ N_PAST = 5  # number of earlier samples of each input
 
 
 def _weights_ago(tau: Any) -> list[Any]:
-    """Return the weights of the values 0, 1, ... N_PAST steps of 0.1 s ago in the value a time ``tau`` [s] ago.
+    """Return the N_PAST + 1 weights with which delayed copies of an input give its value of ``tau`` [s] ago.
 
-    The interpolation is linear. Beyond the last value the sum of the weights falls to zero within one step; the callers
-    keep ``tau`` below that.
+    Copy k (k = 0, 1, ... N_PAST) is the input k steps of 0.1 s ago. The interpolation is linear. For a ``tau`` beyond
+    the last copy, the sum of the weights falls to zero within one step; the callers avoid that.
     """
     at = tau / HISTORY_STEP
     near = [1 - abs(at - k) for k in range(N_PAST + 1)]
@@ -32,9 +32,11 @@ def _weights_ago(tau: Any) -> list[Any]:
 
 
 def _delay_fix(s: Signals, then: Signals) -> None:
-    """Delay the measured position and velocity of the antenna by the latency, in place.
+    """Delay the measured position and velocity of the GNSS antenna by the latency ``tau_gnss``, in place in ``s.y``.
 
-    ``then`` has the present rates, computed with the thrust of half the latency earlier.
+    Position and velocity are extrapolated backwards with the velocity and acceleration of the antenna. ``then``
+    contains the rates of the present state, but computed with the thruster inputs of half the latency earlier; they
+    give the acceleration.
     """
     tau, x, r = s.p.tau_gnss, s.x, s.x.r
     cos, sin = np.cos(x.psi), np.sin(x.psi)
@@ -48,9 +50,10 @@ def _delay_fix(s: Signals, then: Signals) -> None:
 
 
 def delay_shaft(s: Signals) -> None:
-    """Delay the fix in a model with measured shaft speeds.
+    """Delay the measured GNSS position and velocity by the latency, in place. For models with shaft speeds as inputs.
 
-    The earlier shaft speeds are interpolated between their delayed copies. Before the oldest copy, they are constant.
+    The acceleration is computed with the shaft speeds of half the latency earlier. They are interpolated between the
+    delayed copies of the inputs (``NAME~k``: k steps of 0.1 s ago). Before the oldest copy, they are constant.
     """
     weights, earlier = _weights_ago(s.p.tau_gnss / 2), {}
     for side in SIDES:
@@ -64,10 +67,11 @@ def delay_shaft(s: Signals) -> None:
 
 
 def delay_driven_shaft(s: Signals) -> None:
-    """Delay the fix in a model whose shaft speeds are states.
+    """Delay the measured GNSS position and velocity by the latency, in place. For models whose shaft speeds are states.
 
-    The earlier shaft speeds are extrapolated backwards with their present rates. The delay of the command is increased
-    by half the latency, up to the longest delay of its copies (0.8 s).
+    The acceleration is computed with the shaft speeds of half the latency earlier, extrapolated with their present
+    rates. The delay of the command is increased by half the latency, up to the delay of the oldest copy of the command
+    (0.8 s).
     """
     half = s.p.tau_gnss / 2
     shafts = {f"n_{side}": getattr(s.x, f"n_{side}") - half * s.rate[f"n_{side}"] for side in SIDES}
@@ -76,21 +80,23 @@ def delay_driven_shaft(s: Signals) -> None:
 
 
 def delay_force(s: Signals) -> None:
-    """Delay the fix in a model with given thrusts.
+    """Delay the measured GNSS position and velocity by the latency, in place. For models with thrusts as inputs.
 
-    The earlier thrusts are unknown, and are assumed equal to the present ones.
+    The thrusts of half the latency earlier are unknown and are assumed equal to the present ones. Only a lag of the
+    thrust in the model is traced back.
     """
     _delay_fix(s, s.again(_earlier_lag_states(s, {}), {}, {}))
 
 
 def _earlier_lag_states(s: Signals, inputs: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the states of the thrust lag half the latency earlier, with earlier ``inputs`` by name.
+    """Return the states of the first-order thrust lag by name, as they were half the GNSS latency ago.
 
-    Return {} without a lag.
+    ``inputs`` are the thruster inputs of that time by name; missing ones are the present ones. For a model without
+    thrust lag, return {}.
 
-    Up to one time constant back, the states are extrapolated with their rates. Beyond that, the exponential response
-    has forgotten earlier values, and the states follow their earlier inputs with a delay of one time constant. Both
-    extrapolations are exact for inputs that change linearly.
+    Up to one time constant back, the states are extrapolated with their rates. Beyond that, the states no longer depend
+    on earlier values, and follow their inputs with a delay of one time constant. Both are exact for inputs that change
+    linearly.
     """
     if not hasattr(s.x, f"late_{SIDES[0]}"):
         return {}

@@ -12,7 +12,10 @@ from seatrial.ident.model import INF, Effect, Parameter, Signals
 
 
 def trail(s: Signals) -> None:
-    """Set the measured heading to the heading ``T_psi`` earlier, to first order, and rotate the body velocity by it."""
+    """Delay the measured heading by its lag ``T_psi`` [s], and rotate the measured body velocity accordingly, in place.
+
+    The heading error is ``-T_psi r``, the first order of the delay; the body velocity is rotated by the same angle.
+    """
     behind = -s.p.T_psi * s.x.r
     s.y["psi"] = s.y["psi"] + behind
     turn_body_velocity(s, behind)

@@ -13,7 +13,10 @@ from seatrial.ident.numerics import Matrix, rotation_matrix
 
 
 def turn(s: Signals) -> None:
-    """Rotate the measured heading, body velocity and accelerations by the yaw misalignment, in a level model."""
+    """Rotate the measured heading, body velocity and accelerations by the yaw misalignment of the AHRS, in place.
+
+    The misalignment is ``psi_mount`` [rad], clockwise. This is for models without roll and pitch.
+    """
     cos, sin = np.cos(s.p.psi_mount), np.sin(s.p.psi_mount)
     s.y["psi"] = s.y["psi"] + s.p.psi_mount
     turn_body_velocity(s, s.p.psi_mount)
@@ -23,18 +26,21 @@ def turn(s: Signals) -> None:
 def _mounting_rotation(s: Signals) -> Matrix:
     """Return the rotation matrix (3, 3) from the axes of the AHRS to those of the boat.
 
-    Its angles are the misalignments in roll, pitch and yaw.
+    Its angles are the parameters ``phi_mount``, ``theta_mount`` and ``psi_mount``: misalignment in roll, pitch and yaw.
     """
     return rotation_matrix(s.p.phi_mount, s.p.theta_mount, s.p.psi_mount)
 
 
 def correct_attitude(s: Signals) -> None:
-    """Convert the measured attitude and body rates, which are inputs, to those of the boat."""
+    """Convert the measured attitude and body rates, which are inputs of the model, to those of the boat, in place.
+
+    The axes of the AHRS are misaligned with those of the boat in roll, pitch and yaw (parameters).
+    """
     rotations.remove_misalignment(s, _mounting_rotation(s))
 
 
 def rotate_inertial(s: Signals) -> None:
-    """Convert the accelerations and the yaw rate of the boat to the outputs of the misaligned AHRS."""
+    """Convert the accelerations and yaw rate of the boat to the outputs of an AHRS with misaligned axes, in place."""
     rotations.add_misalignment(s, _mounting_rotation(s))
 
 

@@ -6,7 +6,11 @@ from seatrial.ident.model import Effect, Parameter, Signals
 
 
 def move(s: Signals) -> None:
-    """Move the measured body velocity [m/s] from the origin to the point of measurement."""
+    """Move the measured body velocity [m/s] from the origin to the point of measurement, in place.
+
+    The point is ``b_x`` forward and ``b_y`` to starboard of the origin [m]: ``u - r b_y`` and ``v + r b_x`` are
+    measured.
+    """
     s.y["u"], s.y["v"] = s.y["u"] - s.p.b_y * s.x.r, s.y["v"] + s.p.b_x * s.x.r
 
 
