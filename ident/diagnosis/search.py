@@ -1178,18 +1178,23 @@ def _keeps_its_size(effect: Effect, before: FittedModel, after: FittedModel, lar
     """Return whether an effect has about the same size in two fitted models.
 
     The strongest parameter of the effect, by standard errors from zero in ``before``, has to change by less than the
-    share ``largest_change`` of its value. Only shared parameters that are zero without the effect count. False if there
-    is none, or if a model lacks the effect.
+    share ``largest_change`` of its value. Only parameters that are zero without the effect count, in each record if
+    they are per-record parameters. False if there is none, if a model lacks the effect, or if it is a difference
+    between runs, which explains a part of any effect.
     """
-    sizes = [p.name for p in effect.parameters if p.value == 0.0 and not p.per_record and p.name in before.fit.names]
-    estimates = {n: before.fit.estimate(n, 0) for n in sizes}
-    known = {n: (value, error) for n, (value, error) in estimates.items() if error > 0}
+    if effect.kind is EffectKind.BETWEEN_RUNS:
+        return False
+    sizes = {p.name for p in effect.parameters if p.value == 0.0}
+    places = [(p.name, p.segment or 0) for p in before.fit.parameters if p.name in sizes]
+    known = {place: before.fit.estimate(*place) for place in places}
+    known = {place: (value, error) for place, (value, error) in known.items() if error > 0}
     if not known:
         return False
-    name = max(known, key=lambda n: abs(known[n][0] / known[n][1]))
-    if name not in after.fit.names:
+    strongest = max(known, key=lambda place: abs(known[place][0] / known[place][1]))
+    if strongest[0] not in {p.name for p in after.fit.parameters}:
         return False
-    return abs(after.fit.estimate(name, 0)[0] - known[name][0]) < largest_change * abs(known[name][0])
+    value = known[strongest][0]
+    return abs(after.fit.estimate(*strongest)[0] - value) < largest_change * abs(value)
 
 
 def _half_values(effect: Effect) -> dict[str, float]:

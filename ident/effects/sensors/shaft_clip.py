@@ -6,13 +6,13 @@ import numpy as np
 
 from seatrial.ident.model import INF, Effect, Parameter, Signals
 
-WIDTH = 0.01  # width of the step in shaft speed (1: full speed); the likelihood needs a derivative by the limit
+WIDTH = 0.03  # width of the step in shaft speed (1: full speed); the likelihood needs a derivative by the limit
 
 
 def exceed(s: Signals) -> None:
     """Increase the thrust of each thruster whose reported shaft speed is at the limit of the telemetry or above."""
     for side, n in s.n.items():
-        saturated = (1 + np.tanh((abs(n) - s.p.n_clip) / WIDTH)) / 2
+        saturated = np.minimum(np.maximum((abs(n) - s.p.n_clip) / WIDTH + 0.5, 0.0), 1.0)
         s.f[side] = s.f[side] * (1 + s.p.k_clip * saturated)
 
 
@@ -33,7 +33,7 @@ EFFECT = Effect(
         ),
         Parameter("n_clip", 0.8, "", "largest reported shaft speed", prior=(0.8, 0.2), bounds=(0.1, 1.2), step=0.01),
     ),
-    scan={"n_clip": (0.4, 0.5, 0.55, 0.6, 0.65, 0.7, 0.75, 0.8, 0.85, 0.9, 0.95)},
+    scan={"n_clip": (0.4, 0.44, 0.48, 0.52, 0.56, 0.6, 0.64, 0.68, 0.72, 0.76, 0.8, 0.84, 0.88, 0.92, 0.96)},
     formula="f_i *= 1 + k_clip (|n_i| >= n_clip)",
     source="telemetry with a fixed number of bits or a limit on the reported speed",
     experiment="levels of steady command up to full command, with the speed of the boat at each level",
