@@ -238,7 +238,7 @@ class PollingDriver(DeviceDriver):
     def poll(self, now: float) -> bytes:
         """Return the request if it is due at wall time `now` [s], else no bytes.
 
-        The next one is due a period after this one.
+        The next one is due a period after this one was due, or after `now` if that time has passed already.
         """
         if now < self._due:
             return b""

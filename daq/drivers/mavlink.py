@@ -249,7 +249,7 @@ class MavlinkDriver(DeviceDriver):
         Only an answer to the first command of the queue counts, and not the answers to other ground stations. If the
         command was temporarily rejected, it is sent again, up to 4 times (TRIES). Otherwise it is removed from the
         queue. The answer to a request of the operator is then stored and logged. A denied message rate is requested
-        again at half the rate.
+        again at half the rate. In the role RESCUE, an accepted disarming is stored for `confirmation`.
         """
         if m.target_system not in (0, self._codec.system):
             return  # this is the answer to another ground station
@@ -380,8 +380,9 @@ class MavlinkDriver(DeviceDriver):
     def poll(self, now: float) -> bytes:
         """Return the frames that have to be sent to the autopilot at wall time `now` [s], except commands of thrust.
 
-        They are a heartbeat, TIMESYNC, the first command of the queue, requests of parameters, and a neutral override
-        while no thrust is commanded. Nothing is returned in the role LISTEN or while sending is muted.
+        They are a heartbeat (role DRIVE only), TIMESYNC, the first command of the queue, requests of parameters, and a
+        neutral RC override while no thrust is commanded. Before the first heartbeat of the autopilot there are only
+        heartbeats and overrides. Nothing is returned in the role LISTEN or while sending is muted.
         """
         if self._role is LinkRole.LISTEN:
             self._requests.clear()
@@ -591,7 +592,10 @@ class MavlinkDriver(DeviceDriver):
         return out
 
     def link_at(self, now: float) -> LinkStatus:
-        """Return the last reported state of the autopilot, with the age of its heartbeat at wall time `now` [s]."""
+        """Return the last reported state of the autopilot, with the age of its heartbeat at wall time `now` [s].
+
+        The age is infinite before the first heartbeat.
+        """
         other_station_frames = self._decoder.foreign.get(self._settings.own_system_id, 0)
         age = now - self._last_heartbeat
         return replace(self._status, age=age, other_station_frames=other_station_frames, lost=self._decoder.lost)

@@ -149,7 +149,7 @@ class Setpoints:
         """Return the wall time [s] until the next set-point or repetition is due; infinite if there is none.
 
         `now_run` is run time [s], `now_wall` is wall time [s], and `speed` is the number of run seconds per wall
-        second.
+        second. The result is 0 if one is due now.
         """
         with self._lock:
             if self._zeroed:

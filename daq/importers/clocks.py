@@ -346,7 +346,8 @@ def format_of_text(texts: Sequence[str]) -> tuple[str, str]:
 def _fitting_patterns(texts: Sequence[str], patterns: Sequence[str]) -> list[str]:
     """Return the strptime patterns, out of `patterns`, that read all texts.
 
-    If the texts end with a time zone, the returned patterns include it.
+    If the texts end with a time zone, the returned patterns include it. The list is empty if no pattern reads all
+    texts.
     """
     fitting = []
     zone = _ZONE.search(texts[0])

@@ -301,7 +301,7 @@ def whole_messages(raw: bytes) -> tuple[bytes | None, int, int]:
     timed: set[int] = set()  # types whose first field is TimeUS
 
     def end_of(place: int) -> int:
-        """Return the end [bytes] of the DataFlash message at an offset; -1 if none of a known type begins there."""
+        """Return the end [bytes] of the DataFlash message at offset `place`; -1 if no known type begins there."""
         if raw[place : place + 2] != HEAD or place + 3 > len(raw):
             return -1
         size = sizes.get(raw[place + 2], -1)

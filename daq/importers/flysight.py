@@ -108,7 +108,7 @@ class _SensorRows(NamedTuple):
 
     @property
     def has_utc(self) -> bool:
-        """Return whether the times of the sensor's rows are UTC, by the first time; False without rows."""
+        """Whether the times of the sensor's rows are UTC: the first one is above 1e9 s. False without rows."""
         return bool(len(self.t) and self.t[0] > _UTC)
 
 

@@ -334,10 +334,10 @@ def _with_hold(taken: MapSignal, t: Column | None, values: Column, words: frozen
 
 
 def _position_axis(letter: str, letters: Collection[str], stated: str) -> str:
-    """Return "x" (north) or "y" (east) if a column named by one capital letter is a position, "" if it is not.
+    """Return "x" (north) or "y" (east) if a column named X, N or E (`letter`) is a position, "" if it is not.
 
-    A position has a unit of length (`stated`), or no unit and a matching letter among all `letters` of the table: X and
-    Y, or N and E.
+    Its unit `stated` in the file must be a length. Without a unit, another column must fit: Y to X (and no N), or N to
+    E. `letters` are the names of all columns of the table.
     """
     beside = (letter == "X" and "Y" in letters and "N" not in letters) or (letter != "X" and {"N", "E"} <= set(letters))
     is_length = UNITS.get(stated, ("",))[0] == "m"

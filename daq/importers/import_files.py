@@ -269,8 +269,8 @@ def _write_piece(
 def _within_piece(signal: SignalData, piece: Piece) -> SignalData:
     """Return the samples of a signal within an interval of time (t_from <= t <= t_to, in s of the file's clock).
 
-    A held command also gets its last value before the interval as a sample at t_from. If it is known after the
-    interval, or has a timeout, its last value within the interval becomes a sample at t_to.
+    A held signal (hold = "zero") also gets its last value before the interval as a sample at t_from. If it has samples
+    after the interval, or a timeout, its last value within the interval becomes a sample at t_to.
     """
     inside = (signal.t >= piece.t_from) & (signal.t <= piece.t_to)
     t, values = signal.t[inside], signal.values[inside]

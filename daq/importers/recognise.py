@@ -33,7 +33,8 @@ class Candidate(NamedTuple):
     caveat : str
         What is uncertain in the signals, for a comment in the map; "" if there is none.
     quantity : frozenset of str
-        Words of the quantity of a thruster. Left and right must have the same; empty for no condition.
+        Words that name a thruster's quantity, for example {"motor", "rpm"}. Left and right must have the same words;
+        empty for no condition.
     """
 
     group: str  # position, velocity, body, heading, ...; only the best candidate of a group is chosen
@@ -358,7 +359,7 @@ def message_candidates(table: Table) -> list[Candidate]:
 def _is_pose(table: Table) -> bool:
     """Return whether a table of transforms (ROS /tf) has the poses of a vehicle.
 
-    This is a transform from a frame of the earth (map, odom, world, earth, utm) to another frame.
+    This is so if they are from a frame of the earth (map, odom, world, earth, utm) to a frame that is none of these.
     """
     return table.frame_id.strip("/") in _EARTH_FRAMES and table.topic.rpartition(":")[2] not in _EARTH_FRAMES
 

@@ -41,7 +41,7 @@ class SignalData:
     values : Array (n,)
         The values.
     has_gaps : bool
-        Whether it is an input with unknown intervals; a NaN sample begins each.
+        Whether it is an input that is unknown in some intervals of time; a NaN sample begins each interval.
     """
 
     signal: Signal

@@ -367,7 +367,8 @@ class _ReferenceClock:
 def _is_set_back(times: MessageTimes) -> bool:
     """Return whether the recorder's clock was set back: stamps are out of order by receipt, but regular when sorted.
 
-    This needs at least 3 steps back by more than 0.25 s, and more than 95 % usual intervals of the sorted stamps.
+    This needs at least 3 steps back of the stamps by more than 0.25 s. Of the intervals of the sorted stamps, more than
+    95 % must differ by less than half from their median.
     """
     known = np.isfinite(times.receipt + times.stamp)
     stamp = times.stamp[known]

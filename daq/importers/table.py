@@ -196,7 +196,7 @@ class SourceOptions:
     protocol : str
         Protocol of a CAN log: "vesc", "dronecan" or "nmea2000"; "" to try all.
     rig : Path or None
-        Rig that names and scales the outputs of an autopilot; None without one.
+        Rig file that names and scales the outputs of an autopilot; None without one.
     system : int or None
         MAVLink system number, for a tlog of several systems; None for the first autopilot.
     topics : frozenset of str

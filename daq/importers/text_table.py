@@ -421,7 +421,7 @@ def is_comment(cells: Sequence[str], width: int) -> bool:
     Returns
     -------
     bool
-        True if the line begins with #, or with another comment mark and has another number of cells than the header.
+        True if the line begins with #, or if it begins with % or // and has another number of cells than the header.
     """
     first = cells[0].strip()
     return first.startswith("#") or (first.startswith(_COMMENTS) and len(cells) != width)
@@ -444,7 +444,8 @@ def without_brackets(cell: str) -> str:
 def is_units_row(cells: list[str]) -> bool:
     """Return whether a row of a text table contains the units of the columns.
 
-    At least half of the filled cells are known units, not only "1" and "-". No other cell contains a digit.
+    At least half of the filled cells must be known units, one of them another than "1" and "-". No other cell may
+    contain a digit.
     """
     texts = [text for cell in cells if (text := without_brackets(cell))]
     known = [text for text in texts if unit_of(text)]
@@ -503,7 +504,7 @@ def sniff_style(path: Path, head: bytes) -> TextStyle | None:
     Parameters
     ----------
     path
-        The file.
+        The file; not used.
     head
         First bytes of the file.
 

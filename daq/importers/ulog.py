@@ -201,7 +201,7 @@ class _LimitedFile(io.BufferedReader):
     """
 
     def __init__(self, path: Path) -> None:
-        """Open the file and compute how many bytes may be read from it."""
+        """Open the file, and set how many bytes may be read: 100 times its size plus 16 MiB."""
         super().__init__(io.FileIO(path))
         self._bytes_left = 100 * path.stat().st_size + (16 << 20)
 

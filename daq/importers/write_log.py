@@ -70,14 +70,14 @@ def write_signals(
     force: bool = False,
     reads: Sequence[Path] = (),
 ) -> None:
-    """Write imported signals and events as one MCAP log, in the order of time.
+    """Write imported signals and events as one MCAP log, in the order of time. Warn of dates 1024 weeks too early.
 
     Parameters
     ----------
     out
-        The log.
+        Path of the log to write.
     signals
-        The signals; times in s since 1970.
+        The signals, with times in s since 1970 that rise.
     metadata, attachments
         Metadata and attachments of the log, by name.
     note
@@ -92,7 +92,8 @@ def write_signals(
     Raises
     ------
     SeatrialError
-        If no sample is left, a time is not between 1970 and 2038, or the log cannot be written.
+        If no sample is left, a time is not between 1970 and 2038, the log cannot be written, or it exists and `force`
+        is not set.
     """
     times = [data.t for data in signals if len(data.t)]
     if not times:
@@ -161,10 +162,12 @@ def write_frames(
 ) -> None:
     """Write decoded samples as one MCAP log, in the order of time.
 
+    Warn of dates 1024 weeks too early and of times that run back, and add these lines to the log as events.
+
     Parameters
     ----------
     out
-        The log.
+        Path of the log to write.
     rows
         The samples, in the order of the source file.
     metadata
@@ -181,7 +184,8 @@ def write_frames(
     Raises
     ------
     SeatrialError
-        If there are no samples, a time is not between 1970 and 2038, or the log cannot be written.
+        If there are no samples, a time is not between 1970 and 2038, the log cannot be written, or it exists and
+        `force` is not set.
     """
     if not rows:
         raise SeatrialError(f"{out}: the source contains no samples that seatrial can use")
@@ -245,7 +249,13 @@ def warn_of_early_dates(out: Path, first: float, last: float, reads: Sequence[Pa
     first, last
         First and last time of the log [s since 1970].
     reads
-        Source files and folders. Maps and rigs (.toml) among them are not recordings, so their dates do not count.
+        Source files and folders, whose dates show when they were written. Maps and rigs (.toml) among them are not
+        recordings, so their dates do not count.
+
+    Returns
+    -------
+    str
+        The warning; "" for plausible dates.
     """
     files = [file for path in reads for file in (path.rglob("*") if path.is_dir() else [path])]
     written = [file.stat().st_mtime for file in files if file.is_file() and file.suffix != ".toml"]
@@ -261,7 +271,7 @@ def clock_steps(samples: Iterable[tuple[str, Frame, float]]) -> list[str]:
     Parameters
     ----------
     samples
-        Device, frame and time [s] of each sample, in the order of the file.
+        Device, sample with its times (frame), and time [s] of each sample, in the order of the file.
 
     Returns
     -------

@@ -141,8 +141,7 @@ class UdpPort(Port):
     def confirm(self) -> None:
         """Accept the sender of the last read as the device. `write` sends to this sender from now on.
 
-        Another sender can take its place only after a time without a frame of this one, which starts anew with each
-        call.
+        Another sender can take its place only after 2 s (SILENT_S) without a call of this method.
         """
         if self._candidate is not None:
             self._peer = self._candidate

@@ -1,5 +1,6 @@
-"""Numerical characterisation of components: thrusters on the bench, static thrust curves, load cells, sensor noise. The
-commands that use it, `ident thruster` and `ident noise`, are in workflows.
+"""Numerical characterisation of components: thrusters on the bench, static thrust curves, load cells, sensor noise.
+
+The commands that use it, `seatrial ident thruster` and `seatrial ident noise`, are in workflows.
 """
 
 import lazy_loader

@@ -1,9 +1,10 @@
 """Drift of a load cell's zero between the rests of a bench run.
 
-At a rest the command is zero. The mean force at a rest, without its first seconds, is the zero of the load cell at that
-time. If the zeros differ by more than their errors, the cell has drifted, for example by temperature, creep, or a mount
-that moves. The drift is removed as straight lines between the middles of the rests. It is constant before the first
-and after the last rest. The mean of the zeros stays in the force, for the fit that estimates it.
+A rest is an interval of time in which the command of the thruster is zero. The mean force at a rest, without its first
+seconds, is the zero of the load cell at that time. If the zeros differ by more than their errors, the cell has drifted,
+for example by temperature, creep, or a mount that moves. The drift is removed as straight lines between the middles of
+the rests. It is constant before the first and after the last rest. The mean of the zeros stays in the force, for the
+fit that estimates it.
 
 The correction assumes that a thruster gives no force at rest. Water that is still moving gives a force. So a rest needs
 a few seconds, and small differences are not treated as drift.
@@ -21,20 +22,20 @@ from seatrial.ident.data import Channel
 from seatrial.ident.numerics import Array, mean_error, steady_segments
 
 REST = 1e-3  # of full command; a thruster with a smaller command is at rest
-FEWEST_READINGS, SHORTEST_REST_S = 10, 1.0  # of a rest, after the time to settle
-BEYOND_ERRORS = 4.0  # standard errors of a difference between two zeros, below which it may be chance
-LEAST_PART = 0.02  # of the range of the force; a smaller difference may come from moving water
+FEWEST_READINGS, SHORTEST_REST_S = 10, 1.0  # samples and s of a rest, after the time to settle
+BEYOND_ERRORS = 4.0  # a difference of two zeros below so many of its standard errors may be chance
+LEAST_PART = 0.02  # of the range of the force; a smaller difference of zeros may come from moving water
 
 
 class ZeroDrift(NamedTuple):
-    """Zeros of a load cell at the rests of a run.
+    """Zeros of a load cell at the rests of a bench run: mean forces at zero command.
 
     Attributes
     ----------
     t : Array (n_rests,)
-        Times of the rests [s].
+        Mean times of the rests [s], increasing.
     force : Array (n_rests,)
-        Mean force at the rests [N].
+        Mean force at each rest [N].
     """
 
     t: Array
@@ -42,7 +43,10 @@ class ZeroDrift(NamedTuple):
 
     @property
     def text(self) -> str:
-        """Description of the drift in two sentences, for reports: first and last zero, range, and the correction."""
+        """Description of the drift for reports, in two sentences.
+
+        It has the first and the last zero with their times, the range of the zeros, and the correction that is made.
+        """
         first, last = float(self.force[0]), float(self.force[-1])
         return (
             f"The load cell's zero drifts: {first:.3g} N at {self.t[0]:.0f} s, {last:.3g} N at {self.t[-1]:.0f} s; its "
@@ -51,16 +55,19 @@ class ZeroDrift(NamedTuple):
         )
 
     def without_drift(self, force: Channel) -> Channel:
-        """Return a force channel [N] without the drift. The mean of the zeros stays in the force.
+        """Return the channel ``force`` [N] less the drift: the zero at each time less the mean of the zeros.
 
-        The drift is linear between the rests, and constant before the first and after the last one.
+        The zero is linear between the rests, and constant before the first and after the last one. The mean of the
+        zeros stays in the force, because the fit estimates it.
         """
         drift = np.interp(force.t, self.t, self.force - self.force.mean())
         return replace(force, value=force.value - drift)
 
 
 def zero_drift(command: Channel, force: Channel, settle: float) -> ZeroDrift | None:
-    """Find the drift of a load cell's zero.
+    """Find the drift of a load cell's zero between the rests of a bench run.
+
+    A rest is an interval of time in which the size of the command is below 0.001.
 
     Parameters
     ----------
@@ -72,8 +79,10 @@ def zero_drift(command: Channel, force: Channel, settle: float) -> ZeroDrift | N
     Returns
     -------
     ZeroDrift or None
-        Zeros at the rests, in their order. None if there are fewer than two rests with ten readings over 1 s, or if the
-        largest difference of their zeros is below four standard errors or 2 % of the range of the force.
+        Zeros (mean forces) at the rests, in order of time. Rests with fewer than ten samples of the force, or less than
+        1 s of samples, after ``settle`` are left out. None if there are fewer than two rests. None also if the largest
+        difference of the zeros is below four times its standard error, or below 2 % of the range of the force (1 % to
+        99 % quantile).
     """
     rests = []
     for steady in steady_segments(command.t, command.value, float(force.t[-1])):

@@ -4,7 +4,8 @@ The model is the IMA(1,1) of thesis section 4.1:
 
     y_k = b(t_k) + w_k,   db = q dW,   var w = r^2,   b(0) unknown
 
-Its innovation form is ``n_k = (1 + c q^-1) / (1 - q^-1) e_k``. The filter is that of
+Here y is the output of one axis, b its random walk and w its white noise. The innovation form of the model is
+``y_k = (1 + c z^-1) / (1 - z^-1) e_k`` with the innovations e. The filter is that of
 ``seatrial.ident.estimation.likelihood``, so that missing samples do not matter. At long gaps the samples are cut. If
 the innovations under this model are not white (``seatrial.ident.validation.whiteness``), the sensor has other noise,
 and ``NoiseFit.rejected`` is true. The filtered output of a single-point GPS receiver is an example.
@@ -25,7 +26,7 @@ from seatrial.ident.model import INF, Model, ModelKind, Output, Parameter, Senso
 from seatrial.ident.numerics import Array
 from seatrial.ident.validation import WhitenessDiagnostics, autocorrelation, ljung_box, whiteness_diagnostics
 
-NOISE_FLOOR = 1e-4  # of the channel's scale; smaller standard deviations count as zero
+NOISE_FLOOR = 1e-4  # of the scale, the standard deviation of the differences of samples; smaller noise counts as zero
 N_LAGS = 20  # of the Ljung-Box test of the innovations
 # Standard deviation of the unknown initial offset, in units of the channel's scale. A fitted offset would draw the
 # white noise to zero, because the likelihood of the first sample is then unbounded.
@@ -39,7 +40,9 @@ N_SEGMENTS = 8  # half-overlapping segments of Welch's method
 
 @dataclass(frozen=True)
 class NoiseFit:
-    """White noise and random walk of one axis.
+    """White noise and random walk of one axis of a sensor at rest, as estimated from its samples.
+
+    "unit" is the unit of the samples.
 
     Attributes
     ----------
@@ -50,11 +53,14 @@ class NoiseFit:
     interval
         Median sample interval [s].
     white, white_error
-        White noise [unit] and its standard error. The error is NaN if no white noise was found (see ``flags``).
+        Standard deviation of the white noise [unit] and its standard error. The error is NaN if no white noise was
+        found (see ``flags``).
     walk, walk_error
-        Random walk [unit/sqrt(s)] and its standard error. The error is NaN if no random walk was found (see ``flags``).
+        Intensity of the random walk [unit/sqrt(s)] and its standard error. The error is NaN if no random walk was found
+        (see ``flags``).
     c, sd_innovation
-        Coefficient c, -1 to 0, and standard deviation [unit] of the innovation form at the median interval.
+        Coefficient c, -1 to 0, of the innovation form at the median interval, and standard deviation [unit] of the
+        innovations (one-step prediction errors). -1: no random walk; 0: no white noise.
     log_likelihood
         Log-likelihood of the samples.
     innovations : Array (n,)
@@ -62,16 +68,16 @@ class NoiseFit:
     t : Array (n,)
         Times from the first sample [s].
     resolution
-        Median step between the distinct values of the samples [unit].
+        Median step between neighbouring distinct values of the samples, in ascending order [unit].
     ljung_box
         p value of the Ljung-Box test of the innovations.
     largest_correlation
         Autocorrelation of the innovations with the largest absolute value.
     departures
-        Departures of the innovations from whiteness.
+        Measures of the departure of the innovations from white noise, each with a p value.
     flags
-        Problems of the estimates, as texts ``white: PROBLEM`` or ``walk: PROBLEM``; for example an estimate at its
-        bound, which means that no such noise was found.
+        Problems of the estimates, as texts ``white: PROBLEM`` or ``walk: PROBLEM``. An example is an estimate at its
+        bound: no such noise was found.
     """
 
     name: str
@@ -94,18 +100,20 @@ class NoiseFit:
 
     @property
     def white_limit(self) -> float:
-        """White noise [unit] that would be found in 95 of 100 such records, beside the random walk.
+        """Detection limit: standard deviation of white noise [unit] that would be found in 95 of 100 such records.
 
-        The coefficient c of the innovation form has a standard error of ``1 / sqrt(n)`` near zero.
+        The limit holds beside the estimated random walk, with which it increases. Near zero, the coefficient c of the
+        innovation form has a standard error of ``1 / sqrt(n)``.
         """
         c = min(Z95_ONE_SIDED / float(np.sqrt(self.n)), 0.5)
         return self.walk * float(np.sqrt(self.interval * c)) / (1 - c)
 
     @property
     def walk_limit(self) -> float:
-        """Random walk [unit/sqrt(s)] that would be found in 95 of 100 such records, beside the white noise.
+        """Detection limit: random walk [unit/sqrt(s)] that would be found in 95 of 100 such records.
 
-        The coefficient c is then near -1. Its estimate is exactly -1 with a probability that depends only on
+        The limit holds beside the estimated white noise, to which it is proportional. A random walk is not found if the
+        estimate of the coefficient c is exactly -1. The probability of this depends only on
         ``n walk sqrt(interval) / white`` (Shephard and Harvey 1990).
         """
         return PILE_UP * self.white / (self.n * float(np.sqrt(self.interval)))
@@ -117,30 +125,30 @@ class NoiseFit:
 
     @property
     def heavy_tailed(self) -> bool:
-        """Return whether the innovations have heavy tails: their kurtosis is significantly above 3, and above 4."""
+        """Return whether the innovations have heavy tails: their kurtosis is above 4, and significantly above 3."""
         return _heavy_tailed(self.innovations)
 
     @property
     def coarse(self) -> bool:
         """Return whether the resolution of the samples exceeds two standard deviations of the innovations.
 
-        The resolution then determines the estimates, and not the noise.
+        In that case the estimates depend on the resolution instead of the noise.
         """
         return self.resolution > COARSE * self.sd_innovation
 
     @property
     def rejected(self) -> bool:
-        """Return whether the innovations are not white, so that the model of the noise is rejected.
+        """Return whether the model white noise plus random walk is rejected, because the innovations are not white.
 
         A departure from whiteness must be significant (p below 0.001) and large enough to matter.
         """
         return self.departures.matter
 
     def psd(self, frequency: Array) -> Array:
-        """Return the one-sided power spectral density [unit^2/Hz] of the sampled noise at ``frequency`` (n,) [Hz].
+        """Return the one-sided power spectral density (n,) [unit^2/Hz] of the fitted noise at ``frequency`` (n,) [Hz].
 
-        It is that of white noise plus a random walk, including aliasing. It is infinite at frequency zero if there is a
-        random walk.
+        It is the density of sampled white noise plus a random walk, including aliasing. It is infinite at frequency
+        zero.
         """
         dt = self.interval
         wave = 4.0 * np.sin(np.pi * frequency * dt) ** 2
@@ -153,20 +161,21 @@ def estimate_noise(channel: Channel, name: str = "") -> NoiseFit:
     Parameters
     ----------
     channel
-        Samples of the axis. NaN samples are left out. The samples are cut at gaps (`silent_times`: longer than 60 s and
-        than ten usual intervals), and each part has its own unknown offset.
+        Samples of the axis. Samples that are not finite, or whose time is not later than that of the sample before,
+        are left out. The samples are cut at gaps (`silent_times`: longer than 60 s and than ten usual intervals), and
+        each part has its own unknown offset.
     name
-        Name of the axis, by default the source of the channel.
+        Name of the axis for the result and for messages; by default the source of the channel.
 
     Returns
     -------
     NoiseFit
-        Estimates and tests. If the innovations have heavy tails, the standard errors allow for their kurtosis.
+        Estimates and tests. If the innovations have heavy tails, the standard errors are increased accordingly.
 
     Raises
     ------
     ValueError
-        If there are fewer than 50 samples, or if all samples are equal.
+        If fewer than 50 samples remain, or if all differences of neighbouring samples are equal, for example zero.
 
     Notes
     -----
@@ -227,52 +236,56 @@ def estimate_noise(channel: Channel, name: str = "") -> NoiseFit:
 
 
 def _parts(t: Array, y: Array) -> list[slice]:
-    """Return the indices of the parts of a signal between its gaps: one slice if it has no gap.
+    """Return the index range of each part of a signal between its gaps, as slices; one slice if it has no gap.
 
-    ``t``, ``y``: times [s] and values (n,) of the signal.
+    ``t``, ``y``: times [s] and values (n,) of the signal. A gap is longer than 60 s and than ten usual intervals.
     """
     edges = [0, *(int(np.searchsorted(t, end)) for _, end in silent_times({"": Channel(t, y)})), t.size]
     return [slice(a, b) for a, b in pairwise(edges)]
 
 
 def _differences(y: Array, parts: Sequence[slice]) -> Array:
-    """Return the differences of neighbouring samples within each of the parts of y (n,), in one array."""
+    """Return the differences of neighbouring samples of y (n,) within each of the ``parts``, joined to one array.
+
+    Differences across a gap between two parts are left out.
+    """
     return np.concatenate([np.diff(y[part]) for part in parts])
 
 
 def _kurtosis(e: Array) -> float:
-    """Return the kurtosis of e (n,), whose mean is zero; 3 for normal samples."""
+    """Return the kurtosis (fourth moment over squared variance) of e (n,), whose mean is zero; 3 for a normal e."""
     return float(np.mean(e**4) / np.mean(e**2) ** 2)
 
 
 def _heavy_tailed(e: Array) -> bool:
-    """Return whether the kurtosis of e (n,) exceeds that of normal samples by six standard errors, and `HEAVY`.
+    """Return whether the kurtosis of e (n,) is above 4 and exceeds 3, that of normal samples, by six standard errors.
 
-    Fewer than one normal record in a thousand does so by chance.
+    Fewer than one record of normal noise in a thousand does so by chance.
     """
     return _kurtosis(e) > max(HEAVY, 3.0 + 6.0 * float(np.sqrt(24.0 / e.size)))
 
 
 def innovation_form(white: float, walk: float, dt: float) -> tuple[float, float]:
-    """Return c and the standard deviation of the innovations of the IMA(1,1), from its steady Kalman filter.
+    """Convert white noise plus a random walk to the innovation form of the IMA(1,1), by its steady Kalman filter.
 
     Parameters
     ----------
     white
-        White noise [unit].
+        Standard deviation of the white noise [unit].
     walk
-        Random walk [unit/sqrt(s)].
+        Intensity of the random walk [unit/sqrt(s)]. It must not be zero together with ``white``.
     dt
         Sample interval [s].
 
     Returns
     -------
     tuple of float
-        Coefficient c, -1 to 0, and standard deviation of the innovations [unit].
+        Coefficient c, -1 to 0, and standard deviation s of the innovations [unit].
 
     Notes
     -----
-    The differences have variance ``q^2 dt + 2 r^2 = (1 + c^2) s^2`` and covariance ``-r^2 = c s^2``; -1 <= c <= 0.
+    The differences of the samples have the variance ``q^2 dt + 2 r^2 = (1 + c^2) s^2``, and neighbouring differences
+    have the covariance ``-r^2 = c s^2``, with random walk q and white noise r.
     """
     q, r = walk**2 * dt, white**2
     S = (q + 2 * r + np.sqrt(q * (q + 4 * r))) / 2
@@ -280,10 +293,11 @@ def innovation_form(white: float, walk: float, dt: float) -> tuple[float, float]
 
 
 def _model_with_initial_values(d: Array, dt: float) -> Model:
-    """Return the noise model with initial values for a fit to scaled samples at the interval ``dt`` [s].
+    """Return the noise model with initial values for a fit to samples at the interval ``dt`` [s].
 
-    The initial values follow from the moments of the differences d (n,) of neighbouring samples: their variance is
-    ``q^2 dt + 2 r^2``, and the covariance of neighbours is ``-r^2``, with random walk q and white noise r.
+    ``d`` (n,): differences of neighbouring samples, which are scaled so that d has the standard deviation 1. The
+    initial values of random walk q and white noise r follow from the variance of d, ``q^2 dt + 2 r^2``, and the
+    covariance of neighbouring differences, ``-r^2``.
     """
     variance, covariance = float(d @ d) / d.size, float(d[1:] @ d[:-1]) / (d.size - 1)
     white = np.sqrt(np.clip(-covariance, 1e-4 * variance, 0.4999 * variance))
@@ -294,14 +308,16 @@ def _model_with_initial_values(d: Array, dt: float) -> Model:
 
 @cache
 def noise_model(low_walk: float) -> Model:
-    """Return the model of the noise of one axis at rest: white noise plus a random walk, in units of a scale.
+    """Return the model of the noise of one axis at rest: white noise plus a random walk from an unknown offset.
 
-    The scale is the standard deviation of the differences of the samples. The result is cached.
+    It is a model of scaled samples: samples divided by the standard deviation of their differences. The result is
+    cached.
 
     Parameters
     ----------
     low_walk
-        Lower bound of the random walk [1/sqrt(s)]. An estimate at this bound counts as zero.
+        Lower bound of the random walk [1/sqrt(s)]. An estimate at this bound counts as zero. The lower bound of the
+        white noise is 0.0001.
     """
     model = plain_model(
         "noise",
@@ -320,12 +336,12 @@ def noise_model(low_walk: float) -> Model:
 
 @dataclass(frozen=True)
 class BandSpectrum:
-    """Power spectral density averaged over frequency bands.
+    """One-sided power spectral density, averaged over frequency bands.
 
     Attributes
     ----------
     frequency : Array (n_bands,)
-        Centres of the bands [Hz].
+        Geometric mean of the frequencies in each band [Hz].
     psd : Array (n_bands,)
         Mean density [unit^2/Hz].
     low, high : Array (n_bands,)
@@ -339,7 +355,7 @@ class BandSpectrum:
 
 
 def band_spectrum(frequency: Array, density: Array, n_segments: int = N_SEGMENTS, per_decade: int = 10) -> BandSpectrum:
-    """Average a density of `welch` over bands of equal width in the logarithm of the frequency.
+    """Average a power spectral density of `welch` over bands of equal width in the logarithm of the frequency.
 
     Parameters
     ----------
@@ -348,7 +364,7 @@ def band_spectrum(frequency: Array, density: Array, n_segments: int = N_SEGMENTS
     density : Array (n,)
         One-sided density [unit^2/Hz].
     n_segments
-        Number of segments of the density.
+        Number of segments of the signal that `welch` averaged.
     per_decade
         Number of bands per decade.
 
@@ -383,12 +399,13 @@ def welch(channel: Channel, n_segments: int = N_SEGMENTS) -> tuple[Array, Array]
     channel
         Samples of the channel. Only the longest part between gaps (`silent_times`) is used.
     n_segments
-        Number of half-overlapping segments, each of at least 16 samples. A straight line is removed from each.
+        Number of half-overlapping segments. A straight line is subtracted from each. With few samples there are fewer
+        segments, because a segment has at least 16 samples.
 
     Returns
     -------
     tuple of Array (n,)
-        Frequency [Hz] and density [unit^2/Hz], without frequency zero.
+        Frequencies [Hz] and density [unit^2/Hz], without frequency zero.
     """
     longest = max(_parts(channel.t, channel.value), key=lambda part: part.stop - part.start)
     t, value = channel.t[longest], channel.value[longest]

@@ -1,7 +1,8 @@
 """Static thrust curve: steady force against command, from benches that measure the force and not the shaft speed.
 
-Levels are means of the force over steady commands. Their standard errors allow for autocorrelated readings and for the
-scatter between visits to one level. The force at rest is the zero of the load cell and is subtracted from all levels.
+A level is the mean of the force over the times in which the command has one constant value. A visit is one of these
+times. The standard errors of levels allow for autocorrelated samples and for the scatter between visits to one level.
+The force at zero command (rest) is the zero of the load cell and is subtracted from all levels.
 
 The quadratic ``c1 n|n| + c2 n^2`` (thesis section 4.2) does not hold if the thruster saturates, is asymmetric or has a
 dead band. The alternative is a monotone curve through the measured levels: isotonic regression (pool adjacent
@@ -28,9 +29,9 @@ from seatrial.ident.model import command_of, shaft_speed_of, thrust_of
 from seatrial.ident.numerics import Array, chi2_sf, fisher_sf, mean_error, steady_segments
 
 LEVEL_TOLERANCE = 1e-3  # of full command: closer commands are one level
-MIN_SAMPLES = 20  # of the force at one level
+MIN_SAMPLES = 20  # of the force in a visit, for a mean
 REVERSED = -0.5  # correlation of the force with n|n|; noise gives more, a load cell with the wrong sign about -1
-BEYOND_ERROR = 5.0  # standard errors between the smallest and the largest level; chance hardly ever gives more
+BEYOND_ERROR = 5.0  # standard errors between the smallest and the largest force; chance hardly ever gives more
 REVERSED_LOAD_CELL = (
     "the force falls as the command rises: the load cell is reversed; change the sign of newton_per_count in the rig, "
     "or of the force's scale in the import map, and make the log again"
@@ -42,24 +43,26 @@ FORMAT = "seatrial-curve 1"
 
 @dataclass(frozen=True)
 class Levels:
-    """Steady force at each command.
+    """Steady force of a thruster at each command (level) of a bench log.
 
-    The errors ``se`` of the levels are independent of each other.
+    A visit is a time in which the command is constant. A level contains all visits to one command.
 
     Attributes
     ----------
     n : Array (n_levels,)
-        Commands, -1 to 1, in ascending order.
+        Command of each level, -1 to 1, in ascending order.
     force : Array (n_levels,)
-        Mean forces [N], less the offset.
+        Mean force of each level [N], less the offset.
     se : Array (n_levels,)
-        Standard errors [N], including the scatter.
+        Standard error of each mean force [N], with the scatter and without the error of the offset. These errors are
+        independent of each other.
     n_samples : Array (n_levels,)
-        Numbers of readings.
+        Number of samples of the force in each level.
     memory : Array (n_levels,)
-        Autocorrelation times of the readings [samples]; 1 for independent readings.
+        Autocorrelation time of the samples in each level [samples], the largest of its visits; 1 for independent
+        samples.
     offset
-        Reading of the load cell at rest [N], which has been subtracted from all forces. None if there is no level at
+        Mean force at rest (zero command) [N], which has been subtracted from all forces. None if there is no level at
         rest.
     offset_se
         Standard error of the offset [N].
@@ -81,37 +84,44 @@ class Levels:
 
     @property
     def at_rest(self) -> NDArray[np.bool_]:
-        """Mask (n_levels,) that is true for the level at rest that gave the zero of the load cell."""
+        """Mask (n_levels,) that is true for the level at rest (zero command), which gave the zero of the load cell.
+
+        It is false for all levels if ``offset`` is None.
+        """
         return np.asarray((self.n == 0.0) & (self.offset is not None))
 
     @property
     def error(self) -> Array:
-        """Standard errors (n_levels,) [N], with that of the load cell's zero, which all levels but the rest share."""
+        """Standard errors (n_levels,) [N] of the forces, with the error of the load cell's zero that was subtracted.
+
+        All levels share this error, except the level at rest, whose error is that of ``se`` alone.
+        """
         return np.hypot(self.se, np.where(self.at_rest, 0.0, self.offset_se))
 
 
 def find_levels(command: Channel, force: Channel, settle: float = 1.5) -> Levels:
-    """Compute the mean force at each steady command.
+    """Compute the mean force at each steady command of a bench log.
 
     Parameters
     ----------
     command
         Channel of the command, -1 to 1.
     force
-        Channel of the force [N]. Readings that are not finite are left out.
+        Channel of the force [N]. Samples that are not finite are left out.
     settle
         Time after each change of the command that is left out [s].
 
     Returns
     -------
     Levels
-        One level for each command, in ascending order. Several visits to a command are one level. If there is a level
-        at rest, its force has been subtracted from all levels.
+        One level for each command, in ascending order of the command. Commands that differ by 0.001 or less are one
+        level, and so are several visits to a command. Visits with fewer than 20 samples of the force after ``settle``
+        are left out. If there is a level at zero command, its force has been subtracted from all levels.
 
     Raises
     ------
     ValueError
-        If no command is held for ``settle`` seconds and 20 readings of the force.
+        If no visit has 20 samples of the force after ``settle``.
 
     Notes
     -----
@@ -132,11 +142,12 @@ def find_levels(command: Channel, force: Channel, settle: float = 1.5) -> Levels
 
 
 def hold_advice(command: Channel, force: Channel, settle: float) -> str:
-    """Return the second half of an error message: how long the command is held, and what to do.
+    """Return the second half of an error message: how long the command is held constant, and what the user can do.
 
-    ``command`` and ``force`` are the channels of the log. The text names the typical hold [s], the time and the number
-    of readings that remain after ``settle`` [s], and a shorter time to settle or a longer hold. The typical hold is the
-    median of the holds, weighted by their length.
+    ``command`` and ``force`` are channels of a log. ``settle`` is the time [s] that is left out after each change of
+    the command. The text states the typical time of a constant command [s] (median of these times, weighted by their
+    length), and the time and the number of samples of the force that remain after ``settle``. It proposes a shorter
+    ``settle``, or constant commands of longer duration if none leaves 20 samples.
     """
     end = float(max(command.t[-1], force.t[-1]))
     holds = np.sort([s.duration for s in steady_segments(command.t, command.value, end)])
@@ -154,17 +165,24 @@ def hold_advice(command: Channel, force: Channel, settle: float) -> str:
 
 
 def clearly_falls(n: Array, force: Array, error: float = 0.0) -> bool:
-    """Return whether a force clearly falls as n rises: its correlation with ``n|n|`` is below -0.5.
+    """Return whether a force clearly falls as n rises, as it does if the sign of the load cell is wrong.
+
+    This is so if the correlation of the force with ``n|n|`` is below -0.5.
 
     Parameters
     ----------
     n : Array (n_samples,)
-        Commands or shaft speeds.
+        Commands or shaft speeds, -1 to 1.
     force : Array (n_samples,)
         Forces [N].
     error
-        Standard error of the forces [N]. The result is False if the range of the forces is at most five times as
-        large, because it may then be chance. It is also False if n does not change.
+        Standard error of the forces [N].
+
+    Returns
+    -------
+    bool
+        Also False if n does not change, or if the range of the forces is at most five times ``error``, because the
+        correlation may then be chance.
     """
     drive = n * np.abs(n)
     if not (np.ptp(drive) > 0.0 and np.ptp(force) > BEYOND_ERROR * error):
@@ -173,12 +191,12 @@ def clearly_falls(n: Array, force: Array, error: float = 0.0) -> bool:
 
 
 def _merged_visits(visits: Sequence[tuple[float, float, float, int, float]]) -> Levels:
-    """Merge the visits to each command into levels, without subtraction of the force at rest.
+    """Merge the visits (times of constant command) to each command into levels. The force at rest is not subtracted.
 
     ``visits`` are tuples in ascending order of the command: command, mean force [N], its standard error [N], number of
-    readings, and their autocorrelation time [samples]. Commands that differ by 0.001 or less from their neighbour are
-    one level. The variance between visits is common to all levels except the rest, which has no thrust that could
-    scatter.
+    samples, and their autocorrelation time [samples]. Commands that differ by 0.001 or less from their neighbour are
+    one level. The variance between visits is common to all levels except that at rest, which has its own, because it
+    has no thrust that could scatter.
     """
     n, force, se, count, memory = np.array(visits).T
     se = np.maximum(se, 1e-9)
@@ -202,8 +220,9 @@ def _merged_visits(visits: Sequence[tuple[float, float, float, int, float]]) -> 
 def _between_visits(force: Array, se: Array, level: NDArray[np.int_]) -> tuple[float, int]:
     """Return the variance [N^2] between visits to the same level beyond their errors, and its degrees of freedom.
 
-    ``force`` [N], standard errors ``se`` [N] and labels ``level`` have one element per visit (n_visits,). The variance
-    is pooled over the levels (method of moments). It is 0 if no level was visited twice.
+    A visit is a time of constant command. ``force`` [N], standard errors ``se`` [N] and numbers ``level`` of the levels
+    have one element per visit (n_visits,). The variance is pooled over the levels (method of moments). It is 0, with 0
+    degrees of freedom, if no level was visited twice.
     """
     _, group, size = np.unique(level, return_inverse=True, return_counts=True)
     dof = level.size - size.size
@@ -213,9 +232,10 @@ def _between_visits(force: Array, se: Array, level: NDArray[np.int_]) -> tuple[f
 
 
 def _without_offset(levels: Levels) -> Levels:
-    """Return the levels less the force at rest, which becomes their offset; unchanged if there is no level at rest.
+    """Return the levels with the force at rest subtracted; this force becomes their ``offset``.
 
-    The command of the level at rest is set to exactly 0.
+    The level at rest has a command below 0.001 in size, which is set to exactly 0. Without such a level, the levels are
+    returned unchanged.
     """
     rest = np.abs(levels.n) < LEVEL_TOLERANCE
     if not rest.any():
@@ -229,10 +249,12 @@ def _without_offset(levels: Levels) -> Levels:
 class Curve:
     """Monotone curve of the force against the command, constant beyond its ends.
 
+    It is a monotone cubic (Fritsch and Carlson) through given points, its knots.
+
     Attributes
     ----------
     n : Array (n_knots,)
-        Commands at the knots, in ascending order.
+        Commands at the knots, -1 to 1, in ascending order.
     force : Array (n_knots,)
         Forces at the knots [N].
     se : Array (n_knots,)
@@ -244,27 +266,37 @@ class Curve:
     se: Array
 
     def __call__(self, n: Array) -> Array:
-        """Return the force [N] at commands n (n_samples,)."""
+        """Return the force (n_samples,) [N] at commands n (n_samples,); beyond the ends, the force at the end."""
         return np.asarray(_interpolator(self.n, self.force)(np.clip(n, self.n[0], self.n[-1])))
 
     def slope(self, n: Array) -> Array:
-        """Return d force / d n [N] at commands n (n_samples,), zero beyond the ends."""
+        """Return the slope d force / d n (n_samples,) [N] at commands n (n_samples,); zero at and beyond the ends."""
         inside = (n > self.n[0]) & (n < self.n[-1])
         return np.where(inside, _interpolator(self.n, self.force).derivative()(n), 0.0)
 
     def error(self, n: Array) -> Array:
-        """Return the standard error [N] of the force at commands n (n_samples,).
+        """Return the standard error (n_samples,) [N] of the force at commands n (n_samples,).
 
-        It is linear between the knots, and constant beyond the ends.
+        It is linear between the knots of the curve, and constant beyond its ends.
         """
         return np.interp(n, self.n, self.se)
 
 
 def fit_curve(levels: Levels) -> Curve:
-    """Fit a monotone curve to the levels by isotonic regression.
+    """Fit a monotone curve to the levels by isotonic regression (pool adjacent violators).
 
-    The curve has no thrust at rest if the load cell's zero is known. The error of a knot includes the change of its
-    force by pooling.
+    The levels are weighted by their inverse variance. If there is a level at rest, the curve is zero there. The
+    standard error of a knot includes the change of the level's force by the regression.
+
+    Parameters
+    ----------
+    levels
+        Measured mean forces at steady commands.
+
+    Returns
+    -------
+    Curve
+        Curve with a knot at the command of each level.
     """
     weights = levels.se**-2
     weights[levels.at_rest] = AT_REST * weights.max()
@@ -276,31 +308,34 @@ def fit_curve(levels: Levels) -> Curve:
 
 
 def curve_left_out(levels: Levels) -> float:
-    """Return the RMS error [N] of the inner levels, each predicted by the curve through all other levels.
+    """Return the RMS error [N] of the monotone curve at levels that were left out of its fit.
 
-    The first and the last level are not predicted. NaN if there are fewer than three levels.
+    Each level except the first and the last is predicted by the curve through all other levels. NaN if there are fewer
+    than three levels.
     """
     return _left_out_error(levels, lambda n, f, at: np.asarray(_monotone_curve(n, f)(at)))
 
 
 @dataclass(frozen=True)
 class Quadratic:
-    """Quadratic ``c1 n|n| + c2 n^2`` fitted to the levels.
+    """Quadratic ``c1 n|n| + c2 n^2`` of the force against the command n, fitted to the levels of a bench log.
 
     Attributes
     ----------
     c1, c2
-        Coefficients [N]; c2 is None if all commands have one sign.
+        Coefficients [N]; c2 is None if no two commands have opposite signs.
     covariance : Array (n_coefficients, n_coefficients)
-        Covariance of the coefficients [N^2], scaled by the misfit and with the error of the load cell's zero.
+        Covariance of the estimated coefficients [N^2], scaled by the misfit and with the error of the load cell's zero.
     rms, largest
         RMS misfit [N], and the misfit with the largest absolute value [N]: measured minus fitted force.
     at
         Command of the largest misfit.
     p, df
-        Probability of such a misfit by chance, given the errors of the levels, and the degrees of freedom.
+        p value of the misfit, given the errors of the levels, and its degrees of freedom. A small p value shows that
+        the quadratic does not describe the levels.
     left_out
-        RMS error [N] of the inner levels, each predicted from all other levels; NaN with fewer than three levels.
+        RMS error [N] of the levels except the first and the last, each predicted by a fit to all other levels; NaN with
+        fewer than three levels.
     """
 
     c1: float
@@ -315,23 +350,33 @@ class Quadratic:
 
     @property
     def formula(self) -> str:
-        """Formula for reports: ``c1 n|n| + c2 n²``, or ``c1 n|n|`` if all commands have one sign."""
+        """Formula for reports: ``c1 n|n| + c2 n²``, or ``c1 n|n|`` if c2 is None."""
         return "c1 n|n|" if self.c2 is None else "c1 n|n| + c2 n²"
 
     def __call__(self, n: Array) -> Array:
-        """Return the force [N] at commands n (n_samples,)."""
+        """Return the force (n_samples,) [N] of the quadratic at commands n (n_samples,)."""
         return np.asarray(self.c1 * n * np.abs(n) + (self.c2 or 0.0) * n * n)
 
 
 def fit_quadratic(levels: Levels) -> Quadratic:
     """Fit the quadratic ``c1 n|n| + c2 n^2`` to the levels by least squares with equal weights, and test its misfit.
 
+    Parameters
+    ----------
+    levels
+        Measured mean forces at steady commands n. If no two commands have opposite signs, c2 is left out.
+
+    Returns
+    -------
+    Quadratic
+        Coefficients, their covariance, and the misfit with its p value.
+
     Notes
     -----
-    Equal weights are right because the misfit is far above the errors of the readings wherever it matters. The test of
-    the misfit uses the weights of the levels. In the test the load cell's zero is free beside the level at rest, which
-    is equivalent to a subtraction with its error. The statistic over df is F if the scatter between visits was
-    estimated, else chi-squared over df.
+    Equal weights are right because the misfit is far above the errors of the levels wherever it matters. The test of
+    the misfit weights the levels by their inverse variance. In the test the load cell's zero is a free parameter if
+    there is a level at rest, which is equivalent to a subtraction with its error. The statistic divided by the degrees
+    of freedom follows F if the scatter between visits was estimated. Otherwise the statistic follows chi-squared.
     """
     n, force, moving = levels.n, levels.force, ~levels.at_rest
     both = bool(n.min() < 0.0 < n.max())
@@ -361,14 +406,15 @@ def fit_quadratic(levels: Levels) -> Quadratic:
 
 
 def adequate(quadratic: Quadratic) -> bool:
-    """Return whether the quadratic fits within the errors of the levels: its p value is above 0.01."""
+    """Return whether the quadratic describes the levels within their errors: p of its misfit is above 0.01."""
     return quadratic.p > ADEQUATE
 
 
 def _left_out_error(levels: Levels, predict: Callable[[Array, Array, Array], Array]) -> float:
-    """Return the RMS error [N] of the inner levels, each predicted from all other levels; NaN if there are none.
+    """Return the RMS error [N] of levels that are predicted from all other levels.
 
-    ``predict(n, force, at)`` returns the force [N] at a command ``at`` (1,) from the commands and forces of the other
+    The first and the last level are not predicted. NaN if there are fewer than three levels. The function
+    ``predict(n, force, at)`` returns the force [N] at a command ``at`` (1,) from the commands n and forces of the other
     levels.
     """
     missed = []
@@ -380,7 +426,10 @@ def _left_out_error(levels: Levels, predict: Callable[[Array, Array, Array], Arr
 
 
 def _monotone_curve(n: Array, force: Array) -> Any:
-    """Return the monotone cubic (Fritsch and Carlson) through the isotonic regression of forces [N] at commands n."""
+    """Return the monotone cubic (Fritsch and Carlson) through the isotonic regression of forces [N] at commands n.
+
+    The result is SciPy's interpolator, a function of commands. The forces have equal weights.
+    """
     from scipy import optimize
 
     return _interpolator(n, optimize.isotonic_regression(force).x)
@@ -389,14 +438,15 @@ def _monotone_curve(n: Array, force: Array) -> Any:
 def _quadratic_basis(n: Array, both: bool) -> Array:
     """Return the columns ``n|n|`` and ``n^2`` (n_levels, 2), or ``n|n|`` alone (n_levels, 1) if ``both`` is false.
 
-    ``both``: commands have both signs. With one sign the two columns are proportional.
+    ``both``: whether the commands have both signs. With one sign the two columns are proportional. ``n``: commands
+    (n_levels,).
     """
     return np.column_stack([n * np.abs(n), n * n])[:, : 1 + both]
 
 
 @dataclass(frozen=True)
 class ThrustCurve:
-    """Static thrust curve: force against command of several thrusters together.
+    """Static thrust curve: force against command of one thruster, or of several thrusters together.
 
     Attributes
     ----------
@@ -405,7 +455,7 @@ class ThrustCurve:
     thrusters
         Number of thrusters, which all had the same command.
     calibration
-        Relative standard uncertainty of the load cell's force, None if it is unknown.
+        Relative standard uncertainty of the load cell's force; None if it is unknown.
     """
 
     curve: Curve
@@ -418,25 +468,29 @@ class ThrustCurve:
 
 
 def thrust_channels(channels: Mapping[str, Channel], curve: ThrustCurve) -> dict[str, Channel]:
-    """Compute the thrust from the commands of a log; a command holds until the next.
+    """Compute the thrusts of both thrusters from the commands of a log by a static thrust curve.
+
+    A command and its thrust are constant until the next sample.
 
     Parameters
     ----------
     channels
-        Channels of the log: ``n_cmd_left`` and ``n_cmd_right``, or ``n_left`` and ``n_right`` if there are no commands.
+        Channels of the log by name: ``n_cmd_left`` and ``n_cmd_right``, or ``n_left`` and ``n_right`` in place of
+        missing commands.
     curve
         Thrust curve.
 
     Returns
     -------
     dict of str to Channel
-        ``f_left``, ``f_right`` and their sum ``X`` [N]. ``X_n`` [N] is the change of X per unit change of both commands
-        away from zero. ``X - d X_n`` is therefore to first order the thrust with a dead band that is wider by d.
+        The thrusts ``f_left`` and ``f_right``, each that of one thruster, and their sum ``X`` [N]. ``X_n`` [N] is the
+        change of X per unit change of both commands away from zero. ``X - d X_n`` is therefore to first order the
+        thrust with a dead band that is wider by d.
 
     Raises
     ------
     ValueError
-        If a command is missing.
+        If the log has neither the command nor the shaft speed of a thruster.
     """
     found: dict[str, Channel] = {}
     slopes: list[Channel] = []
@@ -455,9 +509,9 @@ def thrust_channels(channels: Mapping[str, Channel], curve: ThrustCurve) -> dict
 
 
 def sum_of_held(left: Channel, right: Channel) -> Channel:
-    """Return the sum of two channels, ``left`` and ``right``, whose samples hold until the next.
+    """Return the sum of two channels, ``left`` and ``right``, whose values are constant until the next sample.
 
-    The sum is given at the union of their times. Its unit and its source are those of ``left``.
+    The sum has the times of both channels. Its unit and its source are those of ``left``.
     """
     t = np.union1d(left.t, right.t)
     return Channel(t, sample_and_hold(left, t) + sample_and_hold(right, t), left.unit, left.source)
@@ -475,11 +529,11 @@ def save_curve(
     curve
         The curve.
     levels
-        Measured levels.
+        Measured mean forces at steady commands.
     quadratic
         Quadratic fitted to the levels.
     provenance
-        Origin of the data: a table of TOML values.
+        Origin of the data, such as software version, command line and logs: values of TOML by key.
     """
     document = tomlkit.document()
     document["format"] = FORMAT
@@ -515,7 +569,7 @@ def save_curve(
 
 
 def _seven_digits(values: Sequence[float] | Array) -> list[float]:
-    """Return the values rounded to seven significant digits."""
+    """Return the values (n,) as a list of floats, rounded to seven significant digits."""
     return [float(f"{v:.7g}") for v in values]
 
 
@@ -530,14 +584,14 @@ def load_curve(path: Path) -> ThrustCurve | None:
     Returns
     -------
     ThrustCurve or None
-        None if the file cannot be read, is no TOML, or has another ``format``. A reader of other formats then reports
-        the error.
+        None if the file cannot be read, is no TOML, or has another ``format``: the caller tries other formats then.
 
     Raises
     ------
     SeatrialError
-        If the curve is incomplete, or if its numbers are out of range: fewer than two commands, commands that do not
-        rise, values that are not finite, or an uncertainty that is not between 0 and 1.
+        If a key of the curve is missing or has a wrong type, or if its numbers are out of range: fewer than two
+        commands, commands that do not rise, arrays of different lengths, values that are not finite, no thruster, or an
+        uncertainty that is not between 0 and 1.
     """
     try:
         table = parse_toml(read_text(path), path).values
@@ -568,7 +622,10 @@ def load_curve(path: Path) -> ThrustCurve | None:
 
 
 def _interpolator(n: Array, force: Array) -> Any:
-    """Return SciPy's monotone interpolator of the forces (n,) at the commands ``n`` (n,), which increase."""
+    """Return the monotone cubic through the forces (n_knots,) at increasing commands ``n`` (n_knots,).
+
+    The result is SciPy's interpolator, a function of commands.
+    """
     from scipy.interpolate import PchipInterpolator  # imported here: it takes half a second, and only curves need it
 
     return PchipInterpolator(n, force)

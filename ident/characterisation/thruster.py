@@ -1,7 +1,9 @@
 """Characterisation of a thruster from bench logs: its model fitted by maximum likelihood.
 
-Initial values come from the steps of the log. Delay and time constant are found by grid search, thrust coefficients by
-least squares.
+Initial values come from the steps of the command in the log. Delay and time constant are found by grid search, thrust
+coefficients by least squares.
+
+The dead zone is the range of commands around zero that do not turn the shaft. Its end is the parameter ``d``.
 """
 
 from __future__ import annotations
@@ -23,7 +25,7 @@ from seatrial.ident.numerics import Array, LagData, fit_first_order_lag
 THRUSTER_RATE = 50.0  # Hz, rows of a record with load cell and shaft speed
 GRID_STEP = 0.05  # s, step of the delays in the grid search for initial values, and of the command in it
 MAX_DELAY = 4.8  # s, largest delay in the grid search
-DEAD_ZONES = tuple(0.0025 * k for k in range(81))  # of full command: ends of the dead zone in the grid search
+DEAD_ZONES = tuple(0.0025 * k for k in range(81))  # of full command: values of d in the grid search
 WAYS = (1.0, -1.0)  # directions of a shaft: forward, reverse
 LEAST_SPEED = 0.05  # of full speed; smaller speeds may be noise
 N_SEARCHES = 3  # searches over the dead zone, each with the other parameters of the fit before
@@ -32,28 +34,32 @@ N_SEARCHES = 3  # searches over the dead zone, each with the other parameters of
 def fit_with_delay_on_grid(
     model: Model, records: list[Record], make_records: Callable[[Model], list[Record]], options: EstimationOptions
 ) -> tuple[Fit, list[Record]]:
-    """Fit a thruster model, then fit it again with the delay on one of the delayed copies of the command.
+    """Fit a thruster model, then fit it again with delayed copies of the command, one of which has the fitted delay.
+
+    A thruster model has copies of the command at fixed delays as inputs. A delay between two of them is an
+    interpolation, which the second fit avoids.
 
     Parameters
     ----------
     model
         Thruster model.
     records
-        Records of the bench runs.
+        Records of the bench runs for this model.
     make_records
-        Function of a thruster model that makes the records of the same runs with the delayed copies of that model.
+        Function of a thruster model that returns the records of the same runs, with the delayed copies of that model.
     options
         Options of the estimation.
 
     Returns
     -------
     tuple
-        The fit with the given options, and the records that belong to it. If the fitted delay is shorter than half of
-        the spacing of the copies, there is no second fit, and the records are the given ones.
+        The last fit, with ``options`` stored, and its records. If the fitted delay is shorter than half of the spacing
+        of the copies, there is no second fit, and the records are the given ones.
 
     Notes
     -----
-    Restricted likelihood comes last, from the maximum of the plain likelihood.
+    Both fits maximise the plain likelihood. With restricted likelihood (REML) in the options, a last fit starts from
+    its maximum.
     """
     plain = replace(options, reml=False)
     fitted = fit_thruster(model, records, plain)
@@ -69,7 +75,7 @@ def fit_with_delay_on_grid(
 
 
 def _fit_restricted(plain: Fit, records: Sequence[Record]) -> Fit:
-    """Fit by restricted likelihood (REML), from the maximum of the plain likelihood in the fit ``plain``.
+    """Fit the model by restricted likelihood (REML), from the estimates of the fit ``plain`` by plain likelihood.
 
     Iterations, evaluations and CPU time of the result are the sums of both fits. If the second fit did not converge,
     the message is its own; otherwise it is that of ``plain``.
@@ -85,15 +91,16 @@ def _fit_restricted(plain: Fit, records: Sequence[Record]) -> Fit:
 
 
 def fit_thruster(model: Model, records: Sequence[Record], options: EstimationOptions) -> Fit:
-    """Fit a thruster model from least-squares initial values.
+    """Fit a thruster model from least-squares initial values, with a grid search of the end ``d`` of the dead zone.
 
-    The likelihood depends on the end of the dead zone only within the dead zone. So the end is found by grid search.
-    The search is repeated with the other parameters of the new fit until the end no longer changes.
+    Only samples with commands near ``d`` inform the likelihood about it, so that a gradient search may not find it. The
+    grid search and the fit of all parameters are repeated, at most three times, until ``d`` changes by less than 0.005.
 
     Parameters
     ----------
     model
-        Thruster model. If the shaft turned in one direction only, c1 and c2 are one coefficient, and c2 is fixed at 0.
+        Thruster model. If the shaft turned in one direction only, the thrust coefficients c1 and c2 cannot be
+        distinguished, and c2 is fixed at 0.
     records
         Records of the bench runs.
     options
@@ -102,7 +109,7 @@ def fit_thruster(model: Model, records: Sequence[Record], options: EstimationOpt
     Returns
     -------
     Fit
-        The last fit, in which the end of the dead zone ``d`` is free.
+        The last fit. ``d`` is free in it.
     """
     if "thrust" in model.provides and len(directions(records)) < len(WAYS):
         model = model.replace_parameters(model.parameter("c2").at(0.0).fixed())
@@ -114,7 +121,10 @@ def fit_thruster(model: Model, records: Sequence[Record], options: EstimationOpt
         likelihood, values = Likelihood(fitted.model), fitted.record_values
 
         def log_likelihood(d: float, likelihood: Likelihood = likelihood, values: Array = values) -> float:
-            """Return the log-likelihood of all records with the end ``d`` of the dead zone (share of full command)."""
+            """Return the log-likelihood of all records with the end of the dead zone at ``d`` (share of full command).
+
+            The other parameters have the values of the last fit.
+            """
             tried = values.copy()
             tried[:, at] = d
             return sum(likelihood.value(r, v) for r, v in zip(records, tried, strict=True))
@@ -127,9 +137,10 @@ def fit_thruster(model: Model, records: Sequence[Record], options: EstimationOpt
 
 
 def directions(records: Sequence[Record]) -> tuple[float, ...]:
-    """Return the directions in which the shaft turned: 1 (forward) first, then -1 (reverse).
+    """Return the directions in which the shaft turned: 1 (forward) first, then -1 (reverse); empty if it was at rest.
 
-    A direction counts with at least 20 samples, over all records, faster than 5 % of full speed.
+    A direction counts if the measured shaft speed (first output of the records) has at least 20 samples above 5 % of
+    full speed in it, over all records.
     """
     n = np.concatenate([r.y[:, 0] for r in records])
     return tuple(direction for direction in WAYS if np.count_nonzero(direction * n > LEAST_SPEED) >= MIN_SAMPLES)
@@ -141,15 +152,15 @@ def steady_thrust(fitted: Fit, n: Array) -> tuple[Array, Array]:
     Parameters
     ----------
     fitted
-        Fit of a thruster model.
+        Fit of a thruster model with a force.
     n : Array (n_samples,)
-        Normalised shaft speeds.
+        Normalised shaft speeds, -1 to 1.
 
     Returns
     -------
     tuple of Array (n_samples,)
-        Thrust [N], and its standard errors [N] from the covariance of c1 and c2. The errors are NaN if the data do not
-        determine the coefficients.
+        Thrust [N], and its standard errors [N] from the covariance of those of c1 and c2 that were estimated. The
+        errors are NaN if the data do not determine the coefficients.
     """
     B = np.column_stack([n * np.abs(n), n * n])
     force = B @ [fitted.estimate(c)[0] for c in ("c1", "c2")]
@@ -160,11 +171,12 @@ def steady_thrust(fitted: Fit, n: Array) -> tuple[Array, Array]:
 
 
 def first_guess(records: Sequence[Record], model: Model) -> dict[str, float]:
-    """Return initial values of the parameters of a thruster model by name: delay ``tau`` [s] and pole ``a`` [1/s].
+    """Return initial values of the parameters of a thruster model from the records of bench runs, by name.
 
-    For a model with a force they also have the thrust coefficients ``c1`` (at least 0.1 N) and, if it is free, ``c2``
-    [N], and the offset ``bias`` [N] of the load cell. These follow from least squares of the force on the measured
-    shaft speed, interpolated to the times of the force.
+    They are the delay ``tau`` [s] and the pole ``a`` [1/s] of the shaft. For a model with a force they are also the
+    thrust coefficients ``c1`` (at least 0.1 N) and, if it is free, ``c2`` [N], and the offset ``bias`` [N] of the load
+    cell. These follow from a linear regression of the force on functions of the measured shaft speed, interpolated to
+    the times of the force.
     """
     tau, a = shaft_guess(records)
     guess = {"tau": tau, "a": a}
@@ -181,7 +193,7 @@ def first_guess(records: Sequence[Record], model: Model) -> dict[str, float]:
 
 
 def shaft_guess(records: Sequence[Record]) -> tuple[float, float]:
-    """Return delay [s] and pole [1/s] of the best first-order response of the shaft speed to the command.
+    """Return delay [s] and pole [1/s] of the best delayed first-order lag from the command to the shaft speed.
 
     Parameters
     ----------
@@ -190,8 +202,8 @@ def shaft_guess(records: Sequence[Record]) -> tuple[float, float]:
 
     Notes
     -----
-    The best response has the smallest mean absolute error on a grid of delays and poles. A search from one initial
-    value stops at a slow pole if the delay is long.
+    The best lag has the smallest sum of absolute errors of the shaft speed on a grid of delays (0 to 4.8 s) and poles.
+    A search from one initial value would stop at a slow pole if the delay is long.
     """
     delays = [k * GRID_STEP for k in range(round(MAX_DELAY / GRID_STEP) + 1)]
     found = fit_first_order_lag([_lag_data(r) for r in records], delays, (1.0 / START_POLES).tolist(), GRID_STEP)
@@ -199,10 +211,10 @@ def shaft_guess(records: Sequence[Record]) -> tuple[float, float]:
 
 
 def _lag_data(r: Record) -> LagData:
-    """Return the data for a search of delay and lag in a record: the command every 0.05 s, and a misfit function.
+    """Return the data of the record ``r`` for a search of delay and lag: the command every 0.05 s, and a function.
 
-    The misfit of a lagged command at a delay [s] is the sum of its absolute errors from the measured shaft speeds. The
-    shaft is at rest before the start of the record.
+    The function takes the command after a first-order lag and a delay [s]. It returns the sum of absolute differences
+    from the measured shaft speeds. The shaft is assumed to be at rest before the start of the record.
     """
     t = np.arange(r.t[0], r.t[-1], GRID_STEP)
     command = r.u[np.clip(np.searchsorted(r.t, t, side="right") - 1, 0, None), r.inputs.index("n_cmd_0")]
@@ -210,7 +222,10 @@ def _lag_data(r: Record) -> LagData:
     n, row = r.y[seen, 0], np.clip(np.round((r.t[seen] - r.t[0]) / GRID_STEP).astype(int), 0, t.size - 1)
 
     def misfit(lagged: Array, delay: float) -> float:
-        """Return the sum of absolute errors of the lagged command (n,), ``delay`` [s] later, at the measured speeds."""
+        """Return the sum of absolute differences between measured shaft speeds and the lagged command (n,).
+
+        The lagged command is shifted by ``delay`` [s], rounded to 0.05 s. It is zero before the start of the record.
+        """
         past = np.maximum(row - round(delay / GRID_STEP), -1)
         return float(np.abs(n - np.append(lagged, 0.0)[past]).sum())  # index -1, before the start: shaft at rest
 
@@ -218,14 +233,12 @@ def _lag_data(r: Record) -> LagData:
 
 
 def thruster_name(loaded: LoadedLog) -> str:
-    """Return the name of the only thruster of a loaded log that was commanded and whose shaft speed was measured.
-
-    A thruster whose command is constant does not count.
+    """Return the name of the only thruster in a bench log with a command that changes and a measured shaft speed.
 
     Raises
     ------
     SeatrialError
-        If there is no such thruster, or more than one.
+        If the log has no such thruster, or more than one.
     """
     c = loaded.run.channels
     moved = [n for n in commanded_thrusters(c) if shaft_speed_of(n) in c and np.ptp(c[command_of(n)].value) > 0]
@@ -241,12 +254,13 @@ def thruster_name(loaded: LoadedLog) -> str:
 def check_signs(loaded: LoadedLog, name: str) -> None:
     """Check signs and units of a bench log before a fit: shaft speed against command, and force against shaft speed.
 
-    ``loaded`` is the log, and ``name`` is the name of the thruster. Channels that the log lacks are not checked.
+    ``loaded`` is the log, and ``name`` is the name of the thruster in the rig. Channels that the log lacks are not
+    checked.
 
     Raises
     ------
     SeatrialError
-        If a sign or unit is wrong. The message says what to do.
+        If a sign or unit is wrong. The message contains advice.
     """
     c, where = loaded.run.channels, loaded.about["path"]
     for f in check_shafts({n: c[n] for n in (command_of(name), shaft_speed_of(name)) if n in c}):
@@ -260,10 +274,10 @@ def check_signs(loaded: LoadedLog, name: str) -> None:
 
 
 def thruster_channels(loaded: LoadedLog, model: Model, name: str) -> dict[str, Channel]:
-    """Return the channels of the thruster ``name`` in a loaded log, with the names that a thruster model gives them.
+    """Return the channels of the thruster ``name`` in a bench log, by the names that the thruster model ``model`` uses.
 
-    They are the delayed copies of the command ``n_cmd_0``, ``n_cmd_1``, ..., the shaft speed ``n`` and, with a load
-    cell, the force ``force`` [N].
+    They are delayed copies of the command, ``n_cmd_0``, ``n_cmd_1``, ..., with the delays of the model, the shaft speed
+    ``n`` and, if the log has it, the force ``force`` [N] of the load cell.
 
     Raises
     ------
@@ -279,21 +293,27 @@ def thruster_channels(loaded: LoadedLog, model: Model, name: str) -> dict[str, C
 
 
 def thruster_runs(loaded: Sequence[LoadedLog], model: Model, name: str | None) -> list[LogSegment]:
-    """Return the logs as runs for a bench model, all of one thruster.
+    """Return bench logs of one thruster with the channel names of a thruster model.
 
     Parameters
     ----------
     loaded
-        Loaded bench logs.
+        Bench logs.
     model
         Thruster model.
     name
-        Name of the thruster. With None it is the only commanded thruster of the first log.
+        Name of the thruster in all logs. None: the only thruster of the first log with a command that changes and a
+        shaft speed.
+
+    Returns
+    -------
+    list of LogSegment
+        One for each log, with the channels of the model only.
 
     Raises
     ------
     SeatrialError
-        If the model has a force and a log lacks it, or if a log lacks another channel.
+        If a log lacks a channel of the model, or if the thruster of the first log is not unique.
     """
     runs = []
     for log in loaded:

@@ -1,4 +1,4 @@
-"""Building blocks of a page: sections, their contents (text, tables, plots, tabs), and the collector of figures.
+"""Building blocks of a report page: sections, their contents (text, tables, plots, tabs), and the collector of figures.
 
 A *block* here is a piece of a page. Blocks contain texts and numbers that are ready to show.
 ``templates/blocks.html.j2`` renders each by its field ``kind``, the name of the block's type in the template.
@@ -94,12 +94,12 @@ class Table:
 
 @dataclass(frozen=True)
 class Plot:
-    """Place of a figure in a report page.
+    """Place of a figure in a report page. The figure itself is in ``Canvas.figures``.
 
     Attributes
     ----------
     id
-        Key of the figure in ``Canvas.figures``.
+        Key of the figure in ``Canvas.figures``, which is also the id of its HTML element.
     height
         Height [px].
     label
@@ -245,12 +245,12 @@ class Dumbbell:
 
 @dataclass(frozen=True)
 class Dumbbells:
-    """Prediction errors before and after, of several channels on one relative scale.
+    """Chart of the prediction errors of several channels before and after effects were added, on one relative scale.
 
     Attributes
     ----------
     items
-        One entry for each channel.
+        Pair of dots for each channel, from top to bottom.
     caption
         Text below the chart.
     kind
@@ -296,7 +296,9 @@ class EffectCard:
 
 @dataclass(frozen=True)
 class Bar:
-    """Bar of one candidate's score test. Lengths are in per cent of the track's width, 0 to 100.
+    """Bar of a chart for the score test of one candidate (an effect, or a nonparametric curve, that may be missing).
+
+    Lengths are in per cent of the width of the bar's track, 0 to 100.
 
     Attributes
     ----------
@@ -307,7 +309,7 @@ class Bar:
     width
         Length of the bar.
     threshold
-        Position of the critical value.
+        Position of the critical value of the statistic.
     generic
         Whether the candidate is a nonparametric curve instead of an effect of the catalogue.
     passed
@@ -328,7 +330,7 @@ class Bar:
 
 @dataclass(frozen=True)
 class Ranking:
-    """Bar chart of the candidates' score tests on a logarithmic axis.
+    """Bar chart of the score tests of the candidates of a search round, on a logarithmic axis.
 
     Attributes
     ----------
@@ -413,21 +415,21 @@ class Section:
 
 @dataclass
 class Canvas:
-    """Collector of a page's figures while its sections are built.
+    """Collector of the figures of a report page while its sections are built.
 
     Attributes
     ----------
     budget
-        Largest number of points of a trace.
+        Limit on the number of points of a trace (line of a figure).
     figures
-        Plotly figures by the id of their ``Plot``. `plot` adds to them.
+        Plotly figures by the id of their ``Plot``; the method `plot` adds to them.
     """
 
     budget: Budget
     figures: dict[str, Figure] = field(default_factory=dict)
 
     def plot(self, figure: Figure, height: int, label: str, title: str = "") -> Plot:
-        """Store a figure under a new id ``figure-N`` and return its place on the page.
+        """Store a figure under a new id, ``figure-1`` and so on, and return its place on the page.
 
         Parameters
         ----------
@@ -446,9 +448,10 @@ class Canvas:
 
 
 def tabbed(tabs: Sequence[tuple[str, Sequence[Any]]]) -> list[Any]:
-    """Return the tabs of a report page without the empty ones; an empty list if all tabs are empty.
+    """Return a block of tabs for a report page, as a list of one. Tabs without contents are left out.
 
-    If only one tab has contents, return its title as a heading, followed by its contents.
+    If only one tab has contents, the list is its title as a heading, followed by its contents. If no tab has contents,
+    the list is empty.
 
     Parameters
     ----------

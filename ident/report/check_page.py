@@ -1,4 +1,8 @@
-"""HTML page of a check of logs or of a rig: answer, findings, curves of the logs, and dry run of the mission."""
+"""HTML page of a check of logs or of a rig (`seatrial check`, preflight).
+
+It has the answer, the findings, the curves of the logs, and the dry run of the rig's mission, in which no thruster is
+commanded.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +26,7 @@ from seatrial.ident.report.drawing import BEFORE, MODEL, Budget, Panel, dots, li
 from seatrial.ident.report.page import compose
 
 LEVELS = {"fault": "faults", "warning": "warnings", "ok": "ok"}
-MAX_NAMED = 4  # findings named in the answer
+MAX_NAMED = 4  # findings named in the answer; of more findings, the first three are named
 MAX_POINTS = 120_000  # of all traces of the page
 PanelMaker = Callable[[CheckEvidence, int], Sequence[Panel]]  # from a log and the largest number of points of a trace
 
@@ -39,9 +43,9 @@ def write_check_page(report: CheckReport, logs: Sequence[CheckEvidence], command
     logs : sequence of CheckEvidence
         Curves of each log; may be empty.
     command : str
-        Command line of the check; without it the page has no section of provenance.
+        Command line of the check. If it is empty, the page has no section of provenance.
     path : Path
-        File to write.
+        HTML file to write.
 
     Raises
     ------
@@ -69,10 +73,16 @@ def write_check_page(report: CheckReport, logs: Sequence[CheckEvidence], command
 
 
 def check_answer(report: CheckReport) -> str:
-    """Return the headline of the page of `seatrial check`: ready or not, and the first fault or the warnings.
+    """Return the headline of the page of a check: whether the rig is ready or the log is in order, and why not.
 
-    A rig is called ready, a log in order. With faults, the first is given in full and the others by place and check.
-    Without any finding the answer says that no check applies.
+    If there are faults, the first is given in full, and the others by place and name of the check. If there are only
+    warnings, they are given by place and name of the check. If there is no finding at all, the headline states that no
+    check applies.
+
+    Parameters
+    ----------
+    report
+        Findings of the check. They are about a rig if the report has the name of a rig, otherwise about logs.
     """
     found, subject, rig = report.findings, report.subject, report.rig is not None
     faults, warnings = ([f for f in found if f.level == level] for level in ("fault", "warning"))
@@ -90,7 +100,10 @@ def check_answer(report: CheckReport) -> str:
 
 
 def _finding_phrase(finding: Finding) -> str:
-    """Return the text of a finding, preceded by its place and a comma unless the text contains the place as a word."""
+    """Return the text of a finding, preceded by its place (device, thruster or file) and a comma.
+
+    The place is left out if the text contains its last part (after ``: ``) as a word.
+    """
     where, text = finding.where, finding.text
     # whole words only: the letter of a signal such as `r` is in most texts
     named = re.search(rf"(?<!\w){re.escape(where.rsplit(': ', 1)[-1])}(?!\w)", text)
@@ -98,14 +111,15 @@ def _finding_phrase(finding: Finding) -> str:
 
 
 def _with_full_stop(phrase: str) -> str:
-    """Return a sentence of the check page with a full stop, or unchanged if it ends with a question mark."""
+    """Return a sentence with a full stop added, or unchanged if it ends with a question mark."""
     return phrase if phrase.endswith("?") else f"{phrase}."
 
 
 def _findings_in_words(found: Sequence[Finding]) -> str:
-    """Return the places and checks of findings: ``gnss (rate), left (delay) and 3 more``.
+    """Return place and name of the check of each finding: ``gnss (rate), left (delay) and compass (noise)``.
 
-    Of more than four findings, the first three are named. ``found`` must not be empty.
+    Of more than four findings, the first three are named and the others are counted: ``and 2 more``. ``found`` must not
+    be empty.
     """
     shown = [f"{f.where} ({f.check})" for f in found]
     if len(shown) > MAX_NAMED:
@@ -114,12 +128,16 @@ def _findings_in_words(found: Sequence[Finding]) -> str:
 
 
 def _findings_block(found: Sequence[Finding]) -> Verdicts:
-    """Return the list of findings of a check as a piece of its page."""
+    """Return the findings of a check, in their order, as a list for its report page."""
     return Verdicts([Verdict(f.level, f.where, f.check, f.text, f.advice) for f in found])
 
 
 def _labelled_facts(report: CheckReport, logs: Sequence[CheckEvidence]) -> list[tuple[str, str]]:
-    """Return the labelled facts of the check page: rig, duration of each log, and number of findings of each level."""
+    """Return (label, value) of the facts at the top of the check page.
+
+    They are the rig, if the report has one, the duration of each log, and the number of faults, warnings and findings
+    without a problem.
+    """
     levels = [f.level for f in report.findings]
     facts = [] if report.rig is None else [("rig", report.rig)]
     for log in logs:
@@ -129,18 +147,18 @@ def _labelled_facts(report: CheckReport, logs: Sequence[CheckEvidence]) -> list[
 
 
 def _trace_count(log: CheckEvidence) -> int:
-    """Return the approximate number of traces (lines) that the figures of one log need.
+    """Return the approximate number of traces (lines) in the figures of one log.
 
-    The number of points of each trace is chosen by it, so that the page does not become too large.
+    The more traces the page has, the fewer points each of them gets, so that the page does not become too large.
     """
     return sum(len(rows) for rows in (log.intervals, log.shafts, log.thrust_response, log.sensors, log.signals)) + 2
 
 
 def _evidence_sections(canvas: Canvas, logs: Sequence[CheckEvidence]) -> list[Section]:
-    """Return one section for each kind of curve, with a tab per log; a single log has no tabs.
+    """Return one section of figures for each kind of curve, with a tab for each log; a single log has no tabs.
 
-    The kinds are thrust response, shafts, pairs of sensors, signals and time between samples. Sections without curves
-    have no blocks.
+    The kinds are thrust response, shafts, pairs of sensors, signals, and time between samples. A section is empty if no
+    log has such a curve. The figures are added to ``canvas``.
     """
     measured = ("measured", "measured")
     return [
@@ -203,7 +221,7 @@ def _curve_section(
     legend: Sequence[tuple[str, str]] = (),
     lead: str = "",
 ) -> Section:
-    """Return the section of one kind of curve; it is empty if no log has such a curve.
+    """Return the section of the figures of one kind of curve; it is empty if no log has such a curve.
 
     Parameters
     ----------
@@ -212,15 +230,15 @@ def _curve_section(
     logs : sequence of CheckEvidence
         Curves of each log.
     key : str
-        Anchor of the section.
+        Anchor of the section in the page.
     title : str
         Title of the section.
     make_panels : callable
-        Function that returns the panels of one log, given the largest number of points of a trace.
+        Function that returns the panels of one log, given the log's curves and the largest number of points of a trace.
     height : int
         Height of a panel [px].
     legend : sequence
-        Pairs of CSS class and meaning; may be empty.
+        CSS class of each symbol, and its meaning; may be empty.
     lead : str
         Introduction of the section; may be empty.
     """
@@ -236,7 +254,7 @@ def _curve_section(
 
 
 def _thrust_response_panels(log: CheckEvidence, limit: int) -> list[Panel]:
-    """Return one panel for each motion: measured, and expected from the thrust.
+    """Return one panel for each motion of the boat (such as the yaw rate): measured, and expected from the thrust.
 
     ``limit`` is the largest number of points of a trace.
     """
@@ -252,7 +270,7 @@ def _thrust_response_panels(log: CheckEvidence, limit: int) -> list[Panel]:
 
 
 def _shaft_panels(log: CheckEvidence, limit: int) -> list[Panel]:
-    """Return one panel for each shaft: command and measured speed.
+    """Return one panel for each thruster: command and measured shaft speed, as fractions of full speed.
 
     ``limit`` is the largest number of points of a trace.
     """
@@ -268,9 +286,19 @@ def _shaft_panels(log: CheckEvidence, limit: int) -> list[Panel]:
 
 
 def _staircase(t: Array, value: Array, end: float, limit: int) -> tuple[Array, Array]:
-    """Return times and values of a staircase: each command is held until the next one, the last until ``end`` [s].
+    """Return times and values of commands as a staircase: each command is held until the next one.
 
-    If the corners are more than ``limit`` points, return ``limit`` held values at equidistant times instead.
+    The last command is held until ``end`` [s], or is not held if its time is later. If the corners are more than
+    ``limit`` points, the result is ``limit`` held values at equidistant times instead.
+
+    Parameters
+    ----------
+    t, value
+        Times [s] of the commands (n,), at least one, and the commands (n,).
+    end
+        Time [s] until which the last command is held.
+    limit
+        Largest number of points.
     """
     # line_trace would thin more corners, and join the remaining ones by slopes
     end = max(end, float(t[-1]))
@@ -281,7 +309,7 @@ def _staircase(t: Array, value: Array, end: float, limit: int) -> tuple[Array, A
 
 
 def _sensor_panels(log: CheckEvidence, limit: int) -> list[Panel]:
-    """Return one panel for each motion that two sensors measure, with both curves.
+    """Return one panel for each motion of the boat that two sensors measure, with both curves.
 
     ``limit`` is the largest number of points of a trace.
     """
@@ -295,7 +323,7 @@ def _sensor_panels(log: CheckEvidence, limit: int) -> list[Panel]:
 
 
 def _signal_panels(log: CheckEvidence, limit: int) -> list[Panel]:
-    """Return one panel for each signal. Angles are shown in degrees without jumps of a full turn.
+    """Return one panel for each measured signal. Angles are shown in degrees without jumps of a full turn.
 
     ``limit`` is the largest number of points of a trace.
     """
@@ -310,7 +338,9 @@ def _signal_panels(log: CheckEvidence, limit: int) -> list[Panel]:
 
 
 def _interval_panels(log: CheckEvidence, limit: int) -> list[Panel]:
-    """Return one panel for each device: time between its samples [ms], and the expected time if the rig has a rate.
+    """Return one panel for each device: time between its samples [ms] over time.
+
+    The expected time is added as a dashed line if the rig file has the rate of the device.
 
     ``limit`` is the largest number of points of a trace.
     """
@@ -326,9 +356,10 @@ def _interval_panels(log: CheckEvidence, limit: int) -> list[Panel]:
 
 
 def _mission_section(canvas: Canvas, mission: DryRun | None) -> Section:
-    """Return the section of the dry run: commands of the mission and predicted track of the boat.
+    """Return the section of the dry run of a mission: its commands over time, and the predicted track of the boat.
 
-    Without a mission (None) the section is empty, and without a predicted track only the commands.
+    The section is empty if ``mission`` is None. It has only the commands if there is no predicted track. The figures
+    are added to ``canvas``.
     """
     if mission is None:
         return Section("mission", "", [])
@@ -358,9 +389,11 @@ def _mission_section(canvas: Canvas, mission: DryRun | None) -> Section:
 
 
 def _track_traces(track: PredictedTrack, fence: float | None) -> list[drawing.Trace]:
-    """Return the traces of the predicted track, its outermost 95 % circle, the geofence and the start.
+    """Return the traces of the predicted track, one 95 % circle, the geofence and the start.
 
-    ``fence`` is the radius of the geofence [m]. The circle and the geofence are left out if they are unknown (None).
+    The circle contains the boat with a probability of 95 %; of all points of the track, it is the circle that reaches
+    farthest from the start. It is left out if the track has no such circles. ``fence`` is the radius [m] of the
+    geofence about the start; None: the geofence is left out.
     """
     x, y = track.x - track.x[0], track.y - track.y[0]
     traces = [line_trace(y, x, "predicted track", 4000)]
@@ -379,5 +412,5 @@ def _track_traces(track: PredictedTrack, fence: float | None) -> list[drawing.Tr
 
 
 def _capitalised(words: str) -> str:
-    """Return a text of the check page with a capital first letter; an empty text stays empty."""
+    """Return a text with a capital first letter; an empty text stays empty."""
     return words[:1].upper() + words[1:]

@@ -17,7 +17,7 @@ from seatrial.ident.results import DesignResult, DesignTrack
 
 COLORS = {"design": MODEL, "PRBS": AMBER, "RGS": GREEN}
 DASHES = {"design": "solid", "PRBS": "dash", "RGS": "dot"}
-N_BINS = 60
+N_BINS = 60  # of a histogram
 
 
 def write_design_page(result: DesignResult, path: Path) -> None:
@@ -26,9 +26,9 @@ def write_design_page(result: DesignResult, path: Path) -> None:
     Parameters
     ----------
     result
-        Designed mission with its expected standard errors.
+        Result of `seatrial mission design`: the mission with its expected standard errors.
     path
-        File to write.
+        HTML file to write.
 
     Raises
     ------
@@ -58,7 +58,10 @@ def write_design_page(result: DesignResult, path: Path) -> None:
 
 
 def _introduction(result: DesignResult) -> str:
-    """Return the introduction of the page of a design: its criterion, its parameters, and the kind of information."""
+    """Return the introduction of the page of a designed mission.
+
+    It has the criterion, the parameters that the criterion includes, and the kind of Fisher information.
+    """
     form = (
         "with process noise (prediction error)"
         if result.form == "prediction error"
@@ -72,10 +75,11 @@ def _introduction(result: DesignResult) -> str:
 
 
 def _labelled_facts(result: DesignResult) -> list[tuple[str, str]]:
-    """Return the labelled facts of a design.
+    """Return (label, value) of the facts at the top of the page of a designed mission.
 
-    The facts are the model, the criterion of the design and of the baseline signals, the share of samples won, the
-    rates of the sensors, and the discrimination of two effects if it was asked for.
+    They are the model, the criterion of the design and of the baseline signals, the share of parameter samples in which
+    the design is better than these, and the sensor rates if they are known. If two effects were to be distinguished
+    (`--discriminate`), they include the criterion T for either of them.
     """
     found = [("model", result.model), ("criterion", formatting.plain(result.value, 4))]
     found += [(f"best of 20 {r.name}", formatting.plain(r.value, 4)) for r in result.baselines]
@@ -127,7 +131,7 @@ def _errors_section(result: DesignResult) -> Section:
 
 
 def _commands_section(canvas: Canvas, result: DesignResult) -> Section:
-    """Return the section with the commands of each thruster over time; empty without inputs."""
+    """Return the section with the commands of the mission over time, one panel for each input; empty without inputs."""
     panels = [
         Panel(
             f"command {row.name}, -1..1",
@@ -143,7 +147,10 @@ def _commands_section(canvas: Canvas, result: DesignResult) -> Section:
 
 
 def _track_section(canvas: Canvas, track: DesignTrack | None) -> Section:
-    """Return the section with the predicted track, sampled boats and the area; empty without a track."""
+    """Return the section with the figure of the boat's predicted track; empty if ``track`` is None.
+
+    The figure also has the tracks of boats with sampled parameters, and the area of operation if one was given.
+    """
     if track is None:
         return Section("track", "", [])
     traces: list[Trace] = []
@@ -194,7 +201,10 @@ def _track_section(canvas: Canvas, track: DesignTrack | None) -> Section:
 
 
 def _start_marker(x: Array, y: Array) -> Trace:
-    """Return the trace of the square marker at the start of the track, whose coordinates are x and y (1,) [m]."""
+    """Return the trace of a square marker at the start of the track.
+
+    ``x`` (1,) is the horizontal coordinate, east [m], and ``y`` (1,) the vertical coordinate, north [m].
+    """
     return {
         "type": "scatter",
         "mode": "markers",
@@ -207,9 +217,10 @@ def _start_marker(x: Array, y: Array) -> Trace:
 
 
 def _baselines_section(canvas: Canvas, result: DesignResult) -> Section:
-    """Return the section with histograms of the criterion over parameter samples.
+    """Return the section that compares the design with the baseline signals (PRBS, RGS) for uncertain parameters.
 
-    There is one histogram for the design and one for each baseline signal. Without samples the section is empty.
+    It has one histogram for the design and one for each baseline signal: the values of the criterion at samples of the
+    parameters. The section is empty if there are no samples.
     """
     samples = result.samples
     if not samples:
@@ -233,9 +244,15 @@ def _baselines_section(canvas: Canvas, result: DesignResult) -> Section:
 
 
 def edges_of(samples: Mapping[str, Array]) -> Array:
-    """Return the common bin edges (N_BINS + 1,) of all histograms, from the 0.2 % to the 99.8 % quantile.
+    """Return the common bin edges of the histograms of all signals, evenly spaced, Array (N_BINS + 1,).
 
-    ``samples`` has the criterion at each sample by signal. Values that are not finite are left out.
+    They reach from the 0.2 % to the 99.8 % quantile of the finite values of all signals.
+
+    Parameters
+    ----------
+    samples
+        Values of the criterion at samples of the parameters, by the name of the signal (``design``, ``PRBS``, ``RGS``).
+        At least one must be finite.
     """
     values = np.concatenate(list(samples.values()))
     low, high = np.quantile(values[np.isfinite(values)], [0.002, 0.998])
@@ -243,9 +260,10 @@ def edges_of(samples: Mapping[str, Array]) -> Array:
 
 
 def _histogram(name: str, values: Array, edges: Array) -> Trace:
-    """Return the outline of a histogram as a filled line; values beyond the edges count in the first or last bin.
+    """Return the outline of a histogram as the trace of a filled line.
 
-    ``name`` is that of the signal, and chooses colour and dash.
+    Values beyond the bin ``edges`` count in the first or last bin. ``name`` is that of the signal (``design``,
+    ``PRBS``, ``RGS``), which determines colour and dash.
     """
     count = np.histogram(np.clip(values, edges[0], edges[-1]), edges)[0].astype(float)
     outline_x, outline_y = np.repeat(edges, 2)[1:-1], np.repeat(count, 2)
@@ -256,6 +274,6 @@ def _histogram(name: str, values: Array, edges: Array) -> Trace:
 
 
 def _provenance_section(result: DesignResult) -> Section:
-    """Return the section of a design's page with its provenance: command line and number of simulations."""
+    """Return the section with the provenance of a designed mission: command line and number of simulations."""
     facts = [("command", result.command), ("simulations", str(result.evaluations))]
     return Section("made", "How it was made", [Facts(facts, "made")])

@@ -1,4 +1,7 @@
-"""Construction of Plotly figures as plain data: thinned and packed arrays, lines, bands, stacked panels."""
+"""Construction of Plotly figures as plain data: thinned and packed arrays, lines, bands, stacked panels.
+
+A trace is a line, a set of dots or an area of a figure, in the JSON of Plotly.
+"""
 
 from __future__ import annotations
 
@@ -52,41 +55,41 @@ TEMPLATE: Figure = {
 
 @dataclass
 class Budget:
-    """Limit on the points of each trace (line of a figure), which keeps a page with many traces small.
+    """Limit on the number of points of each trace (line of a figure), which keeps a page with many traces small.
 
     Attributes
     ----------
     points
-        Largest number of points.
+        Largest number of points of a trace.
     """
 
     points: int = 3000
 
     @classmethod
     def for_traces(cls, n_traces: int, total: int = 220_000) -> Budget:
-        """Return the budget of a page of about ``total`` points; each trace may have 200 to 3000 points.
+        """Return the limit for a page of about ``total`` points: ``total / n_traces``, but at least 200, at most 3000.
 
         Parameters
         ----------
         n_traces
-            Number of traces on the page.
+            Number of traces on the page; 0 counts as 1.
         total
-            Number of points that all traces together should have.
+            Number of points that all traces of the page together should have.
         """
         return cls(int(np.clip(total / max(n_traces, 1), 200, 3000)))
 
 
 def drawable(y: Array | None) -> Array | None:
-    """Return the curve y, or None if there is nothing to draw: y is None or has no finite value."""
+    """Return the curve y unchanged, or None if there is nothing to draw: y is None or has no finite value."""
     return y if y is not None and np.isfinite(y).any() else None
 
 
 def thinned(y: Array, limit: int) -> Index:
-    """Return the indices of at most ``limit`` points of the line y (n,) that suffice to draw it.
+    """Return the indices of at most ``limit`` points of the line y (n,) that suffice to draw it, in ascending order.
 
     They are the first and the last point, and the minimum and the maximum of each of about ``limit / 2`` intervals.
-    ``limit`` has to be four or more. All indices are returned if y (n,) has at most ``limit`` points. NaN is
-    never a minimum or maximum.
+    ``limit`` has to be four or more. All indices are returned if n is at most ``limit``. A value that is not finite is
+    never the minimum or maximum of an interval that has finite values.
     """
     n = y.size
     if n <= limit:
@@ -102,14 +105,18 @@ def thinned(y: Array, limit: int) -> Index:
 
 
 def strided(n: int, limit: int) -> Index:
-    """Return indices of at most ``limit`` of n points to draw, evenly spaced, with the first and the last point."""
+    """Return the indices of at most ``limit`` of n points to draw, evenly spaced, with the first and the last point.
+
+    All indices are returned if n is at most ``limit``.
+    """
     return np.arange(n) if n <= limit else np.unique(np.linspace(0, n - 1, limit).round().astype(int))
 
 
 def sampled(y: Array, limit: int, n_extreme: int = 40) -> Index:
-    """Return indices of the points of a scatter plot to draw: all of y (n,), or about ``limit`` of them.
+    """Return the indices of the points y (n,) of a scatter plot to draw, in ascending order.
 
-    These are equidistant points and the ``n_extreme`` largest absolute values. The indices increase.
+    If n is at most ``limit``, they are all indices. Otherwise they are those of ``limit`` evenly spaced points and of
+    the ``n_extreme`` largest absolute values; NaN counts as 0.
     """
     if y.size <= limit:
         return np.arange(y.size)
@@ -118,11 +125,11 @@ def sampled(y: Array, limit: int, n_extreme: int = 40) -> Index:
 
 
 def packed(values: Any) -> Any:
-    """Return an array of numbers in a compact form that Plotly reads.
+    """Return an array (n,) of numbers in a compact form that Plotly reads.
 
-    Up to 64 numbers are a list, in which each has six significant digits. More are base64 of little-endian 32-bit
-    floats. Values that are not finite or exceed the range of 32-bit floats (diverged models) become gaps: None in a
-    list, NaN otherwise.
+    Up to 64 numbers become a list, in which each has six significant digits. More numbers become a dict with the base64
+    text of little-endian 32-bit floats. Values that are not finite, or exceed the range of 32-bit floats (diverged
+    models), become gaps of the line: None in the list, NaN in the floats.
     """
     a = np.asarray(values, dtype=float)
     a = np.where(np.abs(a) < LARGEST, a, np.nan)
@@ -132,16 +139,14 @@ def packed(values: Any) -> Any:
 
 
 def escaped(words: str) -> str:
-    """Return a text for a figure in which markup and hover variables are shown as written."""
+    """Return a text escaped for a figure: Plotly shows ``<b>`` as written and ``%{x}`` as ``% {x}``, not as a value."""
     return html.escape(words, quote=False).replace("%{", "% {")
 
 
 def line_trace(
     x: Array, y: Array, name: str, limit: int, *, color: str = MODEL, dash: str = "solid", turn: float | None = None
 ) -> Trace:
-    """Return a line through x and y (n,) of at most ``limit`` points, with gaps at NaN.
-
-    The line also has gaps where a wrapped angle jumps.
+    """Return the trace of a line through x and y, with gaps at NaN and where a wrapped angle jumps by a full turn.
 
     Parameters
     ----------
@@ -150,13 +155,13 @@ def line_trace(
     name
         Text in the legend and on hover.
     limit
-        Largest number of points.
+        Largest number of points that are drawn; a longer line is thinned.
     color
         Colour, for example ``#0072B2``.
     dash
-        Dash of the line in the words of Plotly.
+        Dash of the line in the words of Plotly, for example ``solid`` or ``dot``.
     turn
-        A full turn in the unit of a wrapped angle, None for other signals.
+        A full turn in the unit of y if y is a wrapped angle, for example 360; None for other signals.
     """
     at = thinned(y, limit)
     style = {"color": color, "width": 1.6, "dash": dash}
@@ -164,24 +169,27 @@ def line_trace(
 
 
 def _indices_after_jumps(y: Array, turn: float | None) -> Index:
-    """Return the indices of the points just after a jump of a wrapped angle by more than half a turn.
+    """Return the indices of the points just after a jump of a wrapped angle y (n,) by more than half a turn.
 
-    ``turn`` is a full turn in the unit of y (n,). Empty without ``turn``.
+    ``turn`` is a full turn in the unit of y. If it is None, because y is no angle, the result is empty.
     """
     return np.flatnonzero(np.abs(np.diff(y)) > turn / 2) + 1 if turn else np.zeros(0, dtype=np.intp)
 
 
 def _with_gaps_at_jumps(x: Array, y: Array, turn: float | None) -> tuple[Array, Array]:
-    """Return x and y (n,) with a NaN inserted in y at each jump of a wrapped angle; unchanged if ``turn`` is None."""
+    """Return x and y (n,) with a NaN inserted in y before each jump of a wrapped angle by more than half a turn.
+
+    ``turn`` is a full turn in the unit of y. If it is None, because y is no angle, x and y are returned unchanged.
+    """
     at = _indices_after_jumps(y, turn)
     return np.insert(x, at, x[at]), np.insert(y, at, np.nan)
 
 
 def dots(x: Array, y: Array, name: str, limit: int, *, color: str = MEASURED, turn: float | None = None) -> Trace:
-    """Return measured values as dots, or as a thin line with gaps if there are more than 700.
+    """Return the trace of measured values as dots, or as a thin line with gaps if there are more than 700.
 
-    Values of y (n,) that are not finite are left out. The line has a gap where samples are more than eight median
-    intervals apart.
+    Values of y that are not finite are left out. The line has a gap where samples are more than eight times the median
+    interval apart, and where a wrapped angle jumps by a full turn.
 
     Parameters
     ----------
@@ -190,11 +198,11 @@ def dots(x: Array, y: Array, name: str, limit: int, *, color: str = MEASURED, tu
     name
         Text in the legend and on hover.
     limit
-        Largest number of points of the thin line; up to 700 dots are not thinned.
+        Largest number of points of the thin line; up to a quarter more may be added to keep its gaps. Dots are kept.
     color
         Colour, for example ``#5b6470``.
     turn
-        A full turn in the unit of a wrapped angle, None for other signals.
+        A full turn in the unit of y if y is a wrapped angle, for example 360; None for other signals.
     """
     x, y = x[np.isfinite(y)], y[np.isfinite(y)]
     if x.size <= 700:
@@ -216,27 +224,26 @@ def band(
     opacity: float = 0.18,
     turn: float | None = None,
 ) -> Trace:
-    """Return the filled band from ``middle - half`` to ``middle + half``, all arrays (n,).
+    """Return the trace of a filled band from ``middle - half`` to ``middle + half``, without hover text.
 
-    Points that are not finite are left out, and about half of ``limit`` points are kept. The band is split where a
-    wrapped angle jumps.
+    Points that are not finite are left out. The band is split where a wrapped angle jumps by more than half a turn.
 
     Parameters
     ----------
     x
-        Horizontal coordinates.
+        Horizontal coordinates (n,).
     middle
-        Curve in the middle of the band.
+        Curve (n,) in the middle of the band.
     half
-        Half height of the band.
+        Half height (n,) of the band.
     limit
-        Largest number of points of a trace on the page.
+        Largest number of points of a trace on the page. The band has at most half as many, or 100 if that is more.
     color
         Colour, for example ``#0072B2``.
     opacity
         Opacity of the filling, 0 to 1.
     turn
-        A full turn in the unit of a wrapped angle, None for other signals.
+        A full turn in the unit of ``middle`` if that is a wrapped angle, for example 360; None for other signals.
     """
     good = np.flatnonzero(np.isfinite(x) & np.isfinite(middle) & np.isfinite(half))
     at = good[strided(good.size, max(limit // 2, 100))]
@@ -247,23 +254,20 @@ def band(
 def between(
     x: Array, low: Array, high: Array, *, color: str = MODEL, opacity: float = 0.18, ends: Index | None = None
 ) -> Trace:
-    """Return the filled area of a figure between the curves ``low`` and ``high`` (n,), without hover text.
-
-    The area is split before the points with the indices ``ends``. ``color`` is a hexadecimal colour such as
-    ``#0072B2``.
+    """Return the trace of the filled area between two curves, in one or more pieces, without hover text.
 
     Parameters
     ----------
     x
         Horizontal coordinates (n,).
     low, high
-        Lower and upper curve.
+        Lower and upper curve (n,).
     color
         Colour in hexadecimal digits, for example ``#0072B2``.
     opacity
         Opacity of the filling, 0 to 1.
     ends
-        Indices of the first point of each further piece, None for one piece.
+        Indices of the points with which the second and each later piece begins. None: one piece.
     """
     pieces = [np.split(a, [] if ends is None else ends) for a in (x, low, high)]
     around = [(np.append(t, t[::-1]), np.append(b, a[::-1])) for t, a, b in zip(*pieces, strict=True)]
@@ -275,25 +279,26 @@ def between(
 
 
 def _scatter(x: Array, y: Array, name: str, **style: Any) -> Trace:
-    """Return a Plotly scatter trace through x and y (n,), with packed coordinates and an escaped name.
+    """Return a Plotly scatter trace through x and y (n,), with packed coordinates and escaped name.
 
-    ``style`` has further entries of the trace, for example its mode and colour.
+    ``name`` is the text in the legend and on hover, and ``style`` has further entries of the trace, for example its
+    mode (lines or markers) and colour.
     """
     return {"type": "scatter", "x": packed(x), "y": packed(y), "name": escaped(name), **style}
 
 
 @dataclass
 class Panel:
-    """Panel of a stacked figure: one pair of axes, above or below other panels.
+    """Panel of a stacked figure: one pair of axes above or below others, with a common horizontal axis.
 
     Attributes
     ----------
     title
         Text above the left upper corner.
     traces
-        Plotly traces.
+        Plotly traces (lines, dots, areas).
     y
-        Layout of the vertical axis.
+        Entries of the Plotly layout of the vertical axis, for example its range.
     """
 
     title: str
@@ -342,9 +347,9 @@ def stacked(panels: Sequence[Panel], x_title: str, *, panel_height: int = 132) -
 
 
 def heading(title: str, y: float) -> dict[str, Any]:
-    """Return the annotation of a panel's title, above its left upper corner.
+    """Return the title of a panel as a Plotly annotation, above the left upper corner of the panel.
 
-    ``y`` is the upper end of the panel, as a fraction of the figure.
+    ``y`` is the upper end of the panel, as a fraction (0 to 1) of the height of the figure's plotting area.
     """
     place = {"x": 0, "y": y, "xref": "paper", "yref": "paper", "xanchor": "left", "yanchor": "bottom"}
     return {"text": escaped(title), "showarrow": False, "font": {"size": 12, "color": INK}, **place}
@@ -353,19 +358,17 @@ def heading(title: str, y: float) -> dict[str, Any]:
 def single(traces: list[Trace], x_title: str, y_title: str = "", **layout: Any) -> Figure:
     """Return a figure with one pair of axes.
 
-    Keyword arguments update the layout; ``xaxis`` and ``yaxis`` are merged with the titles. Without ``y_title`` the
-    left margin is smaller.
-
     Parameters
     ----------
     traces
-        Plotly traces.
+        Plotly traces (lines, dots, areas).
     x_title
         Title of the horizontal axis.
     y_title
-        Title of the vertical axis; may be empty.
+        Title of the vertical axis. If it is empty, the left margin is smaller.
     **layout
-        Entries of the Plotly layout.
+        Further entries of the Plotly layout. Those of ``xaxis`` and ``yaxis`` are merged with the titles; the others
+        replace the defaults.
     """
     x = {"title": {"text": escaped(x_title)}, **layout.pop("xaxis", {})}
     y = {"title": {"text": escaped(y_title)}, **layout.pop("yaxis", {})} if y_title else layout.pop("yaxis", {})

@@ -1,4 +1,4 @@
-"""Formatting of numbers, units and channel names for reports: degrees, few digits, a true minus sign."""
+"""Formatting of numbers, units and channel names for reports: degrees, few digits, a true minus sign (U+2212)."""
 
 from __future__ import annotations
 
@@ -58,8 +58,8 @@ SYMBOLS = {"psi": "ψ", "phi": "φ", "theta": "θ"}
 def degrees_for(unit: str) -> tuple[float, str]:
     """Return the factor from the unit of a result file to the unit that a report shows, and the shown unit.
 
-    Radians become degrees, also in compound units (rad/s, rad2/Hz). The factor of other units is 1, and they are only
-    typeset.
+    If the unit begins with rad or a power of it (rad, rad/s, rad2/Hz), the shown unit has degrees. The factor of any
+    other unit is 1, and the unit is only typeset (``kg m2`` -> ``kg m²``).
     """
     found = _RADIANS.match(unit)
     if found is None:
@@ -70,7 +70,7 @@ def degrees_for(unit: str) -> tuple[float, str]:
 
 
 def typeset_unit(unit: str) -> str:
-    """Return a unit in typeset form: ``kg m2/s`` -> ``kg m²/s``, ``sqrt(s)`` -> ``√s``.
+    """Return a unit in typeset form: ``kg m2/s`` -> ``kg m²/s``, ``sqrt(s)`` -> ``√s``, ``N*m`` -> ``N·m``.
 
     The dimensionless units ``1`` and ``-`` become an empty text.
     """
@@ -86,9 +86,9 @@ def bracket(unit: str) -> str:
 
 
 def named(name: str) -> str:
-    """Return meaning and symbol of a channel, ``heading ψ``; an unlisted name is returned unchanged.
+    """Return meaning and symbol of a channel, input or force by its name: ``psi`` -> ``heading ψ``.
 
-    The symbol is left out if it repeats the meaning.
+    The symbol is left out if it repeats the meaning. A name that is not in ``MEANINGS`` is returned unchanged.
     """
     meaning = MEANINGS.get(name)
     if not meaning or name in meaning.split() or name.replace("_", " ") == meaning:
@@ -97,38 +97,42 @@ def named(name: str) -> str:
 
 
 def symbol(name: str) -> str:
-    """Return the symbol of a channel: ``ψ`` for psi. Names without a special symbol are returned unchanged."""
+    """Return the symbol of a channel or input by its name: ``psi`` -> ``ψ``. Names without a symbol stay unchanged."""
     return SYMBOLS.get(name, name)
 
 
 def titled(name: str) -> str:
-    """Return meaning and symbol of a channel with a capital, ``Heading ψ``; an unlisted name is returned unchanged."""
+    """Return meaning and symbol of a channel, input or force with a capital first letter: ``psi`` -> ``Heading ψ``.
+
+    A name that is not in ``MEANINGS`` is returned unchanged.
+    """
     words = named(name)
     return words[0].upper() + words[1:] if name in MEANINGS else name
 
 
 def moment(created: str) -> str:
-    """Return an ISO time in readable form: ``2026-05-06T07:08:09+00:00`` -> ``2026-05-06 07:08:09 UTC``."""
+    """Return an ISO time (UTC) in readable form: ``2026-05-06T07:08:09+00:00`` -> ``2026-05-06 07:08:09 UTC``."""
     return created.replace("T", " ").replace("+00:00", " UTC")
 
 
 def tied(words: str) -> str:
-    """Return a text with no-break spaces before units and percent signs.
+    """Return a text with no-break spaces between numbers and their unit (such as m, s, N, deg) or percent sign.
 
-    A browser then does not break a line between a number and its unit.
+    A browser then does not break the line there.
     """
     return re.sub(r"(?<=\d) (?=(%|ms?|s|N|kg|deg|Hz|V)\b|%)", "\u00a0", words)
 
 
 def count(value: float | None) -> str:
-    """Return a count as text for a report, such as ``12``; a dash for None."""
+    """Return a count, for example of degrees of freedom, as text: ``12``; a dash for None."""
     return "–" if value is None else f"{value:g}"
 
 
 def plain(value: float | None, digits: int = 3) -> str:
-    """Return a number with ``digits`` significant digits and a true minus sign; a dash if it is None or not finite.
+    """Return a number as text with ``digits`` significant digits; a dash if it is None or not finite.
 
-    Numbers below 1e-4 or from 1e6 on are written with a power of ten.
+    The minus sign is typographic. Absolute values below 1e-4, or from 1e6 on, are written with a power of ten:
+    ``1.2 ×10⁻⁶``.
     """
     if value is None or not math.isfinite(value):
         return "–"
@@ -141,15 +145,15 @@ def plain(value: float | None, digits: int = 3) -> str:
 
 
 def with_error(value: float | None, se: float | None, unit: str = "") -> str:
-    """Return a value with its standard error, ``40.05 ± 0.12 N``.
+    """Return a value with its standard error as text, ``40.05 ± 0.12 N``.
 
-    The precision is that of two significant digits of the standard error; without standard error, four digits and no ±.
-    A common power of ten follows a bracket. A dash for a value of None.
+    Both have the decimals of two significant digits of the standard error. Without a positive standard error, the value
+    has four significant digits and no ±. A power of ten is common to both: ``(1.20 ± 0.15) ×10⁻⁶``.
 
     Parameters
     ----------
     value
-        Estimate, None if it is unknown.
+        Estimate. If it is None, a dash takes its place; the unit still follows.
     se
         Standard error in the same unit, None if it is unknown.
     unit
@@ -163,20 +167,20 @@ def with_error(value: float | None, se: float | None, unit: str = "") -> str:
 
 
 def noise_level(value: float, se: float | None, limit: float | None, factor: float, unit: str = "") -> str:
-    """Return a noise times a factor with its standard error, or its upper limit (``< 0.0021 deg``).
+    """Return the size of a noise in the shown unit with its standard error as text, or its upper limit.
 
-    The limit is used if there is a limit and no standard error, which means that the noise is zero.
+    The upper limit, ``< 0.0021 deg``, is returned if there is a limit and no standard error: no noise was found.
 
     Parameters
     ----------
     value
-        Standard deviation or intensity of the noise.
+        Standard deviation of white noise, or intensity of a random walk.
     se
         Standard error of the noise, None if no noise was found.
     limit
         95 % upper limit if no noise was found, otherwise None.
     factor
-        Factor to the shown unit.
+        Factor from the unit of the numbers to the shown unit.
     unit
         Shown unit, which follows the numbers; may be empty.
     """
@@ -186,9 +190,10 @@ def noise_level(value: float, se: float | None, limit: float | None, factor: flo
 
 
 def pair(value: float | None, se: float | None) -> tuple[str, str]:
-    """Return value and standard error as texts of the same precision: two significant digits of the standard error.
+    """Return a value and its standard error as two texts with the same number of decimals.
 
-    If one is None or the standard error is not positive, the value has four digits and the second text is empty.
+    The decimals are those of two significant digits of the standard error. If one of both is None, or if the standard
+    error is not positive, the value has four significant digits and the second text is empty.
     """
     if value is None or se is None or not se > 0:
         return short(plain(value, 4)), ""
@@ -215,9 +220,9 @@ def _scientific(value: float, size: int, decimals: int) -> str:
 
 
 def probability(p: float | None) -> str:
-    """Return a p value with two or three decimals, or as an upper power of ten if it is small.
+    """Return a p value as text with two decimals, or three below 0.1; a dash for None.
 
-    Small is below 0.001 (``< 10⁻³``). A dash for None.
+    Below 0.001 the text is the next larger power of ten: ``< 10⁻³``.
     """
     if p is None:
         return "–"
@@ -229,7 +234,7 @@ def probability(p: float | None) -> str:
 
 
 def percent(share: float | None, digits: int = 0) -> str:
-    """Return a share (1: all) in per cent with ``digits`` decimals: 0.34 -> ``34 %``; a dash for None."""
+    """Return a share (1: all) as text in per cent with ``digits`` decimals: 0.34 -> ``34 %``; a dash for None."""
     if share is None:
         return "–"
     rounded = round(100 * share, digits) + 0.0  # turns -0.0 into 0.0
@@ -237,9 +242,9 @@ def percent(share: float | None, digits: int = 0) -> str:
 
 
 def duration(seconds: float | None) -> str:
-    """Return a duration [s] in hours, minutes and seconds: ``9 min 58 s``; a dash for None.
+    """Return a duration [s] as text in hours, minutes and whole seconds: ``9 min 58 s``; a dash for None.
 
-    Zero entries are left out. Below half a second the duration has one decimal.
+    Units with the number zero are left out. A duration of half a second or less has one decimal.
     """
     if seconds is None:
         return "–"
@@ -250,5 +255,5 @@ def duration(seconds: float | None) -> str:
 
 
 def scaled(factor: float, *values: float | None) -> list[float | None]:
-    """Return the values times a factor, for example to the unit that a report shows; None stays None."""
+    """Return each value times ``factor``, for example in the unit that a report shows; None stays None."""
     return [None if value is None else factor * value for value in values]

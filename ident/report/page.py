@@ -1,4 +1,4 @@
-"""Self-contained HTML page of a result: styles, scripts and figures are embedded, so no network is needed."""
+"""Self-contained HTML page of a result (report.html): styles, scripts and figures are embedded."""
 
 from __future__ import annotations
 
@@ -37,6 +37,13 @@ def write_report(result: Result, path: Path) -> None:
 
     Sections without data are left out.
 
+    Parameters
+    ----------
+    result
+        Result of a command.
+    path
+        HTML file to write.
+
     Raises
     ------
     OSError
@@ -48,7 +55,7 @@ def write_report(result: Result, path: Path) -> None:
 
 
 def render(result: Result) -> str:
-    """Return the HTML text of the page of a result.
+    """Return the HTML text of the page of a result, with all figures embedded.
 
     Raises
     ------
@@ -96,22 +103,22 @@ def compose(
     created: str = "",
     warnings: Sequence[str] = (),
 ) -> str:
-    """Return the HTML text of a page, with styles, scripts and figures embedded.
+    """Return the HTML text of a page from its parts, with styles, scripts and figures embedded.
 
     Parameters
     ----------
     kind : str
-        Kind of the result, shown above the headline and in the title.
+        Kind of the result in words, shown above the headline and in the title.
     answer : str
-        Headline of the page.
+        Headline of the page: the answer of the result.
     opening : Section
-        Blocks that follow the headline.
+        Section that follows the headline; it is not in the contents.
     body : sequence of Section
         Sections of the page; each has an entry in the contents.
     figures : mapping
-        Plotly figures by the id of their ``Plot``. Without figures the page lacks the script of Plotly.
+        Plotly figures by the id of their ``Plot``. If there are none, the page lacks the script of Plotly.
     version, created : str
-        Version of seatrial and ISO time, for the footer.
+        Version of seatrial and time (ISO 8601; may be empty), for the footer.
     warnings : sequence of str
         Sentences shown above the headline.
     """
@@ -137,7 +144,10 @@ def compose(
 
 @cache
 def _environment() -> Environment:
-    """Return the Jinja environment of the templates, created once; undefined variables raise, and text is escaped."""
+    """Return the Jinja environment of the page templates. It is created once.
+
+    An undefined variable in a template raises jinja2.UndefinedError, and text is escaped for HTML.
+    """
     return Environment(
         loader=PackageLoader("seatrial.ident.report"),
         autoescape=True,
@@ -148,17 +158,20 @@ def _environment() -> Environment:
 
 
 def _count_traces(result: Result) -> int:
-    """Return the approximate number of traces (lines) in the figures of a result's page.
+    """Return the approximate number of traces (lines) in the figures of the page of a result.
 
-    It is the number of table rows of each kind times the number of curves that a row needs. The number of points of
-    each trace is chosen by it.
+    It is the sum over the tables of the result: number of rows times the number of traces that a row needs. The more
+    traces the page has, the fewer points each of them gets.
     """
     weights = {"traces": 8, "track": 3, "inputs": 1, "residuals": 2, "residual_forces": 4, "noise": 2, "navigation": 40}
     return sum(weight * len(getattr(result, key, ())) for key, weight in weights.items())
 
 
 def _script_safe_json(value: Any) -> str:
-    """Return a value as JSON that may stand inside an HTML script element. NaN raises ValueError."""
+    """Return a value as JSON text that may stand inside an HTML script element: ``<``, ``>`` and ``&`` are escaped.
+
+    NaN or infinity in the value raises ValueError.
+    """
     written = json.dumps(value, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
     for character in "<>&\u2028\u2029":
         written = written.replace(character, f"\\u{ord(character):04x}")

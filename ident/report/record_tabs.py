@@ -1,4 +1,4 @@
-"""Tabs of a page: the rows of a result, grouped by record."""
+"""Tabs of a report page: the table rows of a result, grouped by the record that they belong to."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ ROLES = ("validation", "estimation")  # order of the tabs: records that were not
 
 
 class OfRecord(Protocol):
-    """Any table row of a result that belongs to one record."""
+    """Any table row of a result that belongs to one record, and has its name in the field ``record``."""
 
     @property
     def record(self) -> str:
@@ -31,7 +31,7 @@ class RecordTab:
     name
         Name of the record.
     role
-        ``estimation`` or ``validation``; empty if it is unknown.
+        Role of the record: ``estimation``, ``validation``, ``navigated`` or ``judged``; empty if it is unknown.
     """
 
     name: str
@@ -39,32 +39,33 @@ class RecordTab:
 
     @property
     def title(self) -> str:
-        """Label of the tab: role and name of the record, or ``record`` if both are empty."""
+        """Label of the tab, ``ROLE · NAME``. An empty part is left out; ``record`` if both are empty."""
         return " · ".join(dict.fromkeys(part for part in (self.role, self.name) if part)) or "record"
 
 
 def roles_of(logs: Sequence[LogSummary], traces: Sequence[Trace] = ()) -> dict[str, str]:
-    """Return the role of each record by its name; the role in a trace takes precedence over that of a log.
+    """Return the role of each record by its name, such as ``estimation``. The role of a trace replaces that of a log.
 
     Parameters
     ----------
     logs
-        Logs of the result, each with the name of its record.
+        Logs of the result; each has the name of its record.
     traces
-        Channels of the records.
+        Channels of the records over time, which have the role of their record too.
     """
     return {log.name: log.role for log in logs} | {row.record: row.role for row in traces}
 
 
 def origin_words(logs: Sequence[LogSummary], record: str) -> str:
-    """Return the origin of a record's x and y as the end of an axis title; empty if the log has no origin.
+    """Return the origin of a record's x and y as the end of an axis title such as "north of its first fix".
 
-    The texts are `` of its first fix`` and `` of the first fix of NAME``, with a leading space.
+    The text has a leading space: `` of its first fix``, or `` of the first fix of NAME`` if the origin is that of
+    another log. It is empty if the log of the record has no known origin.
 
     Parameters
     ----------
     logs
-        Logs of the result.
+        Logs of the result, with their origins.
     record
         Name of the record.
     """
@@ -75,9 +76,9 @@ def origin_words(logs: Sequence[LogSummary], record: str) -> str:
 
 
 def origin_lines(logs: Sequence[LogSummary]) -> list[str]:
-    """Return one sentence per origin: the latitude and longitude that x and y of the logs count from.
+    """Return one sentence for each different origin: the latitude and longitude [deg] from which x and y count.
 
-    The logs are named only if not all of them have the same origin. Empty if no log has an origin.
+    A sentence names its logs only if not all logs have the same origin. The list is empty if no log has an origin.
     """
     origins: dict[tuple[float, float, str], list[str]] = {}
     for log in logs:
@@ -101,9 +102,9 @@ def record_tabs(rows: Iterable[OfRecord], roles: Mapping[str, str]) -> list[Reco
     Parameters
     ----------
     rows
-        Table rows that belong to records.
+        Table rows of a result, each of one record.
     roles
-        Role of each record by its name; may lack records.
+        Role of each record by its name. A record that is missing has an unknown role.
     """
     names = list(dict.fromkeys(row.record for row in rows))
     order = {role: i for i, role in enumerate(ROLES)}
@@ -112,5 +113,5 @@ def record_tabs(rows: Iterable[OfRecord], roles: Mapping[str, str]) -> list[Reco
 
 
 def of_record(rows: Iterable[R], tab: RecordTab) -> list[R]:
-    """Return those of the result's table ``rows`` that belong to the record of a tab."""
+    """Return those table rows of a result that belong to the record of a tab, in their order."""
     return [row for row in rows if row.record == tab.name]

@@ -1,6 +1,7 @@
 """Reports of a Monte Carlo study of estimators: HTML page, Markdown page with SVG pictures, and terminal tables.
 
-All of them compare bias, variance and coverage of each parameter with the aims of the study.
+All of them compare bias, variance and coverage of the estimates of each parameter with the aims of the study. Coverage
+is the share of the 95 % intervals that contain the true value.
 """
 
 from __future__ import annotations
@@ -54,10 +55,10 @@ def write_study_page(result: StudyResult, aims: Aims, path: Path) -> None:
     result : StudyResult
         Studies of one or more models.
     aims : mapping
-        Lower and upper limit of the aim for ``bias`` [standard deviations], ``ratio`` (of variances) and
-        ``coverage`` (0..1).
+        Lower and upper limit of the aim for ``bias`` [standard deviations], ``ratio`` (variance over the least possible
+        variance) and ``coverage`` (0..1).
     path : Path
-        File to write.
+        HTML file to write.
 
     Raises
     ------
@@ -85,7 +86,7 @@ def write_study_page(result: StudyResult, aims: Aims, path: Path) -> None:
 
 
 def _introduction(aims: Aims) -> str:
-    """Return the introduction of the page of a Monte Carlo study: the aims in words."""
+    """Return the introduction of the page of a Monte Carlo study: the aims for bias, variance and coverage in words."""
     bias, (low, high), coverage = aims["bias"][1], aims["ratio"], aims["coverage"]
     return (
         f"Aims: a bias below {bias:g} standard deviations, a variance of {low:g} to {high:g} times the least possible "
@@ -96,9 +97,10 @@ def _introduction(aims: Aims) -> str:
 
 
 def _study_section(canvas: Canvas, study: ModelStudy, aims: Aims) -> Section:
-    """Return the section of one model: facts, three plots and the table of its parameters.
+    """Return the section of the study of one model: facts, plots of bias, variance and coverage, and their table.
 
-    Without parameters the section says that no replicate can be evaluated.
+    If the study has no parameters, the section states that no replicate can be evaluated. The plots are added to
+    ``canvas``; ``aims`` are those of ``write_study_page``.
     """
     found, name = study.parameters, study.model
     if not found:
@@ -130,7 +132,11 @@ def _study_section(canvas: Canvas, study: ModelStudy, aims: Aims) -> Section:
 
 
 def _labelled_facts(study: ModelStudy) -> list[tuple[str, str]]:
-    """Return the labelled facts of a study: estimator, replicates, failures, and CPU times if they are known."""
+    """Return (label, value) of the facts of the study of one model.
+
+    They are the estimator, the numbers of replicates, of failed ones and of those that did not converge, and the CPU
+    times if they are known.
+    """
     facts = [
         ("estimator", study.estimator),
         ("replicates", str(study.replicates)),
@@ -152,9 +158,9 @@ def _statistic_plot(
     canvas
         Collector of the figures, to which the figure is added.
     found
-        Parameters from top to bottom; at least one.
+        Statistics of the parameters, from top to bottom; at least one.
     key
-        Name of the statistic.
+        Name of the statistic: ``bias``, ``ratio`` or ``coverage``.
     title
         Title of the axis.
     factor
@@ -216,15 +222,14 @@ def _statistic_plot(
 def interval(row: ParameterStudy, key: Number) -> tuple[float, float, float]:
     """Return a statistic of a parameter, and the lower and upper end of its 95 % interval.
 
-    The statistic is the bias [standard deviations], the ratio of the variance to the Cramér-Rao bound, or the coverage
-    (0 to 1).
-
     Parameters
     ----------
     row
-        Statistics of a parameter.
+        Statistics of a parameter in a study.
     key
-        ``bias``, ``ratio`` or ``coverage``.
+        Name of the statistic. ``bias``: bias of the estimates [standard deviations]. ``ratio``: variance of the
+        estimates over the Cramér-Rao bound. ``coverage``: share of the 95 % intervals that contain the true value (0
+        to 1).
     """
     if key == "bias":
         half = drawing.Z95 * row.bias_error
@@ -242,9 +247,9 @@ def verdict_of(row: ParameterStudy, key: Number) -> str:
     Parameters
     ----------
     row
-        Statistics of a parameter.
+        Statistics of a parameter in a study, with its missed aims.
     key
-        ``bias``, ``ratio`` or ``coverage``.
+        Name of the statistic: ``bias``, ``ratio`` (of variances) or ``coverage``.
     """
     word = {"bias": "bias", "ratio": "variance", "coverage": "coverage"}[key]
     misses = [miss for miss in row.misses if miss.startswith(word)]
@@ -254,10 +259,10 @@ def verdict_of(row: ParameterStudy, key: Number) -> str:
 
 
 def _table_cells(row: ParameterStudy) -> list[Cell | str]:
-    """Return the table cells of one parameter.
+    """Return the table cells of one parameter for the HTML page of a study.
 
-    They are name, true value, bias, variance over reported variance, variance over bound, coverage, number of estimates
-    at a bound, and missed aims.
+    They are name, true value, bias, variance over reported variance, variance over Cramér-Rao bound, coverage, number
+    of estimates at a bound, and missed aims.
     """
     shown = [
         formatting.with_error(row.bias, row.bias_error),
@@ -277,7 +282,11 @@ def _table_cells(row: ParameterStudy) -> list[Cell | str]:
 
 
 def _value_and_interval(row: ParameterStudy, key: Number, factor: float, digits: int) -> str:
-    """Return ``value (low to high)``: a statistic times ``factor`` with its 95 % interval, with ``digits`` decimals."""
+    """Return a statistic of a parameter with its 95 % interval as text, ``value (low to high)``.
+
+    ``key`` is the name of the statistic, and ``factor`` converts it to the shown unit. The numbers have ``digits``
+    decimals.
+    """
     middle, low, high = (factor * value for value in interval(row, key))
     return f"{middle:.{digits}f} ({low:.{digits}f} to {high:.{digits}f})"
 
@@ -290,8 +299,8 @@ def picture(study: ModelStudy, aims: Aims) -> str:
     study : ModelStudy
         Study of one model, with at least one parameter.
     aims : mapping
-        Lower and upper limit of the aim for ``bias`` [standard deviations], ``ratio`` (of variances) and
-        ``coverage`` (0..1).
+        Lower and upper limit of the aim for ``bias`` [standard deviations], ``ratio`` (variance over the least possible
+        variance) and ``coverage`` (0..1).
     """
     found = study.parameters
     bottom = TOP_PX + PICTURE_ROW_PX * len(found)
@@ -318,16 +327,17 @@ def picture(study: ModelStudy, aims: Aims) -> str:
 def _svg_panel(
     found: Sequence[ParameterStudy], key: Number, factor: float, aim: tuple[float, float], left: int, bottom: int
 ) -> list[str]:
-    """Return the SVG elements of one statistic of every parameter, with intervals, aim and chance limits.
+    """Return the SVG elements of a panel: one statistic of every parameter with its 95 % interval, and the aim.
 
-    A parameter whose statistic or interval is not finite has no mark.
+    Dashed lines are the limits within which an ideal estimator is by chance (``by_chance``). A parameter whose
+    statistic or interval is not finite has no mark.
 
     Parameters
     ----------
     found
-        Parameters from top to bottom.
+        Statistics of the parameters, from top to bottom.
     key
-        Name of the statistic.
+        Name of the statistic: ``bias``, ``ratio`` or ``coverage``.
     factor
         Factor from the statistic to the unit of the axis.
     aim
@@ -341,7 +351,7 @@ def _svg_panel(
     room = 0.04 * (most - least)
 
     def x(value: float) -> str:
-        """Return the horizontal position [px] of a value of the statistic in the panel."""
+        """Return the horizontal position [px] in the picture of a value of the statistic, as text for SVG."""
         return f"{left + PANEL_PX * (value - least + room) / (most - least + 2 * room):.1f}"
 
     size = f'y="{TOP_PX}" height="{bottom - TOP_PX}"'
@@ -367,17 +377,17 @@ def _svg_panel(
 
 
 def by_chance(key: Number, n: int) -> tuple[float, float]:
-    """Return the limits that contain 95 % of a statistic of an ideal estimator in a study of ``n`` replicates.
+    """Return the lower and upper limit between which a statistic of an ideal estimator is with 95 % probability.
 
-    The ideal estimator is unbiased, attains the Cramér-Rao bound and reports its variance exactly. Bias is in
-    standard deviations, coverage in 0..1.
+    The ideal estimator is unbiased, attains the Cramér-Rao bound and reports its variance exactly. In a finite study
+    its statistics still differ from these values by chance.
 
     Parameters
     ----------
     key
-        ``bias``, ``ratio`` or ``coverage``.
+        Name of the statistic: ``bias`` [standard deviations], ``ratio`` (of variances) or ``coverage`` (0..1).
     n
-        Number of replicates.
+        Number of replicates of the study; at least 2.
     """
     if key == "bias":
         return -drawing.Z95 / float(np.sqrt(n)), drawing.Z95 / float(np.sqrt(n))
@@ -389,20 +399,20 @@ def by_chance(key: Number, n: int) -> tuple[float, float]:
 
 
 def _median_count(found: Sequence[ParameterStudy]) -> int:
-    """Return the median over the parameters of the number of their estimates, for the limits of chance."""
+    """Return the median over the parameters of their numbers of estimates, the ``n`` of ``by_chance``."""
     return int(np.median([row.n for row in found]))
 
 
 def _row_middle(k: int) -> int:
-    """Return the vertical middle [px] of the parameter with index ``k`` (from 0) in the picture."""
+    """Return the vertical middle [px] of the row of the parameter with index ``k`` (from 0) in the SVG picture."""
     return TOP_PX + PICTURE_ROW_PX * k + PICTURE_ROW_PX // 2
 
 
 def _svg_symbol(x: float, y: float, verdict: str) -> str:
-    """Return the SVG symbol of a verdict at ``x``, ``y`` [px].
+    """Return the SVG symbol of the verdict on a statistic, with its middle at ``x``, ``y`` [px].
 
-    It is a circle within the aim, otherwise a diamond, which is open if the statistic is beyond the aim perhaps by
-    chance.
+    ``fine`` (within the aim): a circle. ``miss`` (beyond the aim): a diamond. ``chance`` (beyond the aim, perhaps by
+    chance): an open diamond.
     """
     if verdict == "fine":
         return f'<circle cx="{x:g}" cy="{y:g}" r="4" fill="{drawing.MODEL}"/>'
@@ -427,9 +437,10 @@ def _svg_axis(least: float, most: float, x: Callable[[float], str], bottom: int)
 
 
 def write_study_docs(result: StudyResult, path: Path) -> None:
-    """Write a study's result as a Markdown page (``docs/study.md``) and its SVG pictures into a folder beside it.
+    """Write a study's result as a Markdown page, such as ``docs/study.md``, and SVG pictures of each model.
 
-    The folder ``pictures`` is made if it is missing. A study without parameters has no picture.
+    The pictures are written into the folder ``pictures`` beside the page, which is made if it is missing. A model
+    without parameters in the study has no picture. Existing files are replaced.
 
     Parameters
     ----------
@@ -451,20 +462,20 @@ def write_study_docs(result: StudyResult, path: Path) -> None:
 
 
 def _picture_path(study: ModelStudy) -> str:
-    """Return the path of the SVG picture of a study, relative to its Markdown page."""
+    """Return the path of the SVG picture of the study of one model, relative to the Markdown page."""
     return f"{PICTURES}/study-{study.model}.svg"
 
 
 def table(study: ModelStudy) -> list[tuple[str, ...]]:
-    """Return the table of a study as tuples of text, one for each parameter, with the header first."""
+    """Return the table of the study of one model: a tuple of texts for the header, then one for each parameter."""
     return [HEAD, *(_text_cells(r) for r in study.parameters)]
 
 
 def _text_cells(r: ParameterStudy) -> tuple[str, ...]:
-    """Return the cells of one parameter in the table of a study, as texts.
+    """Return the cells of one parameter for the table of a study in a terminal or in Markdown, as texts.
 
-    They are name, number of estimates, number at a bound, bias, variance over reported variance, variance over bound,
-    coverage, and missed aims.
+    They are name, number of estimates, number of these at a bound, bias, variance over reported variance, variance over
+    Cramér-Rao bound, coverage, and missed aims.
     """
     return (
         r.name,
@@ -479,7 +490,7 @@ def _text_cells(r: ParameterStudy) -> tuple[str, ...]:
 
 
 def study_as_text(result: StudyResult) -> str:
-    """Return the tables and the answer of a study as text for a terminal."""
+    """Return the tables of all models of a study, and its answer, as text for a terminal."""
     lines = []
     for study in result.studies:
         rows = table(study)
@@ -492,7 +503,10 @@ def study_as_text(result: StudyResult) -> str:
 
 
 def page(result: StudyResult) -> str:
-    """Return the Markdown page of a study: the method in words, and a picture and a table of each model."""
+    """Return the text of the Markdown page of a study: the method in words, and a picture and table of each model.
+
+    The pictures are links to the files that ``write_study_docs`` writes.
+    """
     lines = [
         "# Monte Carlo study of the estimators",
         "",
