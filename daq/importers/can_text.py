@@ -186,12 +186,12 @@ def read_text_frames(path: Path, dialect: str) -> list[BusFrame]:
             for number, line in enumerate(file, start=1):
                 text = line.strip()
                 match = dialect_of_log.form.fullmatch(text)
-                if match is not None:
-                    try:
+                try:
+                    if match is not None:
                         frames += dialect_of_log.frames(log, match.groupdict(default=""))
-                    except ValueError:  # an invalid number, or a date that does not exist
+                    elif text and not _is_heading(log, dialect_of_log.name, text):
                         strange.append(number)
-                elif text and not _is_heading(log, dialect_of_log.name, text):
+                except ValueError:  # an invalid number, or a date that does not exist
                     strange.append(number)
     except OSError as error:
         raise SeatrialError(f"{path}: cannot be read: {error.strerror}") from error

@@ -451,7 +451,7 @@ def coarse_advice(rate: float) -> str:
 
 
 def _longest_rising(t: Column) -> NDArray[np.bool_]:
-    """Select the most rows of an imported table whose times `t` (n,), n > 0, rise strictly; return their flags (n,).
+    """Select the most rows of an imported table whose times `t` (n,) rise strictly; return their flags (n,).
 
     A single time that is too large then costs only its own row (Fredman, Discrete Mathematics 11, 1975). Of equal
     times, only the first is selected.
@@ -465,7 +465,7 @@ def _longest_rising(t: Column) -> NDArray[np.bool_]:
             continue
         ends[k : k + 1], rows[k : k + 1] = [time], [row]
         before[row] = rows[k - 1] if k else -1
-    kept, row = np.zeros(len(t), bool), rows[-1]
+    kept, row = np.zeros(len(t), bool), rows[-1] if rows else -1
     while row >= 0:
         kept[row], row = True, int(before[row])
     return kept

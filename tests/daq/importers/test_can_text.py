@@ -179,6 +179,16 @@ def test_lines_that_are_no_frames_are_counted(tmp_path: Path) -> None:
     assert len(frames) == N - 2
 
 
+def test_a_heading_with_a_date_that_does_not_exist_is_left_out(tmp_path: Path) -> None:
+    for dialect, heading_line in (("ASC", "date Fri Feb 30 09:00:00.000 am 2024"), ("BusMaster", "")):
+        lines = DIALECTS[dialect][0].copy()
+        at = next(k for k, line in enumerate(lines) if "date" in line.lower())
+        lines[at] = heading_line or lines[at].replace("12:5:2024", "30:2:2024")
+        assert lines[at] != DIALECTS[dialect][0][at]
+        with pytest.warns(SeatrialWarning, match=f"1 line left out, not CAN frames; the first is line {at + 1}"):
+            assert len(read_frames(write(tmp_path, lines))) == N
+
+
 def test_text_that_is_no_can_log_stays_a_table(tmp_path: Path) -> None:
     path = write(tmp_path, ["t,yaw", *(f"{t:.1f},{t:.2f}" for t in T)])
     assert source_kind(path).name == "csv"

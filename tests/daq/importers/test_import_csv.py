@@ -474,6 +474,17 @@ def test_rows_of_several_sensors_may_share_their_times(folder: Path) -> None:
     assert not [f for f in findings(out) if f.code == "rows-left-out"]
 
 
+def test_a_signal_without_a_value_is_left_out_with_a_warning(folder: Path) -> None:
+    """The times are out of order as well."""
+    rows = "t,cmd,heading\n" + "".join(f"{0.1 * (k + (k == 9)):.1f},,{k % 90}\n" for k in range(200))
+    with (
+        pytest.warns(SeatrialWarning, match="not in the log, because they have no samples: n_left"),
+        pytest.warns(SeatrialWarning, match="1 row of 200 left out, because times repeat"),
+    ):
+        (out,) = import_files(*write(folder, rows, csv='time_order = "drop"\nnan = "drop"'))
+    assert len(values(out, "psi")[0]) == 199
+
+
 def test_rows_written_twice_are_not_counted_as_lost(folder: Path) -> None:
     rows = "t,cmd,heading\n" + "".join(2 * f"{0.1 * k:.1f},{k % 7},{k % 90}\n" for k in range(200))
     (out,) = import_files(*write(folder, rows, csv='time_order = "drop"'))
