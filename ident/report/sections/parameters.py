@@ -120,8 +120,9 @@ def _fit_facts(fit: FitSummary) -> list[Any]:
 def _parameter_cells(row: ParameterRow, extra: list[str]) -> list[Cell | str]:
     """Return the table cells of one parameter: name, value, standard error, unit, meaning, and those of ``extra``.
 
-    ``extra`` has the names of further columns of the table: ``prior_share``, ``record``, ``flag``. In place of the
-    standard error, a fixed parameter has the provenance of its value, for example ``given``.
+    ``extra`` has the names of further columns of the table: ``prior_share``, ``record``, ``flag``. In place of a
+    missing standard error, a fixed parameter has the provenance of its value, for example ``given``, and any other a
+    dash.
     """
     factor, unit = formatting.degrees_for(row.unit)
     value, se = formatting.scaled(factor, row.value, row.se)
@@ -355,8 +356,8 @@ def information_section(result: InformationResult) -> Section:
 def _information_row(p: InformedParameter) -> list[Cell | str]:
     """Return the table cells of one parameter: name, value, standard error, and its most important segment of a log.
 
-    The last two cells are the standard errors without this segment and from it alone. If the logs have no information
-    (no standard error), these cells are dashes and the segment is empty.
+    The last two cells are the standard errors without this segment (``unknown`` if no other segment informs the
+    parameter) and from it alone. If the logs have no information (no standard error), these cells are dashes.
     """
     factor, unit = formatting.degrees_for(p.unit)
     name, shown = f"{p.name}  {p.meaning}{formatting.bracket(unit)}", Cell(formatting.plain(factor * p.value), "num")
