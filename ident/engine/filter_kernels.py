@@ -100,35 +100,47 @@ class FilterKernels:
 
     @cached_property
     def value(self) -> Kernel:
-        """Kernel of the log-likelihood."""
+        """Kernel (program that runs over all rows of a record) of the log-likelihood of the record."""
         return self._kernel("value")
 
     @cached_property
     def forward(self) -> Kernel:
-        """Kernel of the log-likelihood that also stores, for each row, the values that `backward` needs (the tape)."""
+        """Kernel (program over all rows of a record) of the log-likelihood that also stores the tape.
+
+        The tape has, for each row, the values that the kernel `backward` needs.
+        """
         return self._kernel("forward")
 
     @cached_property
     def backward(self) -> Kernel:
-        """Kernel of the gradient of the log-likelihood by all parameters (adjoint filter).
+        """Kernel (program over all rows of a record) of the gradient of the log-likelihood by all parameters.
 
-        It runs after `forward`, from the last row to the first.
+        It is the adjoint of the filter. It runs after `forward`, from the last row to the first.
         """
         return self._kernel("backward")
 
     @cached_property
     def tangent(self) -> Kernel:
-        """Kernel of the log-likelihood, its gradient by chosen parameters (score) and their Fisher information."""
+        """Kernel (program over all rows of a record) of log-likelihood, score and Fisher information.
+
+        The score is the gradient of the log-likelihood by chosen parameters.
+        """
         return self._kernel("tangent")
 
     @cached_property
     def filter(self) -> Kernel:
-        """Kernel of the filter output for each row: predicted and filtered states, covariances, innovations."""
+        """Kernel (program over all rows of a record) that returns the output of the filter for each row.
+
+        The output has predicted and filtered states, covariances and innovations. The filter must have a covariance.
+        """
         return self._kernel("filter")
 
     @cached_property
     def simulate(self) -> Kernel:
-        """Kernel of the simulation without process noise. It is valid only for a filter without a covariance."""
+        """Kernel (program over all rows of a record) of a simulation without process noise.
+
+        It is valid only for a filter without a covariance.
+        """
         return self._kernel("simulate")
 
     @property

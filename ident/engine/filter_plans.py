@@ -22,7 +22,7 @@ from seatrial.ident.engine.loop_plan import ExpressionStage, GramStage, Plan, Pr
 class Plans:
     """Plans of the kernels of one filter. Each method builds one plan, a description of a kernel before compilation.
 
-    All plans use these arrays. In rows: the inputs ``u`` and ``u_next`` at both ends of the interval to the next row,
+    Most plans use these arrays. In rows: the inputs ``u`` and ``u_next`` at both ends of the interval to the next row,
     the samples ``y``, and the length ``h`` of the interval [s]. Carried from row to row: the filter state ``s`` (mean,
     and upper triangle of the covariance). Constant: the parameters ``p``.
 

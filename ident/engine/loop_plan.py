@@ -73,7 +73,7 @@ class GramStage:
 
 
 class Factor(NamedTuple):
-    """Element of the left matrix of a `ProductStage`: one number of an array in the current row.
+    """Element of the left matrix of a `ProductStage`: a number of an array in the current row, or twice this number.
 
     Attributes
     ----------
