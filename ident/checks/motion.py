@@ -139,8 +139,9 @@ def check_motion(c: Channels, sides: Mapping[str, float], dead: Collection[str] 
 def _thruster_faults(found: ThrustResponse, yaw: Array, surge: Array) -> Iterator[Finding]:
     """Yield the faults of the thrusters: heading reversed, sides swapped, sign reversed, or no effect.
 
-    ``yaw``, ``surge`` (n_thrusters,): sign of each effect, +1 as expected for the thruster's side, -1 against it, 0
-    unknown.
+    A reversed heading or swapped sides are the only fault; otherwise each thruster has at most one. ``found``: effects
+    of the thrusters on yaw rate and surge speed. ``yaw``, ``surge`` (n_thrusters,): sign of each effect, +1 as expected
+    for the thruster's side, -1 against it, 0 unknown.
     """
     if found.moment > 0 and (surge < 0).any() and not (surge > 0).any() and not (yaw < 0).any():
         yield half_turn("the boat turns as expected, but moves opposite to its heading when the thrust is forward")
@@ -184,8 +185,8 @@ def _thruster_faults(found: ThrustResponse, yaw: Array, surge: Array) -> Iterato
 def _relative_upper_bounds(effect: RegressionEffect) -> Array:
     """Return the upper bound (n_thrusters,) of the size of each effect, divided by the largest significant effect.
 
-    The bound is two standard errors above the size. It is 1 for an effect that is not separable, and for all if no
-    effect is significant.
+    The bound is two standard errors above the size. An effect is significant if its |t| exceeds 6.75. The result is 1
+    for an effect that is not separable from others (t = 0), and for all effects if none is significant.
     """
     clear = np.abs(effect.t) > 1.5 * SIGNIFICANT_T
     if not clear.any():
@@ -263,7 +264,8 @@ def turning_signs(c: Channels, sides: Mapping[str, float]) -> dict[str, int]:
 def _moment_sign(forces: ThrusterForces, rate: Array) -> int:
     """Return the sign of the effect of the turning moment on a yaw rate (n,), beside the sum of thrusts.
 
-    +1 as expected, -1 against the moment; 0 if it is not significant, or if all thrusters are in the middle.
+    The result is +1 if the boat turns with the moment, -1 if it turns against the moment. It is 0 if the effect is not
+    significant, or if all thrusters are in the middle.
     """
     if not forces.side.any():
         return 0
@@ -369,8 +371,8 @@ def _side_signs(sides: Mapping[str, float], names: Sequence[str]) -> Array:
 def _surge_effect(c: Channels, t: Array, edges: Array, f: Array) -> RegressionEffect:
     """Return the effects of the thrusts f (n, n_thrusters) on the surge speed over ground at times t (n,) [s].
 
-    If they are not clear, and are more significant on the accelerometer, return the effects on the acceleration
-    instead. ``edges`` (n + 1,) [s]: intervals around t. All effects are 0 without either sensor.
+    If no t statistic exceeds 9, and the effects on the acceleration ``ax`` are more significant, return those instead.
+    ``edges`` (n + 1,) [s]: intervals around t. All effects are 0 without either sensor.
     """
     found = RegressionEffect(*np.zeros((3, f.shape[1])))
     drift = []

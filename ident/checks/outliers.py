@@ -27,7 +27,9 @@ def check_outliers(c: Channels) -> Iterator[Finding]:
     ------
     Finding
         ``many-outliers`` (fault) if more than 5 % of a signal's samples were left out, else ``outliers-left-out``
-        (warning). ``position-jumps`` (fault) for a few jumps of ``x`` and ``y`` that no boat can make.
+        (warning). A signal without outliers gives no finding. ``position-jumps`` (fault) if ``x`` and ``y``, with equal
+        times, make jumps that no boat can make. Jumps at more than 2 % of the samples, and two, are left to the checks
+        of units and columns.
     """
     for name, channel in c.items():
         left_out = channel.left_out

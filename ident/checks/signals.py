@@ -248,7 +248,7 @@ def _coarse_candidates(c: Channels, name: str) -> Iterator[tuple[Array, float]]:
 def _grid_step(value: Array) -> float:
     """Return the step of the grid that contains all values (n,), in the unit of the values.
 
-    0 if the values are on no grid, are all equal, or are fewer than three for each level.
+    The result is 0 if the values are on no grid, are all equal, or have fewer than three samples per different value.
     """
     levels = np.unique(value)
     steps = np.diff(levels)
@@ -275,7 +275,8 @@ def _resolution_explains_hold(c: Channels, name: str, begin: float, end: float) 
 def _longest_unusual_hold(channel: Channel) -> tuple[float, float]:
     """Return begin and end [s] of the longest time in which the value of a channel stays exactly the same.
 
-    (0, 0) if this time has 10 samples or fewer, or is shorter than ten times the usual one (99 % quantile).
+    The result is (0, 0) if this time has 10 samples or fewer. It is (0, 0) also if this time is shorter than ten times
+    the usual one (99 % quantile of such times, if there are more than 100).
     """
     first = np.flatnonzero(np.diff(channel.value, prepend=np.nan) != 0)
     last = np.append(first[1:], channel.value.size) - 1
@@ -320,8 +321,8 @@ def _lacks_sensor_noise(name: str, channel: Channel) -> bool:
 def _constant_motion_confirmed(c: Channels, group: Sequence[str], begin: float, end: float) -> bool:
     """Return whether another sensor confirms that the signals of ``group`` were constant from ``begin`` to ``end`` [s].
 
-    Positions confirm a velocity over ground. Velocities over ground confirm an acceleration in the boat's frame. False
-    for other groups, and if the other sensor is missing or has too few samples.
+    Positions confirm a velocity over ground. Velocities over ground confirm an acceleration in the boat's frame. The
+    result is false for other groups, and if the other sensor is missing or has too few samples.
     """
     if group == ("vx", "vy") and {*group, "x", "y"} <= set(c):
         misfits = []
