@@ -73,8 +73,8 @@ def integrated_autocorrelation_time(series: Sequence[Array], truncation: Truncat
 def correlation_length(series: Sequence[Array]) -> float:
     """Return the correlation length m [samples] of all series together; zero for white noise.
 
-    It determines how long blocks have to be: the sums of blocks of L samples miss a share ``m / 2L`` of the variance of the
-    sum of all samples.
+    It determines how long blocks have to be: the sums of blocks of L samples miss a share ``m / 2L`` of the variance of
+    the sum of all samples.
 
     Parameters
     ----------
