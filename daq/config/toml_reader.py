@@ -196,7 +196,7 @@ class TomlTable:
     def maybe_number(self, key: str, low: float | None = None, high: float | None = None) -> float | None:
         """Return the finite number of a key within [low, high], or None if the key is missing.
 
-        A bound that is None does not apply.
+        A bound that is None does not apply. Unlike `number`, this method has no error for a missing key.
         """
         return self.number(key, low=low, high=high) if key in self.values else None
 
@@ -214,6 +214,8 @@ class TomlTable:
 
     def named_numbers(self) -> dict[str, float]:
         """Return all values of the table by name, for tables whose keys are names that the user chooses.
+
+        All keys count as read.
 
         Raises
         ------
