@@ -400,12 +400,18 @@ class WhitenessDiagnostics(NamedTuple):
 
     @property
     def matter(self) -> bool:
-        """Return whether any of the three departures is significant and large enough to matter."""
+        """Return whether a departure (regression on the past, spectral line or octave) is significant and large enough.
+
+        Large enough are more than 5 % of the variance, and a factor of 2 or more in the density of an octave.
+        """
         return any(part.matters for part in self)
 
     @property
     def significant(self) -> bool:
-        """Return whether any of the three departures is significant (p below 0.001), even if it is small."""
+        """Return whether a departure (regression on the past, spectral line or octave) has a p value below 0.001.
+
+        Small departures count too.
+        """
         return any(part.p < SIGNIFICANCE for part in self)
 
 
@@ -429,7 +435,7 @@ class Predictable(NamedTuple):
 
     @property
     def matters(self) -> bool:
-        """Return whether the share is significant (p below 0.001) and above 5 % (`MAX_PREDICTABLE_SHARE`)."""
+        """Return whether the predicted share of the variance is significant (p below 0.001) and above 5 %."""
         return self.p < SIGNIFICANCE and self.share > MAX_PREDICTABLE_SHARE
 
 
@@ -478,7 +484,10 @@ class FrequencyBand(NamedTuple):
 
     @property
     def matters(self) -> bool:
-        """Return whether the departure is significant (p below 0.001) and is a factor of 2 or more, up or down."""
+        """Return whether the spectral density in the band differs from that of white noise by a factor of 2 or more.
+
+        The difference must also be significant (p below 0.001).
+        """
         return self.p < SIGNIFICANCE and not 1 / MAX_DENSITY_RATIO < self.ratio < MAX_DENSITY_RATIO
 
 
