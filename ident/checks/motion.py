@@ -59,7 +59,11 @@ class RegressionEffect(NamedTuple):
 
     @property
     def sign(self) -> Array:
-        """Sign of each effect (n_thrusters,): +1 or -1 if t and the share are large enough (`SIGN_LIMITS`), else 0."""
+        """Sign of each effect (n_thrusters,): +1 or -1 if it is significant, else 0.
+
+        An effect is significant if ``|t|`` exceeds 4.5 and the share of the variance 0.05, or ``|t|`` 3 and the share
+        0.3.
+        """
         significant = np.any([(np.abs(self.t) > t) & (self.share > share) for t, share in SIGN_LIMITS], axis=0)
         return np.where(significant, np.sign(self.size), 0.0)
 

@@ -269,7 +269,7 @@ def response(commands: Channel, shaft: Channel) -> Response | NoResponse:
     total_part = float(n_part @ n_part)
 
     def fitted(at: slice, band: float) -> LagFit:
-        """Fit time constant and delay, for a dead band and the delays ``DELAYS[at]``."""
+        """Fit time constant and delay of the shaft, for a dead band and the part ``at`` of the searched delays."""
 
         def misfit(lagged: Array, delay: float) -> float:
             """Return the squared error of the delayed command, times its best factor, against the shaft speed."""
