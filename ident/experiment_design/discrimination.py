@@ -288,6 +288,11 @@ def discriminate(
     progress
         Function of the number of evaluations and the best logarithm of T, called during the search.
 
+    Returns
+    -------
+    DiscriminationDesign
+        Best step sequence, with its T after six Gauss-Newton steps for each model as the true one.
+
     Raises
     ------
     SeatrialError
