@@ -89,5 +89,5 @@ def _reason(fit: Fit, records: Sequence[Record]) -> str:
 
 
 def _spread(signal: Array) -> float:
-    """Return the standard deviation of a signal."""
+    """Return the standard deviation of a signal (n,), in its unit."""
     return float(np.std(signal))
