@@ -459,7 +459,7 @@ _LIMITS = """\
 # Uncomment these lines and put in your own values. A run ends at zero thrust when a limit is passed. Each limit needs a
 # device that reports its quantity.
 # [limits]
-# n_max = 0.6            # largest command, 1 is full ahead
+# n_max = 0.6            # largest command, 1 is full forward
 # radius_m = 100.0       # m from the start; needs a GNSS receiver
 # voltage_min_v = 14.0   # V; needs a speed controller or an autopilot that reports it
 # current_a = 30.0       # A of each motor; needs a speed controller that reports it
