@@ -98,7 +98,7 @@ def check_frames(c: Channels, heading: Match | None, turning: Mapping[str, int])
     Parameters
     ----------
     c
-        Channels of a log by name.
+        Channels (signals) of a log by name.
     heading
         Relation of heading and yaw rate (`seatrial.ident.checks.sensors.heading_match`); None if unknown.
     turning
@@ -185,7 +185,7 @@ def displacement_windows(c: Channels, north: str, east: str) -> Windows | None:
     Parameters
     ----------
     c
-        Channels of a log by name.
+        Channels (signals) of a log by name.
     north, east
         Names of the channels: ``x``, ``y`` or ``vx``, ``vy``.
 
@@ -217,7 +217,7 @@ def track_course(c: Channels, w: Windows) -> Course | None:
     Parameters
     ----------
     c
-        Channels of a log by name, with ``psi``.
+        Channels (signals) of a log by name, with ``psi``.
     w
         Displacements of the track.
 
@@ -436,7 +436,7 @@ def check_accelerometer(c: Channels, found: Match | None) -> Iterator[Finding]:
     Parameters
     ----------
     c
-        Channels of a log by name.
+        Channels (signals) of a log by name.
     found
         Relation of velocity and specific force (`seatrial.ident.checks.sensors.velocity_match`). None gives no finding.
     """
@@ -488,7 +488,7 @@ def _body_frame_comparison(c: Channels, forward: str, starboard: str, track: Win
     Parameters
     ----------
     c
-        Channels of a log by name.
+        Channels (signals) of a log by name.
     forward, starboard
         Names of the channels: ``u``, ``v`` or ``ax``, ``ay``.
     track

@@ -27,9 +27,9 @@ def check_held_inputs(c: Channels) -> Iterator[Finding]:
     Parameters
     ----------
     c
-        Channels of a log by name. Only commands, shaft speeds and thrusts of one thruster that an import map declares
-        with the hold ``zero`` or ``linear`` are examined. An average delay below 0.1 s gives no warning. Nor does an
-        input whose values are commanded steps and not measurements (`seatrial.daq.checks.is_measured`).
+        Channels (signals) of a log by name. Only commands, shaft speeds and thrusts of one thruster that an import map
+        declares with the hold ``zero`` or ``linear`` are examined. An average delay below 0.1 s gives no warning. Nor
+        does an input whose values are commanded steps and not measurements (`seatrial.daq.checks.is_measured`).
     """
     inputs = sorted(n for n in c if is_of_thruster(n, *INPUTS))
     for name in (n for n in inputs if c[n].hold in ("zero", "linear")):
@@ -48,8 +48,8 @@ def check_held(c: Channels) -> Iterator[Finding]:
     Parameters
     ----------
     c
-        Channels of a log by name. Only motion signals and ``force`` (`SENSED`) are examined. Signals with the same
-        times that are held together share one warning.
+        Channels (signals) of a log by name. Only motion signals and ``force`` (`SENSED`) are examined. Signals with the
+        same times that are held together share one warning.
 
     Notes
     -----

@@ -47,7 +47,7 @@ def check_inputs(c: Channels) -> Iterator[Finding]:
     Parameters
     ----------
     c
-        Channels of a log by name. A log without inputs gives no finding.
+        Channels (signals) of a log by name. A log without inputs gives no finding.
 
     Yields
     ------
@@ -203,8 +203,8 @@ def check_frozen_force(c: Channels) -> Iterator[Finding]:
     Parameters
     ----------
     c
-        Channels of a log by name. Only the longest time in which ``force`` stays the same is examined. It must last for
-        at least 5 s and contain a change of a command or shaft speed by more than 0.3 of full speed.
+        Channels (signals) of a log by name. Only the longest time in which ``force`` stays the same is examined. It
+        must last for at least 5 s and contain a change of a command or shaft speed by more than 0.3 of full speed.
     """
     commands = [c[n] for n in sorted(c) if is_of_thruster(n, COMMAND, SHAFT_SPEED)]
     if "force" not in c or not commands:
@@ -231,7 +231,7 @@ def check_exchanged_telemetry(c: Channels) -> Iterator[Finding]:
     Parameters
     ----------
     c
-        Channels of a log by name. At least two thrusters with command and measured shaft speed are needed.
+        Channels (signals) of a log by name. At least two thrusters with command and measured shaft speed are needed.
     """
     names = [n for n in sorted(commanded_thrusters(c)) if shaft_speed_of(n) in c]
     names = [n for n in names if c[shaft_speed_of(n)].t is not c[command_of(n)].t]

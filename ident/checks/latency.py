@@ -149,8 +149,8 @@ def _motion_thrust_delay(
 
     The motion cannot come before the thrust (``thrust-late``), and cannot come long after a measured thrust
     (``motion-late``). Otherwise the finding is ``thrust-in-time`` (ok). ``attitude``, ``velocity``: delays of yaw rate
-    and surge speed, None if unknown. The smaller one is judged. If their signs differ, the finding is ok. If none is
-    well estimated, it is ``delay-unknown`` (ok).
+    and surge speed, None if unknown. The one of smaller size is judged. If their signs differ, the finding is ok. If
+    none is well estimated, it is ``delay-unknown`` (ok).
     """
     found = [estimate for estimate in (attitude, velocity) if estimate is not None and _is_well_estimated(estimate)]
     if not found:

@@ -304,15 +304,15 @@ def thrust_response_curves(c: Channels, sides: Mapping[str, float]) -> list[Thru
     Parameters
     ----------
     c
-        Channels of a log by name.
+        Channels (signals) of a log by name.
     sides
         Position of each thruster to starboard [m].
 
     Returns
     -------
     list
-        Empty if the log has no thrust, no motion or is too short. Without thrusters off the middle there is no yaw
-        rate.
+        Empty if the log has no thrust, no motion or is too short. There is no curve of the yaw rate if all thrusters
+        are in the middle of the boat.
     """
     forces = thruster_forces(c, sides)
     if forces is None:
@@ -347,7 +347,7 @@ def sensor_pairs(c: Channels) -> list[SensorPair]:
     Parameters
     ----------
     c
-        Channels of a log by name.
+        Channels (signals) of a log by name.
 
     Returns
     -------

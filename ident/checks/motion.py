@@ -95,7 +95,7 @@ class ThrusterForces(NamedTuple):
     names
         Names of the thrusters.
     t
-        Times (n,) [s], at the middle of intervals of ``1 / RATE``.
+        Times (n,) [s], at the middle of intervals of 0.1 s.
     edges
         Edges (n + 1,) [s] of the intervals around t.
     f
@@ -117,7 +117,7 @@ def check_motion(c: Channels, sides: Mapping[str, float], dead: Collection[str] 
     Parameters
     ----------
     c
-        Channels of a log by name.
+        Channels (signals) of a log by name.
     sides
         Position of each thruster to starboard [m].
     dead
@@ -206,7 +206,7 @@ def thrust_responses(c: Channels, sides: Mapping[str, float]) -> ThrustResponse 
     Parameters
     ----------
     c
-        Channels of a log by name.
+        Channels (signals) of a log by name.
     sides
         Position of each thruster to starboard [m].
 
@@ -233,7 +233,7 @@ def best_turn_rate(c: Channels, edges: Array) -> Array | None:
     Parameters
     ----------
     c
-        Channels of a log by name.
+        Channels (signals) of a log by name.
     edges
         Edges of the intervals (n + 1,) [s].
     """
@@ -247,7 +247,7 @@ def turning_signs(c: Channels, sides: Mapping[str, float]) -> dict[str, int]:
     Parameters
     ----------
     c
-        Channels of a log by name.
+        Channels (signals) of a log by name.
     sides
         Position of each thruster to starboard [m].
 
@@ -284,7 +284,7 @@ def turn_rate(c: Channels, edges: Array, name: str) -> Array | None:
     Parameters
     ----------
     c
-        Channels of a log by name.
+        Channels (signals) of a log by name.
     edges
         Edges of the intervals (n + 1,) [s].
     name
@@ -325,7 +325,8 @@ def thruster_forces(c: Channels, sides: Mapping[str, float]) -> ThrusterForces |
     Parameters
     ----------
     c
-        Channels of a log by name. Thrust is a measured force, else ``n|n|`` of the shaft speed, else of the command.
+        Channels (signals) of a log by name. Thrust is a measured force, else ``n|n|`` of the shaft speed, else of the
+        command.
     sides
         Position of each thruster to starboard [m].
 
@@ -352,7 +353,8 @@ def thruster_forces(c: Channels, sides: Mapping[str, float]) -> ThrusterForces |
 def _thrust_channel(c: Channels, name: str) -> Channel | None:
     """Return the thrust of the thruster ``name``: measured force, else ``n|n|`` of shaft speed or command.
 
-    The command also replaces telemetry that ended more than 3 s before the commands. None without any of these signals.
+    The command also replaces telemetry that ended more than 3 s before the commands. The result is None without any of
+    these signals.
     """
     if thrust_of(name) in c:
         return c[thrust_of(name)]
@@ -447,8 +449,8 @@ def _thrust_effect(
 def _block_variance(X: Array, e: Array, inverse: NDArray[Any], lag: float) -> Array:
     """Return the variances (k,) of the factors of X (n, k), from the scores of the residuals e (n,) summed over blocks.
 
-    There are at least 6 blocks, of at least 4 lags if the record is long enough. ``inverse`` (k, k): inverse of X'X /
-    n. ``lag``: time constant [s].
+    A block lasts at least 5 s and four time constants ``lag`` [s]. In a short record the blocks are shorter, so that
+    there are at least 6. ``inverse`` (k, k): inverse of X'X / n.
     """
     rows = round(max(BLOCK_S, 4.0 * lag) * RATE)
     count = e.size // rows
@@ -461,7 +463,7 @@ def _block_variance(X: Array, e: Array, inverse: NDArray[Any], lag: float) -> Ar
 def _independent_share(f: Array) -> Array:
     """Return the share (k,) of the standard deviation of each column of f (n, k) that the other columns cannot explain.
 
-    1 for a column that is independent of the others; 0 for a constant column.
+    The share is 1 for a column that is independent of the others, and 0 for a constant column.
     """
     centred = f - f.mean(axis=0)
     spread = centred.std(axis=0)
@@ -510,7 +512,7 @@ def surge_speed(c: Channels, t: Array) -> Array | None:
     Parameters
     ----------
     c
-        Channels of a log by name.
+        Channels (signals) of a log by name.
     t
         Times (n,) [s].
     """

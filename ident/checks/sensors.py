@@ -182,7 +182,7 @@ def sensor_matches(c: Channels) -> Matches:
     Parameters
     ----------
     c
-        Channels of a log by name.
+        Channels (signals) of a log by name.
 
     Returns
     -------
@@ -229,7 +229,7 @@ def gyro_and_heading(c: Channels, found: Match | None) -> Iterator[Finding]:
     Parameters
     ----------
     c
-        Channels of a log by name.
+        Channels (signals) of a log by name.
     found
         Relation of heading and yaw rate (`heading_match`). None gives no finding.
     """
@@ -283,7 +283,7 @@ def heading_match(c: Channels) -> Match | None:
     Parameters
     ----------
     c
-        Channels of a log by name. The heading may be in radians or degrees.
+        Channels (signals) of a log by name. The heading may be in radians or degrees.
 
     Returns
     -------
@@ -311,7 +311,7 @@ def velocity_match(c: Channels) -> Match | None:
     Parameters
     ----------
     c
-        Channels of a log by name.
+        Channels (signals) of a log by name.
 
     Returns
     -------
@@ -349,7 +349,7 @@ def velocity_and_acceleration(c: Channels, found: Match | None) -> Iterator[Find
     Parameters
     ----------
     c
-        Channels of a log by name.
+        Channels (signals) of a log by name.
     found
         Relation of velocity and specific force (`velocity_match`). None, or an R2 below 0.3, gives no finding.
     """
@@ -365,7 +365,7 @@ def position_match(c: Channels) -> Match | None:
     Parameters
     ----------
     c
-        Channels of a log by name.
+        Channels (signals) of a log by name.
 
     Returns
     -------
@@ -387,7 +387,7 @@ def position_and_velocity(c: Channels, found: Match | None) -> Iterator[Finding]
     Parameters
     ----------
     c
-        Channels of a log by name.
+        Channels (signals) of a log by name.
     found
         Relation of position and velocity (`position_match`). None gives no finding.
     """

@@ -29,7 +29,7 @@ def one_sided_shafts(c: Channels) -> dict[str, Finding]:
     Parameters
     ----------
     c
-        Channels of a log by name. A thruster needs both a command and a measured shaft speed.
+        Channels (signals) of a log by name. A thruster needs both a command and a measured shaft speed.
 
     Returns
     -------
@@ -79,12 +79,12 @@ def wrapped(value: Array, fastest: float = MAX_SPEED, clear: float = MIN_COMMAND
 
 
 def check_wrapped(c: Channels) -> Iterator[Finding]:
-    """Yield a fault for each shaft speed or yaw rate whose negative values are wrapped to 65536 - n.
+    """Yield a fault for each shaft speed or yaw rate whose negative values -n are logged as 65536 - n.
 
     Parameters
     ----------
     c
-        Channels of a log by name.
+        Channels (signals) of a log by name.
     """
     if "r" in c and wrapped(c["r"].value, MAX_YAW_RATE, MIN_YAW_RATE):
         text = f"goes to {np.abs(c['r'].value).max():.4g} rad/s: negative rates are wrapped to 65536 - n"
@@ -100,7 +100,7 @@ def check_wrapped(c: Channels) -> Iterator[Finding]:
 def _one_sided_fault(name: str, command: Channel, shaft: Channel) -> Finding | None:
     """Return a fault if the shaft speed of a thruster is zero in one direction only, or positive in both; else None.
 
-    None also if the command was not steady for long enough in each direction.
+    The result is None also if the command was not steady for long enough in each direction.
     """
     forward, reverse = (_speed_over_command(command, shaft, sign) for sign in (1.0, -1.0))
     if forward is None or reverse is None:

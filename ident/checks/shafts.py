@@ -91,7 +91,8 @@ def check_shafts(c: Channels) -> Iterator[Finding]:
     Parameters
     ----------
     c
-        Channels of a log by name. A thruster needs both a command and a measured shaft speed; others are not checked.
+        Channels (signals) of a log by name. A thruster needs both a command and a measured shaft speed; others are not
+        checked.
 
     Yields
     ------

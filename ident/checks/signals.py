@@ -57,8 +57,8 @@ def check_intervals(c: Channels) -> Iterator[Finding]:
     Parameters
     ----------
     c
-        Channels of a log by name. The motion signals, such as ``psi`` and ``x`` (`MOTION`), are examined in turn, and
-        the first fault ends the check.
+        Channels (signals) of a log by name. The motion signals, such as ``psi`` and ``x`` (`MOTION`), are examined in
+        turn, and the first fault ends the check.
 
     Yields
     ------
@@ -97,7 +97,7 @@ def check_ranges(c: Channels) -> Iterator[Finding]:
     Parameters
     ----------
     c
-        Channels of a log by name. Missing ones are not checked.
+        Channels (signals) of a log by name. Missing ones are not checked.
 
     Yields
     ------
@@ -153,7 +153,7 @@ def check_frozen(c: Channels) -> Iterator[Finding]:
     Parameters
     ----------
     c
-        Channels of a log by name.
+        Channels (signals) of a log by name.
 
     Yields
     ------
@@ -196,7 +196,7 @@ def check_quantised(c: Channels) -> Iterator[Finding]:
     Parameters
     ----------
     c
-        Channels of a log by name. ``x`` and ``y`` together give at most one warning, ``vx`` and ``vy`` also.
+        Channels (signals) of a log by name. ``x`` and ``y`` together give at most one warning, ``vx`` and ``vy`` also.
     """
     for group in TRACKS:
         steps = {name: coarse_step(c, name) for name in group if name in c}
@@ -214,7 +214,7 @@ def coarse_step(c: Channels, name: str) -> float:
     Parameters
     ----------
     c
-        Channels of a log by name.
+        Channels (signals) of a log by name.
     name
         Name of a channel of the log. For ``vx`` and ``vy`` the speed over ground may be rounded instead of its
         components.
@@ -386,7 +386,7 @@ def check_alternating(c: Channels) -> Iterator[Finding]:
     Parameters
     ----------
     c
-        Channels of a log by name. Signals of one sensor, such as ``x`` and ``y``, share one finding.
+        Channels (signals) of a log by name. Signals of one sensor, such as ``x`` and ``y``, share one finding.
     """
     for group in GROUPS:
         shares = {name: _alternating_share(c[name]) for name in group if name in c}
@@ -433,7 +433,7 @@ def check_smoothing(c: Channels) -> Iterator[Finding]:
     Parameters
     ----------
     c
-        Channels of a log by name.
+        Channels (signals) of a log by name.
     """
     smooth = smoothed(c)
     if smooth:
@@ -450,7 +450,7 @@ def smoothed(c: Channels) -> tuple[str, ...]:
     Parameters
     ----------
     c
-        Channels of a log by name. The limits are, for example, 0.0001 rad for ``psi`` and 0.002 m for ``x``
+        Channels (signals) of a log by name. The limits are, for example, 0.0001 rad for ``psi`` and 0.002 m for ``x``
         (`NO_NOISE`).
     """
     return tuple(n for n in MOTION if n in c and noise_floor(c[n]) < NO_NOISE[n])
@@ -462,7 +462,7 @@ def estimated(c: Channels) -> bool:
     Parameters
     ----------
     c
-        Channels of a log by name. False without ``x`` and ``y``.
+        Channels (signals) of a log by name. False without ``x`` and ``y``.
 
     Notes
     -----
