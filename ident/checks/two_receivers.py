@@ -123,7 +123,7 @@ def _second_receiver_in_window(t: Array, place: Array, resolution: float) -> Sec
         return None
     if not (_is_regular(t[rarer]) and _is_regular(t[~rarer])):
         return None
-    if _interpolated(t, place, rarer, size) or _explained_by_delay(t, fitted, tau, offset, size):
+    if _is_resampled_track(t, place, rarer, size) or _explained_by_delay(t, fitted, tau, offset, size):
         return None
     return SecondReceiver(float(rarer.mean()), size)
 
@@ -161,7 +161,7 @@ def _is_regular(t: Array) -> bool:
     return bool(np.std(steps) <= REGULAR * np.mean(steps))
 
 
-def _interpolated(t: Array, place: Array, rarer: NDArray[np.bool_], size: float) -> bool:
+def _is_resampled_track(t: Array, place: Array, rarer: NDArray[np.bool_], size: float) -> bool:
     """Return whether the frequent fixes lie on the chords between the rarer ones: a resampled track of one receiver.
 
     ``t`` (n,) [s], ``place`` (n, 2) [m]: fixes. ``rarer`` (n,): true for the rarer ones. ``size``: distance [m] of the
