@@ -224,6 +224,8 @@ def _companion_files(path: Path) -> Iterator[Path]:
 def _become_child(bounds: Bounds, scratch: str, reports: int) -> None:
     """Make this process the limited child: set its resource limits, signal handlers and temporary folder.
 
+    On Linux it is also killed when its parent ends for any reason. It writes no core dump.
+
     Parameters
     ----------
     bounds

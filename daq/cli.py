@@ -63,7 +63,10 @@ LOG = LogPath()
 
 @contextlib.contextmanager
 def _stop_signal() -> Iterator[threading.Event]:
-    """Yield an event that SIGINT, SIGTERM and SIGHUP set while the context lasts, instead of their usual effect."""
+    """Yield an event that SIGINT, SIGTERM and SIGHUP set within the `with` block, instead of their usual effect.
+
+    The earlier handlers of these signals are restored after the block.
+    """
     stop = threading.Event()
     numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     before = {number: signal.signal(number, lambda *_: stop.set()) for number in numbers}

@@ -79,7 +79,10 @@ class LoadCellCalibration:
 
     @property
     def relative_sd(self) -> float | None:
-        """Relative standard uncertainty of a force due to gain and lever; None if neither uncertainty is given."""
+        """Relative standard uncertainty of a force, from those of gain and lever ratio (root of the sum of squares).
+
+        An uncertainty that is not given counts as zero. None if neither is given.
+        """
         factors = ((self.newton_per_count_sd, self.newton_per_count), (self.lever_ratio_sd, self.lever_ratio))
         parts = [sd / abs(value) for sd, value in factors if sd is not None]
         return math.hypot(*parts) if parts else None

@@ -86,7 +86,10 @@ ATTACHED = {"mission": {"design": "seatrial.ident.cli.commands:design"}}
 
 
 class LazyGroup(click.Group):
-    """Group of commands that imports a command only when it is used. It lists the commands without imports."""
+    """Group of the commands of `seatrial`, which imports a command only when it is used.
+
+    Help and completion are written from the table COMMANDS, without imports.
+    """
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the names of all commands of `seatrial`, in the order of the help. No part is imported."""
@@ -235,7 +238,7 @@ def _line_and_status(error: BaseException) -> tuple[str, int]:
 
 
 def _usage_line(error: click.UsageError) -> str:
-    """Return the line for stderr about a wrong command line. It ends with the command that shows the help."""
+    """Return the line for stderr about a wrong command line: the command, the problem, and the command for its help."""
     path = "seatrial" if error.ctx is None else error.ctx.command_path
     text = printable(" ".join(error.format_message().split()).rstrip("."))
     return f"{path}: {text}{'' if text.endswith(('?', ')')) else ';'} `{path} --help` shows how"

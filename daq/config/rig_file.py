@@ -117,7 +117,10 @@ def default_decoder(protocol: str) -> Decoder:
 
 
 def _read_clock_speed(root: TomlTable) -> float:
-    """Return `speed` of the table [clock] of a rig file, in run seconds per wall second; 1 without the table."""
+    """Return `speed` of the table [clock] of a rig file, in run seconds per wall second; 1 without table or key.
+
+    A speed that is not positive raises SeatrialError.
+    """
     clock = root.table("clock")
     if clock is None:
         return 1.0
@@ -220,7 +223,10 @@ def _check_unique(root: TomlTable, key: str, names: Sequence[str]) -> None:
 
 
 def _read_topic_name(table: TomlTable) -> str:
-    """Return `name` of a device or thruster. It must consist of a letter, and then letters, digits or underscores."""
+    """Return the key `name` of a [[device]] or [[thruster]] table. It becomes a part of the topics of the log.
+
+    It must consist of a letter, and then letters, digits or underscores; otherwise SeatrialError is raised.
+    """
     name = table.text("name")
     if not NAME.fullmatch(name):
         raise table.error("name", f"'{name}' becomes a topic of the log: use a letter, then letters, digits or _")

@@ -19,7 +19,7 @@ DEFAULT_RATE_HZ = 10.0  # Hz, default for file formats with one table only
 
 
 def export_log(log: Log, form: str, folder: Path, force: bool = False) -> list[Path]:
-    """Write every table of a log to a file of its own, and the events to events.csv.
+    """Write the samples of each device and kind in a log to a file of their own, and the events to events.csv.
 
     Numbers are written with all their digits. Unknown values are empty cells in CSV and NaN in Parquet. Times are
     seconds since 1970.

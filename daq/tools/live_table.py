@@ -191,15 +191,16 @@ def _newest_text(source: Source, port: PortStatus, status: Status, rig: Rig) -> 
 
 
 def _is_silent(port: PortStatus, speed: float) -> bool:
-    """Return whether a device has sent no sample for too long: 5 expected periods, 1 s and 0.25 s of wall time.
+    """Return whether a device has sent no sample for too long.
 
-    `speed` is the number of run seconds per wall second.
+    Too long is the longest of 5 expected periods, 1 s, and 0.25 s of wall time. `speed` is the number of run seconds
+    per wall second.
     """
     return port.age > _stale_after(port.expected, speed)
 
 
 def _stale_after(rate: float, speed: float) -> float:
-    """Return the time [s of the run clock] without a sample after which a source with this rate [Hz] is stale.
+    """Return the time without a sample [s of the run clock] after which a device with this sample rate [Hz] is stale.
 
     It is the longest of 5 periods, 1 s, and 0.25 s of wall time (`speed`: run seconds per wall second).
     """

@@ -250,7 +250,10 @@ class Ros2Node:
                 self._ending.wait(RETRY_S)
 
     def _zenoh_config(self) -> str:
-        """Return the configuration of Zenoh as JSON: a client of one router that opens no port and searches nothing."""
+        """Return the configuration of Zenoh as JSON: a client of one router, without open ports and without discovery.
+
+        The router is that of the rig file.
+        """
         return json.dumps({
             "mode": "client",
             "connect": {"endpoints": [self._ros2.router], "timeout_ms": 0},

@@ -66,7 +66,7 @@ class Comparison:
         return import_library("pandas").DataFrame(columns)
 
     def __repr__(self) -> str:
-        """Return the summary."""
+        """Return the text of `summary`, which the interpreter shows."""
         return self.summary()
 
 
