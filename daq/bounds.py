@@ -55,7 +55,7 @@ class Bounds(NamedTuple):
     Attributes
     ----------
     path
-        File that the error messages name.
+        File that the error messages name: the largest file that the command reads.
     memory
         Limit of the address space [bytes].
     cpu_s
@@ -75,7 +75,7 @@ _bounds: Bounds | None = None  # limits of this process; None if this process is
 
 
 def enable() -> None:
-    """Allow the commands of this process to continue in a child process.
+    """Turn the resource limits on: from now on, commands decorated with `bounded` continue in a limited child process.
 
     Only the command-line program calls this. Programs that call the functions of the commands are not limited.
     """
@@ -89,16 +89,17 @@ def require_files(path: Path) -> None:
     Raises
     ------
     SeatrialError
-        If a file is not regular, or if the folder has too many files.
+        If a file is not regular or cannot be opened, or if the folder contains more than 10,000 files (MAX_FILES).
     """
     for file in _walk_files(path):
         require_file(file)
 
 
 def _walk_files(path: Path) -> Iterator[Path]:
-    """Yield the file `path` itself, or all files in the folder `path` and its subfolders.
+    """Yield all files in the folder `path` and its subfolders, or `path` itself if it is not a folder.
 
-    Links to folders are not followed. A folder with more than 10,000 files (MAX_FILES) raises SeatrialError.
+    A path that does not exist is yielded too. Links to folders are not followed. A folder with more than 10,000 files
+    (MAX_FILES) raises SeatrialError.
     """
     if not path.is_dir():
         yield path
@@ -123,9 +124,11 @@ def bounded(
     Parameters
     ----------
     names
-        Names of the parameters of the command that are files to read: paths, tuples of paths, or None.
+        Names of the parameters of the command that are files to read: paths, tuples of paths, or None for no file. At
+        least one of them must be a file.
     when
-        Function that returns whether the limits apply, from the parameters of the command by name.
+        Function that returns whether the limits apply, from a dictionary of the parameters of the command by name. By
+        default they always apply.
     """
 
     def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -133,9 +136,10 @@ def bounded(
 
         @functools.wraps(command)
         def run(*args: Any, trust_file: bool, **options: Any) -> Any:
-            """Run the command, in a limited child process unless `trust_file` is true or no limit applies.
+            """Run the command and return its result, in a child process with limited memory, time and disk.
 
-            `args` and `options` are the parameters of the command.
+            No limit applies if `trust_file` is true, if `enable` was not called, or if `when(options)` is false. `args`
+            and `options` are the parameters of the command.
             """
             if _enabled and not trust_file and when(options):
                 values = (options[name] for name in names)
@@ -158,7 +162,7 @@ def continue_in_child(paths: Sequence[Path]) -> None:
     Parameters
     ----------
     paths
-        Files and folders that the command reads. The limits depend on their size.
+        Files and folders that the command reads, at least one. The limits grow with their total size.
 
     Raises
     ------
@@ -179,7 +183,7 @@ def continue_in_child(paths: Sequence[Path]) -> None:
     child, early = 0, list[int]()  # `early`: signals before the child existed
 
     def forward(number: int, frame: FrameType | None) -> None:
-        """Send a received signal to the child, and note its number for a child that does not exist yet."""
+        """Handle a signal of the parent: send it to the child, or note its number if the child does not exist yet."""
         early.append(number)
         if child:
             with contextlib.suppress(ProcessLookupError):
@@ -219,6 +223,8 @@ def _companion_files(path: Path) -> Iterator[Path]:
 
 def _become_child(bounds: Bounds, scratch: str, reports: int) -> None:
     """Make this process the limited child: set its resource limits, signal handlers and temporary folder.
+
+    On Linux it is also killed when its parent ends for any reason. It writes no core dump.
 
     Parameters
     ----------
@@ -272,7 +278,10 @@ def _interrupt_once() -> Callable[[int, FrameType | None], None]:
 
 
 def _raise_time_limit(number: int, frame: FrameType | None) -> NoReturn:
-    """Handle the signal SIGXCPU: raise the error that the limit of processor time was reached."""
+    """Handle the signal SIGXCPU: raise SeatrialError with the message that the limit of processor time was reached.
+
+    Later signals SIGXCPU are ignored.
+    """
     assert _bounds is not None
     signal.signal(number, signal.SIG_IGN)  # raise this error only once; the hard limit kills the process later
     raise SeatrialError(_time_message(_bounds))

@@ -12,22 +12,28 @@ from pathlib import Path
 
 
 def module_command(module: str, *arguments: str) -> list[str]:
-    """Return the command line that runs a module of this program.
+    """Return the command line that runs a module of seatrial as a program, with the Python interpreter of this process.
 
     Parameters
     ----------
     module : str
-        Full name of the module.
+        Full name of the module, such as "seatrial.daq.acquisition.watchdog".
     arguments : str
-        Arguments.
+        Command-line arguments for the module.
+
+    Returns
+    -------
+    list of str
+        Program and arguments, for `subprocess.Popen`. Modules in the working folder are not imported (option -P).
     """
     return [sys.executable, "-P", "-m", module, *arguments]
 
 
 def module_environment() -> dict[str, str]:
-    """Return the environment variables with which `module_command` finds this program from any working folder.
+    """Return environment variables for a child process that runs a `module_command` from any working folder.
 
-    Empty and relative entries of PYTHONPATH are left out, because they refer to the working folder.
+    They are those of this process, with the folder that contains this program first in PYTHONPATH. Empty and relative
+    entries of PYTHONPATH are left out, because they refer to the working folder.
     """
     here = str(Path(__file__).resolve().parent.parent)
     before = os.environ.get("PYTHONPATH", "").split(os.pathsep)

@@ -41,7 +41,8 @@ class LogPath(click.Path):
     def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> Path:
         """Return the path of the log file to open, from the text of an argument LOG.
 
-        A folder without a log, or with more than one log, is a usage error.
+        For a file this is the file itself, for a folder the first segment of the only log in it. A path that does not
+        exist, and a folder without a log or with more than one log, are usage errors.
         """
         path = Path(super().convert(value, param, ctx))  # type: ignore[arg-type]
         if not path.is_dir():
@@ -62,7 +63,10 @@ LOG = LogPath()
 
 @contextlib.contextmanager
 def _stop_signal() -> Iterator[threading.Event]:
-    """Yield an event that SIGINT, SIGTERM and SIGHUP set while the context lasts, instead of their usual effect."""
+    """Yield an event that SIGINT, SIGTERM and SIGHUP set within the `with` block, instead of their usual effect.
+
+    The earlier handlers of these signals are restored after the block.
+    """
     stop = threading.Event()
     numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     before = {number: signal.signal(number, lambda *_: stop.set()) for number in numbers}
@@ -197,7 +201,10 @@ class _ImportGroup(click.Group):
     default = "map"
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Put the sub-command `map` before the arguments, unless the first one is a sub-command or the help option."""
+        """Parse the arguments, after `map` was put before them if the first one is no sub-command and no help option.
+
+        Without arguments the help text is printed.
+        """
         if args and args[0] not in (*self.commands, "-h", "--help"):
             args = [self.default, *args]
         return super().parse_args(ctx, args)
@@ -256,10 +263,11 @@ def import_map(
 
 
 def _write_guessed_map(sources: tuple[Path, ...], dbc: Path | None, out: Path | None, force: bool) -> None:
-    """Write the guessed map of one source to the file `out`, or to the screen if `out` is None.
+    """Write the guessed import map of one source file to the file `out`, or to the screen if `out` is None.
 
-    `dbc` describes the frames of a CAN log. With `force` an existing file is replaced. More than one source is a usage
-    error. If the source does not suffice for a fit, a warning is printed.
+    An import map selects columns or topics of the source and names their signals. `dbc` is the file that describes the
+    frames of a CAN log. An existing file is replaced if `force` is true; otherwise it is an error. More than one source
+    is a usage error. If the source does not suffice for a fit, a warning is printed.
     """
     from seatrial.daq.files import write_output
     from seatrial.daq.importers.guess import guess_map
@@ -324,7 +332,7 @@ def import_mavlink(file: Path, rig_path: Path | None, system: int | None, out: P
 
 
 def _serial_protocol(context: click.Context, parameter: click.Parameter, name: str) -> str:
-    """Return the name of a serial protocol after a check. An unknown name is a usage error.
+    """Return the argument `name` unchanged if it is the name of a serial protocol. An unknown name is a usage error.
 
     The known names are listed at run time, because other packages may add some.
     """
@@ -360,7 +368,10 @@ def import_raw(protocol: str, file: Path, rate: float | None, out: Path | None, 
 
 
 def _check_addresses(_context: click.Context, _parameter: click.Parameter, ports: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the ports unchanged, after a check of those that are network addresses. A wrong one is a usage error."""
+    """Return the arguments `ports` unchanged, after a check of those that are network addresses, such as udp:HOST:PORT.
+
+    A wrong address is a usage error. Device files and CAN buses are not checked.
+    """
     from seatrial.daq.rig import NET_KINDS, parse_address
 
     for port in ports:
@@ -412,7 +423,10 @@ def devices(ports: tuple[str, ...], bauds: tuple[int, ...], seconds: float, toml
         click.echo(text, err=True)
 
     def identify(port: str) -> DiscoveredDevice:
-        """Identify the device at a port. An autopilot is also asked for its parameters if a rig file is printed."""
+        """Return the device at a device file, CAN bus or network address, with its protocol.
+
+        An autopilot is also asked for its parameters if a rig file is printed (--toml).
+        """
         if port.partition(":")[0] in NET_KINDS:
             return identify_autopilot(port, 0, toml)
         device = identify_protocol(port, bauds=bauds, listen=seconds)
@@ -448,7 +462,7 @@ _LIMITS = """\
 # Uncomment these lines and put in your own values. A run ends at zero thrust when a limit is passed. Each limit needs a
 # device that reports its quantity.
 # [limits]
-# n_max = 0.6            # largest command, 1 is full ahead
+# n_max = 0.6            # largest command, 1 is full forward
 # radius_m = 100.0       # m from the start; needs a GNSS receiver
 # voltage_min_v = 14.0   # V; needs a speed controller or an autopilot that reports it
 # current_a = 30.0       # A of each motor; needs a speed controller that reports it
@@ -457,7 +471,7 @@ _LIMITS = """\
 
 
 def _rig_protocols() -> tuple[str, ...]:
-    """Return the protocols that a rig file can have: the built-in ones and those of other installed packages."""
+    """Return the names of the protocols that a device of a rig file can have, built in or of other packages."""
     from seatrial.daq.protocol import DEVICES
 
     return tuple(DEVICES)

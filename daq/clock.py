@@ -81,9 +81,10 @@ class SuspendDetector:
         return 0.0 if clock is None else time.clock_gettime(clock) - time.clock_gettime(time.CLOCK_MONOTONIC)
 
     def slept(self) -> float:
-        """Return the time [s] that the computer was suspended since the last call that returned a suspend; else 0.
+        """Return for how long [s] the computer was suspended, and count from zero again; 0 if it was not suspended.
 
-        Suspends up to 0.1 s (`LEAST`) are not reported. Each suspend is returned once.
+        The time counts from the last call that returned more than 0, at first from the creation of the detector. Up to
+        0.1 s (`LEAST`) are returned as 0 and stay counted for the next call.
         """
         ahead = self._suspended_time()
         slept = ahead - self._ahead
@@ -96,24 +97,25 @@ class SuspendDetector:
 class _Hull:
     """Lower convex hull of points (device time [s], offset [s]) of a clock map. Points are added in the order of time.
 
-    The offset of a message is its receive time minus its device time. The hull is the lower edge of all points.
+    The offset of a message is its receive time minus its device time. The hull is the lower edge of all points. Device
+    times and offsets are relative to those of the first point of the clock map.
 
     Parameters
     ----------
     start : float
-        Device time of the first point [s].
+        Device time of the first point of this hull [s].
     """
 
     __slots__ = ("offset", "start", "x")
 
     def __init__(self, start: float) -> None:
-        """Make a hull without points. `start` is the device time [s] from which its points count."""
-        self.start = start  # device time of the first point
+        """Make a hull without points. `start` is the device time [s] of the point that will be added first."""
+        self.start = start
         self.x: list[float] = []
         self.offset: list[float] = []
 
     def push(self, x: float, offset: float) -> None:
-        """Add the newest point: device time `x` [s] and offset [s] of the receive time from it.
+        """Add the newest point: device time `x` [s], which is larger than all before, and offset [s].
 
         Points that are no longer on the lower hull are dropped. The cost is O(1), averaged over the calls.
         """
@@ -125,9 +127,10 @@ class _Hull:
         ys.append(offset)
 
     def slope(self) -> float:
-        """Return the slope [s/s] of the hull in the middle of its device times: the rate difference of the two clocks.
+        """Return the slope [s/s] of the hull in the middle of its device times: the skew of the device clock.
 
-        It is 0 for a single point.
+        It is the gain of the run clock on the device clock per second, negative if the device clock is fast. It is 0
+        for a single point.
         """
         xs, ys = self.x, self.offset
         middle = 0.5 * (xs[0] + xs[-1])
@@ -138,9 +141,10 @@ class _Hull:
 
 
 class _SampleKindTimes:
-    """State of the times of one kind of sample, for the detection of a clock that was set or has stopped.
+    """Device times and delays of one kind of sample of a device, to detect that its clock was set or has stopped.
 
-    The delay of a sample is its receive time minus its mapped device time.
+    The delay of a sample is its receive time minus its device time, mapped to run time by the clock map. The comments
+    in `__init__` explain the fields.
     """
 
     __slots__ = ("after", "back", "back_at", "last", "least", "newest", "since")
@@ -216,7 +220,8 @@ class ClockMap:
         Parameters
         ----------
         t_device : float
-            Device time [s]. If it is not finite, `t_rx` is returned and the map does not change.
+            Device time of the message [s]. It must not be smaller than that of the message before; otherwise a new map
+            begins. If it is not finite, `t_rx` is returned and the map does not change.
         t_rx : float
             Run time of receipt [s].
         """
@@ -228,15 +233,21 @@ class ClockMap:
         Parameters
         ----------
         t_device : float
-            Device time [s]. If it is not finite, `t_rx` is returned and the map does not change.
+            Device time of the sample [s]. If it is not finite, `t_rx` is returned and the map does not change.
         t_rx : float
             Run time of receipt [s].
         unordered : bool
             Whether device times may run back by up to 1 s (`LATE`), as an older fix may follow a newer attitude. Such a
-            sample is mapped, but does not change the map.
+            sample is mapped, but does not change the map. If false, a device time that runs back begins a new map.
         kind : object
             Kind of the sample, such as its class. Times of one kind ascend. If they run back and the samples stay late,
-            the clock was set back.
+            the clock was set back, and a new map begins.
+
+        Returns
+        -------
+        float
+            Run time of the measurement [s], never later than `t_rx`. It decreases only if `unordered` is true and
+            `t_device` runs back.
         """
         if not math.isfinite(t_device):
             return t_rx
@@ -264,12 +275,15 @@ class ClockMap:
 
     @property
     def bias(self) -> float:
-        """Mean of receive time minus estimated time [s] since the last `forget_statistics`; NaN without a sample."""
+        """Mean delay [s] since the last `forget_statistics`: receive time minus estimated run time; NaN without one.
+
+        Samples whose device time runs back are not counted.
+        """
         return self._mean if self._count else math.nan
 
     @property
     def spread(self) -> float:
-        """Standard deviation of receive time minus estimated time [s]; NaN with fewer than two samples."""
+        """Standard deviation of the delays whose mean is `bias` [s]; NaN with fewer than two samples."""
         return math.sqrt(self._m2 / (self._count - 1)) if self._count > 1 else math.nan
 
     def forget_statistics(self) -> None:
@@ -284,7 +298,8 @@ class ClockMap:
         """Return whether the device clock has jumped or the device has restarted, by the times of a new sample.
 
         The parameters are those of `estimate`. A jump is a device time more than 0.5 s ahead of the map (`JUMP`), a
-        time that runs back, or samples of one kind that stay late. The stored times of this kind of sample are updated.
+        device time that runs back (with `unordered` by more than 1 s), or samples of one kind that stay late for some
+        seconds. The stored times of this kind of sample (`_kinds`) are updated. There must be a map.
         """
         late = t_rx - self._to_run_time(t_device)
         if late < -self.JUMP or self._last_device - t_device > (self.LATE if unordered else 0.0):

@@ -27,7 +27,7 @@ class SeatrialWarning(RuntimeWarning):
 
 
 def counted(number: int, word: str) -> str:
-    """Return a number with its noun, as "1 fault" or "2 faults"."""
+    """Return a number with its noun, as "1 fault" or "2 faults". The plural is `word` and an s."""
     return f"{number} {word}{'' if number == 1 else 's'}"
 
 
@@ -38,7 +38,10 @@ class _EscapeTable(dict[int, str]):
     """
 
     def __missing__(self, number: int) -> str:
-        """Return the replacement of a character by its code point, and store it if the point is below 65,536."""
+        """Return the safe replacement of the character with the code point `number`; a safe character stays.
+
+        The replacement is stored in the table if the code point is below 65,536.
+        """
         c = chr(number)
         replacement = c if c.isprintable() or c == "\n" else " " if c.isspace() else ascii(c)[1:-1]
         if number < 1 << 16:

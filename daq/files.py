@@ -50,7 +50,7 @@ def require_file(path: Path) -> None:
 
 
 def require_new(path: Path, force: bool = False, option: str = "-o") -> None:
-    """Check that an output may be created at a path.
+    """Check that an output may be created at a path. A path that does not exist is accepted.
 
     Parameters
     ----------
@@ -121,9 +121,10 @@ def new_file(path: Path, force: bool = True) -> Iterator[Path]:
 
 
 def _rename_to_new(scratch: Path, path: Path) -> None:
-    """Give a complete scratch file the name `path`. Raise FileExistsError if this name exists by now.
+    """Rename a complete scratch file to `path`. Raise FileExistsError if a file of this name was created meanwhile.
 
-    A file system without hard links cannot check this; there an existing file is replaced.
+    The scratch file itself may stay; the caller deletes it. A file system without hard links cannot check the name;
+    there an existing file is replaced.
     """
     try:
         os.link(scratch, path)
@@ -159,7 +160,7 @@ def write_output(path: Path, content: str | bytes, force: bool = True) -> None:
 
 
 def append_to(path: Path) -> IO[str]:
-    """Open an output for appending UTF-8 text.
+    """Open an output for appending UTF-8 text, and return the open file. The file is created if it does not exist.
 
     Raises
     ------
@@ -174,9 +175,9 @@ def append_to(path: Path) -> IO[str]:
 
 
 def report_scratch_to(pipe: int) -> None:
-    """Write the names of all scratch files that this process makes later to a pipe, given by its file descriptor.
+    """Set the pipe to which `note_scratch` writes the names of scratch files. `pipe` is its file descriptor.
 
-    The parent process, which limits this process, deletes these files if this process is killed.
+    The parent process, which limits this process, reads the names and deletes the files if this process is killed.
     """
     global _report_pipe
     _report_pipe = pipe
@@ -185,7 +186,7 @@ def report_scratch_to(pipe: int) -> None:
 def note_scratch(path: Path) -> None:
     """Report the path of a new scratch file to the parent process, which deletes it if this process is killed.
 
-    Nothing happens if this process has no such parent.
+    Nothing happens in a process without a parent that limits it, in which `report_scratch_to` was not called.
     """
     if _report_pipe >= 0:
         os.write(_report_pipe, os.fsencode(path.absolute()) + b"\0")

@@ -26,7 +26,9 @@ T = TypeVar("T")
 
 @cache
 def plugins(group: str) -> dict[str, EntryPoint]:
-    """Return the entry points of a group by name. No code of the other packages is imported.
+    """Return the entry points of a group, such as "seatrial.protocols", by name. They may be none.
+
+    Only the metadata of the installed packages are read; no code of theirs is imported. The result is cached.
 
     Raises
     ------
@@ -63,9 +65,10 @@ def load_plugin(point: EntryPoint, kind: type[T]) -> T:
 
 
 def load_or_warn(point: EntryPoint, kind: type[T]) -> T | None:
-    """Import the object that an entry point names. If that fails, warn and return None.
+    """Import the object that an entry point names, and return it if it is an instance of the class `kind`.
 
-    This function is for lists of all protocols or effects, in which a broken package must not hide the other packages.
+    Otherwise, or if the import fails, a SeatrialWarning is issued and None is returned. This function is for lists of
+    all protocols or effects, in which a broken package must not hide the other packages.
     """
     try:
         return load_plugin(point, kind)

@@ -37,7 +37,10 @@ def set_realtime_priority(behind: int = 0) -> None:
 
 @contextlib.contextmanager
 def realtime_priority() -> Iterator[None]:
-    """Raise the priority of this thread as `set_realtime_priority` does, and restore the old one after the block."""
+    """Raise the priority of this thread for a `with` block as far as the system allows, and then restore the old one.
+
+    The priority is the highest one of this program (`set_realtime_priority`). A missing right is no error.
+    """
     niceness = os.getpriority(os.PRIO_PROCESS, 0)
     policy = os.sched_getscheduler(0) if hasattr(os, "sched_getscheduler") else 0
     set_realtime_priority()

@@ -79,7 +79,10 @@ class LoadCellCalibration:
 
     @property
     def relative_sd(self) -> float | None:
-        """Relative standard uncertainty of a force due to gain and lever; None if neither uncertainty is given."""
+        """Relative standard uncertainty of a force, from those of gain and lever ratio (root of the sum of squares).
+
+        An uncertainty that is not given counts as zero. None if neither is given.
+        """
         factors = ((self.newton_per_count_sd, self.newton_per_count), (self.lever_ratio_sd, self.lever_ratio))
         parts = [sd / abs(value) for sd, value in factors if sd is not None]
         return math.hypot(*parts) if parts else None
@@ -365,10 +368,11 @@ class Limits:
     battery_min
         Smallest remaining charge of a battery, 0..1.
     link_test_n
-        Largest command, 0..1, to thrusters behind an autopilot without a link test before.
+        Largest command, 0..1, to thrusters behind an autopilot whose link test has not been done.
     unwatched
-        Limits that need no device which reports their quantity. A limit is compared if a device reports it all the
-        same. "telemetry": the reports of speed controllers are not compared with their commands.
+        Names of limits that a run may have without a device which reports their quantity. If a device does report it,
+        the limit is still compared. "telemetry" means that the reports of speed controllers are not compared with
+        their commands.
     """
 
     n_max: float = 1.0
@@ -510,12 +514,14 @@ class Rig:
 
 
 def parse_address(port: str) -> tuple[str, int]:
-    """Return host and port number of `udp:HOST:PORT`, `udpin:`, `udpout:` or `tcp:`.
+    """Return host and port number of a network address: `udp:HOST:PORT`, or the same with `udpin`, `udpout` or `tcp`.
+
+    The brackets of an IPv6 address are removed. The word before the first colon is not checked.
 
     Raises
     ------
     ValueError
-        If the text lacks a host or a valid port number.
+        If the address lacks a host or a port number from 1 to 65535.
     """
     host, _, number = port.partition(":")[2].rpartition(":")
     if not host or not (number.isascii() and number.isdigit() and 0 < int(number) < 65536):

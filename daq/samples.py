@@ -15,7 +15,7 @@ NAN = float("nan")
 
 
 def wrap_angle(angle: float) -> float:
-    """Wrap an angle [rad] to -pi..pi."""
+    """Return an angle [rad] plus or minus whole turns, so that it is within -pi..pi. NaN stays NaN."""
     return math.remainder(angle, math.tau)
 
 

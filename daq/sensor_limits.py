@@ -15,14 +15,14 @@ from seatrial.daq.samples import Ahrs, Gnss, LoadCell
 
 
 class StuckLimit(NamedTuple):
-    """Limit of a kind of sensor. It is stuck if its fields repeat for at least these numbers of samples and seconds.
+    """Limit of one kind of sample. A sensor is stuck if all `fields` repeat for so many samples and so many seconds.
 
     Attributes
     ----------
     fields
-        Names of the compared fields.
+        Names of the compared fields of a sample.
     samples
-        Number of equal samples in a row.
+        Number of samples in a row with equal values. The check of a log does not count the first of them.
     seconds
         Time from the first to the last equal sample [run s].
     """
@@ -53,6 +53,9 @@ FLAGGED_SHARE = 0.01  # limit of the share of saturated samples and spikes of a 
 
 def can_be_stuck(kind: type, sample: Any) -> Any:
     """Return whether a sample, or each sample of a table, would change from sample to sample if its sensor works.
+
+    An AHRS sample would if it has a roll rate, or a heading and a specific force forward. A GNSS sample would if it has
+    a time. A load cell's would if its counts are a whole number of at least 1000 (FINE_COUNTS), positive or negative.
 
     Parameters
     ----------

@@ -47,14 +47,14 @@ OK, FAILED, WRONG_USAGE, HUNG_UP, INTERRUPTED = 0, 1, 2, 129, 130
 
 
 class Row(NamedTuple):
-    """Command in the list of commands.
+    """Command of `seatrial` in the table COMMANDS, from which the help is written without an import of the command.
 
     Attributes
     ----------
     target
-        `module:attribute` of the command.
+        Place of the click command in the code, `module:attribute`.
     short_help
-        Line in the list of commands.
+        Text beside the name of the command in `seatrial --help`.
     """
 
     target: str
@@ -86,14 +86,21 @@ ATTACHED = {"mission": {"design": "seatrial.ident.cli.commands:design"}}
 
 
 class LazyGroup(click.Group):
-    """Group of commands that imports a command only when it is used. It lists the commands without imports."""
+    """Group of the commands of `seatrial`, which imports a command only when it is used.
+
+    Help and completion are written from the table COMMANDS, without imports.
+    """
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the names of all commands of `seatrial`, in the order of the help. No part is imported."""
         return list(COMMANDS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Import a command of `seatrial` by its name, and return it; None if there is no such command."""
+        """Import the command of `seatrial` with a name, and return it; None if there is no such command.
+
+        Sub-commands of another part (table ATTACHED) are added to it. SeatrialError is raised if the command, or a
+        library that it needs, is not installed.
+        """
         row = COMMANDS.get(cmd_name)
         if row is None:
             return None
@@ -129,14 +136,15 @@ class LazyGroup(click.Group):
 def _missing_module_message(subject: str, missing: str) -> str:
     """Return the message about a library that is not installed, with the extra that installs it.
 
-    `subject` is the command or function that needs it, and `missing` is the name of the module.
+    `subject` is the command or function that needs it, in words, and `missing` is the full name of the module. A module
+    of no known extra gives the extra "all".
     """
     extra = next((extra for extra, modules in EXTRAS.items() if missing.partition(".")[0] in modules), "all")
     return f"{subject} needs the Python module {missing}, which is not installed: pip install 'seatrial[{extra}]'"
 
 
 def _load_command(name: str, target: str) -> click.Command:
-    """Import the command at `target`, which is `module:attribute`.
+    """Import the command at `target`, which is `module:attribute`, and return it.
 
     `name` is the command as the user writes it, for the message. SeatrialError is raised if this installation does not
     have the command or a library that it needs.
@@ -156,10 +164,13 @@ def _load_command(name: str, target: str) -> click.Command:
 
 
 class MotionChecksOfIdent:
-    """The checks of `seatrial check` that need the part ident. ident is imported when a check is called."""
+    """The steps of `seatrial check` that need `seatrial.ident`, which is imported when one of them is called.
+
+    The command is in `seatrial.bench`, which must not import `seatrial.ident`; it gets this object instead.
+    """
 
     def check_log(self, path: Path) -> list[Finding]:
-        """Return findings about sensors and thrusters from the motion in a log.
+        """Return findings about sensors and thrusters from the motion in a log. `path` is the file of the log.
 
         Raises
         ------
@@ -173,7 +184,7 @@ class MotionChecksOfIdent:
         return check_log(path)
 
     def write_check_page(self, report: CheckReport, out: Path) -> None:
-        """Write the HTML page of a check to ``out``.
+        """Write the HTML page of a check to the file ``out``. The page contains the command line of this process.
 
         Raises
         ------
@@ -202,7 +213,9 @@ def cli(context: click.Context, debug: bool) -> None:
 def _line_and_status(error: BaseException) -> tuple[str, int]:
     """Return the line for stderr and the exit status of the process, for an error that has ended a command.
 
-    The error is not one of wrong usage, which `_usage_line` describes.
+    A SeatrialError gives its own message and status, Ctrl-C gives 130, and a closed terminal 129. Known other errors
+    give a message with advice and 1. Any other exception is an internal error with status 1. The line contains no line
+    end and no control characters. Errors of wrong usage are not handled here but by `_usage_line`.
     """
     if limit := bounds.limit_message(error):
         line, status = limit, FAILED
@@ -225,16 +238,17 @@ def _line_and_status(error: BaseException) -> tuple[str, int]:
 
 
 def _usage_line(error: click.UsageError) -> str:
-    """Return the line for stderr about a wrong command line. It ends with the command that shows the help."""
+    """Return the line for stderr about a wrong command line: the command, the problem, and the command for its help."""
     path = "seatrial" if error.ctx is None else error.ctx.command_path
     text = printable(" ".join(error.format_message().split()).rstrip("."))
     return f"{path}: {text}{'' if text.endswith(('?', ')')) else ';'} `{path} --help` shows how"
 
 
 def _warning_printer(default: Callable[..., None]) -> Callable[..., None]:
-    """Return a function that prints a SeatrialWarning as one line, without its position in the code.
+    """Return a function for `warnings.showwarning` that prints a SeatrialWarning as one line on stderr.
 
-    All other warnings are passed to ``default``.
+    The line does not contain the position of the warning in the code. All other warnings are passed to ``default``, the
+    function of Python that prints them.
     """
 
     def show(message: Warning | str, category: type[Warning], *args: Any, **kwargs: Any) -> None:
@@ -248,9 +262,10 @@ def _warning_printer(default: Callable[..., None]) -> Callable[..., None]:
 
 
 def _run_command_line(args: Sequence[str]) -> int:
-    """Run one command line and return its exit status. Exceptions of the command are passed on.
+    """Run one command line, such as ["info", "run.mcap"], and return its exit status.
 
-    Wrong usage prints its own line and gives status 2. Other errors of click become SeatrialError.
+    The status is 0 unless the command sets another. Wrong usage is reported on stderr and gives status 2. Other errors
+    of click become SeatrialError. All other exceptions of the command are passed on.
     """
     try:
         with warnings.catch_warnings():
@@ -269,14 +284,16 @@ def _run_command_line(args: Sequence[str]) -> int:
 
 
 def main(args: Sequence[str] | None = None) -> None:
-    """Run the command line and exit the process with its status.
+    """Run the command line and exit the process with its status. This function does not return.
 
-    The status is 0 if the command succeeds, 1 if it fails, 2 for wrong usage and 3 for a stop by a safety limit.
+    The status is 0 if the command succeeds, 1 if it fails, 2 for wrong usage, 3 for a stop by a safety limit, 129 if
+    the terminal was closed and 130 after Ctrl-C.
 
     Parameters
     ----------
     args : sequence of str, optional
-        Words of the command line; without it those of this process.
+        Words of the command line after `seatrial`; without it those of this process. The limits for files
+        (`seatrial.daq.bounds`) apply only without it.
     """
     words = list(sys.argv[1:] if args is None else args)
     if args is None:

@@ -93,9 +93,10 @@ def check_devices(log: Log) -> Iterator[Finding]:
 
 
 def _tables_by_device(log: Log) -> dict[str, Tables]:
-    """Return the tables of samples in a log, by name of the device: kind of sample, name for findings, table.
+    """Return the tables of samples in a log, by name of the device, each as (kind of sample, name in findings, table).
 
-    Speed controllers have a table for each node. An autopilot that sends only its state has an empty list.
+    Only attitudes, fixes, load cells, batteries and speed controllers are included. Speed controllers have a table for
+    each node. An autopilot that sends only its state has an empty list.
     """
     found: dict[str, Tables] = {}
     for kind in (Ahrs, Gnss, LoadCell, Battery):
@@ -132,7 +133,9 @@ def _check_devices_present(log: Log, rig: Rig | None) -> Iterator[Finding]:
 def _check_rate(source: str, device: Device | None, log: Log, tables: Tables, gaps_known: bool) -> Iterator[Finding]:
     """Compare the rate of the samples of one device with `rate_hz` of the rig, and yield the finding.
 
-    A fault is a difference of more than 20 %, or fewer than three samples.
+    A fault is a difference of more than 20 %, or fewer than three samples. Of an autopilot only attitudes count, after
+    the first third of the log (at most 10 s), in which it still sends at its own rates. The rate of an autopilot in a
+    log imported from a tlog is reported and not compared. A device without tables has no finding, except an autopilot.
 
     Parameters
     ----------
@@ -143,7 +146,7 @@ def _check_rate(source: str, device: Device | None, log: Log, tables: Tables, ga
     log : Log
         The log.
     tables : Tables
-        Tables of its samples.
+        Tables of samples of the device: kind of sample, name in findings, table.
     gaps_known : bool
         Whether another finding reports missing sections. The sections are then left out of the rate.
     """
@@ -180,10 +183,10 @@ def _check_rate(source: str, device: Device | None, log: Log, tables: Tables, ga
 
 
 def _rated_times(device: Device | None, tables: Tables) -> FloatArray:
-    """Return the sorted times (n,) [s] of the samples that count for the rate of a device, as in the live table.
+    """Return the sorted times (n,) [s] of the samples that count for the rate of a device.
 
-    They are the samples of the kind to which `rate_hz` of the rig applies. If `device` is None, all samples count.
-    `tables` has kind, name and table of its samples.
+    They are the samples of the kind to which `rate_hz` of the rig applies, for example the attitudes of an autopilot.
+    If `device` is None, all samples count. `tables` has kind, name and table of the samples of the device.
     """
     with_attitudes = any(kind is Ahrs and np.isfinite(table["yaw"]).any() for kind, _, table in tables)
     found = [np.empty(0)]
@@ -194,10 +197,12 @@ def _rated_times(device: Device | None, tables: Tables) -> FloatArray:
 
 
 def _check_stuck(kind: type, name: str, table: Any) -> Iterator[Finding]:
-    """Yield a fault for the longest interval in which all values of a sensor stay exactly the same for too long.
+    """Yield a fault if a sensor is stuck: all its values stay exactly the same for too many samples and too long.
 
-    `kind` is the kind of the samples, `name` the device in the finding. Kinds without limits in the table STUCK_IN_LOG
-    (daq/sensor_limits.py) are not checked.
+    `table` has the samples of one device, `kind` is their class, and `name` the device in the finding. The limits are
+    in STUCK_IN_LOG (daq/sensor_limits.py), for example 10 attitudes and 0.5 s; kinds without limits there are not
+    checked. Only the longest such interval is reported. Samples that repeat without a fault do not count, for example
+    those of a load cell without load.
     """
     if kind not in STUCK_IN_LOG:
         return
@@ -225,9 +230,10 @@ def _check_stuck(kind: type, name: str, table: Any) -> Iterator[Finding]:
 
 
 def _rows_that_can_be_stuck(kind: type, table: Any) -> Any:
-    """Return a mask (n,) of the samples in a table whose values would change if the sensor worked.
+    """Return a mask (n,) of the samples in a table whose values would change from sample to sample if the sensor works.
 
-    For a load cell these are the samples that are not at rest, because under load even coarse counts flicker.
+    `kind` is the class of the samples. For a load cell these are the samples with counts of at least 5 of their
+    smallest steps (AT_REST), because under load even coarse counts flicker. For others see `can_be_stuck`.
     """
     if kind is not LoadCell:
         return can_be_stuck(kind, table.view(np.recarray))
@@ -236,9 +242,9 @@ def _rows_that_can_be_stuck(kind: type, table: Any) -> Any:
 
 
 def _smallest_step(counts: Any) -> float:
-    """Return the smallest step between two successive counts of a load cell, in counts.
+    """Return the smallest step other than zero between two successive counts (n,) of a load cell, in counts.
 
-    If all counts are equal, return the unit of their last digit, such as 0.01 for 12.34.
+    If all counts are equal, return the unit of their last decimal digit, such as 0.01 for 12.34 and 1 for 12.
     """
     steps = np.abs(np.diff(counts))
     if (steps := steps[steps > 0.0]).size:
@@ -250,8 +256,9 @@ def _smallest_step(counts: Any) -> float:
 def _constant_intervals(kind: type, table: Any) -> Iterator[tuple[float, float]]:
     """Yield begin and end [s] of each interval in which all compared values of a sensor stay the same for too long.
 
-    The compared columns, the smallest number of samples and the shortest duration come from the table STUCK_IN_LOG in
-    daq/sensor_limits.py. NaN equals NaN.
+    `kind` is the class of the samples in `table`. The compared columns, the smallest number of repeats and the shortest
+    duration come from STUCK_IN_LOG in daq/sensor_limits.py. All rows of the table must lack (NaN) the same columns;
+    such columns count as equal.
     """
     columns, samples, seconds = STUCK_IN_LOG[kind]
     same = np.ones(max(len(table) - 1, 0), dtype=bool)
@@ -268,10 +275,12 @@ def _constant_intervals(kind: type, table: Any) -> Iterator[tuple[float, float]]
 
 
 def _check_ahrs(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
-    """Check noise, specific force and mounting of an AHRS in a log, and yield the findings. `rig` is not used.
+    """Check noise, specific force and mounting of an AHRS in a log, and yield the findings.
 
-    Faults are white noise above 2 deg in yaw or 0.05 rad/s in yaw rate. Warnings are a median specific force that
-    differs from 9.81 m/s2 by more than 15 %, and a median roll or pitch above 20 deg.
+    Faults are white noise above 2 deg in yaw or 0.05 rad/s in yaw rate; lower noise is reported. Warnings are a median
+    specific force that differs from 9.81 m/s2 by more than 15 %, and a median roll or pitch beyond 20 deg. Samples in
+    fast turns do not count for the specific force if enough others remain. `table` has the samples of the AHRS, `name`
+    is the device in the findings, and `rig` is not used.
     """
     is_quiet, noises = True, dict[str, float]()
     for column, (limit, unit) in NOISE.items():
@@ -321,7 +330,7 @@ def _check_ahrs(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
 
 
 def _finite_values(table: Any, column: str) -> FloatArray:
-    """Return the finite values of a column of a table, in order. Values of the column `yaw` are unwrapped [rad]."""
+    """Return the finite values (n,) of one column of a table of samples, in order. Yaw angles [rad] are unwrapped."""
     values: FloatArray = table[column][np.isfinite(table[column])]
     return np.unwrap(values) if column == "yaw" else values
 
@@ -346,9 +355,11 @@ def white_noise_sd(values: FloatArray) -> float:
 
 
 def _check_gnss(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
-    """Check the fixes and satellites of a GNSS receiver in a log, and yield the findings. `rig` is not used.
+    """Check the fixes and satellites of a GNSS receiver in a log, and yield the findings.
 
-    Findings are positions at 0 N 0 E, more than 5 % of the samples without a position, and a median below 6 satellites.
+    Warnings are positions at 0 N 0 E, more than 5 % of the samples without a position, and a median below 6 satellites.
+    It is a fault if no sample has a position. `table` has the samples of the receiver, `name` is the device in the
+    findings, and `rig` is not used.
     """
     at_zero = (table["fix"] >= 2) & (table["lat"] == 0.0) & (table["lon"] == 0.0)
     if at_zero.any():
@@ -386,10 +397,10 @@ def _check_gnss(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
 
 
 def _check_esc_voltage(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
-    """Compare the voltage of a speed controller in a log with the limit of the rig, and yield the finding.
+    """Compare the voltage of a speed controller in a log with `limits.voltage_min_v` of the rig, and yield the finding.
 
-    The voltage is the median of its last 20 values. There is no finding if the rig has no limit or the controller
-    reports no voltage.
+    The voltage is the median of its last 20 values that are not NaN. There is no finding without a rig, a limit or a
+    voltage. `table` has the samples of the controller, and `name` is its name in the finding.
     """
     lowest = None if rig is None else rig.limits.voltage_min_v
     volts = table["voltage"][np.isfinite(table["voltage"])]
@@ -398,9 +409,9 @@ def _check_esc_voltage(name: str, table: Any, rig: Rig | None) -> Iterator[Findi
 
 
 def _voltage_finding(name: str, volts: float, lowest: float) -> Finding:
-    """Compare a voltage with its lower limit [V] and return the finding.
+    """Compare a voltage [V] of the device `name` with its lower limit [V] and return the finding.
 
-    It is a fault below the limit, and a warning within 5 % above it.
+    It is a fault below the limit, a warning up to 5 % above it, and in order otherwise.
     """
     if volts < lowest:
         return Finding(FAULT, "voltage-low", "battery", name, f"{volts:.1f} V, limit {lowest:g}", "charge the battery")
@@ -412,7 +423,10 @@ def _voltage_finding(name: str, volts: float, lowest: float) -> Finding:
 
 
 def _check_load_cell(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
-    """Yield a warning if too many samples of a load cell are flagged as saturated or as spikes. `rig` is not used."""
+    """Yield a warning if more than 1 % of the samples of a load cell are flagged as saturated or as spikes.
+
+    `table` has the samples, `name` is the device in the finding, and `rig` is not used.
+    """
     bad = float(np.mean(table["flags"] != 0))
     if bad > FLAGGED_SHARE:
         text = f"{100 * bad:.0f} % of the readings are saturated or spikes"
@@ -427,9 +441,10 @@ def _check_load_cell(name: str, table: Any, rig: Rig | None) -> Iterator[Finding
 
 
 def _check_battery(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
-    """Compare the last reported charge of a battery with the limit of the rig, and yield the finding.
+    """Compare the remaining charge in the last sample of a battery with `limits.battery_min` of the rig.
 
-    There is no finding if the charge or the limit is missing.
+    Yield a fault if it is below the limit, and otherwise a finding that it is in order. There is no finding without a
+    rig or a limit, or if the charge is NaN. `table` has the samples, and `name` is the device in the finding.
     """
     left, least = table["remaining"][-1], None if rig is None else rig.limits.battery_min
     if least is not None and np.isfinite(left):
@@ -453,10 +468,10 @@ def _no_findings(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
 
 
 def _check_port_counters(source: str, log: Log) -> Iterator[Finding]:
-    """Check the last counters of a device's port in the log, and yield the findings.
+    """Check the last counters of the port of the device `source` in a log, and yield the findings.
 
-    The counters are those of checksum errors, unparsed bytes, dropped samples and lost ports. A log without counters of
-    the port has no finding.
+    Warnings are checksum errors in more than 0.1 % of the frames, more than 1 % of unparsed bytes, any dropped sample
+    and any loss of the port. A log without counters of the port has no finding.
     """
     if source not in log.sources(PortHealth) or not (rows := log.health(source)):
         return
@@ -490,9 +505,10 @@ def _check_port_counters(source: str, log: Log) -> Iterator[Finding]:
 
 
 def _check_shaft_speeds(log: Log) -> Iterator[Finding]:
-    """Yield a fault for each speed controller whose shaft speed stays equal while its command changes.
+    """Yield a fault for each speed controller whose shaft speed stays exactly equal while its command changes.
 
-    It must stay equal for more than 2 s. Controllers without commands in the log, and a speed of zero, are not checked.
+    The speed must stay equal for more than 2 s, and the command must change by more than 0.1 of full command. Not
+    checked are a speed of zero, controllers without commands in the log, and those with fewer than 20 samples.
     """
     for source in log.sources(Esc):
         for node in log.nodes(Esc, source):
@@ -526,7 +542,8 @@ def _check_shaft_speeds(log: Log) -> Iterator[Finding]:
 def _check_imported_signals(log: Log) -> Iterator[Finding]:
     """Check the imported signals of a log, and yield the findings.
 
-    They are about rows left out, missing inputs, damaged time stamps and outputs with constant values.
+    They are about rows that the import left out, unknown inputs, damaged or repeated time stamps, missing sections, and
+    outputs with the same value in all samples. A log without imported signals has no finding.
     """
     by_map = log.attachments.get("import.toml", b"").replace(b"'", b'"')
     yield from check_rows_left_out(log.metadata)
@@ -556,7 +573,7 @@ def check_timestamps(name: str, table: Any, end: float | None, speed: float = 1.
     """Check the times of the samples of one device or signal, and yield the findings.
 
     They are about times that do not increase, samples that arrive in bunches, gaps, an early end, and the device's
-    clock.
+    clock. Fewer than three samples are not checked.
 
     Parameters
     ----------
@@ -607,7 +624,7 @@ def check_timestamps(name: str, table: Any, end: float | None, speed: float = 1.
 def _check_gaps(name: str, t: FloatArray, pauses: FloatArray, speed: float, imported: bool) -> Iterator[Finding]:
     """Yield a warning if pauses between samples are so long that sections of the data are missing.
 
-    A pause is too long above 1 s, 10 median sample periods and 0.2 s of wall time.
+    A pause is too long if it exceeds the longest of 1 s, 10 median sample periods and 0.2 s of wall time.
 
     Parameters
     ----------
@@ -620,7 +637,8 @@ def _check_gaps(name: str, t: FloatArray, pauses: FloatArray, speed: float, impo
     speed : float
         Run seconds per wall second.
     imported : bool
-        Whether the signal is imported. Many long pauses of an imported signal are no missing sections.
+        Whether the signal is imported. An imported signal with long pauses after 2 % of its samples or more is written
+        only when it changes, and gives no warning.
     """
     least = max(GAP_S, GAP_PERIODS * float(np.median(pauses)), 4.0 * WALL_JITTER_S * speed)
     long = np.flatnonzero(pauses > least)
@@ -640,10 +658,12 @@ def _check_gaps(name: str, t: FloatArray, pauses: FloatArray, speed: float, impo
 
 
 def _check_clock(name: str, table: Any, speed: float) -> Iterator[Finding]:
-    """Check a device's clock for jumps, delays and drift against the computer's clock, and yield the findings.
+    """Check a device's clock for jumps, delays and drift against the run clock, and yield the findings.
 
-    `table` has the columns t_rx and t_device [s]. With fewer than 50 times of the device nothing is checked. `speed` is
-    the number of run seconds per wall second.
+    A clock that ran back or jumps gives one fault, and nothing else is checked then. Late samples and drift above
+    500 ppm give warnings; a clock without them is reported as in order. `table` has the columns t_rx and t_device [s].
+    With fewer than 50 times of the device nothing is checked. `name` is the device in the findings, and `speed` the
+    number of run seconds per wall second.
     """
     has_clock = np.isfinite(table["t_device"])
     if np.count_nonzero(has_clock) < 50:
@@ -705,10 +725,11 @@ def _check_clock(name: str, table: Any, speed: float) -> Iterator[Finding]:
 
 
 def _earliest_arrivals(received: FloatArray, offset: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return receive time and clock offset [s] of the sample with the smallest offset in each block of time.
+    """Return receive times and clock offsets [s] of the samples with the smallest offset in each block of time.
 
-    A block lasts 2 s, or 5 median sample periods if that is longer. Blocks with fewer than three samples are left out.
-    `received` (n,) are receive times, and `offset` (n,) is receive time minus device time [s].
+    The two arrays have one item per block. A block lasts 2 s, or 5 median sample periods if that is longer. Blocks with
+    fewer than three samples are left out. `received` (n,) are receive times, and `offset` (n,) is receive time minus
+    device time [s].
     """
     long = max(BLOCK_S, BLOCK_SAMPLES * float(np.median(np.diff(received))))
     block = ((received - received[0]) / long).astype(int)

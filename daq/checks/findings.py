@@ -18,13 +18,13 @@ class Finding(NamedTuple):
     Attributes
     ----------
     level : str
-        `OK`, `WARNING` or `FAULT`.
+        Severity: `OK`, `WARNING` (needs attention) or `FAULT` (makes a run or a fit meaningless).
     code : str
-        Kind of the finding in kebab-case, for programs. It stays the same if the text changes.
+        Kind of the finding in kebab-case, such as "clock-jumps", for programs. It stays the same if the text changes.
     check : str
-        Name of the check.
+        Name of the check, such as "rate" or "clock".
     where : str
-        Device, thruster or file.
+        Name of the device, thruster, signal or file that was checked.
     text : str
         The finding with its numbers.
     advice : str
@@ -40,19 +40,27 @@ class Finding(NamedTuple):
 
 
 def worst_first(findings: Iterable[Finding]) -> list[Finding]:
-    """Sort the findings of a check: faults first, then warnings, then the rest. The order within each level stays."""
+    """Return the findings of a check sorted by severity: faults, then warnings, then those in order (`OK`).
+
+    Findings of the same severity keep their order.
+    """
     order = (FAULT, WARNING, OK)
     return sorted(findings, key=lambda f: order.index(f.level))
 
 
 def findings_lines(findings: Sequence[Finding]) -> list[str]:
-    """Return each finding of a check as one line: level, place, check, text and advice, in columns."""
+    """Return each finding of a check as one line: severity, device or file, name of the check, text and advice.
+
+    The first three are padded to columns.
+    """
     rows = zip(_line_beginnings(findings), findings, strict=True)
     return [f"{head}{f.text}{f': {f.advice}' if f.advice else ''}" for head, f in rows]
 
 
 def findings_paragraphs(findings: Sequence[Finding], width: int) -> list[str]:
     """Return the findings of a check as wrapped lines for a terminal.
+
+    If severity, place and check of a finding need more than half of the width, its text begins on the next line.
 
     Parameters
     ----------
@@ -79,7 +87,7 @@ def findings_paragraphs(findings: Sequence[Finding], width: int) -> list[str]:
 
 
 def _line_beginnings(findings: Sequence[Finding]) -> list[str]:
-    """Return the beginning of each finding's line: level, place and check, padded to one length."""
+    """Return the beginning of the line of each finding: severity, device or file, and check, padded to one length."""
     where_width = max((len(f.where) for f in findings), default=0)
     check_width = max((len(f.check) for f in findings), default=0)
     return [f"{f.level:<{LEVEL}} {f.where:<{where_width}}  {f.check:<{check_width}}  " for f in findings]

@@ -66,7 +66,8 @@ def held_values(columns: Sequence[FloatArray]) -> HeldValues | None:
     Returns
     -------
     HeldValues or None
-        None if the rows are measurements, or if the data do not show whether values are held.
+        None if the rows are measurements, or if the data do not show whether values are held: for example, if the
+        values change in fewer than 11 rows.
     """
     changed = _rows_of_change(columns)
     first = np.flatnonzero(changed)
@@ -89,6 +90,9 @@ def held_values(columns: Sequence[FloatArray]) -> HeldValues | None:
 def held_signals(t: FloatArray, signals: Mapping[str, FloatArray]) -> dict[str, HeldValues]:
     """Find the signals of a table that are held: the table repeats each measurement in several rows.
 
+    Signals that one sensor measures at once, such as x and y (TOGETHER), are judged together. A signal that is measured
+    less often than every 5 s (SLOWEST_S) is taken for a set-point and left out.
+
     Parameters
     ----------
     t
@@ -99,8 +103,8 @@ def held_signals(t: FloatArray, signals: Mapping[str, FloatArray]) -> dict[str, 
     Returns
     -------
     dict
-        The held signals by name. Signals of one sensor share their rows: a coarse signal that repeats its value in a
-        row in which another signal of the sensor changes was measured there.
+        The held signals by name; empty if the times do not span any time. Signals of one sensor share their rows: a
+        coarse signal that repeats its value in a row in which another signal of the sensor changes was measured there.
     """
     if t.size < 2 or not np.ptp(t) > 0.0:
         return {}
@@ -130,14 +134,15 @@ def held_signals(t: FloatArray, signals: Mapping[str, FloatArray]) -> dict[str, 
 def is_measured(levels: FloatArray, interval: float) -> bool:
     """Return whether a held input comes from a sensor or a joystick, and is not a sequence of commanded steps.
 
-    It has at least 50 values, most of them different, and at most 1.05 s between two of them.
+    It has at least 50 values, of which more than half are different, and at most 1.05 s between two of them. Equal
+    values that follow each other count once.
 
     Parameters
     ----------
     levels
-        The values (n,) without their repeats.
+        Values (n,) of the input in the rows with a measurement (`HeldValues.new`), at least one.
     interval
-        Time between two of them [s].
+        Mean time between two of them [s].
     """
     levels = levels[np.append(True, levels[1:] != levels[:-1])]
     different = len(np.unique(levels)) / max(len(levels), 1)
@@ -167,7 +172,7 @@ def _mean_rows_between_changes(changed: Mask) -> float:
     """Return the mean number of rows from one change of a signal to the next.
 
     `changed` (n,) is true in rows in which the signal changes. Distances of more than three times the median are left
-    out.
+    out. There must be at least two changes; otherwise the result is NaN.
     """
     lengths = np.diff(np.flatnonzero(changed))
     return float(np.mean(lengths[lengths <= 3.0 * np.median(lengths)]))
@@ -188,8 +193,9 @@ def _rows_of_change(columns: Sequence[FloatArray]) -> Mask:
 def _share_of_single_steps(columns: Sequence[FloatArray], rows: npt.NDArray[np.intp]) -> float:
     """Return the share (0 to 1) of the changes of a sensor's values that are at most one step of its resolution.
 
-    `columns` are the values (n,) of each signal of the sensor, all of which must change so little, and `rows` are the
-    rows of change. The resolution of a column is its smallest change.
+    `columns` are the values (n,) of each signal of the sensor, and `rows` are the indices of the rows in which any of
+    them changes. In a counted row no signal changes by more than 1.5 times its resolution, which is its smallest
+    change.
     """
     small = np.ones(rows.size, bool)
     for column in columns:
@@ -203,8 +209,9 @@ def _share_of_single_steps(columns: Sequence[FloatArray], rows: npt.NDArray[np.i
 def _rows_of_measurement(changed: Mask, period: float) -> Mask:
     """Return a mask (n,) of the rows with a measurement of a slow sensor, from the rows in which its value changes.
 
-    These are the rows of changes. In a run of equal values that is much longer than a period [rows], a row in each
-    period is added, because the sensor has measured the same value again, as for a boat at rest.
+    `changed` (n,) is the mask of these rows, and `period` is the mean number of rows between measurements. The rows of
+    changes are kept. In a run of equal values that is longer than 2.5 periods, a row in each period is added, because
+    the sensor has measured the same value again, as for a boat at rest.
     """
     new = changed.copy()
     first = np.append(np.flatnonzero(changed), changed.size)

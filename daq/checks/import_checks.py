@@ -19,12 +19,13 @@ SHORTEST_GAP_S = 0.5  # s without a value of an input; in a shorter gap the last
 def check_rows_left_out(metadata: Mapping[str, str]) -> Iterator[Finding]:
     """Yield a finding for each group of rows that an import left out because of their times.
 
-    It is a fault if these are 5 rows or more, and more than 5 % of the source.
+    It is a fault if these are 5 rows or more, and more than 5 % of the rows of the source; otherwise it is a warning.
 
     Parameters
     ----------
     metadata
-        Metadata of the imported log, which contain the numbers of these rows.
+        Metadata of the imported log, in which the import has noted these rows (`source.1.name`, `source.1.left_out`,
+        and so on for each source file). Other logs have none, and no finding.
     """
     k = 1
     while (name := metadata.get(f"source.{k}.name")) is not None:
@@ -45,7 +46,10 @@ def check_rows_left_out(metadata: Mapping[str, str]) -> Iterator[Finding]:
 
 
 def check_missing_inputs(log: Log) -> Iterator[Finding]:
-    """Yield a warning for each imported input of a log that is unknown (NaN) for longer than 0.5 s."""
+    """Yield a warning for each imported input of a log that is unknown (NaN) for longer than 0.5 s at a time.
+
+    Imported outputs, and signals that seatrial recorded, are not checked.
+    """
     for source in log.sources(Scalar):
         if log.role(source) != "input":
             continue

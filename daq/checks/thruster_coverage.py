@@ -17,9 +17,10 @@ FEWEST = 10  # smallest number of samples of the fastest controller from which r
 
 
 def _check_rpm_max(log: Log, rig: Rig) -> Iterator[Finding]:
-    """Yield a warning for each thruster whose measured speed cannot be normalised, because the rig lacks its rpm_max.
+    """Yield a warning for each thruster whose logged shaft speed cannot be normalised, because the rig lacks `rpm_max`.
 
-    Only thrusters with a shaft speed above zero in the log count.
+    `rpm_max` is the shaft speed at full command. Thrusters without a shaft speed other than zero in the log are left
+    out.
     """
     for thruster in rig.thrusters:
         if np.isfinite(thruster.rpm_max) or thruster.node not in log.nodes(Esc, thruster.device):
@@ -34,6 +35,9 @@ def _check_rpm_max(log: Log, rig: Rig) -> Iterator[Finding]:
 def _numbering_advice(rig: Rig, device: str, nodes: set[int], logged: set[int]) -> str:
     """Return the advice for the user if the log has other numbers (nodes) of speed controllers than the rig.
 
+    On a DroneCAN bus whose logged numbers differ from those of the rig by one constant, the advice is to set this
+    constant as `index_offset`. Otherwise the advice is to check `node` of the thrusters.
+
     Parameters
     ----------
     rig : Rig
@@ -41,10 +45,9 @@ def _numbering_advice(rig: Rig, device: str, nodes: set[int], logged: set[int]) 
     device : str
         Name of the bus.
     nodes : set of int
-        Numbers of the controllers in the rig.
+        Numbers of the controllers in the rig, at least one.
     logged : set of int
-        Numbers of the controllers that are in the log. If they differ from those of the rig by one constant on a
-        DroneCAN bus, the advice is that constant.
+        Numbers of the controllers in the log, at least one.
     """
     offset = min(logged) - min(nodes)
     of_dronecan = any(d.name == device and d.protocol == "dronecan" for d in rig.devices)
@@ -54,11 +57,13 @@ def _numbering_advice(rig: Rig, device: str, nodes: set[int], logged: set[int]) 
 
 
 def check_thruster_coverage(log: Log) -> Iterator[Finding]:
-    """Compare the speed controllers of each bus with the thrusters of the rig, and yield the findings.
+    """Compare the speed controllers of each bus in a log with the thrusters of its rig, and yield the findings.
 
-    The findings are about unknown controllers, silent controllers, rates of controllers, and missing `rpm_max`.
-    Thrusters behind an autopilot are left out, and so are buses without any telemetry. A log without a rig has no
-    finding.
+    A controller without a thruster in the rig, and a thruster without `rpm_max`, give a warning. A thruster whose
+    controller has no sample and got no command gives a fault. The rate of each controller is reported; it is a warning
+    if the controller has fewer than half of the samples of the most frequent one on its bus. Rates are not compared if
+    that one has fewer than 10 samples. Thrusters behind an autopilot are left out, and so are buses without any
+    telemetry. A log without a rig has no finding.
     """
     rig = log.rig
     if rig is None:

@@ -36,7 +36,7 @@ class Segment:
     t : Array (K,)
         Times of the rows since the start of the mission [s].
     n : Array (K, n_thrusters)
-        Commands, -1..1: 1 is full ahead. The columns are in the order of `Mission.thrusters`.
+        Commands, -1..1: 1 is full forward. The columns are in the order of `Mission.thrusters`.
     """
 
     name: str
@@ -117,11 +117,11 @@ class Mission:
     end
         Time [s] from which thrust is zero.
     n_max
-        Largest magnitude of a command, 0..1.
+        Largest allowed magnitude of a command, 0..1.
     slew_per_s
         Largest rate of change of a command [1/s]; inf: no limit.
     made_by
-        Command line that generated the mission.
+        Command line that generated the mission; may be empty.
     seed
         Seed of the random numbers; None if no random numbers were used.
     predicted_errors
@@ -143,7 +143,10 @@ class Mission:
     prediction: Prediction | None = None
 
     def segment_times(self) -> list[tuple[float, float, str]]:
-        """Return start [s], end [s] and name of each segment in order. A segment ends at the start of the next one."""
+        """Return start [s], end [s] and name of each segment in order.
+
+        Times count from the start of the mission. A segment ends at the start of the next one, the last one at `end`.
+        """
         begins = [float(segment.t[0]) for segment in self.segments]
         ends = [*begins[1:], self.end]
         return [(t0, t1, s.name) for t0, t1, s in zip(begins, ends, self.segments, strict=True)]
@@ -279,7 +282,10 @@ def _pop_list_items(table: TomlTable, key: str) -> TomlTable:
 
 
 def _read_thruster_names(root: TomlTable, key: str) -> tuple[str, ...]:
-    """Return the names in the list `key` of a mission. A name that appears twice raises SeatrialError."""
+    """Return the names of thrusters in the list `key` of the root table of a mission.toml.
+
+    A missing or empty list, an item that is not printable text, and a name that appears twice raise SeatrialError.
+    """
     items = _pop_list_items(root, key)
     names = tuple(items.line(item) for item in items.values)
     if len(set(names)) < len(names):
@@ -288,14 +294,18 @@ def _read_thruster_names(root: TomlTable, key: str) -> tuple[str, ...]:
 
 
 def _read_predicted_errors(table: TomlTable | None) -> dict[str, float]:
-    """Return the standard errors in the table `predicted_errors` by name of parameter; empty if there is no table."""
+    """Return the standard errors in the table [provenance.predicted_errors] of a mission.toml, by name of parameter.
+
+    The dictionary is empty if `table` is None. A value that is not a finite number raises SeatrialError.
+    """
     return {} if table is None else table.named_numbers()
 
 
 def _read_segment(table: TomlTable, n_thrusters: int) -> Segment:
-    """Read one [[segment]] with `n_thrusters` commands in each row.
+    """Read one [[segment]] table of a mission.toml, in which each row has `n_thrusters` commands.
 
-    The segment must have one row per time, ascending times, and finite numbers; otherwise SeatrialError is raised.
+    The segment must have at least one row, one row per time, ascending times, and finite numbers; otherwise
+    SeatrialError is raised. The range of the commands is not checked here.
     """
     name, t = table.line("name"), np.array(table.numbers("t"), dtype=np.float64)
     items = _pop_list_items(table, "n")
@@ -362,7 +372,7 @@ def _check_order_and_size(mission: Mission, root: TomlTable) -> None:
 
 
 def save_mission(mission: Mission, path: Path) -> None:
-    """Write a mission.toml. An existing file is replaced.
+    """Write a mission to the file `path` in the format of mission.toml. An existing file is replaced.
 
     Raises
     ------
@@ -376,7 +386,7 @@ def save_mission(mission: Mission, path: Path) -> None:
 
 
 def save_new_mission(mission: Mission, path: Path) -> None:
-    """Write a new mission.toml.
+    """Write a mission to the new file `path` in the format of mission.toml.
 
     Raises
     ------
@@ -422,7 +432,7 @@ def dump_mission(mission: Mission) -> str:
 
 
 def dump_prediction(prediction: Prediction) -> list[str]:
-    """Return the lines of the table [prediction] of a mission.toml. The first line is empty."""
+    """Return the lines of the table [prediction] of a mission.toml, from a predicted track. The first line is empty."""
     rows = {"t": prediction.t, "x": prediction.x, "y": prediction.y, "radius": prediction.radius}
     errors = ", ".join(f"{tomlkit.item(k).as_string()} = {float(v)!r}" for k, v in prediction.errors_before.items())
     lines = ["", "[prediction]", f"model = {tomlkit.item(prediction.model).as_string()}"]

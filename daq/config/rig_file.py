@@ -117,7 +117,10 @@ def default_decoder(protocol: str) -> Decoder:
 
 
 def _read_clock_speed(root: TomlTable) -> float:
-    """Return `speed` of the table [clock] of a rig file, in run seconds per wall second; 1 without the table."""
+    """Return `speed` of the table [clock] of a rig file, in run seconds per wall second; 1 without table or key.
+
+    A speed that is not positive raises SeatrialError.
+    """
     clock = root.table("clock")
     if clock is None:
         return 1.0
@@ -129,8 +132,9 @@ def _read_clock_speed(root: TomlTable) -> float:
 def _read_log(root: TomlTable) -> tuple[str, Segments]:
     """Read the table [log] of a rig file: the folder of the logs, and the rules by which a log is split into files.
 
-    Without the table the folder is "logs" and the rules are the defaults. The folder is returned as written. If the
-    disk space `keep_gb` is smaller than 3 files of a log (LEAST_SEGMENTS), SeatrialError is raised.
+    Without the table the folder is "logs" and the rules are the defaults. The folder is returned as written. If
+    `keep_gb`, the size at which old files are deleted, is given without `segment_mb` or `segment_s`, or is smaller than
+    three files of a log (LEAST_SEGMENTS), SeatrialError is raised.
     """
     log = root.table("log")
     if log is None:
@@ -154,7 +158,7 @@ def _read_log(root: TomlTable) -> tuple[str, Segments]:
 
 
 def _read_live(table: TomlTable | None) -> Live:
-    """Read the table [live], the address of the server for Foxglove. Return the defaults if there is no table."""
+    """Read the table [live] of a rig file: settings of the server for Foxglove. Return the defaults if it is None."""
     if table is None:
         return Live()
     port = table.integer("port", Live.port, low=0, high=65535)
@@ -164,7 +168,11 @@ def _read_live(table: TomlTable | None) -> Live:
 
 
 def _read_ros2(table: TomlTable | None) -> Ros2:
-    """Read the table [ros2], the connection to ROS 2. Return the defaults if there is no table."""
+    """Read the table [ros2] of a rig file: settings of the connection to ROS 2. Return the defaults if it is None.
+
+    A router that is not tcp/HOST:PORT, and a namespace that is not a letter and then letters, digits or underscores,
+    raise SeatrialError. The namespace may be empty.
+    """
     if table is None:
         return Ros2()
     router, namespace = table.text("router", Ros2.router), table.text("namespace", Ros2.namespace)
@@ -186,9 +194,10 @@ def _read_ros2(table: TomlTable | None) -> Ros2:
 
 
 def _check_ports_differ(root: TomlTable, devices: Sequence[Device]) -> None:
-    """Raise SeatrialError if two devices have the same port.
+    """Raise SeatrialError if two devices of a rig file have the same port. `root` names the file in the message.
 
-    Several devices may share a CAN interface of the kernel, and a connection to a remote address.
+    Several devices may share a CAN interface of the kernel (socketcan:), and a connection to a remote address (udpout:,
+    tcp:). `udp:` and `udpin:` with the same address are the same port.
     """
     owner: dict[str, str] = {}
     for device in devices:
@@ -205,7 +214,8 @@ def _check_ports_differ(root: TomlTable, devices: Sequence[Device]) -> None:
 def _check_unique(root: TomlTable, key: str, names: Sequence[str]) -> None:
     """Raise SeatrialError for the first name that appears twice in a rig file.
 
-    `names` are the names of all devices or thrusters. The message contains `key`, "device" or "thruster".
+    `names` are the names of all devices or thrusters, or other texts that must differ, such as "can0 node 3". `key` is
+    "device" or "thruster" for the message, and `root` names the file.
     """
     for name in names:
         if names.count(name) > 1:
@@ -213,7 +223,10 @@ def _check_unique(root: TomlTable, key: str, names: Sequence[str]) -> None:
 
 
 def _read_topic_name(table: TomlTable) -> str:
-    """Return `name` of a device or thruster. It must consist of a letter, and then letters, digits or underscores."""
+    """Return the key `name` of a [[device]] or [[thruster]] table. It becomes a part of the topics of the log.
+
+    It must consist of a letter, and then letters, digits or underscores; otherwise SeatrialError is raised.
+    """
     name = table.text("name")
     if not NAME.fullmatch(name):
         raise table.error("name", f"'{name}' becomes a topic of the log: use a letter, then letters, digits or _")
@@ -221,10 +234,10 @@ def _read_topic_name(table: TomlTable) -> str:
 
 
 def _read_device(table: TomlTable, folder: Path, recorded: bool) -> Device:
-    """Read one [[device]]. Relative paths count from `folder`.
+    """Read one [[device]] table of a rig file, check it, and return the device. Relative paths count from `folder`.
 
-    If `recorded` is true, the device is that of a log: its protocol need not be installed, and the options of an
-    unknown protocol are neither read nor checked.
+    A protocol that is unknown or not installed raises SeatrialError. If `recorded` is true, the rig file comes from a
+    log, and such a protocol is accepted. The options of an unknown protocol are then neither read nor checked.
     """
     name = _read_topic_name(table)
     protocol = table.text("protocol")
@@ -255,7 +268,7 @@ def _read_device(table: TomlTable, folder: Path, recorded: bool) -> Device:
 
 
 def _read_port(table: TomlTable, protocol: str, bus: str, folder: Path) -> str:
-    """Return `port` of a device, checked for its protocol and its `bus` (`CAN` or serial).
+    """Return the key `port` of a device, after a check that fits its protocol and its `bus` (`CAN` or serial).
 
     Relative paths of serial devices, also behind "slcan:", are joined with `folder`. Names of CAN interfaces and
     network addresses are returned as written.
@@ -274,7 +287,10 @@ def _read_port(table: TomlTable, protocol: str, bus: str, folder: Path) -> str:
 
 
 def _read_network_address(table: TomlTable, port: str) -> str:
-    """Return the network address `port`, such as "udp:HOST:PORT", unchanged. A wrong one raises SeatrialError."""
+    """Return the network address `port`, such as "udp:HOST:PORT", unchanged. A wrong one raises SeatrialError.
+
+    `table` is the table of the device, which names file and key in the message.
+    """
     try:
         parse_address(port)
     except ValueError as error:
@@ -283,14 +299,14 @@ def _read_network_address(table: TomlTable, port: str) -> str:
 
 
 def read_protocol_options(table: TomlTable, names: Sequence[str], folder: Path) -> dict[str, Any]:
-    """Read the keys of a device that belong to its protocol.
+    """Read the keys of a [[device]] table that belong to its protocol, such as `bitrate` or `pattern`.
 
     Parameters
     ----------
     table
         Table of the device.
     names
-        Names of the keys.
+        Names of the keys that the protocol has.
     folder
         Folder from which relative paths count.
 
@@ -315,31 +331,42 @@ def read_protocol_options(table: TomlTable, names: Sequence[str], folder: Path) 
     return {**fields, "settings": settings} if settings else fields
 
 
-# Each of the following functions reads one option of a protocol, and returns fields of `Device` by name. `folder` is
-# the folder from which relative paths count; most options do not need it.
+# Each of the following functions reads one option of a protocol. All have the same parameters and the same kind of
+# result, because they are called by way of the table _OPTION_READERS. Most do not need `folder`.
 
 
 def _read_bitrate(table: TomlTable, folder: Path) -> dict[str, Any]:
-    """Read `bitrate` [bit/s] of a CAN bus; the default is 250 000 for NMEA 2000 and 500 000 otherwise."""
+    """Return {"bitrate": bit rate of a CAN bus [bit/s]} from the key `bitrate` of a [[device]]; at least 10 000.
+
+    The default is 250 000 for NMEA 2000 and 500 000 otherwise. `folder` is not used.
+    """
     usual = 250_000 if table.values.get("protocol") == "nmea2000" else 500_000
     return {"bitrate": table.integer("bitrate", usual, low=10_000)}
 
 
 def _read_own_node(table: TomlTable, folder: Path) -> dict[str, Any]:
-    """Read `own_node`, the number of this computer on a DroneCAN bus, 1 to 127."""
+    """Return {"own_node": number of this computer on a DroneCAN bus, 1 to 127} from the key `own_node` of a [[device]].
+
+    The default is 100 (OWN_NODE). `folder` is not used.
+    """
     return {"own_node": table.integer("own_node", OWN_NODE, low=1, high=127)}
 
 
 def _read_index_offset(table: TomlTable, folder: Path) -> dict[str, Any]:
-    """Read `index_offset` of a DroneCAN bus: the number of a controller in its telemetry minus that in its commands.
+    """Return {"index_offset": whole number, -19 to 19} from the key `index_offset` of a DroneCAN [[device]].
 
-    It is a whole number, -19 to 19.
+    It is the number of a speed controller in its telemetry minus its number in the commands; 0 by default. `folder` is
+    not used.
     """
     return {"index_offset": table.integer("index_offset", 0, low=-19, high=19)}
 
 
 def _read_pattern(table: TomlTable, folder: Path) -> dict[str, Any]:
-    """Read `pattern`, the regular expression of the lines of a load cell, and check that it can be compiled."""
+    """Return {"pattern": regular expression of a line of a load cell} from the key `pattern` of a [[device]].
+
+    The default matches lines with one whole number. An expression that the decoder of load cells does not accept raises
+    SeatrialError. `folder` is not used.
+    """
     pattern = table.text("pattern", DEFAULT_PATTERN)
     try:
         loadcell.compile_pattern(pattern)
@@ -349,12 +376,18 @@ def _read_pattern(table: TomlTable, folder: Path) -> dict[str, Any]:
 
 
 def _read_saturation(table: TomlTable, folder: Path) -> dict[str, Any]:
-    """Read `saturation`, the counts at which the converter of a load cell is at its limit; None if it is not given."""
+    """Return {"saturation": counts at which the converter of a load cell is at its limit, at least 1}.
+
+    The value is None if the [[device]] table lacks the key `saturation`. `folder` is not used.
+    """
     return {"saturation": table.maybe_number("saturation", low=1.0)}
 
 
 def _read_calibration(table: TomlTable, folder: Path) -> dict[str, Any]:
-    """Read the table [device.calibration] of a load cell. Return no field if there is no table."""
+    """Return {"calibration": LoadCellCalibration} from the table [device.calibration] of a load cell.
+
+    The dictionary is empty if there is no such table. A gain of zero raises SeatrialError. `folder` is not used.
+    """
     inner = table.table("calibration")
     if inner is None:
         return {}
@@ -369,13 +402,20 @@ def _read_calibration(table: TomlTable, folder: Path) -> dict[str, Any]:
 
 
 def _read_declination(table: TomlTable, folder: Path) -> dict[str, Any]:
-    """Read `declination_deg`, the magnetic declination, and convert it to rad; None if it is not given."""
+    """Return {"declination": magnetic declination [rad]} from the key `declination_deg` [deg] of a [[device]].
+
+    The value is None if the table lacks the key. `folder` is not used.
+    """
     degrees = table.maybe_number("declination_deg", low=-180.0, high=180.0)
     return {"declination": None if degrees is None else math.radians(degrees)}
 
 
 def _read_query(table: TomlTable, folder: Path) -> dict[str, Any]:
-    """Read `query`, the printable ASCII text that requests a reading from a device."""
+    """Return {"query": text that is sent to request a reading} from the key `query` of a [[device]].
+
+    The default is that of a Mantracourt converter (DEFAULT_QUERY). The text must be printable ASCII and not empty.
+    `folder` is not used.
+    """
     query = table.text("query", DEFAULT_QUERY)
     if not (query.isascii() and query.isprintable() and query):
         raise table.error("query", "must be plain text, such as '!001:SYS?'")
@@ -383,10 +423,10 @@ def _read_query(table: TomlTable, folder: Path) -> dict[str, Any]:
 
 
 def _read_dbc(table: TomlTable, folder: Path) -> dict[str, Any]:
-    """Read `dbc`, the path of the DBC file of a device, and its [[device.signal]] tables.
+    """Return {"dbc": path of the DBC file, "signals": tuple of DbcSignal} from the keys `dbc` and `signal` of a device.
 
-    A name without folder and suffix stands for a DBC file of this package. The file must exist, and there must be at
-    least one signal.
+    A relative path counts from `folder`. A name without folder and suffix stands for a DBC file of this package. The
+    file must exist, and there must be at least one [[device.signal]]; otherwise SeatrialError is raised.
     """
     name = table.text("dbc")
     rows = table.tables("signal")
@@ -400,7 +440,11 @@ def _read_dbc(table: TomlTable, folder: Path) -> dict[str, Any]:
 
 
 def _read_dbc_signal(table: TomlTable) -> DbcSignal:
-    """Read one [[device.signal]]. Its `node` is a number, 0 to 255, or the name of a signal with the number."""
+    """Read one [[device.signal]] table, which maps a signal of a DBC file to a field of a speed controller's sample.
+
+    `node` is the number of the controller, 0 to 255, or the name of the signal that contains it (SOURCE: the address of
+    the sender).
+    """
     by_name = isinstance(table.values.get("node"), str)
     node: int | str = table.text("node") if by_name else table.integer("node", low=0, high=255)
     signal = DbcSignal(
@@ -416,7 +460,9 @@ def _read_dbc_signal(table: TomlTable) -> DbcSignal:
 
 
 def read_mavlink_settings(table: TomlTable, folder: Path) -> MavlinkSettings:
-    """Read the MAVLink keys of a [[device]]. Relative paths count from `folder`.
+    """Read the MAVLink keys of a [[device]] table: ids, signing key, source of the fixes and message rates.
+
+    Missing keys have the defaults of `MavlinkSettings`. A relative path of `key_file` counts from `folder`.
 
     Raises
     ------
@@ -440,12 +486,15 @@ def read_mavlink_settings(table: TomlTable, folder: Path) -> MavlinkSettings:
 
 
 def _read_mavlink(table: TomlTable, folder: Path) -> dict[str, Any]:
-    """Read the MAVLink keys of a [[device]] as the field `mavlink`."""
+    """Return {"mavlink": MavlinkSettings} from the MAVLink keys of a [[device]]; see `read_mavlink_settings`."""
     return {"mavlink": read_mavlink_settings(table, folder)}
 
 
 def _read_message_rates(table: TomlTable) -> dict[str, float]:
-    """Read the table [device.rates]: rates [Hz], 0 to 1000, by name of the MAVLink message; empty without a table."""
+    """Read the table [device.rates] of a [[device]]: rates [Hz], 0 to 1000, by name of the MAVLink message.
+
+    The dictionary is empty without the table. A message that is not in RATES or OTHER_RATES raises SeatrialError.
+    """
     rates: dict[str, float] = {}
     inner = table.table("rates")
     if inner is not None:
@@ -514,7 +563,10 @@ def read_autopilot_output(table: TomlTable, node: int) -> AutopilotOutput:
 
 
 def _read_pulse_widths(table: TomlTable, key: str, default: tuple[float, float, float]) -> tuple[float, float, float]:
-    """Return the pulse widths [us] of full reverse, neutral and full forward. They must ascend within 500 to 2500."""
+    """Return the pulse widths [us] in the list `key` of a [[thruster]]: full reverse, neutral and full forward.
+
+    They must ascend within 500 to 2500 us; otherwise SeatrialError is raised. Without the key return `default`.
+    """
     low, neutral, high = table.numbers(key, default, length=3)
     if not 500.0 <= low < neutral < high <= 2500.0:
         raise table.error(key, "must be [full reverse, neutral, full forward] in us, ascending, within 500 .. 2500")
@@ -552,8 +604,9 @@ def _read_limits(table: TomlTable | None) -> Limits:
 
 
 def _read_vehicle(table: TomlTable | None) -> dict[str, float]:
-    """Read the table [vehicle]: known values of model parameters by name; empty without a table.
+    """Read the table [vehicle] of a rig file: known values of model parameters by name; empty if `table` is None.
 
-    Any name of a parameter is allowed, because the model may be user-defined.
+    Any name of a parameter is allowed, because the model may be user-defined. A value that is not a finite number
+    raises SeatrialError.
     """
     return {} if table is None else table.named_numbers()

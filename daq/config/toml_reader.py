@@ -89,7 +89,7 @@ class TomlTable:
         self._taken: list[str] = []  # keys that were read
 
     def error(self, key: str, problem: str) -> SeatrialError:
-        """Return the error of a key, with file, full key and problem. The caller raises it."""
+        """Return an error whose message has the file, the full key and the problem. The caller raises it."""
         return SeatrialError(f"{self.source}: {self._full_key(key)}: {problem}")
 
     def _full_key(self, key: str) -> str:
@@ -125,7 +125,8 @@ class TomlTable:
     def text(self, key: str, default: object = _MISSING, choices: Collection[str] = ()) -> str:
         """Return the string of a key, or `default` if the key is missing.
 
-        The string must be one of `choices`, unless this is empty.
+        Another type, a string that is not one of `choices` (unless this is empty), and a missing key without `default`
+        raise SeatrialError.
         """
         value = self._read_value(key, default)
         if not isinstance(value, str):
@@ -138,7 +139,8 @@ class TomlTable:
     def line(self, key: str, default: object = _MISSING) -> str:
         """Return the string of a key, or `default` if the key is missing. All its characters must be printable.
 
-        A terminal would execute control characters, and the file may be from an unknown person.
+        Otherwise, and for a missing key without `default`, SeatrialError is raised. A terminal would execute control
+        characters, and the file may be from an unknown person.
         """
         value = self.text(key, default)
         if not value.isprintable():
@@ -146,7 +148,10 @@ class TomlTable:
         return value
 
     def flag(self, key: str, default: object = _MISSING) -> bool:
-        """Return the boolean value of a key, or `default` if the key is missing. The numbers 0 and 1 are errors."""
+        """Return the boolean value of a key, or `default` if the key is missing.
+
+        Any other value, such as 0 or 1, and a missing key without `default` raise SeatrialError.
+        """
         value = self._read_value(key, default)
         if not isinstance(value, bool):
             raise self.error(key, f"must be true or false, not {_describe_value(value)}")
@@ -155,7 +160,8 @@ class TomlTable:
     def integer(self, key: str, default: object = _MISSING, low: int | None = None, high: int | None = None) -> int:
         """Return the whole number of a key within [low, high], or `default` if the key is missing.
 
-        A bound that is None does not apply. 1.0 is no whole number.
+        A bound that is None does not apply. Any other value, such as 1.0, and a missing key without `default` raise
+        SeatrialError.
         """
         value = self._read_value(key, default)
         if isinstance(value, bool) or not isinstance(value, int):
@@ -173,8 +179,8 @@ class TomlTable:
     ) -> float:
         """Return the finite number of a key, or `default` if the key is missing.
 
-        It must be within [low, high], and above zero if `positive` is true. A bound that is None does not apply. True
-        and false are no numbers.
+        It must be within [low, high], and above zero if `positive` is true. A bound that is None does not apply. Any
+        other value, such as true or inf, and a missing key without `default` raise SeatrialError.
         """
         value = self._read_value(key, default)
         number = self._to_finite(key, value)
@@ -186,7 +192,7 @@ class TomlTable:
     def scalar(self, key: str, default: object = _MISSING) -> str | float | bool:
         """Return the text, finite number or boolean of a key, or `default` if the key is missing.
 
-        Lists, tables and dates are errors.
+        Lists, tables, dates, inf and nan, and a missing key without `default` raise SeatrialError.
         """
         value = self._read_value(key, default)
         if isinstance(value, (str, bool)):
@@ -196,14 +202,15 @@ class TomlTable:
     def maybe_number(self, key: str, low: float | None = None, high: float | None = None) -> float | None:
         """Return the finite number of a key within [low, high], or None if the key is missing.
 
-        A bound that is None does not apply.
+        A bound that is None does not apply. Unlike `number`, this method has no error for a missing key.
         """
         return self.number(key, low=low, high=high) if key in self.values else None
 
     def numbers(self, key: str, default: object = _MISSING, length: int | None = None) -> tuple[float, ...]:
         """Return the list of finite numbers of a key, or `default` if the key is missing.
 
-        The list must have `length` items, unless this is None.
+        The list must have `length` items, unless this is None. Any other value, and a missing key without `default`,
+        raise SeatrialError.
         """
         value = self._read_value(key, default)
         if not isinstance(value, (list, tuple)):
@@ -214,6 +221,8 @@ class TomlTable:
 
     def named_numbers(self) -> dict[str, float]:
         """Return all values of the table by name, for tables whose keys are names that the user chooses.
+
+        All keys count as read.
 
         Raises
         ------
@@ -226,14 +235,17 @@ class TomlTable:
         return {key: self.number(key) for key in self.values}
 
     def texts(self, key: str, default: object = _MISSING) -> tuple[str, ...]:
-        """Return the list of strings of a key, or `default` if the key is missing. The list may be empty."""
+        """Return the list of strings of a key, or `default` if the key is missing. The list may be empty.
+
+        Any other value, and a missing key without `default`, raise SeatrialError.
+        """
         value = self._read_value(key, default)
         if not isinstance(value, (list, tuple)) or not all(isinstance(item, str) for item in value):
             raise self.error(key, "must be a list of texts in quotes")
         return tuple(value)
 
     def table(self, key: str) -> TomlTable | None:
-        """Return the sub-table of a key, or None if the key is missing."""
+        """Return the sub-table of a key, or None if the key is missing. Any other value raises SeatrialError."""
         value = self._read_value(key, None)
         if value is None:
             return None
@@ -242,7 +254,10 @@ class TomlTable:
         return TomlTable(value, self.source, self._full_key(key))
 
     def tables(self, key: str) -> list[TomlTable]:
-        """Return the tables of a `[[key]]` list in their order; an empty list if the key is missing."""
+        """Return the tables of a `[[key]]` list in their order; an empty list if the key is missing.
+
+        A value that is not a list of tables raises SeatrialError.
+        """
         value = self._read_value(key, [])
         if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
             raise self.error(key, f"must be a list of tables, [[{self._full_key(key)}]]")

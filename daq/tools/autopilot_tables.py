@@ -39,9 +39,9 @@ class DiscoveredAutopilot(DiscoveredDevice):
     Attributes
     ----------
     vehicle : str
-        Name of the firmware and vehicle, for example "ArduPilot Rover".
+        Name of the firmware and vehicle, for example "ArduPilot Rover"; other classes of vehicles are only logged.
     system_id : int
-        MAVLink system number.
+        MAVLink system id.
     signed : bool
         Whether it signs its MAVLink frames.
     parameters : dict
@@ -54,9 +54,10 @@ class DiscoveredAutopilot(DiscoveredDevice):
     parameters: Mapping[str, float] = field(default_factory=dict)
 
     def toml(self, name: str, alone: bool = True) -> str:
-        """Return the autopilot's tables for a rig file: a [[device]], and a [[thruster]] for each side.
+        """Return the tables of the autopilot for a rig file, as text: a [[device]], and a [[thruster]] for each side.
 
-        Caveats, for example of outputs that cannot be driven, become comments.
+        Caveats, for example of outputs that cannot be driven, become comments. There are no [[thruster]] tables if the
+        vehicle is not an ArduPilot Rover, or if it reported no parameters.
 
         Parameters
         ----------
@@ -98,8 +99,9 @@ class DiscoveredAutopilot(DiscoveredDevice):
     def thrusters(self, device: str, prefix: str = "") -> list[Thruster]:
         """Return a thruster of the rig for each RC channel with which the autopilot drives one side of the boat.
 
-        Such a channel is a left or right throttle. The thruster is named by the side. Its node is the first output that
-        the channel drives.
+        Such a channel is a left or right throttle. The thruster is named "left" or "right". Its node is the first
+        output that the channel drives. Its position is assumed (0.3 m to the side), and its pulse widths come from the
+        parameters. The list is empty without such outputs.
 
         Parameters
         ----------
@@ -134,8 +136,9 @@ class DiscoveredAutopilot(DiscoveredDevice):
     def _undriven_output_lines(self, thrusters: Sequence[Thruster]) -> list[str]:
         """Return a comment for the rig file for each output of the autopilot that cannot be driven or is not monitored.
 
-        Such outputs are rudders, throttles of both sides, motors of omni frames, and further outputs of a channel in
-        `thrusters`. There is one comment if there are no thrusters at all.
+        Outputs that cannot be driven are rudders, throttles of both sides, and motors of omni frames. Outputs that are
+        not monitored are the further ones of the RC channels of `thrusters`. One more comment is added if `thrusters`
+        is empty.
         """
         p = self.parameters
         functions = {node: p.get(f"SERVO{node}_FUNCTION", 0.0) for node in range(1, 17)}
@@ -172,7 +175,10 @@ def _pulse_range(p: Mapping[str, float], prefix: str) -> tuple[float, float, flo
 
 
 def _thruster_lines(thruster: Thruster) -> list[str]:
-    """Return the lines of a rig file's [[thruster]] table for a thruster behind an autopilot, after an empty line."""
+    """Return the lines of the [[thruster]] table of a rig file for a thruster behind an autopilot.
+
+    The first line is empty. `thruster.output` must not be None.
+    """
     assert thruster.output is not None
     out = thruster.output
     return [
@@ -220,9 +226,9 @@ class _AutopilotListener:
             self.attitudes.append(m.time_boot_ms * 1e-3)
 
     def until(self, condition: Callable[[], bool], seconds: float) -> None:
-        """Receive and store messages of the autopilot until `condition` returns true.
+        """Receive messages at the port and store them until `condition()` is true, at most for `seconds` of wall time.
 
-        Stop after `seconds` of wall time at the latest.
+        The attributes of this object hold what was received. A time-out is not an error.
         """
         deadline = time.monotonic() + seconds
         while not condition() and (left := deadline - time.monotonic()) > 0.0:
@@ -235,15 +241,15 @@ class _AutopilotListener:
     def ask(self, codec: Codec, system: int, names: Sequence[str]) -> None:
         """Request parameters of the autopilot until all have arrived, or until a round of requests brings no answer.
 
-        Autopilots do not answer requests for parameters that they do not have. The answers are stored in `parameters`;
-        missing ones are not an error. The requests end after `ANSWERS_S` (6 s) in any case.
+        Autopilots do not answer requests for parameters that they do not have. The received values are stored in
+        `parameters`; missing ones are not an error. The requests end after `ANSWERS_S` (6 s) of wall time in any case.
 
         Parameters
         ----------
         codec
             Encoder of the requests.
         system
-            MAVLink system number of the autopilot.
+            MAVLink system id of the autopilot.
         names
             Names of the parameters.
         """
@@ -260,7 +266,7 @@ class _AutopilotListener:
 
 
 def identify_autopilot(port: str, baud: int, ask: bool) -> DiscoveredDevice:
-    """Identify the autopilot at a port by its heartbeat.
+    """Identify the autopilot at a port by its heartbeat, for which it waits 4 s.
 
     Parameters
     ----------

@@ -58,7 +58,7 @@ class DiscoveredDevice:
     hint: str = ""  # advice on how to improve the settings of the port
 
     def toml(self, name: str, alone: bool = True) -> str:
-        """Return the [[device]] table of this device for a rig file, as text.
+        """Return the [[device]] table of this device for a rig file, as text. An unknown rate becomes 1 Hz.
 
         Parameters
         ----------
@@ -117,7 +117,10 @@ class _ProtocolCandidate:
             self._joined = (self.n_bytes, self.decoder.unparsed_bytes)
 
     def close(self) -> None:
-        """Count the last samples of the port, which a decoder of a GNSS receiver keeps until an epoch is complete."""
+        """Count the last samples, after all bytes of the port were fed.
+
+        A decoder of a GNSS receiver keeps its last sample until the next epoch begins. Other decoders keep none.
+        """
         if isinstance(self.decoder, (nmea.Decoder, ubx.Decoder)):
             found = self.decoder.flush()
             self.samples += len(found)
@@ -165,7 +168,7 @@ class _ProtocolCandidate:
         )
 
     def rate(self) -> float:
-        """Return the rate of the device's samples [Hz] by their times of arrival; NaN for fewer than two times.
+        """Return the rate of the samples of the device [Hz] by their times of arrival; NaN if all arrived at one time.
 
         The samples of the first read are not counted.
         """
@@ -179,6 +182,8 @@ def discover_devices(
     listen: float = LISTEN_S, bauds: Sequence[int] = (), said: Callable[[str], None] = lambda text: None
 ) -> list[DiscoveredDevice]:
     """Find all serial ports and CAN buses of this computer, and identify the devices at the serial ports.
+
+    No byte is sent. CAN buses are only listed.
 
     Parameters
     ----------
@@ -284,8 +289,9 @@ def identify_protocol(
 def _feed_candidates(port: SerialPort, candidates: Sequence[_ProtocolCandidate], seconds: float, silent: float) -> int:
     """Listen at a serial port and pass its bytes to each candidate protocol. Return the number of bytes.
 
-    Listening ends `seconds` after the first byte, after `silent` seconds without a byte, or earlier if a protocol with
-    checksums has enough samples. Raise PortError if the port cannot be opened or read.
+    Listening ends `silent` seconds after its start if no byte has come, otherwise `seconds` after the first byte, or
+    earlier if a protocol with checksums has samples from three reads. The port is opened and closed by this function.
+    Raise PortError if it cannot be opened or read.
     """
     n_bytes, start = 0, time.monotonic()
     end = start + silent

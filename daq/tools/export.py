@@ -19,7 +19,7 @@ DEFAULT_RATE_HZ = 10.0  # Hz, default for file formats with one table only
 
 
 def export_log(log: Log, form: str, folder: Path, force: bool = False) -> list[Path]:
-    """Write every table of a log to a file of its own, and the events to events.csv.
+    """Write the samples of each device and kind in a log to a file of their own, and the events to events.csv.
 
     Numbers are written with all their digits. Unknown values are empty cells in CSV and NaN in Parquet. Times are
     seconds since 1970.
@@ -163,9 +163,9 @@ def _write_netcdf(path: Path, table: Resampled, metadata: Mapping[str, str]) -> 
 def _variable_names(names: Iterable[str], longest: int) -> dict[str, str]:
     """Return valid and unique names of MATLAB or NetCDF variables, by name of the column.
 
-    A name has at most `longest` characters. Characters other than letters, digits and underscores become underscores. A
-    name that begins with another character than a letter gets s_ in front. A name that repeats, or is t, time or units,
-    gets a number at its end.
+    A valid name has at most `longest` characters. Characters other than letters, digits and underscores become
+    underscores. A name that does not begin with a letter gets s_ in front. A name that repeats, or is t, time or units,
+    gets a number at its end, such as _2.
     """
     found: dict[str, str] = {}
     for name in names:
@@ -180,10 +180,11 @@ def _variable_names(names: Iterable[str], longest: int) -> dict[str, str]:
 
 
 def _new_path(folder: Path, name: str, ending: str, written: list[Path], force: bool) -> Path:
-    """Return the path of a new file of an export: NAME.ENDING, or NAME-2.ENDING if `written` contains this path.
+    """Return the path of a new file of an export: NAME.ENDING in `folder`, or NAME-2.ENDING if `written` contains it.
 
-    Characters that are not safe in a file name are replaced: names in a log from a stranger may contain separators.
-    Raise SeatrialError if the file exists already and `force` is false.
+    `written` are the files of this export so far. Characters other than letters, digits, _ and - become _, because
+    names in a log from a stranger may contain separators. Raise SeatrialError if the file exists already and `force` is
+    false, or if it is a link or special file.
     """
     stem = re.sub(r"[^A-Za-z0-9_-]", "_", name) or "table"
     path = folder / f"{stem}.{ending}"
@@ -196,7 +197,7 @@ def _new_path(folder: Path, name: str, ending: str, written: list[Path], force: 
 
 
 def _write_csv_table(path: Path, part: LogTable) -> None:
-    """Write a table of a log as CSV, with units in the heads of the columns and empty cells for NaN."""
+    """Write a table of a log as the CSV file `path`, with units in the heads of the columns and empty cells for NaN."""
     names = list(part.rows.dtype.names or ())
     heads = [f"{name} [{part.units[name]}]" if part.units.get(name) else name for name in names]
     rows = (
@@ -206,7 +207,7 @@ def _write_csv_table(path: Path, part: LogTable) -> None:
 
 
 def _write_csv_rows(path: Path, heads: list[str], rows: Iterator[list[str]]) -> None:
-    """Write a CSV file in UTF-8: a line with the heads of the columns, then the rows."""
+    """Write the CSV file `path` in UTF-8: a line with the heads of the columns, then the rows (text of each cell)."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(heads)

@@ -29,7 +29,7 @@ FOLDED = ("skipped", "parameter")  # kinds of events that often repeat; repetiti
 
 
 def escape(text: str) -> str:
-    """Escape the markup of the console in a text of a log, so that [bold], for example, is printed unchanged.
+    """Return a text of a log in which the markup of the console (rich) is escaped, so that [bold] is printed unchanged.
 
     A text of more than 2000 characters is cut off, and the number of its characters is added.
     """
@@ -39,7 +39,10 @@ def escape(text: str) -> str:
 
 
 def show_log(log: Log, console: Console) -> None:
-    """Print the content of a log: duration, metadata, topics with rates, port counters, events and warnings."""
+    """Print the content of a log: duration, metadata, topics with rates, port counters, events and warnings.
+
+    If `log.path` is a later segment of a log, a line names the first segment. A log without messages has no topics.
+    """
     size = sum(path.stat().st_size for path in log.paths)
     pieces = f" in {len(log.paths)} segments" if len(log.paths) > 1 else ""
     state = "complete" if log.complete else "cut off, or still being written"
@@ -76,7 +79,8 @@ def show_log(log: Log, console: Console) -> None:
 def _topic_table(log: Log) -> Table:
     """Return a table of the topics of a log: types, numbers of messages, mean rates [Hz] and longest gaps [s].
 
-    With imported signals it also has their role, unit and hold.
+    An unknown rate or gap is "-". If the log has imported signals, there is a column with their role (input or output),
+    unit and hold (interpolation between samples).
     """
     signals = {f"/signal/{name}": name for name in log.sources(Scalar)}
     notes = [""] if signals else []
@@ -98,9 +102,9 @@ def _topic_table(log: Log) -> Table:
 
 
 def _port_table(log: Log) -> Table:
-    """Return a table of the last counters of each device's port in a log: bytes, frames, errors and delay [ms].
+    """Return a table of the last counters of the port of each device in a log: bytes, frames, errors and delay [ms].
 
-    The delay is "-" for a device without a clock.
+    The delay of the samples is mean ± standard deviation; it is "-" for a device without a clock.
     """
     heads = ("port", "bytes in", "frames", "checksum errors", "unparsed bytes", "dropped", "reconnects", "delay [ms]")
     table = Table("device", *(escape(head) for head in heads))
@@ -126,7 +130,8 @@ def _port_table(log: Log) -> Table:
 def _print_events(log: Log, console: Console) -> None:
     """Print the first 25 and the last 15 events of a log, with their times since its start [s].
 
-    If the events cannot be read, a warning is printed instead.
+    Successive events of a kind that often repeats count as one. The number of events between is printed. If the events
+    cannot be read, a warning is printed instead.
     """
     try:
         events = log.events()
@@ -167,7 +172,7 @@ def _with_repeats_joined(events: list[tuple[float, str, str]]) -> list[tuple[flo
 
 
 def _size_text(n_bytes: int) -> str:
-    """Return the size of a log [bytes] as a text in MB, or in kB below one million."""
+    """Return the size of a log [bytes] as a text in MB (1e6 bytes), or in kB below one million bytes."""
     return f"{n_bytes / 1e6:.2f} MB" if n_bytes >= 1e6 else f"{n_bytes / 1e3:.1f} kB"
 
 

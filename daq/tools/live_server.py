@@ -50,7 +50,7 @@ class LiveServer:
     """
 
     def __init__(self, rig: Rig, status: Callable[[], Status]) -> None:
-        """Store rig and status. The server starts at the beginning of the `with` block."""
+        """Store the rig and the function that returns the status. The server starts at the beginning of the block."""
         self._rig, self._status = rig, status
         self._ending = threading.Event()
         self._channels: dict[str, Any] = {}
@@ -59,11 +59,14 @@ class LiveServer:
 
     @property
     def address(self) -> str:
-        """Address (ws://HOST:PORT) of the live view, to be opened in Foxglove."""
+        """Address (ws://HOST:PORT) of the live view, to be opened in Foxglove. It is known after the start."""
         return f"ws://{self._rig.live.host}:{self._gate.port}"
 
     def __enter__(self) -> LiveServer:
-        """Start the server of the live view, its gate, and the thread that sends the samples."""
+        """Start the server of the live view, its gate (`OriginGate`), and the thread that sends the samples.
+
+        Raise SeatrialError if the package foxglove-sdk is not installed or the address is not available.
+        """
         try:
             import foxglove
         except ModuleNotFoundError as error:
@@ -140,10 +143,11 @@ class LiveServer:
 
 
 class OriginGate:
-    """Gate in front of the live view's server that rejects connections from web pages of foreign sites.
+    """Network proxy in front of the server of the live view that rejects connections from web pages of foreign sites.
 
-    Accepted are programs, which send no origin, pages of this computer, and pages of the sites in `origins` (RFC 6454,
-    section 7).
+    A browser states the site of a page in the header `Origin` (RFC 6454, section 7). Accepted are programs, which send
+    no origin, pages of this computer, and pages of the sites in `origins`. The gate listens from its creation until
+    `close`.
 
     Parameters
     ----------
@@ -199,7 +203,8 @@ class OriginGate:
     def _is_allowed(self, head: bytes) -> bool:
         """Return whether the gate accepts a connection by the head of its HTTP request.
 
-        Accepted are requests without an origin, from pages of this computer, and from the origins given to the gate.
+        Accepted are requests without an origin, from pages of this computer, and from the origins given to the gate. If
+        the head states several origins, all must be accepted.
         """
         origins = [origin.decode("latin-1") for origin in _ORIGIN.findall(head)]
         return all(origin in self._origins or _OURS.fullmatch(origin) for origin in origins)
@@ -214,10 +219,10 @@ class OriginGate:
         task.add_done_callback(self._tasks.pop)
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Check the origin of a client of the gate; forward all bytes between client and server, or answer 403.
+        """Check the origin of a client; forward all bytes between client and server until both end, or reply 403.
 
-        The connection is closed without an answer if the head of the request is larger than 16 kB or takes longer than
-        5 s.
+        `reader` and `writer` are the ends of the connection with the client. It is closed without a reply if the head
+        of the request is larger than 16 kB or takes longer than 5 s.
         """
         try:
             head = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), HEAD_S)
@@ -235,7 +240,7 @@ class OriginGate:
 
 
 async def _forward_bytes(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-    """Forward the bytes of a connection from a reader to a writer until the end, and close the writer."""
+    """Forward bytes from a reader to a writer until the reader ends or a connection fails, and close the writer."""
     try:
         while data := await reader.read(65_536):
             writer.write(data)

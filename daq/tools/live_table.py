@@ -41,9 +41,9 @@ ALARM = "bold white on red"
 
 
 def default_log_path(rig: Rig) -> Path:
-    """Return the path of a new log, DIRECTORY/RIG-DATE-TIME.mcap, in local time and the folder that the rig names.
+    """Return the path of a new log, DIRECTORY/RIG-DATE-TIME.mcap, in the log folder and with the name of the rig.
 
-    A number is added if the file exists.
+    Date and time are the present local time. If the file exists, -2, -3, ... is added. No file is created.
     """
     stem = f"{'-'.join(rig.name.split())}-{time.strftime('%Y%m%d-%H%M%S')}"
     path = rig.log_directory / f"{stem}.mcap"
@@ -57,7 +57,7 @@ def default_log_path(rig: Rig) -> Path:
 def watch(
     acquisition: Acquisition, rig: Rig, clock: RunClock, deadline: float, stop: threading.Event, console: Console
 ) -> None:
-    """Show the status of an acquisition: a table on a terminal, lines otherwise.
+    """Show the status of an acquisition until a deadline: a table on a terminal, a line every 5 s otherwise.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def watch(
     clock
         Run clock.
     deadline
-        Time of the run clock at which this function returns [s since 1970].
+        Time of the run clock at which this function returns [s since 1970]; inf for no deadline.
     stop
         Event that ends this function earlier.
     console
@@ -101,8 +101,9 @@ def _wait_seconds(clock: RunClock, deadline: float, until_wall: float) -> float:
 def _update_ages(status: Status, rig: Rig, now: float) -> tuple[Status, bool]:
     """Bring the ages and rates in a status of the acquisition to the run time `now` [s since 1970].
 
-    Return the new status, and whether the acquisition still answers; if not, the rates are NaN. Without this update a
-    hanging acquisition would seem to work, because it computes the ages in its status itself.
+    An age is the time since the last sample of a device. Return the new status, and whether the acquisition still
+    answers, which means that its status is recent; if not, the rates are NaN. Without this update a hanging acquisition
+    would seem to work, because it computes the ages in its status itself.
     """
     late = max(now - status.t, 0.0)
     answers = late <= NO_STATUS_S * rig.speed
@@ -175,7 +176,8 @@ def table(status: Status, rig: Rig, width: int, now: float) -> Group:
 def _newest_text(source: Source, port: PortStatus, status: Status, rig: Rig) -> Text:
     """Return the newest sample of a device or speed controller (`source`) as text for the live table.
 
-    For an old sample the text begins with STALE and its age [s], in the colour of a fault.
+    For a sample that is too old for its rate the text begins with STALE and its age [s], in the colour of a fault. A
+    GNSS receiver without a fix is not marked while its device sends.
     """
     latest = status.latest[source]
     text, age = describe(latest.sample, rig, port.name), status.t - latest.t
@@ -189,15 +191,16 @@ def _newest_text(source: Source, port: PortStatus, status: Status, rig: Rig) -> 
 
 
 def _is_silent(port: PortStatus, speed: float) -> bool:
-    """Return whether a device has sent no sample for too long: 5 expected periods, 1 s and 0.25 s of wall time.
+    """Return whether a device has sent no sample for too long.
 
-    `speed` is the number of run seconds per wall second.
+    Too long is the longest of 5 expected periods, 1 s, and 0.25 s of wall time. `speed` is the number of run seconds
+    per wall second.
     """
     return port.age > _stale_after(port.expected, speed)
 
 
 def _stale_after(rate: float, speed: float) -> float:
-    """Return the time [s of the run clock] without a sample after which a source with this rate [Hz] is stale.
+    """Return the time without a sample [s of the run clock] after which a device with this sample rate [Hz] is stale.
 
     It is the longest of 5 periods, 1 s, and 0.25 s of wall time (`speed`: run seconds per wall second).
     """
@@ -207,7 +210,8 @@ def _stale_after(rate: float, speed: float) -> float:
 def _header_line(status: Status, rig: Rig, answers: bool) -> Text:
     """Return the header line of the live table: state of the recording, duration, speed, size and name of the log.
 
-    The state is REC, NOT RECORDING with the reason, or that the acquisition does not answer (`answers` false).
+    The state is REC, NOT RECORDING with the reason, or that the acquisition does not answer (`answers` false). The
+    speed of the run clock is shown only if it is not 1.
     """
     text = Text(no_wrap=True, overflow="ellipsis")
     if not answers:
@@ -329,9 +333,10 @@ def line(status: Status, rig: Rig, now: float) -> str:
 
 
 def log_summary(status: Status, path: Path) -> str:
-    """Return the last line of a recording for the user: file, duration, number of samples and size.
+    """Return the line for the user at the end of a recording: log file, duration, number of samples and size.
 
-    If there are any, it also has the number of lost samples and the devices without a sample.
+    If there are any, it also has the number of lost samples and the devices without a sample. `status` is the last
+    status of the acquisition, and `path` is the log.
     """
     lost = sum(port.dropped for port in status.ports.values())
     silent = [port.name for port in status.ports.values() if port.samples == 0]
@@ -341,7 +346,10 @@ def log_summary(status: Status, path: Path) -> str:
 
 
 def duration_text(seconds: float) -> str:
-    """Return the duration of a recording [s] as a text: `1:02:03`, or `2:03.4` for less than an hour."""
+    """Return the duration of a recording [s] as a text: `1:02:03`, or `2:03.4` for less than an hour.
+
+    The text is rounded down. A negative duration is shown as zero.
+    """
     minutes, rest = divmod(max(seconds, 0.0), 60.0)
     if minutes < 60.0:
         return f"{int(minutes)}:{math.floor(rest * 10.0) / 10.0:04.1f}"

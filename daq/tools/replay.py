@@ -46,7 +46,7 @@ def replay_log(
 ) -> int:
     """Replay the raw bytes of a log on the ports FOLDER/DEVICE, beside a rig file for these ports.
 
-    The replay begins when a program has opened each port.
+    The replay begins when a program has opened each port. Without a usable rig in the log, no rig file is written.
 
     Parameters
     ----------
@@ -71,7 +71,8 @@ def replay_log(
     Raises
     ------
     SeatrialError
-        If the log has no raw bytes of a device, or if a port or the rig file cannot be created.
+        If the log has no raw bytes of a device, if the name of a device is not valid, or if a port or the rig file
+        cannot be created.
     """
     names = recorded(log, devices)
     place = ReplayFolder(folder)
@@ -141,9 +142,10 @@ class ReplayFolder:
         return self._create_own_file(name, write)
 
     def _create_own_file(self, name: str, make: Callable[[], None]) -> Path:
-        """Create a file in the folder of the replay by calling `make`, store its identity, and return its path.
+        """Create a file or link in the folder of the replay by calling `make`, and return its path.
 
-        Raise SeatrialError if a file of this name exists or cannot be created.
+        Its identity is stored, so that `close` deletes this file and no other. Raise SeatrialError if a file of this
+        name exists or cannot be created.
         """
         try:
             make()
@@ -167,7 +169,10 @@ class ReplayFolder:
         return status.st_dev, status.st_ino, status.st_ctime_ns
 
     def close(self) -> None:
-        """Delete the files that the replay created in its folder, unless another program has replaced them."""
+        """Delete the files that the replay created in its folder, unless another program has replaced them.
+
+        The folder itself stays. No further files can be created.
+        """
         for name, identity in self._made.items():
             with contextlib.suppress(OSError):
                 if self._file_identity(name) == identity:
@@ -208,9 +213,10 @@ def recorded(log: Log, devices: Sequence[str] = ()) -> list[str]:
 
 
 def chunks(log: Log, devices: Sequence[str]) -> Iterator[Chunk]:
-    """Yield the bytes that the devices of a log sent, as (time [s since 1970], device, bytes), in the order of time.
+    """Yield the bytes that the devices of a log sent, as (time of receipt [s since 1970], device, bytes).
 
-    CAN frames become lines of an slcan adapter.
+    The order is that of time, over all devices. CAN frames become lines of an slcan adapter. Bytes that were sent to
+    the devices are left out.
     """
     rig = log.rig
     can = {device.name for device in rig.devices if device.port.startswith(("slcan:", "socketcan:"))} if rig else set()
@@ -241,8 +247,9 @@ def _send_in_time(
 ) -> int:
     """Send recorded bytes on the ports of a replay at their times, and return the number of bytes sent.
 
-    The first piece is sent at once, and later ones by their time after it, divided by `speed`. Return early when
-    `stopped` returns true. At the end wait until the ports have accepted all bytes.
+    `pieces` are (time [s], device, bytes) in the order of time, and `ports` are the ports by name of the device. The
+    first piece is sent at once, and later ones by their time after it, divided by `speed`. Return early when
+    `stopped()` is true. At the end wait until the ports have accepted all bytes.
     """
     n_sent, start, first = 0, time.monotonic(), 0.0
     for t, name, data in pieces:
@@ -312,9 +319,9 @@ class ReplayPort:
         return True
 
     def pump(self) -> None:
-        """Send waiting bytes, as many as the buffer of the port accepts, and discard bytes from the host.
+        """Send bytes of `backlog`, as many as the buffer of the port accepts, and discard bytes from the host.
 
-        It never waits, and errors of the pty are ignored.
+        Sent bytes are removed from `backlog`. The method never waits, and ignores errors of the pty.
         """
         try:
             if self.backlog:

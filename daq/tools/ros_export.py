@@ -150,6 +150,12 @@ def rep_103_imu(device: str, sample: Ahrs) -> schema.Message:
         Name of the AHRS.
     sample
         The sample, in the body frame (FRD) and NED.
+
+    Returns
+    -------
+    schema.Message
+        Message for the topic /ros/DEVICE/imu in the frame `base_link`. NaN becomes 0; a covariance of -1 marks the
+        quantities that the AHRS does not measure.
     """
     turned = replace(
         sample, yaw=np.pi / 2 - sample.yaw, pitch=-sample.pitch,
@@ -172,8 +178,10 @@ def _imu_messages(source: str, rows: NDArray[np.void]) -> Iterator[RosMessage]:
 def _odometry_messages(log: Log, ahrs_of: Mapping[str, NDArray[np.void]], types: Any) -> Iterator[RosMessage]:
     """Yield ROS odometry and transforms of the boat's reference point at the times of the first AHRS with a heading.
 
-    Position and velocity are interpolated linearly between the fixes before and after each time. Nothing is yielded
-    without a heading or without two fixes of one receiver. `types` are the message classes of rosbags by name.
+    Position and velocity are interpolated linearly between the fixes before and after each time. Times outside the
+    fixes, and between fixes more than 2 s apart, are left out. Nothing is yielded without a heading or without two
+    fixes of one receiver. The lever arm of the receiver in the rig is corrected. `ahrs_of` has the table of samples of
+    each AHRS, and `types` are the message classes of rosbags by name.
     """
     headed = [rows for rows in ahrs_of.values() if np.isfinite(rows["yaw"]).any()]
     fixed = [(name, rows[_has_position(rows)]) for name in log.sources(Gnss) for rows in [log.table(Gnss, name)]]
@@ -249,7 +257,10 @@ def _pose_messages(
 
 
 def _has_position(rows: NDArray[np.void]) -> NDArray[np.bool_]:
-    """Return which fixes (rows of a table of `Gnss`) have a position and are at least 2-D, shape (n,)."""
+    """Return a mask (n,) of the rows of a table of GNSS samples that have a position and a fix of kind 2 or more.
+
+    Kind 2 is a two-dimensional fix; see `Gnss.fix`.
+    """
     return np.asarray((rows["fix"] >= 2) & np.isfinite(rows["lat"]) & np.isfinite(rows["lon"]))
 
 
@@ -329,7 +340,8 @@ def _message_definitions() -> list[Path]:
 def _write_package(folder: Path) -> None:
     """Write a ROS package with the message definitions of seatrial to a new folder, to be built by colcon.
 
-    `ros2 topic echo` and readers of bags need this package to decode the messages.
+    `ros2 topic echo` and readers of bags need this package to decode the messages. The folder must not exist; otherwise
+    FileExistsError is raised.
     """
     (folder / "msg").mkdir(parents=True)
     names = []
@@ -394,7 +406,11 @@ class Plot(NamedTuple):
 
 
 def _plots_of_log(log: Log) -> list[Plot]:
-    """Return the plots for the layouts of an exported log: the most important signals of each of its devices."""
+    """Return the plots for the layouts of an exported log: the most important signals of each of its devices.
+
+    They are body rates, specific force, velocity over ground, commands, shaft speeds, pulses, forces of load cells and
+    imported signals.
+    """
     found = []
     for source in log.sources(Ahrs):
         imu = f"/{source}/imu"
@@ -418,8 +434,8 @@ def _plots_of_log(log: Log) -> list[Plot]:
 def _foxglove_layout(log: Log, plots: Sequence[Plot], has_frames: bool) -> dict[str, Any]:
     """Return a layout of Foxglove Studio as the content of a JSON file.
 
-    It has the plots below each other. Beside them are a map of the fixes of the first receiver, if there is one, and
-    the frames of /tf if `has_frames`.
+    It has the plots below each other. Beside them are a map of the fixes of the first GNSS receiver, if there is one,
+    and a 3D view of the frames of the topic /tf if `has_frames` is true.
     """
     panels: dict[str, Any] = {}
     for number, plot in enumerate(plots):
@@ -460,7 +476,10 @@ def _stacked_panels(names: Sequence[str]) -> Any:
 
 
 def _plotjuggler_layout(plots: Sequence[Plot]) -> str:
-    """Return a layout of PlotJuggler as XML text. It opens the exported bag beside it and plots all `plots`."""
+    """Return a layout of PlotJuggler as XML text, with all `plots` below each other.
+
+    The layout opens the exported bag, which must be in the same folder. Without plots it has one empty plot.
+    """
     root = ElementTree.Element("root")
     window = ElementTree.SubElement(root, "tabbed_widget", {"parent": "main_window", "name": "Main Window"})
     tab = ElementTree.SubElement(window, "Tab", tab_name="log", containers="1")

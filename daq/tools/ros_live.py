@@ -91,7 +91,9 @@ class LateCommands:
     def is_late(self, command: ReceivedCommand, now: float) -> bool:
         """Return whether a command of a thruster arrived too late, and count late commands in `number`.
 
-        A command without a time of sending is never late. The clocks of sender and receiver may drift by 0.05 %.
+        A command is late if its delay exceeds that of the fastest earlier command of the same sender by more than the
+        allowed delay. A command without a time of sending is never late. The clocks of sender and receiver may drift by
+        0.05 %.
 
         Parameters
         ----------
@@ -179,7 +181,7 @@ class Ros2Node:
         samples
             New samples. Samples that do not fit into the queue are lost.
         dropped
-            Total number of samples that were lost before this queue.
+            Total number of samples that were lost before this queue, so far.
         """
         self._dropped_before = dropped
         room = max(QUEUE_SAMPLES - len(self._queue), 0)
@@ -191,8 +193,9 @@ class Ros2Node:
         """Return the thruster commands received by ROS 2 since the last call, by thruster, in the order of receipt.
 
         This never waits. At most the newest `FLOOD` (512) commands of a thruster are returned. Late commands are left
-        out: a link that delivers only late commands then counts as silent. With `FLOOD` commands, however, late
-        commands are included, so that the caller can detect the flood.
+        out: a link that delivers only late commands then counts as silent. If a thruster has `FLOOD` commands, however,
+        its late commands are included, so that the caller can detect the flood. A thruster without a command has an
+        empty list.
         """
         found: dict[str, list[ReceivedCommand]] = {name: [] for name in self._thrusters}
         for name, subscriber in list(self._subscribers.items()):
@@ -216,9 +219,9 @@ class Ros2Node:
         return f"{where}: {counted(self.published, 'message')}{lost}{late}"
 
     def await_router(self, seconds: float) -> str:
-        """Wait for the connection of the ROS 2 node to its router, at most for a time [s].
+        """Wait for the connection of the ROS 2 node to its router, at most for `seconds` of wall time.
 
-        Return one line for the user: whether the router is connected.
+        Return one line for the user about whether the router is connected. A time-out is not an error.
         """
         deadline = time.monotonic() + seconds
         while not self.connected and time.monotonic() < deadline:
@@ -229,9 +232,9 @@ class Ros2Node:
     # Methods of the thread -------------------------------------------------------------------------------------
 
     def _connect_and_publish(self) -> None:
-        """Connect to the router, declare the ROS 2 node and publish samples until the end.
+        """Connect to the router, declare the ROS 2 node and publish samples until the `with` block ends.
 
-        After an error connect again, one second later.
+        After an error of Zenoh connect again, one second later.
         """
         while not self._ending.is_set():
             try:
@@ -247,7 +250,10 @@ class Ros2Node:
                 self._ending.wait(RETRY_S)
 
     def _zenoh_config(self) -> str:
-        """Return the configuration of Zenoh as JSON: a client of one router that opens no port and searches nothing."""
+        """Return the configuration of Zenoh as JSON: a client of one router, without open ports and without discovery.
+
+        The router is that of the rig file.
+        """
         return json.dumps({
             "mode": "client",
             "connect": {"endpoints": [self._ros2.router], "timeout_ms": 0},
@@ -257,7 +263,10 @@ class Ros2Node:
         })  # fmt: skip
 
     def _declare_node(self) -> None:
-        """Declare the node to ROS 2 and subscribe to the commands of the thrusters."""
+        """Declare the node to ROS 2 in a new session, and subscribe to the commands of the thrusters.
+
+        The topic of a command is /thrusters/NAME/command (Float64), after the namespace of the rig.
+        """
         self._tokens, self._publishers = [], {}
         self._declare_token("NN", 0)
         for name in self._thrusters:
@@ -289,11 +298,11 @@ class Ros2Node:
         return key
 
     def _namespaced_topic(self, topic: str) -> str:
-        """Return the ROS 2 name of a topic: the namespace of the rig, if it has one, and the topic of the log."""
+        """Return the ROS 2 name of `topic`: the namespace of the rig file, if it has one, and then the topic."""
         return f"/{self._ros2.namespace}{topic}" if self._ros2.namespace else topic
 
     def _publish_all(self) -> None:
-        """Publish queued samples to ROS 2 until the end. Every 0.5 s check whether there is a router.
+        """Publish queued samples to ROS 2 until the `with` block ends. Every 0.5 s check whether there is a router.
 
         While there is no router, queued samples are discarded and counted as lost.
         """

@@ -98,7 +98,7 @@ def check_frames(c: Channels, heading: Match | None, turning: Mapping[str, int])
     Parameters
     ----------
     c
-        Channels of a log by name.
+        Channels (signals) of a log by name.
     heading
         Relation of heading and yaw rate (`seatrial.ident.checks.sensors.heading_match`); None if unknown.
     turning
@@ -185,15 +185,15 @@ def displacement_windows(c: Channels, north: str, east: str) -> Windows | None:
     Parameters
     ----------
     c
-        Channels of a log by name.
+        Channels (signals) of a log by name.
     north, east
         Names of the channels: ``x``, ``y`` or ``vx``, ``vy``.
 
     Returns
     -------
     Windows or None
-        Windows of 2 s, or of four sample intervals if these are longer. None if a channel is missing or the log is too
-        short.
+        Windows of 2 s, or of four sample intervals if these are longer. None if a channel is missing, or if the two
+        channels overlap for less than 60 s (24 windows if these are longer).
     """
     if not {north, east} <= set(c):
         return None
@@ -217,14 +217,14 @@ def track_course(c: Channels, w: Windows) -> Course | None:
     Parameters
     ----------
     c
-        Channels of a log by name, with ``psi``.
+        Channels (signals) of a log by name, with ``psi``.
     w
         Displacements of the track.
 
     Returns
     -------
     Course or None
-        None if the boat moves at less than 0.1 m/s (rms), or heading and track overlap too little.
+        None if the boat moves at less than 0.1 m/s (rms), or if the heading covers fewer than 18 windows of the track.
     """
     psi = c["psi"]
     inside = (w.t > psi.t[0]) & (w.t < psi.t[-1])
@@ -270,6 +270,7 @@ def mirrored_signals(signs: Mapping[Relation, int]) -> tuple[str, ...] | None:
     related = sorted({name for pair in known for name in pair})
 
     def explains(mirrored: tuple[str, ...]) -> bool:
+        """Return whether all known signs follow if exactly these signals are mirrored."""
         return all((sign < 0) == (len(set(pair) & set(mirrored)) == 1) for pair, sign in known.items())
 
     together = [names for names in TOGETHER if set(names) <= set(related)]
@@ -299,8 +300,8 @@ MIRRORED = {
 def _mirror_fault(names: tuple[str, ...], courses: Mapping[str, Course | None]) -> Finding:
     """Return the fault for mirrored signals.
 
-    ``names``: what `mirrored_signals` returned. ``courses``: relation of each track to the heading, which shows whether
-    the axes are exchanged or one sign is reversed.
+    ``names``: the signals, or all signals of which some are mirrored (`mirrored_signals`). ``courses``: relation of
+    each track to the heading, None if unknown. It shows whether the axes are exchanged or one sign is reversed.
     """
     offset = next((f.offset for f in courses.values() if f is not None and f.parity < 0), None)
     quarter = offset is not None and abs(abs(np.degrees(offset)) - 90.0) < 45.0  # a mirror that exchanges the axes
@@ -323,7 +324,8 @@ def _mirror_fault(names: tuple[str, ...], courses: Mapping[str, Course | None]) 
 def _motionless_axis(c: Channels, w: Windows) -> str | None:
     """Return the axis, ``north`` or ``east``, along which a track does not move although the boat heads there.
 
-    None if the track moves along both, if the boat is too slow, or if its headings vary too little.
+    ``c`` has the heading ``psi``. The result is None if the track moves along both axes, if the boat is slower than 0.1
+    m/s (rms), if its headings vary too little, or if heading and track overlap too little.
     """
     psi = c["psi"]
     inside = (w.t > psi.t[0]) & (w.t < psi.t[-1])
@@ -338,7 +340,7 @@ def _motionless_axis(c: Channels, w: Windows) -> str | None:
 
 
 def half_turn(text: str) -> Finding:
-    """Return the fault for a heading, or both axes of a track, with the opposite sign.
+    """Return the fault for a heading that is wrong by half a turn, or for two axes whose signs are both reversed.
 
     Parameters
     ----------
@@ -350,10 +352,11 @@ def half_turn(text: str) -> Finding:
 
 
 def _axes_error(tracks: Mapping[str, Windows]) -> str | None:
-    """Return the error of the axes that makes the velocities agree with the positions, as a text for a finding.
+    """Return the error of the axes that explains why velocities and positions disagree, as a text for a finding.
 
-    ``tracks``: ``position`` and ``velocity``. None if they agree already, the boat is too slow, or the overlap is too
-    short.
+    ``tracks``: displacements by ``position`` and by ``velocity``. The error is an exchange or reversal of the axes of
+    the velocity (`AXES`), or one axis that is another column. The result is None if both agree or no error explains
+    them, if the boat is slower than 0.1 m/s (rms), or if the overlap is too short.
     """
     p, v = tracks["position"], tracks["velocity"]
     inside = (p.t > v.t[0]) & (p.t < v.t[-1])
@@ -376,9 +379,10 @@ def _axes_error(tracks: Mapping[str, Windows]) -> str | None:
 
 
 def _body_velocity_fault(c: Channels, tracks: Mapping[str, Windows]) -> Iterator[Finding]:
-    """Yield a fault if u and v are not forward and to starboard, by comparison with track and heading.
+    """Yield at most one fault if u and v are not forward and to starboard, by comparison with track and heading.
 
-    Nothing if u, v, heading or track is missing, or if the boat is too slow.
+    The track is that of the velocities over ground, else of the positions. There is no finding if u, v, heading or
+    track is missing or their overlap is too short, or if the boat is slower than 0.1 m/s (rms).
     """
     track = tracks.get("velocity") or tracks.get("position")
     if not {"u", "v", "psi"} <= set(c) or track is None:
@@ -432,7 +436,7 @@ def check_accelerometer(c: Channels, found: Match | None) -> Iterator[Finding]:
     Parameters
     ----------
     c
-        Channels of a log by name.
+        Channels (signals) of a log by name.
     found
         Relation of velocity and specific force (`seatrial.ident.checks.sensors.velocity_match`). None gives no finding.
     """
@@ -484,7 +488,7 @@ def _body_frame_comparison(c: Channels, forward: str, starboard: str, track: Win
     Parameters
     ----------
     c
-        Channels of a log by name.
+        Channels (signals) of a log by name.
     forward, starboard
         Names of the channels: ``u``, ``v`` or ``ax``, ``ay``.
     track
@@ -496,7 +500,7 @@ def _body_frame_comparison(c: Channels, forward: str, starboard: str, track: Win
         Five elements. The displacements in the windows that the channels cover (n,). The number of the block of time of
         each window (n,), from 0. A function that integrates a signal of the common grid over each window (n,). The
         rotation exp(i psi) from body to NED frame, and the channels as forward + i starboard, both on that grid. None
-        if the channels and the track overlap too little.
+        if the channels and the heading overlap for less than 20 s, or cover fewer than 18 windows of the track.
     """
     t = common_grid(c[forward], c[starboard], c["psi"])
     if t.size < 400:
@@ -587,8 +591,9 @@ def preferred_hypothesis(found: Mapping[str, HypothesisFit]) -> str | None:
 def _is_significantly_better(old: Array, new: Array) -> bool:
     """Return whether the new hypothesis fits significantly better than the old one.
 
-    The three conditions of the module docstring must hold. ``old``, ``new``: contributions (n_blocks,) of the blocks of
-    time to the misfit of each hypothesis. False for fewer than 6 blocks.
+    ``old``, ``new``: contributions (n_blocks,) of the blocks of time to the misfit of each hypothesis (0 to 1). The new
+    misfit must be smaller by at least 0.2 and at most 0.6 of the old one, and the t statistic of the gain per block
+    must exceed 2.5. The result is false for fewer than 6 blocks.
     """
     gain = old - new
     total = float(gain.sum())

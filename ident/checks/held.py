@@ -19,7 +19,7 @@ SENSED = ("psi", "r", "ax", "ay", "x", "y", "vx", "vy", "u", "v", "speed", "phi"
 
 
 def check_held_inputs(c: Channels) -> Iterator[Finding]:
-    """Yield a warning for each thruster input that a table holds from one measurement to the next.
+    """Yield a warning for each thruster input whose table repeats a slower measurement in its rows.
 
     A fit uses the value of each row at the time of the row. A held input is therefore late by half its sample interval
     on average.
@@ -27,8 +27,9 @@ def check_held_inputs(c: Channels) -> Iterator[Finding]:
     Parameters
     ----------
     c
-        Channels of a log by name. Only commands, shaft speeds and thrusts of one thruster that an import map declares
-        with the hold ``zero`` or ``linear`` are examined. An average delay below 0.1 s gives no warning.
+        Channels (signals) of a log by name. Only commands, shaft speeds and thrusts of one thruster that an import map
+        declares with the hold ``zero`` or ``linear`` are examined. An average delay below 0.1 s gives no warning. Nor
+        does an input whose values are commanded steps and not measurements (`seatrial.daq.checks.is_measured`).
     """
     inputs = sorted(n for n in c if is_of_thruster(n, *INPUTS))
     for name in (n for n in inputs if c[n].hold in ("zero", "linear")):
@@ -47,8 +48,8 @@ def check_held(c: Channels) -> Iterator[Finding]:
     Parameters
     ----------
     c
-        Channels of a log by name. Only motion signals and ``force`` (`SENSED`) are examined. Signals with the same
-        times that are held together share one warning.
+        Channels (signals) of a log by name. Only motion signals and ``force`` (`SENSED`) are examined. Signals with the
+        same times that are held together share one warning.
 
     Notes
     -----

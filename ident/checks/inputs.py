@@ -47,7 +47,7 @@ def check_inputs(c: Channels) -> Iterator[Finding]:
     Parameters
     ----------
     c
-        Channels of a log by name. A log without inputs gives no finding.
+        Channels (signals) of a log by name. A log without inputs gives no finding.
 
     Yields
     ------
@@ -81,8 +81,9 @@ def check_inputs(c: Channels) -> Iterator[Finding]:
 def _constant_inputs(c: Channels, names: list[str]) -> Iterator[Finding]:
     """Yield at most one finding on a log in which every input of ``names`` is constant.
 
-    A fault if the boat moves as only a changing thrust explains; a warning if it gathers speed or turns only as a
-    constant thrust explains; nothing for a boat at rest.
+    Rises of speed and yaw rate are counted. With inputs that are not zero, one or two rises give a warning (a constant
+    thrust explains them), and more give a fault. With inputs of (nearly) zero any rise gives a fault. Without a rise
+    there is no finding.
     """
     n_rises = _count_motion_rises(c)
     values = ", ".join(dict.fromkeys(f"{np.median(c[n].value):.3g}" for n in names))
@@ -99,7 +100,8 @@ def _constant_inputs(c: Channels, names: list[str]) -> Iterator[Finding]:
 def _is_constant(name: str, channel: Channel) -> bool:
     """Return whether the values of the channel ``name`` vary by at most 0.5 % of full speed, or of the largest force.
 
-    Commands and shaft speeds are compared with full speed (1), forces with their largest value. False without samples.
+    Commands and shaft speeds are compared with full speed (1), forces with their largest value. The result is false
+    without samples.
     """
     if channel.value.size == 0:
         return False
@@ -110,8 +112,8 @@ def _is_constant(name: str, channel: Channel) -> bool:
 def _count_motion_rises(c: Channels) -> int:
     """Count the rises of the speed by more than 0.5 m/s, and of the size of the yaw rate by more than 0.15 rad/s.
 
-    Waves are averaged out. The speed comes from velocities, else positions, else ``speed``; the yaw rate from the gyro,
-    else the heading. 0 without any of them.
+    Both signals are averaged over 2 s against waves. The speed comes from velocities, else positions, else ``speed``.
+    The yaw rate comes from the gyro, else the heading. The result is 0 without any of these signals.
     """
     curves: list[tuple[Array, float]] = []
     if {"vx", "vy"} <= set(c) or {"u", "v"} <= set(c):
@@ -137,7 +139,7 @@ def _count_motion_rises(c: Channels) -> int:
 def _moving_average(channel: Channel) -> Array:
     """Return the moving average (n,) of a signal over 2 s, with one value every 0.5 s.
 
-    Empty if the signal is shorter than the average.
+    The result is empty if the signal is not longer than 2 s.
     """
     if channel.t.size < 2:
         return np.empty(0)
@@ -169,10 +171,11 @@ def _count_rises(curve: Array, least: float) -> int:
 
 
 def _stuck_against_command(shaft: Channel, command: Channel) -> tuple[float, float, float] | None:
-    """Return value, begin and end [s] of the longest time in which a shaft speed is stuck.
+    """Return the longest time in which a shaft speed is stuck, as (shaft speed, begin [s], end [s]).
 
-    The shaft speed stays exactly the same in this time, although its command would slow the shaft down for at least 5
-    s. None if the shaft speed is never stuck.
+    In this time, of 5 s or more, the shaft speed stays exactly the same and is above 0.05 of full speed. Its command is
+    below half of it, or in the other direction, for at least 5 s in sequence. The result is None if the shaft speed is
+    never stuck.
     """
     first = np.flatnonzero(np.diff(shaft.value, prepend=np.nan) != 0)
     last = np.append(first[1:], shaft.value.size) - 1
@@ -200,8 +203,8 @@ def check_frozen_force(c: Channels) -> Iterator[Finding]:
     Parameters
     ----------
     c
-        Channels of a log by name. Only the longest constant time of ``force`` is examined. It must contain a change of
-        a command or shaft speed by more than 0.3 of full speed.
+        Channels (signals) of a log by name. Only the longest time in which ``force`` stays the same is examined. It
+        must last for at least 5 s and contain a change of a command or shaft speed by more than 0.3 of full speed.
     """
     commands = [c[n] for n in sorted(c) if is_of_thruster(n, COMMAND, SHAFT_SPEED)]
     if "force" not in c or not commands:
@@ -228,7 +231,7 @@ def check_exchanged_telemetry(c: Channels) -> Iterator[Finding]:
     Parameters
     ----------
     c
-        Channels of a log by name. At least two thrusters with command and measured shaft speed are needed.
+        Channels (signals) of a log by name. At least two thrusters with command and measured shaft speed are needed.
     """
     names = [n for n in sorted(commanded_thrusters(c)) if shaft_speed_of(n) in c]
     names = [n for n in names if c[shaft_speed_of(n)].t is not c[command_of(n)].t]
@@ -249,7 +252,7 @@ def check_exchanged_telemetry(c: Channels) -> Iterator[Finding]:
 def _r2_of_command(c: Channels, command: str, shaft: str) -> float:
     """Return R2 (0 to 1) of the speed of the thruster ``shaft`` explained by the command of the thruster ``command``.
 
-    0 if the response cannot be estimated, or if the shaft turns against the command.
+    The result is 0 if the response cannot be estimated, or if the shaft turns against the command.
     """
     found = response(c[command_of(command)], c[shaft_speed_of(shaft)])
     return found.r2 if isinstance(found, Response) and found.scale > 0.0 else 0.0

@@ -118,8 +118,9 @@ def _attitude_velocity_delay(
 ) -> Iterator[Finding]:
     """Yield one finding on the delay between attitude and velocity: the difference of their delays behind the thrust.
 
-    ``attitude``, ``velocity``: delays behind the thrust, None if unknown. ``turned``, ``moved``: the sensors of both,
-    for the finding.
+    It is ``sensor-late`` (warning or fault), ``sensors-in-time`` (ok), or ``delay-unknown`` (ok) if one of the two
+    delays is not well estimated. ``attitude``, ``velocity``: delays of the yaw rate and of the surge speed behind the
+    thrust, None if unknown. ``turned``, ``moved``: names of the sensors of both, for the finding.
     """
     if not _is_well_estimated(attitude) or not _is_well_estimated(velocity):
         text = f"the delay between {ATTITUDE} and {VELOCITY} is not known: they follow the thrust too little"
@@ -146,8 +147,10 @@ def _motion_thrust_delay(
 ) -> Iterator[Finding]:
     """Yield one finding on the delay of the motion behind the thrust.
 
-    The motion cannot come before the thrust, and cannot come long after a measured thrust. ``attitude``, ``velocity``:
-    delays of both motions; the smaller one is judged, and only if both have the same sign.
+    The motion cannot come before the thrust (``thrust-late``), and cannot come long after a measured thrust
+    (``motion-late``). Otherwise the finding is ``thrust-in-time`` (ok). ``attitude``, ``velocity``: delays of yaw rate
+    and surge speed, None if unknown. The one of smaller size is judged. If their signs differ, the finding is ok. If
+    none is well estimated, it is ``delay-unknown`` (ok).
     """
     found = [estimate for estimate in (attitude, velocity) if estimate is not None and _is_well_estimated(estimate)]
     if not found:
@@ -198,9 +201,10 @@ def _level_of_delay(lag: float, half: float, fault_from: float = DELAY_FAULT) ->
 
 
 def _is_well_estimated(found: LagEstimate | None) -> bool:
-    """Return whether a delay was estimated well: its R2 and its standard error are good, and it is inside the search.
+    """Return whether a delay was estimated well; false for None.
 
-    False for None.
+    R2 must exceed 0.6, the standard error must be below 0.2 s, and the delay must not be at an end of the search (-2.5
+    and 2.5 s).
     """
     return (
         found is not None and found.r2 > MIN_R2 and found.se < MAX_SE and abs(found.lag) < MAX_LAG - 2 * SENSOR_GRID_S
@@ -216,9 +220,9 @@ def _half_interval(*found: LagEstimate) -> float:
 
 
 def _first_source(c: Channels, names: Sequence[str]) -> str:
-    """Return the source of the first of the channels ``names`` that the log has; its name if the channel has no source.
+    """Return the source (device) of the first of the channels ``names`` that the log has.
 
-    Empty if the log has none of the channels.
+    The result is the name of the channel if it has no source, and empty if the log has none of the channels.
     """
     return next((c[n].source or n for n in names if n in c), "")
 
@@ -226,8 +230,9 @@ def _first_source(c: Channels, names: Sequence[str]) -> str:
 def _thrust_signals(c: Channels, sides: Mapping[str, float]) -> ThrustSignals | None:
     """Return the thrust signals of a log; None if the log has no thrust.
 
-    Given forces ``X`` and ``N`` are preferred. Else each thruster of ``sides`` gives its force, its shaft speed or its
-    command, whichever comes first.
+    The surge force ``X`` and the yaw moment ``N`` of all thrusters together are preferred. Else each thruster of
+    ``sides`` gives its measured force, else ``n|n|`` of its shaft speed, else of its command. A thruster without these
+    signals is left out.
     """
     if "N" in c or "X" in c:
         return ThrustSignals([c[n] for n in "N" if n in c], [c[n] for n in "X" if n in c], False, "thrust")
@@ -275,9 +280,10 @@ class _Motion(NamedTuple):
 
 
 def _motion_on_grid(c: Channels, thrusts: Sequence[Channel], half_r: float = HEADING_HALF) -> _Motion | None:
-    """Return the motion while all thrusts and sensors are known; None if this time is shorter than 60 s.
+    """Return the motion in the time that all thrusts and motion sensors cover; None if it is shorter than 60 s.
 
-    The log needs a yaw rate or a heading. ``half_r``: time [s] before and after, over which a heading is differenced.
+    The log needs a yaw rate or a heading. Without a yaw rate, the heading is differenced from ``half_r`` [s] before to
+    ``half_r`` after each time. Without velocities, the positions are differenced in the same way over 1 s.
     """
     names = [n for n in ("psi", "r", "vx", "vy", "u", "v", "x", "y") if n in c]
     t = common_grid(*thrusts, *(c[n] for n in names))
@@ -304,18 +310,19 @@ def _motion_on_grid(c: Channels, thrusts: Sequence[Channel], half_r: float = HEA
 
 
 def _mean_rate(s: Array, half: float) -> Array:
-    """Return the mean rate of change (n,) of a signal on the grid, from ``half`` [s] before to ``half`` after each row.
+    """Return the mean rate of change (n,) per second of a signal s (n,) with a step of 0.05 s.
 
-    It is a central difference. Near both ends the signal is continued with its end value.
+    It is the difference from ``half`` [s] before to ``half`` after each sample. Near both ends the signal is continued
+    with its end value.
     """
     k = round(half / SENSOR_GRID_S)
     return (np.pad(s, k, mode="edge")[2 * k :] - np.pad(s, k, mode="edge")[: -2 * k]) / (2.0 * k * SENSOR_GRID_S)
 
 
 def _yaw_after_thrust(c: Channels, push: ThrustSignals) -> LagEstimate | None:
-    """Estimate the delay [s] of the yaw rate behind the thrust.
+    """Estimate the delay [s] of the yaw rate (by gyro or heading) behind the thrust.
 
-    None if no thrust turns the boat or the log is too short.
+    The result is None if no thrust turns the boat, the motion is constant, or the log is shorter than 60 s.
     """
     if not push.turning or (m := _motion_on_grid(c, push.turning)) is None:
         return None
@@ -330,7 +337,8 @@ def _yaw_after_thrust(c: Channels, push: ThrustSignals) -> LagEstimate | None:
 def _speed_after_thrust(c: Channels, push: ThrustSignals) -> LagEstimate | None:
     """Estimate the delay [s] of the surge speed behind the thrust.
 
-    None if no thrust drives the boat forward, no sensor measures the velocity, or the log is too short.
+    The result is None if no thrust drives the boat forward, no sensor measures the velocity, the motion is constant, or
+    the log is shorter than 60 s.
     """
     if not push.ahead or (m := _motion_on_grid(c, push.ahead)) is None or m.u is None or m.v is None:
         return None
@@ -343,9 +351,10 @@ def _speed_after_thrust(c: Channels, push: ThrustSignals) -> LagEstimate | None:
 
 
 def _thrust_at(push: Channel, t: Array) -> Array:
-    """Return a thrust at times t (n,) [s].
+    """Return the values (n,) of a thrust signal at times t (n,) [s].
 
-    A thrust with the hold ``zero`` holds until the next sample; others are interpolated.
+    A signal with the hold ``zero`` keeps each sample until the next one; others are interpolated. Outside the samples
+    the first or the last one is returned.
     """
     if push.hold != "zero":
         return np.interp(t, push.t, push.value)

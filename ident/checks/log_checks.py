@@ -304,15 +304,15 @@ def thrust_response_curves(c: Channels, sides: Mapping[str, float]) -> list[Thru
     Parameters
     ----------
     c
-        Channels of a log by name.
+        Channels (signals) of a log by name.
     sides
         Position of each thruster to starboard [m].
 
     Returns
     -------
     list
-        Empty if the log has no thrust, no motion or is too short. Without thrusters off the middle there is no yaw
-        rate.
+        Empty if the log has no thrust, no motion or is too short. There is no curve of the yaw rate if all thrusters
+        are in the middle of the boat.
     """
     forces = thruster_forces(c, sides)
     if forces is None:
@@ -330,9 +330,10 @@ def thrust_response_curves(c: Channels, sides: Mapping[str, float]) -> list[Thru
 def _response_curve(
     title: str, unit: str, forces: ThrusterForces, y: Array, f: Array, lags: Sequence[float]
 ) -> ThrustResponseCurve:
-    """Return the motion y (n,) beside the response to the thrust or moment f (n,) with the best of the lags [s].
+    """Return a measured motion y (n,) and its expected response to the thrust or moment f (n,), as a curve to plot.
 
-    Times at which y is NaN are left out. ``forces`` gives the times (n,).
+    The response passes a first-order lag with the best of the time constants ``lags`` [s]. It is NaN if f is constant.
+    ``forces`` gives the times (n,). Times at which y is NaN are left out.
     """
     measured = np.isfinite(y)  # a course is NaN while the boat is too slow
     filled = fill_gaps(forces.t, y)
@@ -346,7 +347,7 @@ def sensor_pairs(c: Channels) -> list[SensorPair]:
     Parameters
     ----------
     c
-        Channels of a log by name.
+        Channels (signals) of a log by name.
 
     Returns
     -------
@@ -632,7 +633,10 @@ def check_copies(logs: Sequence[tuple[str, Channels]]) -> list[Finding]:
 
 
 def _hashed_triples(value: Array) -> NDArray[np.uint64]:
-    """Return the distinct hashes (m,), sorted, of all triples of neighbouring values without equal neighbours."""
+    """Return the distinct hashes (m,), sorted, of all triples of neighbouring samples of a signal (n,).
+
+    Triples with equal neighbours are left out. The result is empty for fewer than three samples.
+    """
     bits = np.ascontiguousarray(value, dtype=np.float64).view(np.uint64)
     # Multiply by the golden ratio in 64 bits: the low bits of rounded values are zero and must be filled.
     mixed = (bits ^ bits >> np.uint64(31)) * np.uint64(0x9E3779B97F4A7C15)

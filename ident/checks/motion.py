@@ -59,7 +59,11 @@ class RegressionEffect(NamedTuple):
 
     @property
     def sign(self) -> Array:
-        """Sign of each effect (n_thrusters,): +1 or -1 if t and the share are large enough (`SIGN_LIMITS`), else 0."""
+        """Sign of each effect (n_thrusters,): +1 or -1 if it is significant, else 0.
+
+        An effect is significant if ``|t|`` exceeds 4.5 and the share of the variance 0.05, or ``|t|`` 3 and the share
+        0.3.
+        """
         significant = np.any([(np.abs(self.t) > t) & (self.share > share) for t, share in SIGN_LIMITS], axis=0)
         return np.where(significant, np.sign(self.size), 0.0)
 
@@ -91,7 +95,7 @@ class ThrusterForces(NamedTuple):
     names
         Names of the thrusters.
     t
-        Times (n,) [s], at the middle of intervals of ``1 / RATE``.
+        Times (n,) [s], at the middle of intervals of 0.1 s.
     edges
         Edges (n + 1,) [s] of the intervals around t.
     f
@@ -113,7 +117,7 @@ def check_motion(c: Channels, sides: Mapping[str, float], dead: Collection[str] 
     Parameters
     ----------
     c
-        Channels of a log by name.
+        Channels (signals) of a log by name.
     sides
         Position of each thruster to starboard [m].
     dead
@@ -139,8 +143,9 @@ def check_motion(c: Channels, sides: Mapping[str, float], dead: Collection[str] 
 def _thruster_faults(found: ThrustResponse, yaw: Array, surge: Array) -> Iterator[Finding]:
     """Yield the faults of the thrusters: heading reversed, sides swapped, sign reversed, or no effect.
 
-    ``yaw``, ``surge`` (n_thrusters,): sign of each effect, +1 as expected for the thruster's side, -1 against it, 0
-    unknown.
+    A reversed heading or swapped sides are the only fault; otherwise each thruster has at most one. ``found``: effects
+    of the thrusters on yaw rate and surge speed. ``yaw``, ``surge`` (n_thrusters,): sign of each effect, +1 as expected
+    for the thruster's side, -1 against it, 0 unknown.
     """
     if found.moment > 0 and (surge < 0).any() and not (surge > 0).any() and not (yaw < 0).any():
         yield half_turn("the boat turns as expected, but moves opposite to its heading when the thrust is forward")
@@ -184,8 +189,8 @@ def _thruster_faults(found: ThrustResponse, yaw: Array, surge: Array) -> Iterato
 def _relative_upper_bounds(effect: RegressionEffect) -> Array:
     """Return the upper bound (n_thrusters,) of the size of each effect, divided by the largest significant effect.
 
-    The bound is two standard errors above the size. It is 1 for an effect that is not separable, and for all if no
-    effect is significant.
+    The bound is two standard errors above the size. An effect is significant if its |t| exceeds 6.75. The result is 1
+    for an effect that is not separable from others (t = 0), and for all effects if none is significant.
     """
     clear = np.abs(effect.t) > 1.5 * SIGNIFICANT_T
     if not clear.any():
@@ -201,7 +206,7 @@ def thrust_responses(c: Channels, sides: Mapping[str, float]) -> ThrustResponse 
     Parameters
     ----------
     c
-        Channels of a log by name.
+        Channels (signals) of a log by name.
     sides
         Position of each thruster to starboard [m].
 
@@ -228,7 +233,7 @@ def best_turn_rate(c: Channels, edges: Array) -> Array | None:
     Parameters
     ----------
     c
-        Channels of a log by name.
+        Channels (signals) of a log by name.
     edges
         Edges of the intervals (n + 1,) [s].
     """
@@ -242,7 +247,7 @@ def turning_signs(c: Channels, sides: Mapping[str, float]) -> dict[str, int]:
     Parameters
     ----------
     c
-        Channels of a log by name.
+        Channels (signals) of a log by name.
     sides
         Position of each thruster to starboard [m].
 
@@ -263,7 +268,8 @@ def turning_signs(c: Channels, sides: Mapping[str, float]) -> dict[str, int]:
 def _moment_sign(forces: ThrusterForces, rate: Array) -> int:
     """Return the sign of the effect of the turning moment on a yaw rate (n,), beside the sum of thrusts.
 
-    +1 as expected, -1 against the moment; 0 if it is not significant, or if all thrusters are in the middle.
+    The result is +1 if the boat turns with the moment, -1 if it turns against the moment. It is 0 if the effect is not
+    significant, or if all thrusters are in the middle.
     """
     if not forces.side.any():
         return 0
@@ -278,7 +284,7 @@ def turn_rate(c: Channels, edges: Array, name: str) -> Array | None:
     Parameters
     ----------
     c
-        Channels of a log by name.
+        Channels (signals) of a log by name.
     edges
         Edges of the intervals (n + 1,) [s].
     name
@@ -319,7 +325,8 @@ def thruster_forces(c: Channels, sides: Mapping[str, float]) -> ThrusterForces |
     Parameters
     ----------
     c
-        Channels of a log by name. Thrust is a measured force, else ``n|n|`` of the shaft speed, else of the command.
+        Channels (signals) of a log by name. Thrust is a measured force, else ``n|n|`` of the shaft speed, else of the
+        command.
     sides
         Position of each thruster to starboard [m].
 
@@ -346,7 +353,8 @@ def thruster_forces(c: Channels, sides: Mapping[str, float]) -> ThrusterForces |
 def _thrust_channel(c: Channels, name: str) -> Channel | None:
     """Return the thrust of the thruster ``name``: measured force, else ``n|n|`` of shaft speed or command.
 
-    The command also replaces telemetry that ended more than 3 s before the commands. None without any of these signals.
+    The command also replaces telemetry that ended more than 3 s before the commands. The result is None without any of
+    these signals.
     """
     if thrust_of(name) in c:
         return c[thrust_of(name)]
@@ -369,8 +377,8 @@ def _side_signs(sides: Mapping[str, float], names: Sequence[str]) -> Array:
 def _surge_effect(c: Channels, t: Array, edges: Array, f: Array) -> RegressionEffect:
     """Return the effects of the thrusts f (n, n_thrusters) on the surge speed over ground at times t (n,) [s].
 
-    If they are not clear, and are more significant on the accelerometer, return the effects on the acceleration
-    instead. ``edges`` (n + 1,) [s]: intervals around t. All effects are 0 without either sensor.
+    If no t statistic exceeds 9, and the effects on the acceleration ``ax`` are more significant, return those instead.
+    ``edges`` (n + 1,) [s]: intervals around t. All effects are 0 without either sensor.
     """
     found = RegressionEffect(*np.zeros((3, f.shape[1])))
     drift = []
@@ -441,8 +449,8 @@ def _thrust_effect(
 def _block_variance(X: Array, e: Array, inverse: NDArray[Any], lag: float) -> Array:
     """Return the variances (k,) of the factors of X (n, k), from the scores of the residuals e (n,) summed over blocks.
 
-    There are at least 6 blocks, of at least 4 lags if the record is long enough. ``inverse`` (k, k): inverse of X'X /
-    n. ``lag``: time constant [s].
+    A block lasts at least 5 s and four time constants ``lag`` [s]. In a short record the blocks are shorter, so that
+    there are at least 6. ``inverse`` (k, k): inverse of X'X / n.
     """
     rows = round(max(BLOCK_S, 4.0 * lag) * RATE)
     count = e.size // rows
@@ -455,7 +463,7 @@ def _block_variance(X: Array, e: Array, inverse: NDArray[Any], lag: float) -> Ar
 def _independent_share(f: Array) -> Array:
     """Return the share (k,) of the standard deviation of each column of f (n, k) that the other columns cannot explain.
 
-    1 for a column that is independent of the others; 0 for a constant column.
+    The share is 1 for a column that is independent of the others, and 0 for a constant column.
     """
     centred = f - f.mean(axis=0)
     spread = centred.std(axis=0)
@@ -504,7 +512,7 @@ def surge_speed(c: Channels, t: Array) -> Array | None:
     Parameters
     ----------
     c
-        Channels of a log by name.
+        Channels (signals) of a log by name.
     t
         Times (n,) [s].
     """

@@ -21,13 +21,15 @@ def check_outliers(c: Channels) -> Iterator[Finding]:
     Parameters
     ----------
     c
-        Channels of a log by name, with the outliers that were left out when the log was read.
+        Channels (signals) of a log by name, with the outliers that were left out when the log was read.
 
     Yields
     ------
     Finding
         ``many-outliers`` (fault) if more than 5 % of a signal's samples were left out, else ``outliers-left-out``
-        (warning). ``position-jumps`` (fault) for a few jumps of ``x`` and ``y`` that no boat can make.
+        (warning). A signal without outliers gives no finding. ``position-jumps`` (fault) if ``x`` and ``y``, with equal
+        times, make jumps that no boat can make. There is no such finding if more than 2 % of the samples plus two are
+        jumps: the cause is then a wrong unit or column, which other checks find.
     """
     for name, channel in c.items():
         left_out = channel.left_out

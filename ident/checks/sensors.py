@@ -182,7 +182,13 @@ def sensor_matches(c: Channels) -> Matches:
     Parameters
     ----------
     c
-        Channels of a log by name.
+        Channels (signals) of a log by name.
+
+    Returns
+    -------
+    Matches
+        Relations of heading and yaw rate, position and velocity over ground, velocity and specific force. A relation is
+        None if a signal is missing, the common time is too short, or the boat hardly moves.
     """
     return Matches(heading_match(c), position_match(c), velocity_match(c))
 
@@ -198,7 +204,8 @@ def check_time_scale(found: Matches) -> Finding | None:
     Returns
     -------
     Finding or None
-        None if fewer than two relations are known, or if their factors differ or are near one.
+        None if fewer than two relations have an R2 above 0.6, or if their factors differ by more than 15 % or are near
+        one (0.75 to 1.33).
     """
     scales = [abs(m.scale) for m in found if m is not None and m.r2 > MIN_R2]
     common = float(np.median(scales)) if scales else 1.0
@@ -222,7 +229,7 @@ def gyro_and_heading(c: Channels, found: Match | None) -> Iterator[Finding]:
     Parameters
     ----------
     c
-        Channels of a log by name.
+        Channels (signals) of a log by name.
     found
         Relation of heading and yaw rate (`heading_match`). None gives no finding.
     """
@@ -276,7 +283,7 @@ def heading_match(c: Channels) -> Match | None:
     Parameters
     ----------
     c
-        Channels of a log by name. The heading may be in radians or degrees.
+        Channels (signals) of a log by name. The heading may be in radians or degrees.
 
     Returns
     -------
@@ -304,7 +311,7 @@ def velocity_match(c: Channels) -> Match | None:
     Parameters
     ----------
     c
-        Channels of a log by name.
+        Channels (signals) of a log by name.
 
     Returns
     -------
@@ -342,7 +349,7 @@ def velocity_and_acceleration(c: Channels, found: Match | None) -> Iterator[Find
     Parameters
     ----------
     c
-        Channels of a log by name.
+        Channels (signals) of a log by name.
     found
         Relation of velocity and specific force (`velocity_match`). None, or an R2 below 0.3, gives no finding.
     """
@@ -358,7 +365,7 @@ def position_match(c: Channels) -> Match | None:
     Parameters
     ----------
     c
-        Channels of a log by name.
+        Channels (signals) of a log by name.
 
     Returns
     -------
@@ -380,7 +387,7 @@ def position_and_velocity(c: Channels, found: Match | None) -> Iterator[Finding]
     Parameters
     ----------
     c
-        Channels of a log by name.
+        Channels (signals) of a log by name.
     found
         Relation of position and velocity (`position_match`). None gives no finding.
     """
@@ -457,8 +464,9 @@ def sensor_delay(
     Yields
     ------
     Finding
-        ``sensor-late`` for a significant lag of at least 0.3 s; ``delay-unknown`` (ok) if the interval is too wide or
-        the lag may be chance; else ``sensors-in-time`` (ok).
+        ``sensor-late`` for a lag of at least 0.3 s that removes more than 30 % of the squared error. ``delay-unknown``
+        (ok) for another lag of this size, which may be chance, or if the half interval is wider than 0.3 s. Else
+        ``sensors-in-time`` (ok).
     """
     late, early, late_source = (first, second, first_source) if found.lag > 0 else (second, first, second_source)
     interval = delay_interval(abs(found.lag), found.half)
@@ -515,7 +523,7 @@ def _best_lag(columns: list[Array], regressors: list[list[Array]], window: float
 
 
 def common_grid(*channels: Channel) -> Array:
-    """Return times (n,) [s] at steps of `SENSOR_GRID_S` in the span that all channels cover.
+    """Return times (n,) [s] at steps of 0.05 s (`SENSOR_GRID_S`) in the span that all channels cover.
 
     The result is empty if they do not overlap.
 
@@ -529,9 +537,9 @@ def common_grid(*channels: Channel) -> Array:
 
 
 def _full_turn(psi: Array) -> float:
-    """Return a whole turn in the unit of a heading (n,): 360 for degrees, 2 pi for radians.
+    """Return a whole turn in the unit of a heading (n,): 360 for degrees, 2 pi for radians, or 2 pi / 57.3.
 
-    Radians that were converted by mistake as if they were degrees have turns of 2 pi / 57.3. The unit is guessed from
+    The last one is the turn of radians that were converted by mistake as if they were degrees. The unit is guessed from
     the size and the range of the values.
     """
     if np.abs(psi).max() > 7.0:

@@ -29,7 +29,7 @@ def one_sided_shafts(c: Channels) -> dict[str, Finding]:
     Parameters
     ----------
     c
-        Channels of a log by name. A thruster needs both a command and a measured shaft speed.
+        Channels (signals) of a log by name. A thruster needs both a command and a measured shaft speed.
 
     Returns
     -------
@@ -44,7 +44,7 @@ def one_sided_shafts(c: Channels) -> dict[str, Finding]:
 
 
 def wrapped(value: Array, fastest: float = MAX_SPEED, clear: float = MIN_COMMAND) -> bool:
-    """Return whether negative values of a signal are wrapped to 65536 - n.
+    """Return whether negative values -n of a signal are logged as 65536 - n (unsigned 16 bits).
 
     Parameters
     ----------
@@ -58,7 +58,8 @@ def wrapped(value: Array, fastest: float = MAX_SPEED, clear: float = MIN_COMMAND
     Returns
     -------
     bool
-        False if fewer than 10 values are possible, or fewer are near the largest size.
+        False if the largest size is below twice ``fastest``. Also false if fewer than 10 values are possible and differ
+        from rest, or fewer than 10 are near the largest size.
 
     Notes
     -----
@@ -78,12 +79,12 @@ def wrapped(value: Array, fastest: float = MAX_SPEED, clear: float = MIN_COMMAND
 
 
 def check_wrapped(c: Channels) -> Iterator[Finding]:
-    """Yield a fault for each shaft speed or yaw rate whose negative values are wrapped to 65536 - n.
+    """Yield a fault for each shaft speed or yaw rate whose negative values -n are logged as 65536 - n.
 
     Parameters
     ----------
     c
-        Channels of a log by name.
+        Channels (signals) of a log by name.
     """
     if "r" in c and wrapped(c["r"].value, MAX_YAW_RATE, MIN_YAW_RATE):
         text = f"goes to {np.abs(c['r'].value).max():.4g} rad/s: negative rates are wrapped to 65536 - n"
@@ -99,7 +100,7 @@ def check_wrapped(c: Channels) -> Iterator[Finding]:
 def _one_sided_fault(name: str, command: Channel, shaft: Channel) -> Finding | None:
     """Return a fault if the shaft speed of a thruster is zero in one direction only, or positive in both; else None.
 
-    None also if the command was not steady for long enough in each direction.
+    The result is None also if the command was not steady for long enough in each direction.
     """
     forward, reverse = (_speed_over_command(command, shaft, sign) for sign in (1.0, -1.0))
     if forward is None or reverse is None:
@@ -118,9 +119,10 @@ def _one_sided_fault(name: str, command: Channel, shaft: Channel) -> Finding | N
 
 
 def _speed_over_command(command: Channel, shaft: Channel, sign: float) -> float | None:
-    """Return the median of shaft speed over command at steady commands of the given sign (+1 forward, -1 reverse).
+    """Return the median of shaft speed over size of the command, at steady commands of one sign (+1 or -1).
 
-    A positive ratio means that the shaft turns forward. None for fewer than 10 samples.
+    A positive result means that the shaft turns forward. A command is steady if it exceeds 0.12 of full command and
+    varied by less than 0.1 in the last 1.5 s. The result is None for fewer than 10 such samples of the shaft speed.
     """
     at = [sample_and_hold(command, shaft.t - late) * sign for late in np.linspace(0.0, SETTLED_S, 7)]
     steady: NDArray[np.bool_] = np.min(at, axis=0) > MIN_COMMAND

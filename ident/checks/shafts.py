@@ -91,7 +91,8 @@ def check_shafts(c: Channels) -> Iterator[Finding]:
     Parameters
     ----------
     c
-        Channels of a log by name. A thruster needs both a command and a measured shaft speed; others are not checked.
+        Channels (signals) of a log by name. A thruster needs both a command and a measured shaft speed; others are not
+        checked.
 
     Yields
     ------
@@ -269,7 +270,7 @@ def response(commands: Channel, shaft: Channel) -> Response | NoResponse:
     total_part = float(n_part @ n_part)
 
     def fitted(at: slice, band: float) -> LagFit:
-        """Fit time constant and delay, for a dead band and the delays ``DELAYS[at]``."""
+        """Fit time constant and delay of the shaft, for a dead band and the part ``at`` of the searched delays."""
 
         def misfit(lagged: Array, delay: float) -> float:
             """Return the squared error of the delayed command, times its best factor, against the shaft speed."""

@@ -57,8 +57,8 @@ def check_intervals(c: Channels) -> Iterator[Finding]:
     Parameters
     ----------
     c
-        Channels of a log by name. The motion signals, such as ``psi`` and ``x`` (`MOTION`), are examined in turn, and
-        the first fault ends the check.
+        Channels (signals) of a log by name. The motion signals, such as ``psi`` and ``x`` (`MOTION`), are examined in
+        turn, and the first fault ends the check.
 
     Yields
     ------
@@ -97,7 +97,7 @@ def check_ranges(c: Channels) -> Iterator[Finding]:
     Parameters
     ----------
     c
-        Channels of a log by name. Missing ones are not checked.
+        Channels (signals) of a log by name. Missing ones are not checked.
 
     Yields
     ------
@@ -153,7 +153,7 @@ def check_frozen(c: Channels) -> Iterator[Finding]:
     Parameters
     ----------
     c
-        Channels of a log by name.
+        Channels (signals) of a log by name.
 
     Yields
     ------
@@ -196,7 +196,7 @@ def check_quantised(c: Channels) -> Iterator[Finding]:
     Parameters
     ----------
     c
-        Channels of a log by name. ``x`` and ``y`` together give at most one warning, ``vx`` and ``vy`` also.
+        Channels (signals) of a log by name. ``x`` and ``y`` together give at most one warning, ``vx`` and ``vy`` also.
     """
     for group in TRACKS:
         steps = {name: coarse_step(c, name) for name in group if name in c}
@@ -214,7 +214,7 @@ def coarse_step(c: Channels, name: str) -> float:
     Parameters
     ----------
     c
-        Channels of a log by name.
+        Channels (signals) of a log by name.
     name
         Name of a channel of the log. For ``vx`` and ``vy`` the speed over ground may be rounded instead of its
         components.
@@ -248,7 +248,7 @@ def _coarse_candidates(c: Channels, name: str) -> Iterator[tuple[Array, float]]:
 def _grid_step(value: Array) -> float:
     """Return the step of the grid that contains all values (n,), in the unit of the values.
 
-    0 if the values are on no grid, are all equal, or are fewer than three for each level.
+    The result is 0 if the values are on no grid, are all equal, or have fewer than three samples per different value.
     """
     levels = np.unique(value)
     steps = np.diff(levels)
@@ -275,7 +275,8 @@ def _resolution_explains_hold(c: Channels, name: str, begin: float, end: float) 
 def _longest_unusual_hold(channel: Channel) -> tuple[float, float]:
     """Return begin and end [s] of the longest time in which the value of a channel stays exactly the same.
 
-    (0, 0) if this time has 10 samples or fewer, or is shorter than ten times the usual one (99 % quantile).
+    The result is (0, 0) if this time has 10 samples or fewer. It is (0, 0) also if this time is shorter than ten times
+    the usual one (99 % quantile of such times, if there are more than 100).
     """
     first = np.flatnonzero(np.diff(channel.value, prepend=np.nan) != 0)
     last = np.append(first[1:], channel.value.size) - 1
@@ -320,8 +321,8 @@ def _lacks_sensor_noise(name: str, channel: Channel) -> bool:
 def _constant_motion_confirmed(c: Channels, group: Sequence[str], begin: float, end: float) -> bool:
     """Return whether another sensor confirms that the signals of ``group`` were constant from ``begin`` to ``end`` [s].
 
-    Positions confirm a velocity over ground. Velocities over ground confirm an acceleration in the boat's frame. False
-    for other groups, and if the other sensor is missing or has too few samples.
+    Positions confirm a velocity over ground. Velocities over ground confirm an acceleration in the boat's frame. The
+    result is false for other groups, and if the other sensor is missing or has too few samples.
     """
     if group == ("vx", "vy") and {*group, "x", "y"} <= set(c):
         misfits = []
@@ -385,7 +386,7 @@ def check_alternating(c: Channels) -> Iterator[Finding]:
     Parameters
     ----------
     c
-        Channels of a log by name. Signals of one sensor, such as ``x`` and ``y``, share one finding.
+        Channels (signals) of a log by name. Signals of one sensor, such as ``x`` and ``y``, share one finding.
     """
     for group in GROUPS:
         shares = {name: _alternating_share(c[name]) for name in group if name in c}
@@ -432,7 +433,7 @@ def check_smoothing(c: Channels) -> Iterator[Finding]:
     Parameters
     ----------
     c
-        Channels of a log by name.
+        Channels (signals) of a log by name.
     """
     smooth = smoothed(c)
     if smooth:
@@ -449,7 +450,7 @@ def smoothed(c: Channels) -> tuple[str, ...]:
     Parameters
     ----------
     c
-        Channels of a log by name. The limits are, for example, 0.0001 rad for ``psi`` and 0.002 m for ``x``
+        Channels (signals) of a log by name. The limits are, for example, 0.0001 rad for ``psi`` and 0.002 m for ``x``
         (`NO_NOISE`).
     """
     return tuple(n for n in MOTION if n in c and noise_floor(c[n]) < NO_NOISE[n])
@@ -461,7 +462,7 @@ def estimated(c: Channels) -> bool:
     Parameters
     ----------
     c
-        Channels of a log by name. False without ``x`` and ``y``.
+        Channels (signals) of a log by name. False without ``x`` and ``y``.
 
     Notes
     -----

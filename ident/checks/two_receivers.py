@@ -58,7 +58,8 @@ def second_receiver(t: Array, x: Array, y: Array) -> SecondReceiver | None:
 
     Notes
     -----
-    The result is not None if half of the windows of one length (`WINDOWS`) show two receivers.
+    The fixes are examined in windows of 24, 48 and 96 fixes. A second receiver is reported if, for one of these
+    lengths, at least three windows and half of all windows show two receivers.
     """
     new = np.append(True, (np.diff(x) != 0.0) | (np.diff(y) != 0.0))
     t, place = t[new], np.column_stack([x[new], y[new]])
@@ -70,7 +71,7 @@ def second_receiver(t: Array, x: Array, y: Array) -> SecondReceiver | None:
         usual = float(np.median(np.diff(t))) * length if t.size > 1 else 0.0
         windows = [slice(k, k + length) for k in starts.tolist()]
         windows = [w for w in windows if 0.0 < t[w][-1] - t[w][0] < LONGEST_WINDOW * usual]
-        found = [_in_window(t[w], place[w], resolution) for w in windows]
+        found = [_second_receiver_in_window(t[w], place[w], resolution) for w in windows]
         both = [row for row in found if row is not None]
         if len(both) >= FEWEST_OF_EACH and len(both) >= LEAST_SHARE * len(found):
             return SecondReceiver(*(float(v) for v in np.median(np.array(both), axis=0)))
@@ -78,16 +79,19 @@ def second_receiver(t: Array, x: Array, y: Array) -> SecondReceiver | None:
 
 
 def _resolution(value: Array) -> float:
-    """Return the least difference between two different values of a signal (n,); 0 for fewer than two."""
+    """Return the least difference between two different values of a signal (n,); 0 for fewer than two.
+
+    Differences up to 1e-6 are rounding errors and do not count.
+    """
     steps = np.diff(np.unique(value))
     steps = steps[steps > 1e-6]  # smaller ones are rounding errors
     return float(steps.min()) if steps.size else 0.0
 
 
-def _in_window(t: Array, place: Array, resolution: float) -> SecondReceiver | None:
+def _second_receiver_in_window(t: Array, place: Array, resolution: float) -> SecondReceiver | None:
     """Return the second receiver in one window of fixes; None if the fixes do not show two receivers.
 
-    ``t`` (n,) [s], ``place`` (n, 2) [m], ``resolution`` [m] of the positions.
+    ``t``: times (n,) [s]. ``place``: positions (n, 2) [m]. ``resolution``: step [m] of the positions, 0 if unknown.
     """
     tau = 2.0 * (t - t[0]) / (t[-1] - t[0]) - 1.0
     track = np.vander(tau, POLYNOMIAL + 1)
@@ -119,15 +123,15 @@ def _in_window(t: Array, place: Array, resolution: float) -> SecondReceiver | No
         return None
     if not (_is_regular(t[rarer]) and _is_regular(t[~rarer])):
         return None
-    if _interpolated(t, place, rarer, size) or _late(t, fitted, tau, offset, size):
+    if _is_resampled_track(t, place, rarer, size) or _explained_by_delay(t, fitted, tau, offset, size):
         return None
     return SecondReceiver(float(rarer.mean()), size)
 
 
 def _robust_residuals(track: Array, place: Array) -> Array:
-    """Return the distances (n, 2) [m] of fixes from the polynomial with the least sum of absolute distances.
+    """Return the residuals (n, 2) [m] of fixes from the polynomial in time with the least sum of distances.
 
-    The polynomial follows the more frequent receiver. ``track`` (n, m): powers of time, ``place`` (n, 2) [m].
+    The polynomial follows the more frequent receiver. ``track`` (n, m): powers of time, ``place`` (n, 2) [m]: fixes.
     """
     weight = np.ones(len(place))
     for _ in range(2 * N_REFINED):
@@ -139,7 +143,10 @@ def _robust_residuals(track: Array, place: Array) -> Array:
 
 
 def _two_clusters(residuals: Array) -> NDArray[np.bool_]:
-    """Return which residuals (n, 2) lie on one side of the widest gap along their main direction."""
+    """Divide residuals (n, 2) into two clusters at the widest gap along their main direction.
+
+    Each cluster has at least three. The result (n,) is true for one cluster.
+    """
     main = np.linalg.svd(residuals, full_matrices=False)[2][0]
     along = residuals @ main
     ordered = np.sort(along)
@@ -149,15 +156,16 @@ def _two_clusters(residuals: Array) -> NDArray[np.bool_]:
 
 
 def _is_regular(t: Array) -> bool:
-    """Return whether times (n,) [s] have nearly equal intervals."""
+    """Return whether the standard deviation of the intervals of times (n,) [s] is at most 0.4 of their mean."""
     steps = np.diff(t)
     return bool(np.std(steps) <= REGULAR * np.mean(steps))
 
 
-def _interpolated(t: Array, place: Array, rarer: NDArray[np.bool_], size: float) -> bool:
+def _is_resampled_track(t: Array, place: Array, rarer: NDArray[np.bool_], size: float) -> bool:
     """Return whether the frequent fixes lie on the chords between the rarer ones: a resampled track of one receiver.
 
-    ``size``: distance [m] of the two curves.
+    ``t`` (n,) [s], ``place`` (n, 2) [m]: fixes. ``rarer`` (n,): true for the rarer ones. ``size``: distance [m] of the
+    two curves. The result is false if no frequent fix lies between two rarer ones.
     """
     first, last = np.flatnonzero(rarer)[[0, -1]]
     between = ~rarer
@@ -168,11 +176,12 @@ def _interpolated(t: Array, place: Array, rarer: NDArray[np.bool_], size: float)
     return bool(np.median(np.hypot(*(place[between] - chords).T)) < ON_CHORDS * size)
 
 
-def _late(t: Array, fitted: Array, tau: Array, offset: Array, size: float) -> bool:
-    """Return whether wrong times of one receiver explain the offset: along the track, and less than one interval.
+def _explained_by_delay(t: Array, fitted: Array, tau: Array, offset: Array, size: float) -> bool:
+    """Return whether a delay of some fixes explains the offset: along the track, and less than two intervals long.
 
-    The fix of an epoch with more messages is often received later. ``fitted``: coefficients of the curves,
-    ``tau`` (n,): scaled times, ``offset`` (n, 2) [m], ``size``: its median length [m].
+    The fix of an epoch with more messages is often received later. ``t`` (n,): times [s]. ``tau`` (n,): the same times
+    scaled to -1 to 1. ``fitted`` (m, 2): coefficients of the track, a cubic polynomial in tau, in its first four rows.
+    ``offset`` (n, 2) [m]: distance of the two curves. ``size``: its median length [m].
     """
     powers = np.column_stack([3.0 * tau**2, 2.0 * tau, np.ones(tau.size)])
     velocity = powers @ fitted[:POLYNOMIAL] * 2.0 / (t[-1] - t[0])

@@ -1,6 +1,7 @@
 """Layout of the arrays that a kernel reads and writes: their names, sizes and kinds.
 
-A kernel runs over the rows of a record. A row holds the samples of one instant, and the inputs up to the next row.
+A kernel is a program that runs over the rows of a record. A row holds the samples of one instant, and the inputs up to
+the next row.
 """
 
 from __future__ import annotations
@@ -14,26 +15,28 @@ ROWS = frozenset({"u", "u_next", "y", "h"})
 
 @dataclass(frozen=True)
 class Layout:
-    """Layout of the arrays of one kernel.
+    """Layout of the arrays that one kernel reads and writes.
+
+    A kernel is a program that runs over the rows (instants) of a record.
 
     Attributes
     ----------
     sizes : Mapping[str, int]
         Number of entries of each array, in the order of the kernel's arguments.
     rows : frozenset[str]
-        Names of the arrays with a separate vector of entries for each row.
+        Names of the arrays with separate entries for each row.
     lanes : frozenset[str]
         Names of the arrays with `width` numbers for each entry, one per lane. A lane is one element of the processor's
-        vectors. It holds, for example, the derivative by one parameter.
+        vector registers. It holds, for example, the derivative by one parameter.
     carried : frozenset[str]
         Names of the arrays whose values pass from one row to the next, such as the state of a filter.
     summed : tuple[str, ...]
         Names of the results that are summed over all rows, such as the log-likelihood.
     grams : frozenset[str]
-        Names of the results of `loop_plan.GramStage`: the matrix of inner products between all lanes, in blocks of
-        (width, width).
+        Names of the results that are matrices of inner products between all lanes (`loop_plan.GramStage`), in blocks
+        of (width, width).
     width : int
-        Number of lanes in one group, which is the number of doubles in a vector register (2, 4 or 8).
+        Number of lanes in one group: the number of doubles in a vector register (2, 4 or 8).
     """
 
     sizes: Mapping[str, int]
@@ -45,7 +48,7 @@ class Layout:
     width: int
 
     def shape(self, name: str, n_rows: int, groups: int, per_row: bool = False) -> tuple[int, ...]:
-        """Return the shape of an array for a given number of rows and lanes.
+        """Return the shape of an array of the kernel for a given number of rows and lanes.
 
         Parameters
         ----------
@@ -59,9 +62,9 @@ class Layout:
         Returns
         -------
         tuple[int, ...]
-            (n_rows, groups, entries, width). n_rows is absent if the array has no rows and ``per_row`` is False.
-            groups and width are absent if the array has no lanes. A result in `grams` has the shape
-            (groups, groups, width, width).
+            (n_rows, groups, entries, width). n_rows is absent if the array is not in `rows` and ``per_row`` is False.
+            groups and width are absent if the array is not in `lanes`. A result in `grams` has the shape
+            (groups, groups, width, width), whatever ``per_row`` is.
         """
         if name in self.grams:
             return (groups, groups, self.width, self.width)

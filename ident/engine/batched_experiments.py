@@ -1,7 +1,8 @@
 """Fisher information of many experiments at once, with one experiment in each lane of the vector registers.
 
-In `filter_plans`, each lane holds one parameter of the same record. Here, each lane holds a whole experiment. Each
-experiment has its own parameter values. Its inputs are its own or common to all experiments.
+A lane is one element of the processor's vector registers. In `filter_plans`, each lane holds the derivatives by one
+parameter for the same record. Here, each lane holds a whole experiment. Each experiment has its own parameter values.
+Its inputs are its own or common to all experiments.
 
 The data are the predictions of the model, so all innovations are zero. The sensitivities therefore need no derivative
 of the Kalman gain. With P, H and S of the filter along the predicted path,
@@ -34,7 +35,7 @@ _lock = threading.RLock()  # CasADi and LLVM build one kernel at a time
 
 
 def batch_for(model: Model, free: Sequence[str], *, covariance: bool) -> ExperimentBatch:
-    """Return the kernels that compute the Fisher information of many experiments with one model.
+    """Return the kernels (compiled programs) that compute the Fisher information of many experiments with one model.
 
     A repeated call returns the same object. Models that differ only in parameter values share it.
 
@@ -50,7 +51,12 @@ def batch_for(model: Model, free: Sequence[str], *, covariance: bool) -> Experim
     Returns
     -------
     ExperimentBatch
-        Kernels, compiled on first use.
+        Kernels, each compiled on first use.
+
+    Raises
+    ------
+    ValueError
+        If the filter of the model cannot be built, for example if the model has more than 32 sensors.
     """
     with _lock:
         key = (EkfGraphs(model, covariance=covariance).key, *free)
@@ -60,7 +66,9 @@ def batch_for(model: Model, free: Sequence[str], *, covariance: bool) -> Experim
 def discrimination_batch_for(
     model: Model, free: Sequence[str], truth: Model, *, covariance: bool
 ) -> DiscriminationBatch:
-    """Return the kernel that compares one model with the data of another model, for T-optimal discrimination.
+    """Return the kernel (compiled program) that runs the filter of one model on noise-free data of another model.
+
+    T-optimal discrimination of two models uses it.
 
     A repeated call returns the same object. Models that differ only in parameter values share it.
 
@@ -83,7 +91,7 @@ def discrimination_batch_for(
     Raises
     ------
     ValueError
-        If the models have different sensors.
+        If the models have different sensors, or if a filter cannot be built.
     """
     with _lock:
         key = (EkfGraphs(model, covariance=covariance).key, EkfGraphs(truth, covariance=False).key, *free)
@@ -91,7 +99,7 @@ def discrimination_batch_for(
 
 
 class FilterSymbols:
-    """Expressions of a model's filter and of its sensitivities to the q free parameters, for one experiment.
+    """CasADi expressions of a model's filter and of its sensitivities to the q free parameters, for one experiment.
 
     Attributes
     ----------
@@ -107,18 +115,20 @@ class FilterSymbols:
     z : SX (n_outputs, 1)
         Predicted outputs at the mean.
     inputs : dict[str, SX]
-        Symbols by name: ``s`` (mean, then upper triangle of the covariance), ``X``, ``u``, ``u_next``, ``p``, ``h``.
+        Symbols by name: filter state ``s`` (mean, then upper triangle of the covariance), sensitivities ``X``, inputs
+        ``u`` and ``u_next`` at both ends of the interval between two rows, parameters ``p``, and length ``h`` of the
+        interval [s].
     """
 
     def __init__(self, model: Model, free: Sequence[str], covariance: bool) -> None:
-        """Build the symbols and expressions.
+        """Build the symbols and expressions of the filter.
 
         Parameters
         ----------
         model : Model
             Model of the experiment.
         free : Sequence[str]
-            Names of the parameters to differentiate by; may be empty.
+            Names of the parameters to differentiate by; may be empty, for a filter without sensitivities.
         covariance : bool
             True for prediction error (Kalman filter), False for output error.
         """
@@ -134,10 +144,10 @@ class FilterSymbols:
         self.inputs = {"s": g.s, "X": self.X, "u": g.u, "u_next": g.u_next, "p": g.p, "h": g.h}
 
     def parameter_derivatives(self, expression: Any) -> Any:
-        """Return the total derivative of a column (m, 1) by the free parameters, shape (m, q).
+        """Return the total derivative (m, q) of a column of expressions (m, 1) by the q free parameters.
 
-        It includes the dependence of the mean on the parameters through the sensitivities ``X``. The expression may
-        depend on the mean, the parameters, the inputs and the interval.
+        It includes the dependence of the filter's mean on the parameters, by the sensitivities ``X``. The expressions
+        may contain the symbols of the mean, the parameters, the inputs and the length of the interval.
         """
         g = self.graphs
         if not self.q:
@@ -146,22 +156,28 @@ class FilterSymbols:
 
     @property
     def end_of_interval(self) -> dict[str, Any]:
-        """Filter state ``s`` and sensitivities ``X`` at the end of the interval, by name; no ``X`` if q is 0."""
+        """Expressions of filter state ``s`` and sensitivities ``X`` at the end of the interval to the next row.
+
+        There is no ``X`` if q is 0.
+        """
         g = self.graphs
         result = {"s": g.predict[0]}
         return result | {"X": ca.vec(self.parameter_derivatives(g.step(g.mean)[0]))} if self.q else result
 
     def sensor_stages(self) -> list[tuple[int, Sensor, int]]:
-        """Return a tuple (bit of the mask, sensor, index of its first output in the model) for each sensor."""
+        """Return a tuple for each sensor: its number, the sensor, and the index of its first output in the model.
+
+        The number, counted from zero, is the bit that is set in the mask of a row if the sensor has a sample in it.
+        """
         sensors = self.graphs.model.sensors
         firsts = [sum(len(s.outputs) for s in sensors[:k]) for k in range(len(sensors))]
         return list(zip(range(len(sensors)), sensors, firsts, strict=True))
 
     def update(self, sensor: Sensor, first: int, y: Any = None) -> tuple[dict[str, Any], list[Any], list[Any]]:
-        """Return the update of the filter state and its sensitivities by the sample of one sensor.
+        """Return the expressions of the update of the filter and its sensitivities by the sample of one sensor.
 
-        The outputs of the sensor are processed one after the other. Outliers are not taken into account. The derivative
-        of the Kalman gain is neglected, which is exact if all innovations are zero.
+        The outputs of the sensor are processed one after the other. The density of the noise is normal, without
+        outliers. The derivative of the Kalman gain is neglected, which is exact if all innovations are zero.
 
         Parameters
         ----------
@@ -175,7 +191,8 @@ class FilterSymbols:
         Returns
         -------
         dict[str, SX]
-            Filter state ``s`` and sensitivities ``X`` after the update; no ``X`` if q is 0. Empty without a covariance.
+            Filter state ``s`` and sensitivities ``X`` after the update; no ``X`` if q is 0. Empty without a covariance,
+            because the sample does not change the filter then.
         list[SX]
             For each output, the sensitivities (1, q) of the innovation, divided by its standard deviation.
         list[SX]
@@ -208,13 +225,14 @@ class FilterSymbols:
         return after | {"X": ca.vec(X)} if self.q else after, slopes, innovations
 
     def _output_parameter_derivatives(self) -> Any:
-        """Return the partial derivative of the outputs by the free parameters, with the mean held, (n_outputs, q)."""
+        """Return the partial derivatives (n_outputs, q) of the outputs by the free parameters, at constant mean."""
         return ca.jtimes(self.z, self.graphs.p, self._unit) if self.q else ca.SX(self.z.numel(), 0)
 
     def extremes_stage(self) -> ExpressionStage:
-        """Return the stage that updates the carried arrays ``low`` and ``high`` in each row.
+        """Return the stage (step of a kernel in each row) that updates the arrays ``low`` and ``high``.
 
-        They hold the least and the largest value so far of the quantities that `extremes` lists.
+        These pass from row to row, and hold the least and the largest value so far of the quantities that the function
+        `extremes` lists: the states and the squared speed.
         """
         model, mean = self.graphs.model, self.graphs.mean
         names = [v.name for v in model.states]
@@ -227,19 +245,22 @@ class FilterSymbols:
 
 
 def extremes(model: Model) -> tuple[str, ...]:
-    """Return the names of the quantities whose least and largest values the arrays ``low`` and ``high`` hold.
+    """Return the names of the quantities whose least and largest values a simulation of experiments records.
 
-    The quantities are the states in the order of the model. If the model has the state ``u`` (surge speed), the squared
-    speed through the water ``speed2`` [m2/s2] follows, ``u^2 + v^2`` or ``u^2`` without a sway speed.
+    The kernels of this module return these values in the arrays ``low`` and ``high``. The quantities are the states in
+    the order of the model. If the model has the state ``u`` (surge speed), ``speed2`` follows, the squared speed
+    through the water [m2/s2]: ``u^2 + v^2``, or ``u^2`` without a sway speed.
     """
     names = tuple(s.name for s in model.states)
     return (*names, "speed2") if "u" in names else names
 
 
 class ExperimentBatch:
-    """Kernels of one model with one experiment in each lane, compiled on first use.
+    """Kernels of one model that process many experiments at once, one in each lane. They are compiled on first use.
 
-    In each pair of kernels, the first has common inputs for all lanes. The second has separate inputs for each lane.
+    A kernel is a program that runs over all rows of a record. A lane is one element of the processor's vector
+    registers. In each pair of kernels, the first has the same inputs for all experiments, and the second has separate
+    inputs for each.
 
     Attributes
     ----------
@@ -252,17 +273,18 @@ class ExperimentBatch:
     """
 
     def __init__(self, model: Model, free: Sequence[str], covariance: bool) -> None:
-        """Store the arguments, which the class describes. Kernels are compiled on first use."""
+        """Store model, free parameters and ``covariance``, which the class describes. Nothing is compiled yet."""
         self.model, self.free, self.covariance = model, tuple(free), covariance
         self._tracks_in_noise: dict[int, Kernel] = {}
 
     @cached_property
     def information(self) -> tuple[Kernel, Kernel]:
-        """Pair of kernels of the Fisher information.
+        """Pair of kernels of the Fisher information: with common inputs, and with separate inputs for each experiment.
 
-        Results for each lane: ``fisher``, the upper triangle of the information matrix of the free parameters, by
-        matrix rows (q (q + 1) / 2 entries), summed over the rows of the record; ``low`` and ``high``, the least and
-        largest values of the quantities that `extremes` lists.
+        The results for each experiment (lane) are ``fisher``, ``low`` and ``high``. ``fisher`` is the upper triangle of
+        the information matrix of the free parameters, by matrix rows (q (q + 1) / 2 entries), summed over the rows of
+        the record. ``low`` and ``high`` are the least and largest values of the quantities that the function `extremes`
+        lists: the states and the squared speed.
         """
         with _lock:
             f = FilterSymbols(self.model, self.free, self.covariance)
@@ -275,10 +297,10 @@ class ExperimentBatch:
 
     @cached_property
     def tracks(self) -> tuple[Kernel, Kernel]:
-        """Pair of kernels that simulate the model without process noise and without measurements.
+        """Pair of kernels that simulate the model without process noise: with common inputs, and with separate inputs.
 
-        The results for each lane are ``low`` and ``high``, the least and largest values of the quantities that
-        `extremes` lists.
+        The results for each experiment (lane) are ``low`` and ``high``, the least and largest values of the quantities
+        that the function `extremes` lists: the states and the squared speed.
         """
         with _lock:
             f = FilterSymbols(self.model, (), covariance=False)
@@ -288,13 +310,16 @@ class ExperimentBatch:
             )
 
     def tracks_in_noise(self, n_common: int) -> Kernel:
-        """Return a simulation kernel like ``tracks``, with common inputs for all lanes and separate inputs for each.
+        """Return a simulation kernel like ``tracks``, in which some inputs are common to all experiments.
+
+        A lane holds one experiment. A repeated call with the same argument returns the same kernel.
 
         Parameters
         ----------
         n_common : int
-            The first `n_common` inputs (``u``, ``u_next``) are common to all lanes.
-            Each lane has its own values of the remaining inputs (``w``, ``w_next``).
+            The first `n_common` inputs are common to all lanes (arrays ``u`` and ``u_next``, at both ends of an
+            interval). Each lane has its own values of the other inputs (arrays ``w`` and ``w_next``), for example
+            noise.
 
         Notes
         -----
@@ -318,18 +343,20 @@ class ExperimentBatch:
 
 
 def _kernel_pair(stages: list[ExpressionStage], lanes: frozenset[str]) -> tuple[Kernel, Kernel]:
-    """Return two kernels with the same stages: inputs common to all lanes, and separate inputs for each lane.
+    """Return two kernels with the same stages: one with inputs common to all lanes, one with separate inputs for each.
 
-    ``lanes`` are the names of all other arrays with a separate value for each lane.
+    A lane holds one experiment, and a stage is a step of the computation in each row. ``lanes`` are the names of all
+    other arrays with a separate value for each lane.
     """
     rows = frozenset({"u", "u_next", "h"})
     return Kernel(Plan(tuple(stages), rows, lanes)), Kernel(Plan(tuple(stages), rows, lanes | {"u", "u_next"}))
 
 
 class DiscriminationBatch:
-    """Filter of one model on the noise-free data of another model, with one experiment in each lane.
+    """Filter of one model on the noise-free data of another model, for many experiments at once, one in each lane.
 
-    Its innovations are the part of the data that the model cannot explain.
+    A lane is one element of the processor's vector registers. The innovations of the filter are the part of the data
+    that its model cannot explain.
 
     Attributes
     ----------
@@ -342,7 +369,10 @@ class DiscriminationBatch:
     """
 
     def __init__(self, model: Model, free: Sequence[str], truth: Model, covariance: bool) -> None:
-        """Store the arguments, which the class describes. ValueError is raised if the models have different sensors."""
+        """Store the arguments, which the class describes. Nothing is compiled yet.
+
+        ValueError is raised if the models have different sensors or different outputs of a sensor.
+        """
         if [(s.name, [o.name for o in s.outputs]) for s in model.sensors] != [
             (s.name, [o.name for o in s.outputs]) for s in truth.sensors
         ]:
@@ -353,13 +383,13 @@ class DiscriminationBatch:
 
     @cached_property
     def unexplained(self) -> Kernel:
-        """Kernel of the innovations of the model on the data of the other model.
+        """Kernel that computes the innovations of the filter of ``model`` on noise-free data of ``truth``.
 
-        e are the innovations, S their variances and de their derivatives by the q free parameters. Results for each
-        lane, summed over the rows of the record: ``ee``, the sum of ``e' S^-1 e``; ``score`` (q,), the sum of
-        ``de' S^-1 e``; ``fisher``, the upper triangle of the sum of ``de' S^-1 de`` by matrix rows. ``low`` and
-        ``high`` are the least and largest values of the quantities that `extremes` lists for the model of the filter.
-        The names of the arrays of the model that generates the data end in ``_true``.
+        e are the innovations, S their variances and de their derivatives by the q free parameters. The results for each
+        experiment (lane) are sums over the rows of the record: ``ee`` of ``e' S^-1 e``, ``score`` (q,) of
+        ``de' S^-1 e``, and ``fisher`` of ``de' S^-1 de``, its upper triangle by matrix rows. Further results are
+        ``low`` and ``high``, the least and largest values of the states (and squared speed) of the filter. The names of
+        the arrays of the model ``truth`` end in ``_true``.
         """
         with _lock:
             f, true = (

@@ -37,20 +37,23 @@ from seatrial.ident.engine.loop_plan import ExpressionStage, Factor, ProductStag
 
 @dataclass(frozen=True)
 class Adjoint:
-    """Adjoint of one stage of the filter, and the values that its forward pass stores for it.
+    """Adjoint of one stage of the filter (update by a sensor, or prediction): expressions of its derivatives.
+
+    The tape is the memory in which the forward pass stores, for each row, the values that the adjoint needs.
 
     Attributes
     ----------
     derivatives : SX (n_s + n_parameters, 1)
         Derivatives of the log-likelihood by the filter state before the stage, followed by those by the parameters.
-        The column depends on the inputs of the stage except the filter state, on ``bar``, and on `tape_symbols`.
+        They depend on ``bar``, the derivatives by the filter state after the stage, on the inputs of the stage except
+        the filter state, and on `tape_symbols`.
     tape_symbols : Mapping[str, SX]
         Symbols of the values that the adjoint reads, by name of the array: values on the tape, and results of
         `products`.
     tape_values : Mapping[str, SX]
-        Expressions that the forward pass writes to the tape, by name of the array.
+        Expressions of the values that the forward pass writes to the tape, by name of the array.
     products : tuple[ProductStage, ...]
-        Matrix products that run before the derivatives are evaluated.
+        Matrix products that are computed before the derivatives.
     """
 
     derivatives: Any
@@ -59,10 +62,10 @@ class Adjoint:
     products: tuple[ProductStage, ...] = ()
 
     def stages(self, g: EkfGraphs, bar: Any, bit: int | None) -> tuple[ProductStage | ExpressionStage, ...]:
-        """Return the stages of the backward pass, in the order in which they run.
+        """Return the stages of a kernel (steps in each row) that compute this adjoint, in the order in which they run.
 
-        They replace the carried array ``bar`` by the derivatives by the filter state before the stage. They also write
-        the derivatives by the parameters to the array ``g``, which is summed.
+        They replace the array ``bar``, which passes from row to row, by the derivatives by the filter state before the
+        stage of the filter. They also add the derivatives by the parameters to the array ``g``.
 
         Parameters
         ----------
@@ -71,7 +74,7 @@ class Adjoint:
         bar : SX (n_s, 1)
             Symbols of the derivatives by the filter state after the stage.
         bit : int or None
-            The stages run only in rows whose mask has this bit (0 to 31) set. None: in every row.
+            Number of the sensor (0 to 31): the stages run only in rows with its sample. None: in every row.
         """
         inputs = {name: v for name, v in g.inputs.items() if name != "s"} | dict(self.tape_symbols) | {"bar": bar}
         results = {"bar": self.derivatives[: bar.numel()], "g": self.derivatives[bar.numel() :]}
@@ -79,7 +82,9 @@ class Adjoint:
 
 
 def adjoint_of_stage(g: EkfGraphs, effect: Mapping[str, Any], tape: str, bar: Any) -> Adjoint:
-    """Return the adjoint of any stage by differentiating its scalar expressions.
+    """Return the adjoint of any stage of the filter, by differentiation of its scalar expressions.
+
+    A stage is the update by one sensor or the prediction to the next row.
 
     Parameters
     ----------
@@ -88,7 +93,7 @@ def adjoint_of_stage(g: EkfGraphs, effect: Mapping[str, Any], tape: str, bar: An
     effect : Mapping[str, SX]
         Results of the stage: the filter state ``s`` after it, then the log-likelihood ``ll`` if the stage is an update.
     tape : str
-        Name of the array on the tape.
+        Name of the array in which the forward pass stores values for the adjoint.
     bar : SX (n_s, 1)
         Symbols of the derivatives by the filter state after the stage.
     """
@@ -99,10 +104,11 @@ def adjoint_of_stage(g: EkfGraphs, effect: Mapping[str, Any], tape: str, bar: An
 
 
 def adjoint_of_update(g: EkfGraphs, update: Update, tape: str, bar: Any) -> Adjoint:
-    """Return the adjoint of the update by one sensor, from its last output to its first.
+    """Return the adjoint of the filter's update by one sensor: the derivatives of the log-likelihood through it.
 
-    The derivatives by the covariance are formed as matrices. Without a covariance, or with Joseph's form, the scalar
-    expressions are differentiated instead (`adjoint_of_stage`).
+    The outputs of the sensor are processed from the last to the first. The derivatives by the covariance are formed as
+    matrices. Without a covariance, or with Joseph's form, the scalar expressions are differentiated instead
+    (`adjoint_of_stage`).
 
     Parameters
     ----------
@@ -111,7 +117,7 @@ def adjoint_of_update(g: EkfGraphs, update: Update, tape: str, bar: Any) -> Adjo
     update : Update
         Update by the sensor.
     tape : str
-        Name of the array on the tape.
+        Name of the array in which the forward pass stores values for the adjoint.
     bar : SX (n_s, 1)
         Symbols of the derivatives by the filter state after the update.
     """
@@ -136,19 +142,19 @@ def adjoint_of_update(g: EkfGraphs, update: Update, tape: str, bar: Any) -> Adjo
 
 
 def adjoint_of_prediction(g: EkfGraphs, tape: str, bar: Any) -> Adjoint:
-    """Return the adjoint of the prediction to the next row, ``EkfGraphs.predict``.
+    """Return the adjoint of the filter's prediction to the next row: the derivatives of the log-likelihood through it.
 
     The derivatives by the covariance are formed as matrices. The scalar expressions are differentiated instead
     (`adjoint_of_stage`) in three cases: without a covariance; in a second-order filter, because its mean depends on the
-    covariance; and if no column of Phi varies from row to row.
+    covariance; and if the transition matrix Phi has only constant columns.
 
     Parameters
     ----------
     g : EkfGraphs
         Expressions of the filter.
     tape : str
-        Name of the array on the tape for single values. The tape has the values that the forward pass stores for the
-        adjoint. Varying columns of Phi and T are stored in the array ``moved``, and columns of P + Q in ``spread``.
+        Name of the array in which the forward pass stores single values for the adjoint. It stores varying columns of
+        the matrices Phi and T in the array ``moved``, and columns of P + Q in ``spread`` (matrices of the module).
     bar : SX (n_s, 1)
         Symbols of the derivatives by the filter state after the prediction.
     """
@@ -190,10 +196,10 @@ def adjoint_of_prediction(g: EkfGraphs, tape: str, bar: Any) -> Adjoint:
 
 
 class _TapeColumns:
-    """Matrix columns of the forward pass, stored side by side in an array (n, stride) on the tape, by matrix rows.
+    """Matrix columns that the forward pass stores side by side for the adjoint, in an array (n, stride) by matrix rows.
 
     In the backward pass, a second array of the same shape receives the product of a matrix (n, n) with these columns.
-    Unused columns of the first array are zero.
+    The stride is the number of columns, rounded up for vector instructions. Unused columns are zero.
 
     Attributes
     ----------
@@ -210,7 +216,8 @@ class _TapeColumns:
     def __init__(self, name: str, columns: Mapping[tuple[str, int], Any]) -> None:
         """Place the columns side by side. ``name`` is the name of the array.
 
-        A key of ``columns`` is (name of the matrix, index of the column in this matrix), and a value is SX (n, 1).
+        A key of ``columns`` is (name of the matrix, index of the column in this matrix). A value is the column,
+        SX (n, 1). There must be at least one column.
         """
         self._n = n = next(iter(columns.values())).numel()
         self._width = min(jit.WIDTH, max(2, 1 << (len(columns) - 1).bit_length()))
@@ -225,9 +232,10 @@ class _TapeColumns:
         self.tape_values = {name: values}
 
     def with_tape_symbols(self, matrix: str, whole: Any) -> Any:
-        """Return the matrix ``whole`` (n, n), with tape symbols for the varying entries of its stored columns.
+        """Return the matrix ``whole`` (n, n), with symbols of stored values in place of entries of its stored columns.
 
-        ``matrix`` is its name in the keys. Entries that do not depend on a symbol keep their constant value.
+        ``matrix`` is the name of this matrix in the keys of the columns. Constant entries, and columns that are not
+        stored, keep their expressions.
         """
         result = ca.SX(whole)
         for name, k in self._column_of:
@@ -237,9 +245,10 @@ class _TapeColumns:
         return result
 
     def product_columns(self, matrix: str, rest: Any) -> Any:
-        """Return the product of the left matrix with the matrix of the name ``matrix``, shape (n, n).
+        """Return the product (n, n) of the left matrix of the backward pass with the matrix of the name ``matrix``.
 
-        Stored columns are symbols of `result`. The other columns are those of ``rest``.
+        Columns of the product that belong to stored columns are symbols of `result`. The other columns are those of
+        ``rest`` (n, n).
         """
         result = ca.SX(rest)
         for name, k in self._column_of:
@@ -248,23 +257,30 @@ class _TapeColumns:
         return result
 
     def product(self, left: Sequence[Sequence[Factor]]) -> ProductStage:
-        """Return the stage that multiplies the matrix ``left`` (n, n) by the stored columns."""
+        """Return the stage of a kernel that multiplies the matrix ``left`` (n, n) by the stored columns.
+
+        ``left`` has, in each row of the matrix, references to entries of arrays. The result is the second array.
+        """
         return ProductStage(tuple(map(tuple, left)), *self._names, self._stride, self._width)
 
     def factor(self, column: tuple[str, int], i: int) -> Factor:
-        """Return the reference to entry i of the product with one stored column, given by its key."""
+        """Return a reference to entry i of the product with one stored column, which is given by its key.
+
+        The key ``column`` is (name of the matrix, index of the column).
+        """
         return Factor(self._names[1], i * self._stride + self._column_of[column])
 
     def _column_entries(self, column: tuple[str, int]) -> slice:
-        """Return the slice of the array that holds one stored column, given by its key."""
+        """Return the slice of the array that holds one stored column: (name of the matrix, index of the column)."""
         return slice(self._column_of[column], None, self._stride)
 
 
 def _covariance_derivative_factors(n: int) -> list[list[Factor]]:
-    """Return the matrix L (n, n) as references to entries of the array ``bar``.
+    """Return the matrix L (n, n) of the module, as references to entries of the array ``bar``.
 
-    In ``bar``, the derivatives by the upper triangle of the covariance follow the n derivatives by the mean. Entries on
-    the diagonal of L are doubled.
+    L is twice the symmetric matrix of derivatives of the log-likelihood by the covariance. ``bar`` has the n
+    derivatives by the mean, followed by those by the upper triangle of the covariance. As a derivative by an element of
+    the triangle counts two elements of the covariance, only entries on the diagonal of L are doubled.
     """
     place = np.zeros((n, n), int)
     above = np.triu_indices(n)
@@ -273,14 +289,15 @@ def _covariance_derivative_factors(n: int) -> list[list[Factor]]:
 
 
 def _adjoint_of_series(A: Any, Phi: Any, T: Any) -> Any:
-    """Return the derivatives of the log-likelihood by the matrix A, in the sparsity pattern of A.
+    """Return the derivatives (n, n) of the log-likelihood by the matrix A, restricted to the nonzero entries of A.
 
     Parameters
     ----------
     A : SX (n, n)
-        Matrix of which T and Phi are polynomials: T = 2 + 2 A + A^2 and Phi = T - 1 + A^2 + 4/3 A^3.
+        Matrix of which two others are polynomials: T = 2 I + 2 A + A^2 and Phi = T - I + A^2 + 4/3 A^3, with the
+        identity I.
     Phi, T : SX (n, n)
-        Derivatives of the log-likelihood by these two polynomials.
+        Derivatives of the log-likelihood by the matrices Phi and T.
     """
     A2, T = A @ A, T + Phi  # only the sparsity pattern of A2 is used
     right, left = (_restricted_to_pattern(A2, 4 / 3 * product) for product in (Phi @ A.T, A.T @ Phi))
@@ -289,7 +306,7 @@ def _adjoint_of_series(A: Any, Phi: Any, T: Any) -> Any:
 
 
 def _replace_tape_values(g: EkfGraphs, both: Any, early: Any, late: Any) -> tuple[Any, Any, Any]:
-    """Replace slow operations of an adjoint by symbols, and collect the values that it reads from the tape.
+    """Collect the values that an adjoint reads from the forward pass, and replace its slow operations by such values.
 
     The values are the entries of the filter state that the adjoint contains, and the results of slow operations (such
     as sin and exp) that the forward pass has computed already.
@@ -302,7 +319,7 @@ def _replace_tape_values(g: EkfGraphs, both: Any, early: Any, late: Any) -> tupl
     g : EkfGraphs
         Expressions of the filter.
     both : SX column
-        Derivatives by the filter state, followed by those by the parameters.
+        Expressions of the adjoint: derivatives by the filter state, followed by those by the parameters.
     early : SX column
         Symbols in ``both``, besides those of ``g.inputs``, that are known in the forward pass.
     late : SX column
@@ -311,8 +328,8 @@ def _replace_tape_values(g: EkfGraphs, both: Any, early: Any, late: Any) -> tupl
     Returns
     -------
     tuple[SX, SX, SX]
-        ``both`` with symbols for slow operations; all symbols that it reads from the tape; the expressions that the
-        forward pass stores for these symbols.
+        ``both`` with symbols in place of slow operations; a column of all symbols whose values the forward pass must
+        store; a column of the expressions of these values.
     """
     known_forward = ca.vertcat(*[v for name, v in g.inputs.items() if name != "p"], early)
     both, symbols, values = replace_slow_operations(both, g.p, known_forward, late)
@@ -321,19 +338,19 @@ def _replace_tape_values(g: EkfGraphs, both: Any, early: Any, late: Any) -> tupl
 
 
 def _doubled_diagonal(upper: Any) -> Any:
-    """Return the matrix with its diagonal doubled.
+    """Return the matrix ``upper`` (n, n) with its diagonal doubled.
 
-    If ``upper`` holds the derivatives by the upper triangle of a covariance as a symmetric matrix, the result is the
-    matrix L of the module.
+    If ``upper`` is the symmetric matrix of derivatives by the entries of the upper triangle of a covariance, the result
+    is the matrix L of the module: twice the derivatives by all entries of the covariance.
     """
     return upper + ca.diag(ca.diag(upper))
 
 
 def _is_constant(matrix: Any) -> bool:
-    """Return whether no entry of the matrix depends on a symbol."""
+    """Return whether all entries of a CasADi matrix are numbers, so that none depends on a symbol."""
     return all(entry.is_constant() for entry in matrix.nonzeros())
 
 
 def _restricted_to_pattern(pattern: Any, matrix: Any) -> Any:
-    """Return the matrix with the entries outside the sparsity pattern of ``pattern`` removed."""
+    """Return ``matrix`` without the entries where the sparse matrix ``pattern`` (same shape) has no entry."""
     return ca.project(matrix, pattern.sparsity())

@@ -38,10 +38,10 @@ class Update:
         Innovations (measured minus predicted) and their variances, each given the outputs before it. None for a
         prediction.
     slope : SX (n_outputs, 1)
-        -d ll / d e of each output: e / S, or smaller in absolute value if outliers are allowed.
+        -d ll / d e of each output: e / S, or smaller in absolute value if the density of the noise includes outliers.
     information : DM (n_outputs, 2)
         Fisher information of a sample about its mean and about its scale, as ratios to those of normal noise: 1 and 1
-        without outliers, less if outliers are allowed.
+        for normal noise, less if the density includes outliers.
     corrections : tuple[ScalarUpdate, ...]
         The updates by single outputs, in the order in which they are applied.
     """
@@ -57,14 +57,14 @@ class Update:
 
 @dataclass(frozen=True)
 class Sample:
-    """Expressions of one scalar measurement, before any output of the same sensor has changed the filter state.
+    """CasADi expressions of one scalar measurement, before any output of the same sensor has changed the filter state.
 
     Attributes
     ----------
     output : Output
         Output of the model that is measured.
     e : SX
-        Measured minus predicted value. An angle is not wrapped yet.
+        Measured minus predicted value. If it is an angle, it is not wrapped yet.
     H : SX (1, n) or None
         Derivative of the predicted value by the model states; None without a covariance.
     R : SX
@@ -79,9 +79,9 @@ class Sample:
 
 @dataclass(frozen=True)
 class ScalarUpdate:
-    """Expressions of the filter's update by one scalar measurement.
+    """CasADi expressions of the filter's update by one scalar measurement.
 
-    The fields of type "or None" are None without a covariance (output error).
+    The fields that may be None are so without a covariance (output error).
 
     Attributes
     ----------
@@ -90,7 +90,7 @@ class ScalarUpdate:
     e, S : SX
         Innovation (measured minus predicted, given the measurements before) and its variance.
     slope : SX
-        -d ll / d e: e / S, or smaller in absolute value if outliers are allowed.
+        -d ll / d e: e / S, or smaller in absolute value if the density of the noise includes outliers.
     ll : SX
         Log-likelihood of the measurement, with its constant.
     dx : SX (n, 1) or None
@@ -100,8 +100,8 @@ class ScalarUpdate:
     PH : SX (n, 1) or None
         Covariance before the update times H'.
     inverse_variance : SX or None
-        1 / S if outliers are not allowed. Otherwise about 1 / S for a good sample, about 0 for an outlier, and negative
-        for a sample that may be either.
+        1 / S for normal noise. If the density includes outliers: about 1 / S for a good sample, about 0 for an outlier,
+        and negative for a sample that may be either.
     """
 
     sample: Sample
@@ -117,18 +117,18 @@ class ScalarUpdate:
 
 @dataclass(frozen=True)
 class IntervalTransition:
-    """Matrices that propagate the covariance over one interval of length h [s] between two rows.
+    """Matrices that propagate the filter's covariance over one interval of length h [s] between two rows.
 
     Attributes
     ----------
     A : SX (n, n)
-        h / 2 times the Jacobian of the rates at the midpoint.
+        h / 2 times the Jacobian of the rates (derivatives of the states by time) at the midpoint of the interval.
     T : SX (n, n)
         Twice the transition matrix from the midpoint to the end, a Taylor polynomial of second order in A.
     Phi : SX (n, n)
         Transition matrix over the whole interval, a Taylor polynomial of third order in A.
     Q : SX (n, n)
-        Diagonal matrix: h / 6 times the squared diffusion of the process noise.
+        Diagonal matrix: h / 6 times the squared diffusion of the process noise of each state.
     """
 
     A: Any
@@ -155,14 +155,14 @@ def unpack(p: Any, n: int) -> Any:
 
 
 class EkfGraphs:
-    """CasADi expressions of a model's extended Kalman filter.
+    """CasADi expressions of a model's extended Kalman filter, from one row (instant of a record) to the next.
 
     Parameters
     ----------
     model : Model
         Model to filter.
     covariance : bool
-        False: no process noise and an exactly known initial state (output error).
+        True: extended Kalman filter. False: no process noise and an exactly known initial state (output error).
     joseph : bool
         Whether to update the covariance in Joseph's form, which keeps it positive in spite of rounding.
 
@@ -191,7 +191,7 @@ class EkfGraphs:
     """
 
     def __init__(self, model: Model, *, covariance: bool = True, joseph: bool = False) -> None:
-        """Trace the functions of the model with symbols."""
+        """Call the functions of the model with CasADi symbols, which gives the expressions of rates and outputs."""
         if len(model.sensors) > MAX_BITS:
             raise ValueError(
                 f"model {model.name} has {len(model.sensors)} sensors, more than the limit of {MAX_BITS}; "
@@ -209,9 +209,9 @@ class EkfGraphs:
 
     @cached_property
     def key(self) -> str:
-        """SHA-256 hash (hexadecimal) of the expressions. Models with the same key have the same kernels.
+        """SHA-256 hash (hexadecimal) of the expressions and of all else that the compiled kernels depend on.
 
-        Names of parameters are part of the key, but not their values.
+        Models with the same key have the same kernels. Names of parameters are part of the key, but not their values.
         """
         model = self.model
         noise = ([s.noise for s in model.states], [(s.name, s.outputs) for s in model.sensors])
@@ -229,16 +229,19 @@ class EkfGraphs:
 
     @property
     def mean(self) -> Any:
-        """Mean of the model states (n, 1): the first n symbols of ``s``."""
+        """Mean of the model states (n, 1): the first n symbols of the filter state ``s``."""
         return self.s[: self.n]
 
     @cached_property
     def P(self) -> Any:
-        """Covariance of the model states (n, n), made of the last symbols of ``s``. Only with a covariance."""
+        """Covariance of the model states (n, n), made of the last symbols of the filter state ``s``.
+
+        It is defined only for a filter with a covariance.
+        """
         return unpack(self.s[self.n :], self.n)
 
     def step(self, x: Any) -> tuple[Any, Any, Any]:
-        """Take one Runge-Kutta step of fourth order over the interval to the next row.
+        """Return the expressions of one Runge-Kutta step of fourth order over the interval to the next row.
 
         Parameters
         ----------
@@ -261,14 +264,15 @@ class EkfGraphs:
 
     @cached_property
     def predict(self) -> tuple[Any, Any]:
-        """Filter state ``s`` at the end of the interval, and the transition matrix Phi (n, n) over the interval.
+        """Filter state at the end of the interval to the next row, and transition matrix Phi (n, n) of the interval.
 
-        Without a covariance, the filter state is the mean, and Phi is None.
+        The filter state is the mean, followed by the upper triangle of the covariance. Without a covariance, it is the
+        mean alone, and Phi is None.
 
         Phi is the Taylor series of third order of the Jacobian at the midpoint of the interval. The process noise is
         integrated by Simpson's rule; a trapezoidal rule would change the estimates by a standard error. The
-        second-order filter adds ``1/2 tr(P f_xx)`` at the midpoint to the mean (Jazwinski 1970). The reason: for an
-        uncertain u, the mean of u |u| exceeds u |u| at the mean.
+        second-order filter adds ``1/2 tr(P f_xx)`` at the midpoint to the rates of the mean (Jazwinski 1970). The
+        reason: for an uncertain u > 0, the mean of u |u| exceeds u |u| at the mean.
         """
         end = self.mean_step[0]
         if not self.covariance:
@@ -281,7 +285,7 @@ class EkfGraphs:
 
     @cached_property
     def mean_step(self) -> tuple[Any, Any, Any]:
-        """Result of `step` from the mean: mean at the end of the interval, state and inputs at its midpoint.
+        """Result of `step` from the mean: mean at the end of the interval, states and inputs at its midpoint.
 
         It is computed once: a derivative through two copies of the step would process the step twice.
         """
@@ -300,7 +304,8 @@ class EkfGraphs:
     def _curvature_term(self, P: Any) -> Any:
         """Return ``1/2 tr(P f_xx)`` for each rate f, shape (n, 1), at the midpoint of the interval.
 
-        It is the amount by which the mean of the rates exceeds the rates at the mean, for states with covariance P.
+        f_xx is the matrix of second derivatives of f by the states. The term is the amount by which the mean of the
+        rate exceeds the rate at the mean, for states with the covariance P (n, n), to second order.
         """
         return self._evaluate_at_midpoint(
             lambda slopes, x: ca.vertcat(
@@ -325,9 +330,9 @@ class EkfGraphs:
         return ca.vertcat(*[self.parameter_symbol(s.noise) ** 2 for s in self.model.states])
 
     def parameter_symbol(self, value: float | str) -> Any:
-        """Return the symbol of the parameter with the name ``value``, or a constant expression if it is a number.
+        """Return the symbol of the parameter with the name ``value``; if ``value`` is a number, return a constant.
 
-        A name that the model lacks raises ValueError.
+        ValueError is raised for a name that the model lacks.
         """
         if not isinstance(value, str):
             return ca.SX(float(value))
@@ -335,13 +340,19 @@ class EkfGraphs:
 
     @property
     def residual(self) -> Any:
-        """Measured minus predicted value of all outputs (n_outputs, 1), before any update. Angles are in -pi to pi."""
+        """Measured minus predicted value of all outputs (n_outputs, 1), before any update of the row by a sensor.
+
+        Angles are wrapped to -pi to pi.
+        """
         e = self.y - self.output(self.mean, self.u, self.p)
         return ca.vertcat(*[_wrap_angle(e[i]) if o.angle else e[i] for i, o in enumerate(self.model.outputs)])
 
     @cached_property
     def updates(self) -> tuple[Update, ...]:
-        """Update of the filter by each sensor, in the order of ``model.sensors``. Each starts from the state ``s``."""
+        """Expressions of the filter's update by each sensor, in the order of ``model.sensors``.
+
+        Each update starts from the symbols of the filter state ``s``.
+        """
         z = self.output(self.mean, self.u, self.p)
         H = ca.jacobian(z, self.mean) if self.covariance else None
         result, first = [], 0
@@ -352,7 +363,7 @@ class EkfGraphs:
         return tuple(result)
 
     def _sensor_update(self, sensor: Sensor, y: Any, z: Any, H: Any) -> Update:
-        """Return the update by the sample of one sensor.
+        """Return the expressions of the filter's update by the sample of one sensor.
 
         The outputs are applied one after the other, which is exact for independent noises. No matrix is inverted.
 
@@ -378,10 +389,11 @@ class EkfGraphs:
         return Update(s, ll, e, S, slope, information, tuple(steps))
 
     def correct(self, sample: Sample, dx: Any, P: Any) -> ScalarUpdate:
-        """Return the update of the filter by one scalar measurement.
+        """Return the expressions of the filter's update by one scalar measurement.
 
-        Without a covariance, only the innovation, its variance and the log-likelihood are computed. The innovation of
-        an angle is wrapped to -pi to pi. If outliers are allowed, an outlier changes the mean only a little.
+        Without a covariance, only the innovation, its variance, the slope and the log-likelihood are computed. The
+        innovation of an angle is wrapped to -pi to pi. If the density of the output's noise includes outliers
+        (``Output.robust``), an outlier changes the mean only a little.
 
         Parameters
         ----------
@@ -416,7 +428,8 @@ class EkfGraphs:
     def _updated_covariance(self, sample: Sample, P: Any, PH: Any, S: Any, inverse_variance: Any) -> Any:
         """Return the covariance (n, n) after the update by one scalar measurement, in Joseph's form if that is chosen.
 
-        If outliers are allowed, the reduction of the covariance is multiplied by ``inverse_variance S``.
+        The reduction of the covariance by the update for normal noise is multiplied by ``inverse_variance S``, which is
+        1 for normal noise.
 
         Parameters
         ----------
@@ -429,7 +442,7 @@ class EkfGraphs:
         S : SX
             Variance of the innovation.
         inverse_variance : SX
-            1 / S, or less if outliers are allowed.
+            1 / S for normal noise; less if the density of the noise includes outliers.
         """
         if not self.joseph:
             return P - (PH * inverse_variance) @ PH.T
@@ -440,14 +453,15 @@ class EkfGraphs:
 
 
 def _wrap_angle(angle: Any) -> Any:
-    """Wrap an angle [rad] to -pi to pi."""
+    """Return the expression of an angle [rad] wrapped to -pi to pi."""
     return angle - 2 * math.pi * ca.floor(angle / (2 * math.pi) + 0.5)
 
 
 def _trace_model(model: Model) -> tuple[Any, Any]:
-    """Call the model with symbols. Return its rates and its outputs as CasADi functions of (x, u, p).
+    """Call the functions of the model with symbols. Return its rates and its outputs as CasADi functions of (x, u, p).
 
-    The arguments are the states, the inputs and the parameters. ValueError is raised if a value is missing or unusable.
+    The arguments are the states, the inputs and the parameters, and the rates are the derivatives of the states by
+    time. ValueError is raised if a rate or an output is missing, is not a scalar, or has lost its symbols.
     """
     x, u, p = (
         ca.SX.sym(name, len(of)) for name, of in (("x", model.states), ("u", model.inputs), ("p", model.parameters))

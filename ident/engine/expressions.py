@@ -29,7 +29,7 @@ def evaluate_instructions(
     f : casadi.Function
         Function of SX expressions. i and j below count its arguments, its results and their entries from zero.
     argument : Callable[[int, int], T]
-        ``argument(i, j)`` returns entry j of argument i.
+        ``argument(i, j)`` returns the value of entry j of argument i.
     constant : Callable[[float], T]
         ``constant(x)`` returns the value that represents the number x.
     apply : Callable[..., T]
@@ -41,7 +41,8 @@ def evaluate_instructions(
     Returns
     -------
     list[list[T]]
-        Element [i][j] is entry j of result i. Entries that the function does not compute are ``constant(0.0)``.
+        Element [i][j] is the value of entry j of result i. Entries that the function does not compute are
+        ``constant(0.0)``.
     """
     work: dict[int, T] = {}
     results = [[constant(0.0)] * f.nnz_out(i) for i in range(f.n_out())]
@@ -61,7 +62,7 @@ def evaluate_instructions(
 
 
 def operation(code: int, *x: Any) -> Any:
-    """Return the CasADi expression of one operation.
+    """Return the CasADi expression of one operation on one or two expressions.
 
     Parameters
     ----------
@@ -74,10 +75,10 @@ def operation(code: int, *x: Any) -> Any:
 
 
 def simplified(expression: Any) -> Any:
-    """Rewrite a column (n, 1) of SX expressions so that drag terms take few operations.
+    """Return a column (n, 1) of SX expressions in a form in which drag terms take few operations.
 
-    ``x sign(x)`` becomes ``|x|``, and ``(a |x|) x`` becomes ``a (x |x|)``. The value of the column does not change. The
-    result is dense, and equal subexpressions are computed once.
+    ``x sign(x)`` becomes ``|x|``, and ``(a |x|) x`` becomes ``a (x |x|)``. The values do not change, except for
+    rounding. The result is dense, and equal subexpressions are computed once.
 
     Notes
     -----
@@ -87,17 +88,17 @@ def simplified(expression: Any) -> Any:
     f = ca.Function("f", [symbols], [ca.densify(ca.cse(expression))])
 
     def apply(code: int, *x: Any) -> Any:
-        """Return the expression of one operation; products are simplified."""
+        """Return the expression of the operation ``code`` on the operands ``x``; products are simplified."""
         return _simplified_product(*x) if code == ca.OP_MUL else operation(code, *x)
 
     return ca.vertcat(ca.SX(0, 1), *evaluate_instructions(f, lambda _, j: symbols[j], ca.SX, apply)[0])
 
 
 def _simplified_product(a: Any, b: Any) -> Any:
-    """Return the product a b of two scalar expressions, with a factor x moved beside a factor |x| or sign(x).
+    """Return the product a b of two scalar expressions, simplified if it contains x |x| or x sign(x).
 
-    The factor |x| or sign(x) may be inside a product: ``(c |x|) x`` becomes ``c (x |x|)``. ``x sign(x)`` becomes |x|.
-    Other products are returned unchanged.
+    ``x sign(x)`` becomes |x|. If one of them is inside a product, it is moved beside the other: ``(c |x|) x`` becomes
+    ``c (x |x|)``. Other products are returned as a b.
     """
     for first, second in ((a, b), (b, a)):
         if _is_modulus_or_sign(first, second):
@@ -110,7 +111,7 @@ def _simplified_product(a: Any, b: Any) -> Any:
 
 
 def _is_modulus_or_sign(y: Any, x: Any) -> bool:
-    """Return whether y is |x| or sign(x)."""
+    """Return whether the expression y is the modulus or the sign of the expression x."""
     return (y.is_op(ca.OP_FABS) or y.is_op(ca.OP_SIGN)) and ca.is_equal(y.dep(0), x)
 
 
@@ -154,17 +155,17 @@ def reverse_mode(expression: Any, by: Any, weight: Any) -> Any:
 
 
 class _ReverseSweep:
-    """Graph of an expression for differentiation in reverse mode. A node is a symbol, a number or an operation.
+    """Graph of an expression for its differentiation in reverse mode. A node is a symbol, a number or an operation.
 
     Nodes are added in the order of evaluation, so that the operands of a node come before it. A node is identified by
-    its index in this order.
+    its index in this order. The result to differentiate is a weighted sum of nodes.
 
     Attributes
     ----------
     values : list[SX]
         Expression of each node.
     derivatives : list[SX]
-        Derivative of the weighted result by each node; zero until `add_derivative` or `propagate_backwards` adds to it.
+        Derivative of the weighted sum by each node; zero until `add_derivative` or `propagate_backwards` adds to it.
     """
 
     def __init__(self) -> None:
@@ -175,14 +176,16 @@ class _ReverseSweep:
         self._reciprocals: dict[int, int] = {}  # index of the node 1 / y, by the index of the node y
 
     def add_leaf(self, value: Any) -> int:
-        """Append a node for a symbol or a number. Return the index of the node."""
+        """Append a node for the symbol or number ``value``. Return the index of the node."""
         return self._append(value, LEAF)
 
     def add_operation(self, code: int, *operands: int) -> int:
-        """Append an operation on the nodes with the indices ``operands``. Return the index of the new node.
+        """Append a node for an operation on the nodes with the indices ``operands``. Return the index of the node.
 
-        A quotient x / y becomes a product of x and the node 1 / y. All quotients by the same y share one node 1 / y, so
-        that the index of an earlier node is returned for a repeated reciprocal.
+        ``code`` is CasADi's code of the operation, such as ``casadi.OP_ADD``.
+
+        A quotient x / y becomes a product of x and a node 1 / y. All quotients by the same y share one node 1 / y. For
+        a repeated reciprocal, no node is appended, and the index of the earlier node is returned.
         """
         if code == ca.OP_DIV:
             return self.add_operation(ca.OP_MUL, operands[0], self.add_operation(ca.OP_INV, operands[1]))
@@ -194,14 +197,14 @@ class _ReverseSweep:
         return self._append(operation(code, *[self.values[j] for j in operands]), code, *operands)
 
     def _append(self, value: Any, code: int, *operands: int) -> int:
-        """Append a node with this expression, operation code and operands. Return the index of the node."""
+        """Append a node with this expression ``value``, operation code and operands. Return the index of the node."""
         self.values.append(value)
         self.derivatives.append(ca.SX(0))
         self._operations.append((code, operands))
         return len(self.values) - 1
 
     def add_derivative(self, node: int, derivative: Any) -> None:
-        """Add an SX expression to the derivative of the weighted result by the node with this index."""
+        """Add the expression ``derivative`` to the derivative of the weighted sum by the node with index ``node``."""
         self.derivatives[node] = self.derivatives[node] + derivative
 
     def propagate_backwards(self) -> None:
@@ -215,7 +218,7 @@ class _ReverseSweep:
     def _operand_derivatives(self, node: int) -> list[tuple[int, Any]]:
         """Return a pair (index of the operand, derivative of the node by this operand) for each operand of a node.
 
-        For ``x |x|``, the only pair is (x, 2 |x|), because |x| then needs no derivative of its own.
+        For the product ``x |x|``, the only pair is (index of x, 2 |x|): |x| then needs no derivative of its own.
         """
         code, operands = self._operations[node]
         x, value = [self.values[j] for j in operands], self.values[node]
@@ -230,6 +233,9 @@ class _ReverseSweep:
 
 @cache
 def _operation_derivatives(code: int, n: int) -> Any:
-    """Return a CasADi function that maps the n operands of an operation (1 or 2) to its n partial derivatives."""
+    """Return a CasADi function that maps the n operands of an operation to its n partial derivatives.
+
+    ``code`` is CasADi's code of the operation, and n is 1 or 2.
+    """
     x = [ca.SX.sym(name) for name in "xy"[:n]]
     return ca.Function("slopes", x, [ca.densify(ca.jacobian(operation(code, *x), v)) for v in x])

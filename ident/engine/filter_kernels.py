@@ -1,4 +1,4 @@
-"""Kernels of a filter, compiled on first use or loaded from the cache."""
+"""Kernels of a filter: programs that run over all rows of a record, compiled on first use or loaded from the cache."""
 
 from __future__ import annotations
 
@@ -27,9 +27,10 @@ _lock = threading.RLock()  # CasADi and LLVM build one kernel at a time
 
 
 def filter_kernels_for(model: Model, *, covariance: bool = True, joseph: bool = False) -> FilterKernels:
-    """Return the kernels of a model. Models that differ only in parameter values share them.
+    """Return the kernels of a model's filter. Models that differ only in parameter values share them.
 
-    The kernels of the 12 most recent calls stay in memory, so that a repeated call returns the same object.
+    Kernels are compiled programs that run over all rows of a record. Those of the 12 models that were requested last
+    stay in memory, so that a repeated call returns the same object.
 
     Parameters
     ----------
@@ -43,7 +44,7 @@ def filter_kernels_for(model: Model, *, covariance: bool = True, joseph: bool = 
     Returns
     -------
     FilterKernels
-        Kernels, each compiled or loaded from the cache on disk on first use.
+        Kernels, each of which is compiled on first use, or loaded from the cache on disk.
     """
     with _lock:
         at = id(model), covariance, joseph
@@ -60,9 +61,10 @@ def filter_kernels_for(model: Model, *, covariance: bool = True, joseph: bool = 
 
 
 class FilterKernels:
-    """Kernels of one model: programs that run over all rows of a record. Each is compiled or loaded on first use.
+    """Kernels of one model's filter: programs that run over all rows (instants) of a record.
 
-    `filter_plans.Plans` describes the arrays of each kernel.
+    Each is compiled, or loaded from the cache on disk, on first use. `filter_plans.Plans` describes the arrays of each
+    kernel.
 
     Attributes
     ----------
@@ -72,7 +74,11 @@ class FilterKernels:
     """
 
     def __init__(self, model: Model, covariance: bool, joseph: bool) -> None:
-        """Store the arguments, which the class describes, and compute `key`. Kernels are compiled on first use."""
+        """Store the options of the filter and compute `key`. Kernels are compiled on first use.
+
+        ``covariance``: True for the extended Kalman filter, False for simulation. ``joseph``: whether the covariance is
+        updated in Joseph's form.
+        """
         self._model, self._covariance, self._joseph = model, covariance, joseph
         traced_key = kernel_cache.kernel_key(model, covariance, joseph) if len(model.sensors) <= MAX_BITS else None
         self._cache_key = traced_key if jit.AVAILABLE else None
@@ -80,51 +86,66 @@ class FilterKernels:
 
     @cached_property
     def graphs(self) -> EkfGraphs:
-        """CasADi expressions of the model's filter, built on first use."""
+        """CasADi expressions of the model's filter, built on first use. Kernels from the cache do not need them."""
         from seatrial.ident.engine.ekf_graph import EkfGraphs
 
         return EkfGraphs(self._model, covariance=self._covariance, joseph=self._joseph)
 
     @cached_property
     def _plans(self) -> Plans:
-        """Plans of the kernels, built on first use."""
+        """Plans (descriptions before compilation) of the kernels, built on first use."""
         from seatrial.ident.engine.filter_plans import Plans
 
         return Plans(self.graphs)
 
     @cached_property
     def value(self) -> Kernel:
-        """Kernel of the log-likelihood."""
+        """Kernel (program that runs over all rows of a record) of the log-likelihood of the record."""
         return self._kernel("value")
 
     @cached_property
     def forward(self) -> Kernel:
-        """Kernel of the log-likelihood that also stores the values for `backward` (the tape)."""
+        """Kernel (program over all rows of a record) of the log-likelihood that also stores the tape.
+
+        The tape has, for each row, the values that the kernel `backward` needs.
+        """
         return self._kernel("forward")
 
     @cached_property
     def backward(self) -> Kernel:
-        """Kernel of the gradient of the log-likelihood by all parameters (adjoint filter). It runs after `forward`."""
+        """Kernel (program over all rows of a record) of the gradient of the log-likelihood by all parameters.
+
+        It is the adjoint of the filter. It runs after `forward`, from the last row to the first.
+        """
         return self._kernel("backward")
 
     @cached_property
     def tangent(self) -> Kernel:
-        """Kernel of the log-likelihood, its score and its Fisher information by chosen parameters."""
+        """Kernel (program over all rows of a record) of log-likelihood, score and Fisher information.
+
+        The score is the gradient of the log-likelihood by chosen parameters.
+        """
         return self._kernel("tangent")
 
     @cached_property
     def filter(self) -> Kernel:
-        """Kernel of the filter output by row: predicted and filtered states, covariances, innovations."""
+        """Kernel (program over all rows of a record) that returns the output of the filter for each row.
+
+        The output has predicted and filtered states, covariances and innovations. The filter must have a covariance.
+        """
         return self._kernel("filter")
 
     @cached_property
     def simulate(self) -> Kernel:
-        """Kernel of the simulation without process noise. Only for kernels without a covariance."""
+        """Kernel (program over all rows of a record) of a simulation without process noise.
+
+        It is valid only for a filter without a covariance.
+        """
         return self._kernel("simulate")
 
     @property
     def tapes(self) -> frozenset[str]:
-        """Names of the arrays in rows that ``forward`` writes and ``backward`` reads."""
+        """Names of the arrays, with values for each row, that ``forward`` writes and ``backward`` reads (the tape)."""
         layout = self.backward.layout
         return (layout.rows - ROWS).intersection(layout.sizes)
 
@@ -132,12 +153,12 @@ class FilterKernels:
         """Return the kernel with this name (``value``, ``forward``, ...) from the cache on disk.
 
         If the cache lacks the kernel, it is compiled and stored in the cache. A model whose functions cannot be
-        recorded has no cache key: its kernels are compiled in each process.
+        recorded by `kernel_cache` has no key in this cache, so that its plans are built in each process.
         """
         with _lock:
 
             def plan() -> Plan:
-                """Build the plan of the kernel with this name."""
+                """Build the plan (description before compilation) of the kernel with this name."""
                 with _lock:
                     made: Any = getattr(self._plans, name)()
                     return made  # type: ignore[no-any-return]

@@ -1,4 +1,9 @@
-"""Plans of a filter's kernels: likelihood, adjoint, forward sensitivities, filter output by row, and simulation."""
+"""Plans of a filter's kernels: likelihood, adjoint, forward sensitivities, filter output by row, and simulation.
+
+A kernel is a program that runs over all rows (instants) of a record. A plan describes it before compilation: the stages
+(steps of the computation in each row) and the kinds of the arrays. A carried array passes from row to row, a summed
+result is the sum over all rows, and an array in rows has separate entries for each row.
+"""
 
 from __future__ import annotations
 
@@ -15,10 +20,11 @@ from seatrial.ident.engine.loop_plan import ExpressionStage, GramStage, Plan, Pr
 
 
 class Plans:
-    """Plans of the kernels of one filter. Each method builds one plan.
+    """Plans of the kernels of one filter. Each method builds one plan, a description of a kernel before compilation.
 
-    Common arrays: in rows, the inputs ``u`` and ``u_next``, the samples ``y`` and the interval ``h`` [s]; the carried
-    filter state ``s``; the parameters ``p``.
+    Most plans use these arrays. In rows: the inputs ``u`` and ``u_next`` at both ends of the interval to the next row,
+    the samples ``y``, and the length ``h`` of the interval [s]. Carried from row to row: the filter state ``s`` (mean,
+    and upper triangle of the covariance). Constant: the parameters ``p``.
 
     Attributes
     ----------
@@ -36,17 +42,21 @@ class Plans:
         self._bar = ca.SX.sym("bar", self.n_s)
 
     def value(self) -> Plan:
-        """Return the plan of the log-likelihood. ``s`` is carried, ``p`` is constant, ``ll`` is summed."""
+        """Return the plan of the kernel of the log-likelihood.
+
+        The filter state ``s`` is carried from row to row, the parameters ``p`` are constant, and the log-likelihood
+        ``ll`` is summed over the rows.
+        """
         g = self.graphs
         updates = [stage(g.inputs, self._stage_results(u), bit) for bit, u in enumerate(g.updates)]
         return Plan((*updates, stage(g.inputs, {"s": g.predict[0]})), ROWS)
 
     def forward(self) -> Plan:
-        """Return the plan of the forward pass of the adjoint.
+        """Return the plan of the forward pass: the log-likelihood, and the values that the backward pass needs.
 
-        The plan is like ``value``. In addition, the arrays ``tape0``, ``tape1``, ... (one for each stage), ``moved``
-        and ``spread`` store for each row the values that the adjoint of the stage reads. A stage is the update by one
-        sensor or the prediction.
+        It computes what ``value`` does. In addition, the arrays ``tape0``, ``tape1``, ... (one for each stage) and, for
+        matrix columns, ``moved`` and ``spread`` store for each row the values that the adjoint of the stage reads. A
+        stage is the update by one sensor or the prediction.
         """
         stages = [
             stage(self.graphs.inputs, self._stage_results(u) | dict(adjoint.tape_values), bit)
@@ -55,10 +65,11 @@ class Plans:
         return Plan(tuple(stages), ROWS | self.tapes)
 
     def backward(self) -> Plan:
-        """Return the plan of the backward pass: the adjoints of the stages in reverse order, from the last row.
+        """Return the plan of the backward pass: the gradient of the log-likelihood, by the adjoints of all stages.
 
-        Results: ``g``, the derivatives of the log-likelihood by the parameters (summed), and ``bar``, the derivatives
-        by the initial filter state (carried).
+        It runs from the last row to the first, and through the stages (updates and prediction) of a row in reverse
+        order. Results: ``g``, the derivatives by the parameters, summed over the rows, and ``bar``, the derivatives by
+        the initial filter state.
         """
         stages: list[ExpressionStage | GramStage | ProductStage] = []
         for (_, _, bit), adjoint in zip(self._forward_steps(), self._adjoints, strict=True):
@@ -67,7 +78,7 @@ class Plans:
 
     @cached_property
     def _adjoints(self) -> list[Adjoint]:
-        """Adjoints of the stages in the order of the forward pass: one for each sensor, then that of the prediction."""
+        """Adjoints of the filter's stages in forward order: of the update by each sensor, then of the prediction."""
         g, bar = self.graphs, self._bar
         return [
             adjoint_of_prediction(g, tape, bar) if u.ll is None else adjoint_of_update(g, u, tape, bar)
@@ -77,15 +88,16 @@ class Plans:
     def tangent(self) -> Plan:
         """Return the plan of the forward sensitivities, with one lane for each chosen parameter.
 
-        Arrays in lanes: ``ds`` (carried), the derivatives of the filter state, which start from those of the initial
-        state; ``dp`` (constant), the unit vector of the chosen parameter; ``dll`` (summed), the derivative of the
-        log-likelihood. ``fisher`` (summed) is the expected Fisher information between all lanes. ``ll`` and ``s`` are
-        those of ``value``.
+        A lane is one element of the processor's vector registers. Arrays in lanes: ``ds`` (carried), the derivatives of
+        the filter state, which start from those of the initial state; ``dp`` (constant), the unit vector of the chosen
+        parameter; ``dll`` (summed over the rows), the derivative of the log-likelihood. ``fisher`` (summed) is the
+        expected Fisher information between all lanes. ``ll`` and ``s`` are those of ``value``.
 
         Notes
         -----
         The Fisher information of Gaussian innovations e with variance S is the sum of
-        ``de de' / S + dS dS' / (2 S^2)``. If outliers are allowed, both terms are reduced by a few per cent.
+        ``de de' / S + dS dS' / (2 S^2)``. If the density of the noise includes outliers, both terms are reduced by a
+        few per cent.
         """
         g, lanes = self.graphs, {"ds", "dp", "dll"}
         stages: list[ExpressionStage | GramStage] = []
@@ -105,13 +117,13 @@ class Plans:
         return Plan(tuple(stages), ROWS, frozenset(lanes))
 
     def filter(self) -> Plan:
-        """Return the plan of the filter output, row by row.
+        """Return the plan of the kernel that returns the filter output for each row.
 
-        Results in rows: ``predicted`` and ``filtered``, the filter state before and after the samples of the row;
+        Results for each row: ``predicted`` and ``filtered``, the filter state before and after the samples of the row;
         ``Phi``, the transition matrix to the next row, one matrix column after the other; ``e``, measured minus
         predicted for all outputs. For sensor k (from zero), ``e<k>`` and ``S<k>`` are the innovations and their
-        variances, given the sensors before it. They are written only in rows in which the sensor has a sample. ``ll``
-        is summed.
+        variances, given the sensors before it. They are written only in rows in which the sensor has a sample. The
+        log-likelihood ``ll`` is summed over the rows. The filter must have a covariance.
         """
         g, rows = self.graphs, {"predicted", "filtered", "Phi", "e"}
         s, Phi = g.predict
@@ -125,8 +137,8 @@ class Plans:
     def simulate(self) -> Plan:
         """Return the plan of a simulation without process noise.
 
-        Results in rows: states ``x`` and outputs ``z`` without noise. The carried state ``s`` is the model state. The
-        graphs must have no covariance; this is not checked.
+        Results for each row: states ``x`` and outputs ``z`` without noise. The array ``s``, which is carried from row
+        to row, holds the model states. The filter must have no covariance; this is not checked.
         """
         g = self.graphs
         z = g.output(g.s, g.u, g.p)
@@ -135,14 +147,14 @@ class Plans:
 
     @property
     def tapes(self) -> frozenset[str]:
-        """Names of the arrays in rows that the forward pass writes for the backward pass."""
+        """Names of the arrays, with values for each row, that the forward pass stores for the backward pass."""
         return frozenset(name for adjoint in self._adjoints for name in adjoint.tape_values)
 
     def _forward_steps(self) -> list[tuple[str, Update, int | None]]:
-        """Return a tuple (name of the tape array, update, bit of the mask) for each stage in forward order.
+        """Return a tuple (name of the tape array, expressions, number of the sensor) for each stage in forward order.
 
-        The updates by the sensors come first, with the index of the sensor as their bit. The prediction follows, as an
-        `Update` without a log-likelihood; its bit is None.
+        The updates by the sensors come first. The prediction follows, as an `Update` without a log-likelihood; its
+        number is None, because it runs in every row. The tape array stores values for the adjoint of the stage.
         """
         g = self.graphs
         steps: list[tuple[Update, int | None]] = [(u, bit) for bit, u in enumerate(g.updates)]
@@ -151,13 +163,14 @@ class Plans:
 
     @staticmethod
     def _stage_results(u: Update) -> dict[str, Any]:
-        """Return the results of a stage by name: the filter state ``s``, and ``ll`` if the stage is an update."""
+        """Return the results of a stage by name: filter state ``s``, and log-likelihood ``ll`` if it is an update."""
         return {"s": u.s} if u.ll is None else {"s": u.s, "ll": u.ll}
 
 
 def _directional_derivative(g: EkfGraphs, expression: Any, ds: Any, dp: Any) -> Any:
-    """Return the directional derivative of an expression (n, 1), for changes ``ds`` of the filter state and ``dp`` of
-    the parameters.
+    """Return the directional derivative (n, 1) of an expression (n, 1).
+
+    The direction is the change ``ds`` of the filter state together with the change ``dp`` of the parameters.
 
     Subexpressions of inputs and parameters alone are differentiated by the parameters once for all lanes. For example,
     a delayed command has fifty copies, each with a weight that depends on two parameters.

@@ -1,5 +1,6 @@
 """Interpreter of plans, the reference for compiled kernels.
 
+A plan describes a kernel, a program that runs over all rows of a record, as a list of stages (steps in each row).
 CasADi evaluates every stage, row by row, which is slow.
 """
 
@@ -20,21 +21,24 @@ Mask = NDArray[np.uint32]
 def interpret(
     plan: Plan, n_rows: int, groups: int, mask: Mask, arrays: Mapping[str, Array], per_row: AbstractSet[str]
 ) -> None:
-    """Run a plan with CasADi's own evaluation. The arrays then have the values that the compiled kernel computes.
+    """Run a plan over all rows of a record with CasADi's own evaluation, without compilation.
+
+    The results are those of the compiled kernel, except for rounding.
 
     Parameters
     ----------
     plan : Plan
-        Plan to run.
+        Stages (steps in each row) of the computation, and kinds of the arrays.
     n_rows, groups : int
-        Number of rows, and number of groups of ``plan.width`` lanes.
+        Number of rows, and number of groups of ``plan.width`` lanes. A lane is one element of an array that has several
+        numbers for each entry, for example the derivative by one parameter.
     mask : Array (n_rows,) of uint32
         Bits of the stages that run in each row. A stage with ``bit`` None runs in every row.
     arrays : Mapping[str, Array]
         Contiguous arrays of all arguments and results by name, with the number of items of ``plan.shape``. Results are
         written in place: sums are added to the present values, other results are overwritten.
     per_row : Set[str]
-        Names of summed results that are kept for each row.
+        Names of summed results of which the contribution of each row is wanted instead of the sum.
     """
     shaped = {name: a.reshape(plan.shape(name, n_rows, groups, name in per_row)) for name, a in arrays.items()}
     order = range(n_rows - 1, -1, -1) if plan.backward else range(n_rows)
@@ -52,9 +56,10 @@ def interpret(
 
 
 def _run_expression_stage(plan: Plan, stage: ExpressionStage, now: Mapping[str, Array], groups: int) -> None:
-    """Evaluate one stage in one row and write its results into the arrays ``now`` of this row.
+    """Evaluate one stage of CasADi expressions in one row, and write its results into the arrays ``now`` of this row.
 
-    The stage is evaluated once, or for each lane of all groups if it has arrays in lanes.
+    The stage is evaluated once. If it has arrays in lanes (``plan.width`` numbers for each entry), it is evaluated for
+    each lane of all ``groups``.
     """
     f = stage.function
     names_in, names_out = f.name_in(), f.name_out()
@@ -70,7 +75,7 @@ def _run_expression_stage(plan: Plan, stage: ExpressionStage, now: Mapping[str, 
 
 
 def _store_result(plan: Plan, name: str, target: Array, value: Array) -> None:
-    """Add ``value`` to ``target`` in place if the result ``name`` is summed; otherwise overwrite ``target``."""
+    """Add ``value`` to the array ``target`` in place if the result ``name`` is summed; otherwise overwrite it."""
     if name in plan.summed:
         target += value
     else:
@@ -78,9 +83,9 @@ def _store_result(plan: Plan, name: str, target: Array, value: Array) -> None:
 
 
 def _run_gram_stage(stage: GramStage, now: Mapping[str, Array], groups: int) -> None:
-    """Add the inner products of all pairs of lanes in one row to the result of a Gram stage, in place.
+    """Add the inner products of all pairs of lanes in one row to the result matrix of a Gram stage, in place.
 
-    Only blocks of groups on and above the diagonal are written.
+    ``now`` has the arrays of the row by name. Only blocks of groups on and above the diagonal are written.
     """
     v = now[stage.source]
     for first in range(groups):
@@ -89,6 +94,6 @@ def _run_gram_stage(stage: GramStage, now: Mapping[str, Array], groups: int) -> 
 
 
 def _run_product_stage(stage: ProductStage, now: Mapping[str, Array]) -> None:
-    """Compute the matrix product of a stage in one row and write it into the result array of ``now``."""
+    """Compute the matrix product of a stage in one row, and write it into its result array among the arrays ``now``."""
     left = [[(1 + factor.twice) * now[factor.array][factor.entry] for factor in row] for row in stage.left]
     now[stage.result][:] = (np.array(left) @ now[stage.right].reshape(-1, stage.stride)).ravel()

@@ -1,6 +1,6 @@
-"""Just-in-time compilation of LLVM IR.
+"""Just-in-time compilation of LLVM IR, the intermediate code of the compiler LLVM, to machine code.
 
-Machine code is cached under a hash of the IR, the processor and the version of LLVM.
+Machine code is cached on disk under a hash of the IR, the processor and the version of LLVM.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ AVAILABLE = llvm is not None
 # passes of level 1 and the code generation of level 2 take a third more time for a compilation and save 1 to 4 % of the
 # running time.
 KERNEL = ("combine", 1)
-# The same for `quick_compilation`: compilation takes a fifth of the time, and the code up to twice the time to run
+# The same for `quick_compilation`: compilation takes a fifth of the time, and the code takes up to twice as long to run
 QUICK = ("none", 0)
 LOOPS = ("level 1", 2)  # for IR with loops and variables in memory, which the passes move to registers
 QUICK_ROWS = 10_000  # rows in the records of a model; with more rows, quick compilation costs more than it saves
@@ -42,9 +42,9 @@ _written: dict[Path, int] = {}  # bytes since the last scan, by folder; the firs
 
 
 def _host_processor() -> tuple[str, str, int]:
-    """Prepare LLVM for this machine. Return the processor's name, its features, and its number of doubles in a vector.
+    """Prepare LLVM for this machine. Return the processor's name, its features, and the doubles in a vector register.
 
-    Without llvmlite, the result is ("", "", 8).
+    The number of doubles is 2, 4 or 8. Without llvmlite, the result is ("", "", 8).
     """
     if not AVAILABLE:
         return "", "", 8
@@ -62,7 +62,7 @@ CPU, FEATURES, WIDTH = _host_processor()
 
 
 def cache_folder() -> Path:
-    """Return the folder of cached machine code. It may not exist yet.
+    """Return the folder of the cache on disk, which holds machine code. It may not exist yet.
 
     It is the value of the environment variable ``SEATRIAL_CACHE`` if that is set and not empty. Otherwise it is
     ``seatrial/kernels`` in the user's cache folder of the operating system.
@@ -76,9 +76,10 @@ _quick_contexts: list[object] = []
 
 @contextmanager
 def quick_compilation(n_rows: int) -> Iterator[None]:
-    """Compile kernels quickly, with less optimisation, inside this context. The setting applies to all threads.
+    """Context in which kernels are compiled quickly, with less optimisation. The setting applies to all threads.
 
-    Use it for models that are fitted only once. Above `QUICK_ROWS` rows, the context has no effect.
+    It is meant for models that are fitted only once. Above 10 000 rows (`QUICK_ROWS`), it has no effect, because the
+    slower code would cost more time than the compilation saves.
 
     Parameters
     ----------
@@ -97,25 +98,28 @@ def quick_compilation(n_rows: int) -> Iterator[None]:
 
 
 def _optimisation(has_loops: bool) -> tuple[str, int]:
-    """Return the passes over the IR, and the level (0 to 3) of the code generation, in this context.
+    """Return the optimisation for a compilation at this moment: passes over the IR, and level of the code generation.
 
-    They are `LOOPS` if the IR has loops that the passes have to improve, and otherwise `KERNEL`, or `QUICK` in
-    `quick_compilation`.
+    The result is `LOOPS` if ``has_loops`` (loops and variables in memory, which the passes improve). Otherwise it is
+    `QUICK` inside `quick_compilation`, else `KERNEL`.
     """
     return LOOPS if has_loops else QUICK if _quick_contexts else KERNEL
 
 
 def target() -> tuple[Any, ...]:
-    """Return what the machine code depends on, besides the IR: version of LLVM (None without llvmlite), name and
-    features of the processor, default optimisation, scheduler option.
+    """Return what machine code depends on besides the IR, for the keys of the cache.
+
+    It is a tuple: version of LLVM (None without llvmlite), name and features of the processor, default optimisation,
+    scheduler option.
     """
     return (llvm.llvm_version_info if AVAILABLE else None, CPU, FEATURES, KERNEL, ORDER)
 
 
 def machine_code_key(ir: str, has_loops: bool = False) -> str:
-    """Return the SHA-256 hash (hexadecimal) that names the machine code of ``ir`` in the cache.
+    """Return the SHA-256 hash (hexadecimal) under which the machine code of ``ir`` is stored in the cache on disk.
 
-    It depends on the IR, on `target` and on the optimisation that holds at the time of the call.
+    It depends on the IR, on the machine (`target`), on ``has_loops`` (see `load_machine_code`), and on whether the call
+    is inside `quick_compilation`.
     """
     return hashlib.sha256(repr((*target(), _optimisation(has_loops), ir)).encode()).hexdigest()
 
@@ -126,9 +130,9 @@ def load_machine_code(ir: str, symbol: str, has_loops: bool = False) -> tuple[An
     Parameters
     ----------
     ir : str
-        LLVM IR of a module.
+        LLVM IR of a module, as text.
     symbol : str
-        Name of a function in the module.
+        Name of the function of the module whose address is wanted.
     has_loops : bool
         Whether the function has inner loops and variables in memory, so that it needs more optimisation than a kernel.
 
@@ -163,7 +167,7 @@ def load_cached_machine_code(key: str, symbol: str) -> tuple[Any, int] | None:
     key : str
         Result of `machine_code_key`.
     symbol : str
-        Name of a function in the machine code.
+        Name of the function in the machine code whose address is wanted.
 
     Returns
     -------
@@ -176,21 +180,25 @@ def load_cached_machine_code(key: str, symbol: str) -> tuple[Any, int] | None:
 
 
 def _link_object_file(machine_code: bytes, key: str, symbol: str) -> tuple[Any, int]:
-    """Link an object file under the name ``key``. Return the library and the address of the function ``symbol``."""
+    """Link machine code, the content of an object file, under the name ``key``.
+
+    Return the linked library, and the address of its function ``symbol``.
+    """
     builder = llvm.JITLibraryBuilder().add_object_img(machine_code).add_current_process().export_symbol(symbol)
     library = builder.link(llvm.create_lljit_compiler(_target_machine(KERNEL[1])), key)
     return library, int(library[symbol])
 
 
 def _target_machine(level: int) -> Any:
-    """Return LLVM's code generator for this processor, with this optimisation level (0 to 3)."""
+    """Return LLVM's code generator for this processor, with the optimisation ``level`` (0 to 3)."""
     return llvm.Target.from_default_triple().create_target_machine(CPU, FEATURES, level, jit=True)
 
 
 def _compile(ir: str, has_loops: bool) -> bytes:
     """Check the IR of a module, optimise it for this processor, and compile it. Return the content of the object file.
 
-    ``has_loops`` asks for the optimisation `LOOPS`.
+    ``has_loops``: whether the IR has loops and variables in memory, which need more optimisation. RuntimeError is
+    raised for invalid IR.
     """
     chosen, level = _optimisation(has_loops)
     machine = _target_machine(level)
@@ -237,9 +245,10 @@ def read_cache(name: str) -> bytes | None:
 
 
 def _only_we_can_write(path: Path) -> bool:
-    """Return whether only this user or the administrator can have written to the path.
+    """Return whether only this user and the administrator can write to the file or folder ``path``.
 
-    The owner must be one of the two, and neither the group nor others may have the permission to write.
+    Its owner must be one of the two, and neither the group nor others may have the permission to write. OSError is
+    raised if the path does not exist.
     """
     about = path.stat()
     return about.st_uid in (os.geteuid(), 0) and not about.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
@@ -267,11 +276,10 @@ def write_cache(name: str, content: bytes) -> None:
 
 
 def _delete_least_recently_used(folder: Path) -> None:
-    """Delete the least recently used files of the folder until 70 % of `LARGEST_CACHE` remain.
+    """Delete the least recently used files of the cache folder, if their total size exceeds 400 MB (`LARGEST_CACHE`).
 
-    Nothing is deleted if the cache does not exceed `LARGEST_CACHE`.
-
-    Nonparametric effects and user models are compiled anew each time. Without a limit they would fill the disk.
+    Files are deleted until at most 70 % of this size remain. Each nonparametric effect and each change of a
+    user-defined model adds files, which would fill the disk without a limit.
     """
     with os.scandir(folder) as entries:
         files = [(about.st_mtime, about.st_size, f.path) for f in entries for about in (f.stat(),)]

@@ -1,6 +1,7 @@
-"""Kernels: executable plans, and the arrays that they work on.
+"""Kernels: programs that run over all rows (instants) of a record, and the arrays that they work on.
 
-The loop is compiled by `llvm_emitter` if llvmlite is installed. Otherwise `interpreter` evaluates the plan.
+A plan describes the program. It is compiled by `llvm_emitter` if llvmlite is installed. Otherwise `interpreter`
+evaluates it.
 """
 
 from __future__ import annotations
@@ -29,14 +30,15 @@ if TYPE_CHECKING:
 
 Mask = NDArray[np.uint32]
 CACHE_LINE = 8  # doubles in a cache line
-ALL_BITS = 0xFFFFFFFF  # mask of a row in which all sensors have a sample
+ALL_BITS = 0xFFFFFFFF  # mask of a row in which all sensors have a sample: all 32 bits are set
 MAX_BITS = 32  # bits of a mask, one for each sensor
 
 
 def allocate(shape: Sequence[int], zero: bool = True) -> Array:
-    """Return a new float64 array of the given shape whose memory starts at a cache line of the processor.
+    """Return a new float64 array of the given shape whose memory starts at a multiple of 64 bytes.
 
-    The values are zero if ``zero``; otherwise they are arbitrary.
+    This is the start of a cache line of the processor, so that vector instructions are fast. The values are zero if
+    ``zero`` is true, otherwise arbitrary.
     """
     size = math.prod(shape)
     a = (np.zeros if zero else np.empty)(size + CACHE_LINE)
@@ -46,20 +48,23 @@ def allocate(shape: Sequence[int], zero: bool = True) -> Array:
 
 @dataclass
 class Arena:
-    """Memory of arrays that is reused from call to call, so that the operating system maps its pages only once.
+    """Memory for the arrays of a kernel that is reused from call to call.
+
+    Reuse saves time, because the operating system then maps the pages of the memory only once.
 
     Attributes
     ----------
     arrays : dict[str, Array]
-        Memory by name of the array. It grows if a larger array of the same name is taken.
+        Memory by name of the array. A larger memory replaces it if a larger array of the same name is taken.
     """
 
     arrays: dict[str, Array] = field(default_factory=dict)
 
     def take(self, name: str, shape: Sequence[int], zero: bool = True) -> Array:
-        """Return the array of this name in a given shape. The next call with the same name returns the same memory.
+        """Return a float64 array of the given shape in the memory with this name.
 
-        The array is set to zero if ``zero``; otherwise it has arbitrary values.
+        The next call with the same name returns the same memory, unless it is too small. The array is set to zero if
+        ``zero`` is true; otherwise it has arbitrary values.
         """
         size = math.prod(shape)
         if name not in self.arrays or self.arrays[name].size < size:
@@ -71,7 +76,7 @@ class Arena:
 
 
 class ArenaPool:
-    """Pool of arenas, with one arena for each thread that works at the same time."""
+    """Pool of arenas (reused memory for the arrays of kernels), with one arena for each thread at work."""
 
     def __init__(self) -> None:
         """Create an empty pool; `borrow` adds arenas as they are needed."""
@@ -80,7 +85,7 @@ class ArenaPool:
 
     @contextmanager
     def borrow(self) -> Iterator[Arena]:
-        """Lend an arena that no other caller has, until the context ends. Create one if all are lent."""
+        """Context that lends an arena (memory for arrays) which no other caller has. Create one if all are lent."""
         with self._lock:
             arena = self._free.pop() if self._free else Arena()
         try:
@@ -91,31 +96,34 @@ class ArenaPool:
 
 
 Loop = Callable[[int, int, Mask, Mapping[str, Array], AbstractSet[str]], None]
-_warned: list[str] = []  # not empty after the warning that llvmlite is missing: it is shown once a process
+_warned: list[str] = []  # not empty after the warning that llvmlite is missing, which is shown once per process
 
 
 class Kernel:
-    """Program that runs over all rows of a record, such as a filter or its adjoint.
+    """Program that runs over all rows (instants) of a record, such as a filter or its adjoint.
 
     Parameters
     ----------
     plan : Plan
-        Computation of each row, and the arrays that it reads and writes.
+        Description of the computation in each row, and of the arrays that it reads and writes.
     compiled : bool, optional
         False: interpret the plan, which is slow (reference of the tests). None: compile if llvmlite is installed.
 
     Attributes
     ----------
     layout : Layout
-        Layout of the arrays.
+        Names, sizes and kinds of the arrays.
     code : str
-        Key of the machine code in the cache; empty if the plan is interpreted.
+        Key of the machine code in the cache on disk; empty if the plan is interpreted.
     """
 
     _entry: Callable[..., None] | None = None  # entry point of the machine code; None if the plan is interpreted
 
     def __init__(self, plan: Plan, compiled: bool | None = None) -> None:
-        """Compile the plan, or prepare its interpretation. Without llvmlite, a warning is shown once per process."""
+        """Compile the plan, or load its machine code from the cache, or prepare its interpretation.
+
+        If ``compiled`` is None and llvmlite is missing, a warning is shown once per process.
+        """
         self.layout, self.code = plan.layout, ""
         self._build_plan: Callable[[], Plan] = lambda: plan
         if compiled is None:
@@ -136,16 +144,16 @@ class Kernel:
         Parameters
         ----------
         layout : Layout
-            Layout of the arrays.
+            Names, sizes and kinds of the arrays.
         code : str
             Key of the machine code, a result of `jit.machine_code_key`.
         build_plan : Callable[[], Plan]
-            Builds the plan. It is called only if `plan` is used.
+            Function that returns the plan. It is called only if the attribute `plan` is used.
 
         Returns
         -------
         Kernel or None
-            None if the machine code is not in the cache.
+            None if the machine code is not in the cache, or if llvmlite is not installed.
         """
         loaded = jit.load_cached_machine_code(code, "kernel")
         if loaded is None:
@@ -157,7 +165,10 @@ class Kernel:
 
     @cached_property
     def plan(self) -> Plan:
-        """Plan of the kernel, with its stages and arrays. A kernel from the cache builds it on first use."""
+        """Plan of the kernel: its stages (steps in each row) and arrays.
+
+        A kernel from the cache on disk builds it at the first access.
+        """
         return self._build_plan()
 
     def __call__(
@@ -180,14 +191,16 @@ class Kernel:
             Bits of the stages that run in each row. In a filter, bit k is set if sensor k has a sample. None: all bits
             are set.
         arguments : Mapping[str, Array]
-            Contiguous float64 arrays by name, with the number of items of ``Layout.shape``. Carried arrays and results
-            among them are written in place; sums are added to their present values. Names that the kernel does not use
-            are ignored. Arrays that are missing start from zero, except arrays in rows: their rows are undefined until
-            a stage writes them.
+            Contiguous float64 arrays by name, with the number of items of ``Layout.shape``. Results among them, and
+            arrays whose values pass from row to row, are written in place. Sums are added to their present values.
+            Names that the kernel does not use are ignored. Missing arrays start from zero, except arrays with entries
+            for each row: these are undefined in rows in which they are not written.
         groups : int
-            Number of groups of ``layout.width`` lanes.
+            Number of groups of ``layout.width`` lanes. A lane is one number of each entry of certain arrays, for
+            example the derivative by one parameter.
         per_row : Set[str]
-            Names of summed results that are kept for each row instead.
+            Names of results that are summed over the rows otherwise, and of which the contribution of each row is
+            wanted instead.
         arena : Arena, optional
             Memory for the arrays that are not in ``arguments``. These arrays are valid until the next use of the arena.
             None: new memory.
@@ -224,27 +237,27 @@ class Kernel:
         initial_values: Array,
         wanted: Sequence[str],
     ) -> dict[str, Array]:
-        """Run over many intervals of one record, each with its own initial state, and return the last row of each.
+        """Run the kernel over many intervals of one record, each with its own initial state; return the last rows.
 
-        All stages run in all rows, as if every sensor had a sample in each row. The kernel must have exactly one array
-        that it carries from row to row, such as the state.
+        All steps run in all rows, as if every sensor had a sample in each row. The kernel must have exactly one array
+        whose values pass from row to row, such as the state.
 
         Parameters
         ----------
         start, stop : Sequence[int] (n,)
             Each interval (segment) consists of the rows from ``start`` to ``stop - 1``. Intervals may overlap.
         arguments : Mapping[str, Array]
-            Contiguous float64 arrays by name: arrays in rows for all rows of the record, and arrays that all intervals
-            share.
+            Contiguous float64 arrays by name: those with entries for each row, for all rows of the record, and those
+            that all intervals share, for example parameters.
         initial_values : Array (n, size)
-            Initial value of the carried array for each interval. It is not changed.
+            Initial values of the array that passes from row to row, for each interval. It is not changed.
         wanted : Sequence[str]
-            Names of the arrays in rows to return.
+            Names of the results to return, which must have entries for each row.
 
         Returns
         -------
         dict[str, Array (n, size)]
-            Last row of each interval, by name.
+            Values in the last row of each interval, by name of the array.
 
         Raises
         ------
@@ -301,11 +314,12 @@ class Kernel:
         return last_rows
 
     def seeds(self, size: int, chosen: Sequence[int], groups: int | None = None) -> Array:
-        """Return the directions of derivatives for a tangent kernel, as an array (groups, size, width).
+        """Return the directions of derivatives for a kernel of sensitivities, as an array (groups, size, width).
 
-        Each lane computes the derivative in one direction. A direction is a unit vector of ``size`` entries. Lane j,
-        which is lane j % width of group j // width, has a one at entry ``chosen[j]``. Unused lanes have zeros. With
-        ``groups`` None or 0, the array has the least number of groups that hold all of ``chosen``, at least one.
+        Each lane (one of ``layout.width`` numbers of an entry) computes the derivative by one parameter. Its direction
+        is a unit vector of ``size`` entries, one for each parameter. Lane j, which is lane j % width of group
+        j // width, has a one at entry ``chosen[j]``. Unused lanes have zeros. With ``groups`` None or 0, the array has
+        the least number of groups that hold all of ``chosen``, at least one.
         """
         width = self.layout.width
         groups = groups or self.groups(len(chosen))
@@ -315,13 +329,16 @@ class Kernel:
         return unit
 
     def groups(self, n_lanes: int) -> int:
-        """Return the number of groups of ``layout.width`` lanes that hold ``n_lanes`` lanes, at least 1."""
+        """Return the least number of groups of ``layout.width`` lanes that hold ``n_lanes`` lanes, at least 1.
+
+        A lane is one number of each entry of certain arrays, for example the derivative by one parameter.
+        """
         return max(1, -(-n_lanes // self.layout.width))
 
     def _compile_loop(self) -> Loop:
-        """Compile the plan, or load its machine code from the cache on disk. Return the function that runs the loop.
+        """Compile the plan, or load its machine code from the cache on disk. Return the function that runs it.
 
-        The key of the machine code is stored in `code`.
+        The function runs the loop over the rows of a record. The key of the machine code is stored in `code`.
         """
         from seatrial.ident.engine.llvm_emitter import LlvmEmitter
 
@@ -330,9 +347,10 @@ class Kernel:
         return self._loop_at_address(*jit.load_machine_code(ir, "kernel"))
 
     def _loop_at_address(self, library: Any, address: int) -> Loop:
-        """Return a function that runs the machine code at this address, and keep the entry point for `segments`.
+        """Return a function that runs the machine code at the address ``address`` over the rows of a record.
 
-        The function holds a reference to ``library``, because the machine code is freed with the library.
+        The function holds a reference to ``library``, because the machine code is freed with the library. The entry
+        point of the code is also stored, for `segments`.
         """
         summed, n_arrays = self.layout.summed, len(self.layout.sizes)
         pointers = [ctypes.c_void_p] * (1 + n_arrays)
@@ -341,7 +359,11 @@ class Kernel:
         )(address)
 
         def run(n_rows: int, groups: int, mask: Mask, arrays: Mapping[str, Array], per_row: AbstractSet[str]) -> None:
-            """Run the machine code over all rows. The results are written into ``arrays``."""
+            """Run the machine code over all rows. The results are written into ``arrays``, in place.
+
+            ``mask``: for each row, the bits of the stages that run. ``per_row``: names of summed results of which the
+            contribution of each row is wanted.
+            """
             assert library is not None  # the code lives as long as its library
             entry(
                 n_rows,
@@ -354,7 +376,7 @@ class Kernel:
         return run
 
     def _interpreting_loop(self) -> Loop:
-        """Return a function that interprets the plan."""
+        """Return a function that runs the plan over the rows of a record without compilation."""
         from seatrial.ident.engine.interpreter import interpret
 
         plan = self.plan

@@ -1,4 +1,4 @@
-"""Cache of kernels that is read without CasADi.
+"""Cache of kernels on disk that is read without CasADi. A kernel is a program that runs over all rows of a record.
 
 Importing CasADi and building graphs takes longer than the work of the kernels. The functions of a model are therefore
 traced: they run on objects that record the operations. A hash of the recorded text, of the other properties in
@@ -43,22 +43,28 @@ class TracedNumber:
     __slots__ = ("index", "lines")
 
     def __init__(self, lines: list[str], line: str) -> None:
-        """Append ``line``, which defines this number, to ``lines``."""
+        """Append ``line``, the text of the operation that defines this number, to the list ``lines``, in place."""
         self.lines, self.index = lines, len(lines)
         lines.append(line)
 
     def _record_operation(self, name: str, *operands: Any) -> TracedNumber:
-        """Append the line "name operand ..." and return the number that it defines."""
+        """Append the line "name operand ..." to ``lines``, and return the traced number that it defines.
+
+        TypeError is raised for an operand that is neither a traced number nor a number.
+        """
         return TracedNumber(self.lines, f"{name} {' '.join(_operand_text(o) for o in operands)}")
 
     def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, **options: Any) -> TracedNumber:
-        """Record the call of an elementwise numpy function. Raise TypeError for reductions and calls with options."""
+        """Record the call of an elementwise numpy function ``ufunc`` on ``inputs``, and return its traced result.
+
+        TypeError is raised for reductions (``method`` other than ``__call__``) and for calls with options.
+        """
         if method != "__call__" or options:
             raise TypeError(f"{ufunc.__name__}.{method} cannot be recorded")
         return self._record_operation(ufunc.__name__, *inputs)
 
     def __bool__(self) -> bool:
-        """Raise TypeError: a traced number has no value, and a condition would record only one of its branches."""
+        """Raise TypeError: a traced number has no value, so a condition on it cannot be recorded."""
         raise TypeError("a condition cannot be recorded")
 
     def __add__(self, other: Any) -> TracedNumber:
@@ -141,8 +147,8 @@ class TracedNumber:
 def _operand_text(operand: Any) -> str:
     """Return the text of an operand of a recorded operation.
 
-    A traced number is written as ``#`` and the index of its line, a constant as ``float.hex`` writes it. TypeError is
-    raised for any other type.
+    A traced number is written as ``#`` and the index of the line that defines it, an ordinary number as ``float.hex``
+    writes it. TypeError is raised for any other type.
     """
     if isinstance(operand, TracedNumber):
         return f"#{operand.index}"
@@ -152,10 +158,10 @@ def _operand_text(operand: Any) -> str:
 
 
 def kernel_key(model: Model, covariance: bool, joseph: bool) -> str | None:
-    """Return the cache key of a model's kernels, without CasADi.
+    """Return the key of a model's kernels in the cache on disk, without CasADi.
 
     Two models have the same key only if they have the same kernels. The values of the parameters are not part of the
-    key.
+    key. The version of the source code that builds kernels, the processor and the version of LLVM are.
 
     Parameters
     ----------
@@ -164,12 +170,13 @@ def kernel_key(model: Model, covariance: bool, joseph: bool) -> str | None:
     covariance : bool
         True for the extended Kalman filter, False for simulation (output error).
     joseph : bool
-        Whether the covariance is updated in Joseph's form.
+        Whether the covariance is updated in Joseph's form, which keeps it positive in spite of rounding.
 
     Returns
     -------
     str or None
-        SHA-256 hash (hexadecimal). None if a function of the model cannot be recorded or raises an error.
+        SHA-256 hash (hexadecimal). None if a function of the model cannot be recorded, for example because of a
+        condition, or raises an error.
     """
     lines: list[str] = []
     try:
@@ -190,8 +197,10 @@ def kernel_key(model: Model, covariance: bool, joseph: bool) -> str | None:
 
 @cache
 def _builder_hash() -> str:
-    """Return a SHA-256 hash of the source code that builds kernels (``ident/engine``, ``ident/model``), and of the
-    processor and the version of LLVM.
+    """Return a SHA-256 hash (hexadecimal) of the source code that builds kernels, for the keys of the cache.
+
+    The code is that of ``ident/engine`` and ``ident/model``. The processor and the version of LLVM are hashed too. The
+    hash is computed once per process.
     """
     folder = Path(__file__).parent
     digest = hashlib.sha256(repr(jit.target()).encode())
@@ -213,7 +222,8 @@ def load_kernel(key: str, name: str) -> tuple[Layout, str] | None:
     Returns
     -------
     tuple[Layout, str] or None
-        Layout, and key for `jit.load_cached_machine_code`. None if the cache lacks the kernel.
+        Names, sizes and kinds of the arrays, and key for `jit.load_cached_machine_code`. None if the cache lacks the
+        kernel.
     """
     content = jit.read_cache(f"{key}.{name}.json")
     if content is None:
@@ -225,9 +235,10 @@ def load_kernel(key: str, name: str) -> tuple[Layout, str] | None:
 
 
 def store_kernel(key: str, name: str, layout: Layout, code: str) -> None:
-    """Write the layout of the arrays and the key of the machine code of a kernel to the cache on disk.
+    """Write the layout of the arrays and the key ``code`` of the machine code of a kernel to the cache on disk.
 
-    The file is ``<key>.<name>.json``. A cache that cannot be written is not an error.
+    ``key`` is a result of `kernel_key`, and ``name`` is the name of the kernel, such as ``value``. The file is
+    ``<key>.<name>.json``. A cache that cannot be written is not an error.
     """
     table = {field: sorted(v) if isinstance(v, frozenset) else v for field, v in asdict(layout).items()}
     jit.write_cache(f"{key}.{name}.json", json.dumps(table | {"code": code}).encode())

@@ -1,11 +1,12 @@
 """LLVM IR (intermediate code of the compiler) of a plan: a loop over rows with the instructions of all stages.
 
-A stage is one step of the loop body. It runs in rows whose mask has the bit of the stage set.
+A stage is one step of the loop body. It runs in rows whose mask has the bit of the stage set. A lane is one element of
+the processor's vector registers, and an array in lanes has a vector of numbers for each entry.
 
 Values that depend on constants only are computed before the loop. A stage with arrays in lanes becomes a separate
-function, called for each group of lanes. In this function, values that depend on lanes are vectors, and all other
-values are scalars. Carried values are kept in registers, unless a function needs their address. The arithmetic follows
-the instructions of CasADi, and equal instructions are written only once.
+function, called for each group of lanes (each vector). In this function, values that depend on lanes are vectors, and
+all other values are scalars. Carried values, which pass from row to row, are kept in registers, unless a function needs
+their address. The arithmetic follows the instructions of CasADi, and equal instructions are written only once.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ FRAME = '"frame-pointer"="all"'  # function attribute with which LLVM can align 
 
 
 class Value(NamedTuple):
-    """Number in the generated program: a scalar, or a vector with one value for each lane.
+    """Number in the generated LLVM IR: a scalar, or a vector of several numbers that one instruction processes.
 
     Attributes
     ----------
@@ -52,7 +53,7 @@ class Value(NamedTuple):
 
 
 def _hexadecimal_literal(x: float) -> Value:
-    """Return the number x as a constant scalar, written as a hexadecimal literal of LLVM."""
+    """Return the number x as a constant scalar in LLVM IR, written as a hexadecimal literal without rounding."""
     return Value(f"0x{struct.unpack('<Q', struct.pack('<d', float(x)))[0]:016X}", False, True)
 
 
@@ -60,15 +61,17 @@ ZERO, ONE = _hexadecimal_literal(0.0), _hexadecimal_literal(1.0)
 
 
 def _pointer_arguments(names: Iterable[str], attribute: str = "") -> str:
-    """Return the arguments ``ptr %name`` for arrays with these names, separated by commas.
+    """Return the text of arguments in LLVM IR, ``ptr %name`` for each of the arrays ``names``, separated by commas.
 
-    ``attribute`` is an attribute of each argument in a declaration, such as ``noalias``.
+    ``attribute`` is an LLVM attribute of each argument, such as ``noalias``; empty: none.
     """
     return ", ".join(f"ptr {attribute} %{name}" for name in names)
 
 
 class LlvmEmitter:
-    """Writer of the LLVM IR of one plan. It is used once: `ir` writes the module.
+    """Writer of the LLVM IR of one plan: the text of a program that runs over all rows of a record.
+
+    A writer is used once: `ir` writes the module. A stage is one step of the computation in each row.
 
     Attributes
     ----------
@@ -77,7 +80,7 @@ class LlvmEmitter:
     entry_lines : list[str]
         Lines of IR before the loop over the rows.
     loop_lines : list[str]
-        Lines in the loop; while a stage with arrays in lanes is written, lines of its function.
+        Lines in the loop; while a stage that is a separate function is written, lines of this function.
     function_lines : list[str]
         Lines of the functions that the loop calls.
     declarations : set[str]
@@ -92,7 +95,7 @@ class LlvmEmitter:
     stage_index : int
         Index of the current stage in the plan.
     in_lane_function : bool
-        Whether the current stage is written as a separate function.
+        Whether the current stage is written as a separate function, because it has arrays in lanes.
     width : int
         Number of doubles in the current vectors.
     register_values : dict[str, list[Value]]
@@ -102,7 +105,7 @@ class LlvmEmitter:
     """
 
     def __init__(self, plan: Plan) -> None:
-        """Prepare the writer; `ir` writes the module."""
+        """Prepare the writer for the plan. Nothing is written yet."""
         self.plan = plan
         self.entry_lines: list[str] = []
         self.loop_lines: list[str] = []
@@ -122,10 +125,11 @@ class LlvmEmitter:
         self.new_values: dict[tuple[str, int], Value] = {}
 
     def ir(self) -> str:
-        """Return the text of the module, which defines one public function, ``kernel``.
+        """Write and return the text of the module, which defines one public function, ``kernel``.
 
-        Its arguments are the number of rows, the number of groups, the address of the mask, the addresses of all arrays
-        in the order of ``plan.sizes``, and for each summed result 0 (sum) or 1 (separate results in each row).
+        The arguments of this function are the number of rows, the number of groups of lanes (vectors), the address of
+        the mask, the addresses of all arrays in the order of ``plan.sizes``, and for each summed result 0 (sum) or 1
+        (separate results in each row).
         """
         for number, stage in enumerate(self.plan.stages):
             self.stage_index = number
@@ -166,10 +170,10 @@ class LlvmEmitter:
         )
 
     def _in_memory(self, name: str) -> bool:
-        """Return whether a carried array stays in memory instead of registers.
+        """Return whether the array ``name``, which passes from row to row, stays in memory instead of registers.
 
-        It does if it has lanes, if a stage that is a separate function uses it, or if it is the right matrix or the
-        result of a matrix product.
+        It does if it has lanes (vectors of numbers), if a stage that is a separate function uses it, or if it is the
+        right matrix or the result of a matrix product.
         """
         for stage in self.plan.stages:
             if isinstance(stage, ProductStage) and name in (stage.right, stage.result):
@@ -181,7 +185,7 @@ class LlvmEmitter:
         return name in self.plan.lanes
 
     def _register_array_lines(self) -> tuple[list[str], list[str], list[str]]:
-        """Return the lines for carried arrays in registers.
+        """Return the lines of IR for arrays that pass from row to row in registers.
 
         Returns
         -------
@@ -200,7 +204,7 @@ class LlvmEmitter:
     # Stages
 
     def _write_stage(self, stage: ExpressionStage | GramStage | ProductStage) -> None:
-        """Write one stage, with a branch that skips the stage in rows whose mask lacks its bit."""
+        """Write the IR of one stage (step in each row), with a branch that skips it if its bit of the mask is 0."""
         q = self.stage_index
         if stage.bit is None:
             self._append_lines(f"br label %do{q}")
@@ -225,9 +229,10 @@ class LlvmEmitter:
         self._assign_new_values(stage.bit is not None)
 
     def _assign_new_values(self, is_conditional: bool) -> None:
-        """Assign the new values of the current stage to the carried arrays in registers, and clear ``new_values``.
+        """Assign the new values of the current stage to the arrays that pass from row to row in registers.
 
-        ``is_conditional``: whether the stage is skipped in some rows, where the arrays keep their old values.
+        ``is_conditional``: whether the stage is skipped in some rows, in which the arrays keep their old values. The
+        attribute ``new_values`` is then empty.
         """
         q, before = self.stage_index, f"%end{self.stage_index - 1}" if self.stage_index else "%loop"
         for (name, j), value in self.new_values.items():
@@ -239,13 +244,16 @@ class LlvmEmitter:
         self.new_values = {}
 
     def _write_instructions(self, stage: ExpressionStage) -> None:
-        """Write the instructions of a stage of CasADi expressions. Results that are also arguments are stored last."""
+        """Write the instructions of a stage of CasADi expressions.
+
+        Results that are also arguments, and summed results, are stored last, because the stage may still read them.
+        """
         f = stage.function
         arguments, names = f.name_in(), f.name_out()
         deferred: list[tuple[str, int, Value]] = []
 
         def done(i: int, j: int, value: Value) -> None:
-            """Store entry j of result i at once, or keep it in ``deferred`` if the stage may still read the array."""
+            """Write the store of entry j of result i, or defer it if the stage may still read the array."""
             if names[i] in arguments or names[i] in self.plan.summed:
                 deferred.append((names[i], j, value))  # the stage may still have to read the old value
             else:
@@ -258,7 +266,7 @@ class LlvmEmitter:
             self._store_entry(*result)
 
     def _write_lane_function(self, stage: ExpressionStage) -> None:
-        """Write a stage with arrays in lanes as a function, and its call for each group of lanes."""
+        """Write a stage with arrays in lanes as a separate function, and its call for each group of lanes (vector)."""
         q, f = self.stage_index, stage.function
         used = list(dict.fromkeys([*f.name_in(), *f.name_out()]))
         steps = [name for name in used if name in self.plan.summed]
@@ -282,7 +290,7 @@ class LlvmEmitter:
         )
 
     def _write_group_loop(self, origin: str, index: str, first: str, body: list[str], end: str, tail: str = "") -> None:
-        """Write a loop over groups of lanes, with an index from ``first`` to the last group.
+        """Write a loop over groups of lanes (vectors), with an index from ``first`` to the last group.
 
         Parameters
         ----------
@@ -293,7 +301,7 @@ class LlvmEmitter:
         first : str
             First value of the index: a literal or a name.
         body : list[str]
-            Lines of the loop body.
+            Lines of IR of the loop body.
         end : str
             Label of the basic block after the loop.
         tail : str
@@ -311,7 +319,10 @@ class LlvmEmitter:
         )
 
     def _write_gram(self, stage: GramStage) -> None:
-        """Write a Gram stage: a function, and its call for all pairs of groups on and above the diagonal."""
+        """Write a Gram stage, which adds the inner products between all lanes of an array to a matrix.
+
+        It is written as a function, and its call for all pairs of groups of lanes on and above the diagonal.
+        """
         q = self.stage_index
         self._write_gram_function(stage)
         call = (
@@ -324,7 +335,10 @@ class LlvmEmitter:
         self._write_group_loop(f"do{q}", f"a{q}", "0", [*inner, f"tail{q}:"], f"end{q}", tail=f"tail{q}")
 
     def _write_gram_function(self, stage: GramStage) -> None:
-        """Write the function of a Gram stage: it adds the inner products between all lanes of the groups a and b."""
+        """Write the function of a Gram stage, which processes one pair (a, b) of groups of lanes.
+
+        It adds the inner products of each lane of group a with each lane of group b to a block of the result matrix.
+        """
         width, vector = self.plan.width, self._type_text(True)
         lines = [
             f"%left = mul i64 %a, {stage.entries * width}",
@@ -367,7 +381,10 @@ class LlvmEmitter:
         ]
 
     def _write_product(self, stage: ProductStage) -> None:
-        """Write a matrix product. A vector holds ``stage.width`` neighbouring numbers of a row of the right matrix."""
+        """Write the IR of a stage that is a matrix product.
+
+        A vector holds ``stage.width`` neighbouring numbers of a row of the right matrix.
+        """
         self.width = stage.width
         for i, line in enumerate(stage.left):
             factors = [self._load_entry(factor.array, factor.entry) for factor in line]
@@ -386,7 +403,7 @@ class LlvmEmitter:
         self.width = self.plan.width
 
     def _write_sum(self, terms: list[Value]) -> Value:
-        """Write the sum of the terms and return it.
+        """Write the instructions that add the terms, at least one, and return their sum.
 
         The two halves of the terms are added independently, so that the processor can compute them at the same time.
         """
@@ -404,7 +421,10 @@ class LlvmEmitter:
     # Instructions
 
     def _constant_literal(self, x: float) -> Value:
-        """Return the number x as a literal. Raise ValueError for NaN, which CasADi inserts for a lost symbol."""
+        """Return the number x as a literal of LLVM IR.
+
+        ValueError is raised for NaN, which CasADi inserts for a symbol that the model has converted to a number.
+        """
         if math.isnan(x):
             raise ValueError(
                 "the model converts its symbols to numbers (math.sin, float(), np.zeros); use numpy's functions"
@@ -412,7 +432,7 @@ class LlvmEmitter:
         return _hexadecimal_literal(x)
 
     def _write_operation(self, code: int, *a: Value) -> Value:
-        """Write one CasADi operation on one or two operands and return its result.
+        """Write the IR of one CasADi operation on the one or two operands ``a``, and return its result.
 
         ``code`` is CasADi's code of the operation, such as ``casadi.OP_ADD``. NotImplementedError is raised for an
         operation that LLVM and the C library do not have.
@@ -440,7 +460,7 @@ class LlvmEmitter:
     def _write_instruction(
         self, template: str, *args: Value, vector: bool = False, constant: bool = True, again: bool = False
     ) -> Value:
-        """Write an instruction, unless the same instruction was written before. Return its value.
+        """Write an LLVM instruction, unless the same instruction was written before. Return its result.
 
         Parameters
         ----------
@@ -470,7 +490,9 @@ class LlvmEmitter:
         return self.values_by_instruction[key]
 
     def _write_select(self, comparison: str, x: Value, y: Value, result: Value) -> Value:
-        """Write the expression "``result`` if x and y compare as ``comparison``, otherwise zero" and return its value.
+        """Write the instructions that select ``result`` if the comparison of x and y is true, else zero.
+
+        Return the selected value.
 
         ``comparison`` is LLVM's name of a floating-point comparison: ``olt``, ``ole``, ``oeq`` or ``une``.
         """
@@ -481,7 +503,10 @@ class LlvmEmitter:
         )
 
     def _write_library_call(self, name: str, *a: Value) -> Value:
-        """Write the call of the function ``name`` of the C library, for each lane separately. Return the result."""
+        """Write the call of the function ``name`` of the C library on the operands ``a``, and return its result.
+
+        If an operand is a vector, the function is called for each of its elements (lanes) separately.
+        """
         if not any(x.vector for x in a):
             self.declarations.add(f"declare double @{name}({', '.join(['double'] * len(a))}) memory(none)")
             return self._write_instruction(
@@ -502,7 +527,10 @@ class LlvmEmitter:
         return result
 
     def _vector_text(self, a: Value) -> str:
-        """Return the text of a value as a vector. A scalar is repeated in all lanes."""
+        """Return the name or literal of a value as a vector. A scalar is repeated in all elements of the vector.
+
+        The instructions that repeat it are written.
+        """
         if a.vector:
             return a.text
         if a.text[0] != "%":
@@ -516,7 +544,10 @@ class LlvmEmitter:
     # Memory
 
     def _write_address(self, name: str, j: int) -> str:
-        """Write the address computation of entry j of an array in the current row and group. Return the pointer."""
+        """Write the computation of the address of entry j of the array ``name``. Return the name of the pointer.
+
+        The address is that of the current row, and of the current group of lanes (vector).
+        """
         kind, size, pointer = self._type_text(name in self.plan.lanes), self.plan.sizes[name], f"%{name}"
         offsets: list[str] = []
         if name in self.plan.rows or name in self.plan.summed:
@@ -536,9 +567,10 @@ class LlvmEmitter:
         return self._write_instruction(f"getelementptr {kind}, ptr {pointer}, i64 {j}", constant=not offsets).text
 
     def _load_entry(self, name: str, j: int, again: bool = False) -> Value:
-        """Return entry j of an array in the current row and group, from its register or from memory.
+        """Return entry j of the array ``name`` in the current row and group of lanes, as a value of the program.
 
-        ``again``: whether to load the entry from memory even if it was loaded before.
+        It comes from its register, or from memory by a load instruction that is written. ``again``: whether to load it
+        from memory even if it was loaded before.
         """
         if name in self.register_values:
             return self.register_values[name][j]
@@ -551,9 +583,9 @@ class LlvmEmitter:
         )
 
     def _store_entry(self, name: str, j: int, value: Value) -> None:
-        """Write the assignment of a value to entry j of an array, or its addition if the array is summed.
+        """Write the assignment of a value to entry j of the array ``name``, or its addition if the array is summed.
 
-        For a carried array in registers, only the value is noted in ``new_values``.
+        For an array that passes from row to row in registers, nothing is written: the value is kept in ``new_values``.
         """
         if name in self.register_values:
             self.new_values[name, j] = value
@@ -565,9 +597,9 @@ class LlvmEmitter:
         self._append_lines(f"store {self._type_text(lane)} {text}, ptr {self._write_address(name, j)}, align 8")
 
     def _type_text(self, vector: bool) -> str:
-        """Return LLVM's name of the type: a vector of ``width`` doubles, or double."""
+        """Return LLVM's name of the type: a vector of ``width`` doubles if ``vector`` is true, else double."""
         return f"<{self.width} x double>" if vector else "double"
 
     def _append_lines(self, *lines: str, constant: bool = False) -> None:
-        """Append lines to the loop, or to the lines before the loop if ``constant``."""
+        """Append lines of IR to the loop over the rows, or to the lines before the loop if ``constant`` is true."""
         (self.entry_lines if constant else self.loop_lines).extend(lines)

@@ -1,7 +1,7 @@
-"""CasADi's scalar operations as LLVM instructions.
+"""CasADi's scalar operations as instructions of LLVM IR, the intermediate code of the compiler LLVM.
 
-In a template, ``{T}`` is the type (double or a vector of doubles), ``{S}`` its name in intrinsics, ``{F}`` the
-floating-point flags, and ``{0}`` and ``{1}`` the operands.
+In a template of an instruction, ``{T}`` is the type (double or a vector of doubles), ``{S}`` its name in intrinsics,
+``{F}`` the floating-point flags, and ``{0}`` and ``{1}`` the operands.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ FAST = STRICT + " reassoc"
 
 
 class FlushToZero(NamedTuple):
-    """Instructions with which a kernel treats numbers below the smallest normal number (2e-308) as zero.
+    """Lines of LLVM IR with which a kernel treats numbers of a size below the smallest normal number (2e-308) as zero.
 
-    All fields are empty on a processor for which they are not known.
+    All fields are empty on a processor for which these instructions are not known.
 
     Attributes
     ----------
@@ -59,9 +59,10 @@ FLUSH_TO_ZERO = {"x86_64": _X86, "AMD64": _X86, "aarch64": _ARM, "arm64": _ARM}.
 
 
 def _operation_templates() -> dict[int, str]:
-    """Return the templates of the operations that LLVM has as instructions or intrinsics.
+    """Return the templates of LLVM instructions, by operation, for operations that LLVM has itself.
 
-    A key is CasADi's code of the operation, such as ``casadi.OP_ADD``. The module explains the fields of a template.
+    A key is CasADi's code of the operation, such as ``casadi.OP_ADD``. A value is the text of an instruction or of the
+    call of an intrinsic, with fields in braces for type and operands, which the module explains.
     """
     table = {
         ca.OP_ADD: "fadd {F} {T} {0}, {1}",
@@ -97,10 +98,10 @@ SLOW = frozenset(getattr(ca, "OP_" + name.upper()) for name in _SLOW.split())
 
 @cache
 def rewritten() -> dict[int, Any]:
-    """Return the operations that are replaced by expressions of other operations: sin, cos, sign, not, and, or.
+    """Return expressions that replace certain operations by simpler ones: for sin, cos, sign, not, and, or.
 
-    A key is CasADi's code of the operation. A value is a CasADi function of (x, y); y is not used if the operation has
-    one operand.
+    A key is CasADi's code of the operation. A value is a CasADi function of the operands (x, y) that returns the result
+    of the operation; y is not used if the operation has one operand.
     """
     x, y = ca.SX.sym("x"), ca.SX.sym("y")
     sine, cosine = _sine_and_cosine(x)
@@ -116,9 +117,10 @@ def rewritten() -> dict[int, Any]:
 
 
 def _sine_and_cosine(x: Any) -> tuple[Any, Any]:
-    """Return the expressions of the sine and cosine of x [rad], accurate for |x| below 1e5.
+    """Return CasADi expressions of the sine and the cosine of x [rad], accurate for |x| below 1e5.
 
-    The argument is reduced to +-pi/4 with pi/2 in two parts. The polynomials are those of fdlibm.
+    The argument is reduced to -pi/4 to pi/4 by subtraction of a multiple of pi/2, which is represented by two numbers
+    for accuracy. The polynomials are those of the C library fdlibm.
     """
     k = ca.floor(x * 0.6366197723675814 + 0.5)
     r = x - k * 1.5707963267948966 - k * 6.123233995736766e-17

@@ -31,7 +31,7 @@ from seatrial.ident.engine.llvm_operations import SLOW
 
 @dataclass(frozen=True)
 class ExpressionStage:
-    """Stage of a plan that evaluates CasADi expressions.
+    """Stage of a plan (step of a kernel in each row of a record) that evaluates CasADi expressions.
 
     Attributes
     ----------
@@ -47,10 +47,11 @@ class ExpressionStage:
 
 @dataclass(frozen=True)
 class GramStage:
-    """Stage that adds the inner products between all lanes of an array to a symmetric matrix.
+    """Stage of a plan that adds the inner products between all lanes of an array to a symmetric matrix, in each row.
 
-    The array ``source`` holds ``entries`` numbers for each lane. Element (i, j) of the matrix is increased by the sum
-    over the entries of (entry in lane i) times (entry in lane j). The Fisher information is such a matrix.
+    A lane holds, for example, the derivatives by one parameter. The array ``source`` holds ``entries`` numbers for each
+    lane. Element (i, j) of the matrix is increased by the sum over the entries of (entry in lane i) times (entry in
+    lane j). The Fisher information is such a matrix.
 
     Attributes
     ----------
@@ -72,7 +73,7 @@ class GramStage:
 
 
 class Factor(NamedTuple):
-    """Element of the left matrix of a `ProductStage`: one number of an array in the current row.
+    """Element of the left matrix of a `ProductStage`: a number of an array in the current row, or twice this number.
 
     Attributes
     ----------
@@ -91,9 +92,9 @@ class Factor(NamedTuple):
 
 @dataclass(frozen=True)
 class ProductStage:
-    """Stage that computes the matrix product ``result = left right`` with vector instructions of the processor.
+    """Stage of a plan that computes the matrix product ``result = left right`` in each row of a record.
 
-    Other stages without lanes use scalar instructions.
+    It uses vector instructions of the processor. Other stages without arrays in lanes use scalar instructions.
 
     Attributes
     ----------
@@ -121,16 +122,17 @@ class ProductStage:
 
 @dataclass(frozen=True)
 class Plan:
-    """Plan of a kernel, before compilation.
+    """Plan of a kernel before compilation: a loop over the rows of a record, with a list of stages as its body.
 
     Attributes
     ----------
     stages : tuple[ExpressionStage | GramStage | ProductStage, ...]
-        Stages in the order in which they run.
+        Steps of the computation in each row, in the order in which they run.
     rows : frozenset[str]
-        Names of the arrays with a separate vector of entries for each row.
+        Names of the arrays with separate entries for each row, such as the inputs.
     lanes : frozenset[str]
-        Names of the arrays with ``width`` numbers for each entry, one per lane.
+        Names of the arrays with ``width`` numbers for each entry, one per lane. A lane holds, for example, the
+        derivatives by one parameter.
     width : int
         Number of lanes in one group; by default the number of doubles in a vector register (2, 4 or 8).
     backward : bool
@@ -145,10 +147,10 @@ class Plan:
 
     @cached_property
     def sizes(self) -> dict[str, int]:
-        """Number of entries of every array, by name, in the order of the kernel's arguments.
+        """Number of entries of every array of the kernel, by name, in the order of the kernel's arguments.
 
-        The arrays of the `ExpressionStage` stages come first, in the order of first use, then those of the others. The
-        size of a Gram matrix is ``width``.
+        An entry has one number, or one number for each lane. The arrays of stages of CasADi expressions come first, in
+        the order of first use, then those of other stages. The result of a Gram stage has ``width`` entries.
         """
         sizes: dict[str, int] = {}
         for f in self.functions:
@@ -163,7 +165,10 @@ class Plan:
 
     @cached_property
     def carried(self) -> frozenset[str]:
-        """Names of the arrays whose values pass from row to row."""
+        """Names of the arrays whose values pass from row to row, such as the state of a filter.
+
+        They are both arguments and results of stages, and have no separate entries for each row.
+        """
         arguments = {name for f in self.functions for name in f.name_in()}
         arguments |= {s.source for s in self.stages if isinstance(s, GramStage)}
         results = {name for f in self.functions for name in f.name_out()}
@@ -172,36 +177,40 @@ class Plan:
 
     @cached_property
     def summed(self) -> tuple[str, ...]:
-        """Names of the results that are summed over the rows."""
+        """Names of the results of CasADi expressions that are summed over the rows, in the order of `sizes`.
+
+        They neither pass from row to row nor have separate entries for each row.
+        """
         results = {name for f in self.functions for name in f.name_out()}
         return tuple(name for name in self.sizes if name in results and name not in self.rows | self.carried)
 
     @property
     def functions(self) -> tuple[Any, ...]:
-        """CasADi functions of those stages of the plan that compute expressions, in the order of the stages."""
+        """CasADi functions of the stages that evaluate CasADi expressions, in the order of the stages."""
         return tuple(s.function for s in self.stages if isinstance(s, ExpressionStage))
 
     @property
     def grams(self) -> frozenset[str]:
-        """Names of the results that are sums of products of columns, which `GramStage` stages compute."""
+        """Names of the result matrices of the Gram stages, which add the inner products between all lanes."""
         return frozenset(s.result for s in self.stages if isinstance(s, GramStage))
 
     @cached_property
     def layout(self) -> Layout:
-        """Layout of the arrays: the same sizes and kinds without CasADi objects, so that it can be stored in a file."""
+        """Names, sizes and kinds of the arrays, without CasADi objects, so that they can be stored in a file."""
         return Layout(self.sizes, self.rows, self.lanes, self.carried, self.summed, self.grams, self.width)
 
     def shape(self, name: str, n_rows: int, groups: int, per_row: bool = False) -> tuple[int, ...]:
-        """Return the shape of the array ``name`` for ``n_rows`` rows and ``groups`` groups of lanes.
+        """Return the shape of the array ``name`` for ``n_rows`` rows and ``groups`` groups of ``width`` lanes.
 
-        With ``per_row``, it is the shape of a result by row, of which the kernel otherwise returns the sum over the
-        rows. The result is that of `Layout.shape`. KeyError is raised for an unknown name.
+        It is (n_rows, groups, entries, width), as `Layout.shape` describes it. n_rows is absent if the array is not in
+        ``rows``, and groups and width if it is not in ``lanes``. ``per_row``: a result that is otherwise summed over
+        the rows has separate values for each row. KeyError is raised for an unknown name.
         """
         return self.layout.shape(name, n_rows, groups, per_row)
 
 
 def stage(inputs: Mapping[str, Any], results: Mapping[str, Any], bit: int | None = None) -> ExpressionStage:
-    """Return a stage that computes SX expressions.
+    """Return a stage of a plan (step of a kernel in each row) that computes SX expressions.
 
     Equal subexpressions are computed once, and the results are dense.
 
@@ -230,10 +239,11 @@ def split_by_lanes(
     bit: int | None,
     name: str,
 ) -> tuple[ExpressionStage, ExpressionStage]:
-    """Return two stages: the first computes ``results`` once, and the second ``tangents`` for each group of lanes.
+    """Return two stages of a plan, of which the second computes derivatives (tangents) for each group of lanes.
 
-    Subexpressions of ``tangents`` that depend only on ``inputs`` belong to the first stage. Their values are passed to
-    the second stage in the array ``name``. They are then computed once instead of once for every group of lanes.
+    A lane holds the derivatives by one parameter. The first stage computes ``results`` once in a row. Subexpressions of
+    ``tangents`` that depend only on ``inputs`` belong to the first stage. Their values are passed to the second stage
+    in the array ``name``. They are then computed once in a row instead of once for every group.
 
     Parameters
     ----------
@@ -261,9 +271,11 @@ def split_by_lanes(
 
 
 def replace_slow_operations(expression: Any, constant: Any, early: Any, late: Any) -> tuple[Any, list[Any], list[Any]]:
-    """Replace slow operations (such as sin and exp) that the forward pass can compute by symbols.
+    """Replace slow operations (such as sin and exp) in an expression of a backward pass by symbols.
 
-    An operation is replaced if its value depends on a symbol of ``early`` and on no symbol of ``late``.
+    The forward pass then computes and stores their values. An operation is replaced if its value depends on a symbol of
+    ``early`` and on no symbol of ``late``. Operations on ``constant`` symbols alone are not replaced, because they are
+    computed once for all rows.
 
     Parameters
     ----------
@@ -279,7 +291,8 @@ def replace_slow_operations(expression: Any, constant: Any, early: Any, late: An
     Returns
     -------
     tuple[SX, list[SX], list[SX]]
-        The column with symbols; the new symbols; the expression, of original symbols only, that each one replaces.
+        The column with new symbols in place of slow operations; the list of the new symbols; for each of them, the
+        operation that it replaces, as an expression of the original symbols.
     """
     arguments = (ca.vertcat(constant, early), late)
     f = ca.Function("f", arguments, [ca.densify(ca.cse(expression))])
@@ -287,7 +300,10 @@ def replace_slow_operations(expression: Any, constant: Any, early: Any, late: An
     values: list[Any] = []
 
     def apply(code: int, *x: tuple[Any, Any]) -> tuple[Any, Any]:
-        """Return the result of an operation as it was, and with symbols for slow operations."""
+        """Return the result of the operation ``code`` twice: as it was, and with symbols in place of slow operations.
+
+        The operands ``x`` are such pairs too.
+        """
         original, replaced = (operation(code, *[pair[version] for pair in x]) for version in (0, 1))
         if code in SLOW and ca.depends_on(original, early) and not ca.depends_on(original, late):
             values.append(original)

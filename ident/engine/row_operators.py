@@ -25,7 +25,10 @@ Index = NDArray[np.int64]
 
 
 def padded(n_columns: int) -> int:
-    """Return the number of columns, rounded up to a multiple of ``MULTIPLE`` (8, 16 or 32), as `apply_rows` needs."""
+    """Return the number of columns, rounded up to a multiple of 8, 16 or 32 (``MULTIPLE``), as `apply_rows` needs it.
+
+    The multiple is four times the number of doubles in a vector register of the processor.
+    """
     return -(-n_columns // MULTIPLE) * MULTIPLE
 
 
@@ -42,8 +45,8 @@ def apply_rows(
     """Run the recursion ``[x_k+1; y_k] = B_k [x_k; d_k] + [a_k d_k+1; 0]`` over the rows k, and write y to ``out``.
 
     x are the s states, d the p drives (inputs of the recursion) and y the m outputs. Each of the w columns is an
-    independent solution of the recursion, such as the sensitivity to one parameter. All arrays are contiguous and of
-    type float64, except those of indices (int64). The number of columns w is a result of `padded`.
+    independent solution of the recursion, such as the sensitivity to one parameter. All arrays must be contiguous and
+    of type float64, except those of indices (int64). The number of columns w must be a result of `padded`.
 
     Parameters
     ----------
@@ -52,12 +55,12 @@ def apply_rows(
     drive : Array (n + 1, p, w)
         d of each row, and d at the end of the last row.
     drive_columns : Index (p,)
-        Column of B, counted from zero among the t columns for d, by which each entry of d is multiplied. Entries that
-        drive rates come first.
+        Column of B, counted from zero among the t columns for d, by which each entry of d is multiplied. The r entries
+        of d that are also added to x directly come first.
     next_drive_factors : Array (n,)
-        Factors a, by which the drive of the next row is multiplied.
+        Factor a_k of each row, by which the drive of the next row is multiplied.
     driven_states : Index (r,)
-        Entries of x to which the first r entries of ``a_k d_k+1`` are added.
+        Indices of the entries of x to which the first r entries of ``a_k d_k+1`` are added.
     initial_states : Array (s, w)
         x of the first row. It is not changed.
     output_rows : Index (n, m)
@@ -97,16 +100,16 @@ def apply_rows(
 
 @cache
 def _compiled_recursion() -> Callable[..., None]:
-    """Compile the recursion and return it as a function.
+    """Compile the recursion of `apply_rows` and return it as a function.
 
-    Its arguments are the seven sizes (n, s, m, t, p, w, r), then the addresses of the eight arrays, in the order of
-    `_recursion_ir`. The function is compiled once per process.
+    The arguments of the function are seven sizes (n, s, m, t, p, w, r) and the addresses of eight arrays, in the order
+    of `_recursion_ir`. It is compiled, or loaded from the cache on disk, once per process.
     """
     library, address = jit.load_machine_code(_recursion_ir(), "rows", has_loops=True)
     entry = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 7, *[ctypes.c_void_p] * 8)(address)
 
     def run(*arguments: Any) -> None:
-        """Call the machine code with sizes and addresses."""
+        """Call the machine code of the recursion with seven sizes and eight addresses of arrays."""
         assert library is not None  # the code lives as long as its library
         entry(*arguments)
 
@@ -114,7 +117,7 @@ def _compiled_recursion() -> Callable[..., None]:
 
 
 class _IrWriter:
-    """Writer of the LLVM IR of one function, line by line.
+    """Writer of the LLVM IR (intermediate code of the compiler) of one function, line by line.
 
     Loop indices and sums are kept in memory; LLVM moves them to registers.
 
@@ -125,7 +128,7 @@ class _IrWriter:
     """
 
     def __init__(self) -> None:
-        """Create a writer without lines."""
+        """Create a writer without lines; the caller writes the first line, the label of the entry block."""
         self.lines: list[str] = []
         self._n = 0
 
@@ -168,7 +171,9 @@ class _IrWriter:
         self.lines.append(f"{here}.end:")
 
     def address(self, base: str, *index: tuple[str, str]) -> str:
-        """Write the instructions that compute the address of an item of an array. Return the name of the address.
+        """Write the instructions that compute the address of an item of an array of doubles.
+
+        The result is the name of the address in the IR.
 
         Parameters
         ----------
@@ -184,12 +189,13 @@ class _IrWriter:
 
 
 def _recursion_ir() -> str:
-    """Return the LLVM IR of the recursion: the function ``rows(n, s, m, t, p, w, r, B, where, x, d, a, to, at, out)``.
+    """Return the LLVM IR (intermediate code of the compiler) of the recursion of `apply_rows`.
 
-    The names are those of `apply_rows`: B is ``operators``, d is ``drive``, a is
-    ``next_drive_factors``, to is ``driven_states`` and at is ``output_rows``.
-    ``where`` (s + p,) holds the columns of B for all entries of [x; d]. ``x`` (2, s, w) holds the states of two
-    successive rows in turn.
+    It defines the function ``rows(n, s, m, t, p, w, r, B, where, x, d, a, to, at, out)``. n is the number of rows, and
+    t is the total number of columns of B. The other sizes are those of `apply_rows`. B is ``operators``, d is
+    ``drive``, a is ``next_drive_factors``, to is ``driven_states`` and at is ``output_rows`` of `apply_rows`. ``where``
+    (s + p,) holds the columns of B for all entries of [x; d]. ``x`` (2, s, w) holds the states of two successive rows
+    in turn.
     """
     width = jit.WIDTH
     vector, fma = f"<{width} x double>", f"@llvm.fmuladd.v{width}f64"
@@ -197,16 +203,22 @@ def _recursion_ir() -> str:
     text.lines = ["entry:", *(f"  {name} = alloca {vector}" for name in sums)]
 
     def splat(number: str) -> str:
-        """Write the instructions that repeat a scalar in a vector. Return the name of the vector."""
+        """Write the instructions that repeat the scalar ``number`` in a vector. Return the name of the vector."""
         first = text.instruction(f"insertelement {vector} poison, double {number}, i32 0")
         return text.instruction(f"shufflevector {vector} {first}, {vector} poison, <{width} x i32> zeroinitializer")
 
     def vector_addresses(place: str) -> list[str]:
-        """Return the names of the addresses of four neighbouring vectors, the first at the address ``place``."""
+        """Write the computation of the addresses of four neighbouring vectors, and return the names of the addresses.
+
+        The first vector is at the address ``place``.
+        """
         return [text.instruction(f"getelementptr double, ptr {place}, i64 {k * width}") for k in range(VECTORS)]
 
     def add_product(row: str, column: str, item: str) -> None:
-        """Add the entry (row, column) of B, times four vectors of columns at the address ``item``, to the sums."""
+        """Write the addition of the entry (row, column) of B, times four vectors at the address ``item``, to the sums.
+
+        The vectors hold neighbouring columns of x or d.
+        """
         factor = splat(text.instruction(f"load double, ptr {text.address('%B', ('', row), ('%t', column))}"))
         for name, place in zip(sums, vector_addresses(item), strict=True):
             x = text.instruction(f"load {vector}, ptr {place}, align 8")
@@ -215,7 +227,7 @@ def _recursion_ir() -> str:
             text(f"store {vector} {more}, ptr {name}")
 
     def write_row(k: str) -> None:
-        """Write the loop body of row k: the next state, the outputs, and the share of the next drive."""
+        """Write the loop body of row k: the next state, the outputs, and the term of the next drive ``a_k d_k+1``."""
         now = text.instruction(f"and i64 {k}, 1")
         later = text.instruction(f"xor i64 {now}, 1")
         after = text.instruction(f"add i64 {k}, 1")
@@ -226,13 +238,13 @@ def _recursion_ir() -> str:
             row = text.instruction(f"add i64 {text.instruction(f'mul i64 {k}, {height}')}, {i}")
 
             def write_columns(c: str) -> None:
-                """Write the sum of the products for the columns from ``c`` on."""
+                """Write the sum of the products for the columns from ``c`` on, as many as four vectors hold."""
                 for name in sums:
                     text(f"store {vector} zeroinitializer, ptr {name}")
                 text.loop("%s", lambda j: add_product(row, j, text.address("%x", ("", now), ("%s", j), ("%w", c))))
 
                 def add_drive_product(j: str) -> None:
-                    """Add the product of row i of B with entry j of the drive to the sums."""
+                    """Write the addition of the product of row i of B with entry j of the drive d to the sums."""
                     index = text.instruction(f"add i64 %s, {j}")
                     source = text.instruction(f"load i64, ptr {text.address('%where', ('', index))}")
                     add_product(row, source, text.address("%d", ("", k), ("%p", j), ("%w", c)))
@@ -247,7 +259,7 @@ def _recursion_ir() -> str:
         text.loop("%s", lambda i: write_product(i, text.address("%x", ("", later), ("%s", i), ("%w", "0"))))
 
         def store_output(i: str) -> None:
-            """Write output i, if its row in ``out`` is not NOWHERE."""
+            """Write the computation and store of output i, which is skipped if its row in ``out`` is NOWHERE (-1)."""
             place = text.instruction(f"load i64, ptr {text.address('%at', ('', k), ('%m', i))}")
             text._n += 1
             here = f"if{text._n}"
@@ -261,11 +273,11 @@ def _recursion_ir() -> str:
         weight = splat(text.instruction(f"load double, ptr {text.address('%a', ('', k))}"))
 
         def add_next_drive(e: str) -> None:
-            """Add entry e of the next drive, times the factor a, to its entry of x."""
+            """Write the addition of entry e of the next drive, times the factor a_k, to its entry of the next x."""
             i = text.instruction(f"load i64, ptr {text.address('%to', ('', e))}")
 
             def write_columns(c: str) -> None:
-                """Write the addition of the input's part to the columns from ``c`` on."""
+                """Write this addition for the columns from ``c`` on, as many as four vectors hold."""
                 target = text.address("%x", ("", later), ("%s", i), ("%w", c))
                 source = text.address("%d", ("", after), ("%p", e), ("%w", c))
                 for to, drive in zip(vector_addresses(target), vector_addresses(source), strict=True):

@@ -19,9 +19,9 @@ ROWS = 32  # rows of states and inputs for which one call evaluates the Jacobian
 class VectorisedModel:
     """Rates (time derivatives of the states) and outputs of a model for whole arrays of states and inputs.
 
-    The functions of the model are called with arrays (n_rows,) instead of scalars. If they raise TypeError or
-    ValueError for arrays, CasADi evaluates them, which is five to ten times slower. Values that are not finite raise
-    no warning.
+    A row is one instant with its states and inputs. The functions of the model are called with arrays (n_rows,) instead
+    of scalars. If they raise TypeError or ValueError for arrays, CasADi evaluates them, which is five to ten times
+    slower. Values that are not finite raise no warning.
 
     Attributes
     ----------
@@ -32,7 +32,7 @@ class VectorisedModel:
     """
 
     def __init__(self, model: Model) -> None:
-        """Store the model, whose functions each call evaluates with numpy."""
+        """Store the model, whose functions are evaluated in each call. Nothing is compiled yet."""
         self.model = model
         self.n_states, self.n_outputs = len(model.states), len(model.outputs)
 
@@ -60,10 +60,10 @@ class VectorisedModel:
         return result
 
     def columns(self, x: Array, u: Array, values: Array) -> list[Array]:
-        """Return the rates, followed by the outputs, as a list of n_states + n_outputs arrays (n_rows,).
+        """Return the rates of the states, followed by the outputs, as a list of n_states + n_outputs arrays (n_rows,).
 
-        The arguments are states x (n_rows, n_states), inputs u (n_rows, n_inputs) and parameters (n_parameters,). A
-        rate or output that does not depend on the row is repeated.
+        The arguments are states x (n_rows, n_states), inputs u (n_rows, n_inputs) and values of the parameters
+        (n_parameters,). A rate or output that is the same for all rows is repeated.
         """
         with np.errstate(all="ignore"):
             try:
@@ -74,24 +74,27 @@ class VectorisedModel:
                 return list(np.asarray(self._rates_and_outputs(x.T, u.T, values)))
 
     def output_jacobian(self, x: Array, u: Array, values: Array) -> Array:
-        """Return the derivatives of the outputs by the states, shape (n_rows, n_outputs, n_states).
+        """Return the derivatives of the outputs by the states for all rows, shape (n_rows, n_outputs, n_states).
 
-        The arguments are states x (n_rows, n_states), inputs u (n_rows, n_inputs) and parameters (n_parameters,).
+        The arguments are states x (n_rows, n_states), inputs u (n_rows, n_inputs) and values of the parameters
+        (n_parameters,).
         """
         return self._evaluate_jacobian(self._output_jacobian, self.n_outputs, x, u, values)
 
     def rate_jacobian(self, x: Array, u: Array, values: Array) -> Array:
-        """Return the derivatives of the rates (second axis) by the states, shape (n_rows, n_states, n_states).
+        """Return the derivatives of the rates by the states for all rows, shape (n_rows, n_states, n_states).
 
-        The arguments are states x (n_rows, n_states), inputs u (n_rows, n_inputs) and parameters (n_parameters,).
+        Rates (time derivatives of the states) are along the second axis. The arguments are states x (n_rows, n_states),
+        inputs u (n_rows, n_inputs) and values of the parameters (n_parameters,).
         """
         return self._evaluate_jacobian(self._rate_jacobian, self.n_states, x, u, values)
 
     def _evaluate_jacobian(self, function: Any, n: int, x: Array, u: Array, values: Array) -> Array:
         """Return a Jacobian for all rows of states and inputs, shape (n_rows, n, n_states).
 
-        ``function`` is a result of `_map_over_rows` for a Jacobian with n matrix rows. The arguments are passed in
-        buffers, because CasADi copies other arguments several times.
+        ``function`` is a CasADi function that evaluates a Jacobian with n matrix rows for 32 rows in each call. The
+        arguments are states x, inputs u and values of the parameters. They are passed in buffers, because CasADi would
+        copy arrays several times.
         """
         jacobians = np.empty((len(x), n, self.n_states))
         rows_x, rows_u, p = np.zeros((ROWS, x.shape[1])), np.zeros((ROWS, u.shape[1])), np.array(values, np.float64)
@@ -124,13 +127,13 @@ class VectorisedModel:
 
     @cached_property
     def _output_jacobian(self) -> Any:
-        """CasADi function of the derivatives of the outputs by the states, for ``ROWS`` rows in each call."""
+        """CasADi function of the derivatives of the outputs by the states, for 32 rows (instants) in each call."""
         symbols, _, y = self._symbolic_model
         return _map_over_rows("H", symbols, ca.jacobian(y, symbols[0]))
 
     @cached_property
     def _rate_jacobian(self) -> Any:
-        """CasADi function of the derivatives of the rates by the states, for ``ROWS`` rows in each call."""
+        """CasADi function of the derivatives of the rates by the states, for 32 rows (instants) in each call."""
         symbols, rate, _ = self._symbolic_model
         return _map_over_rows("A", symbols, ca.jacobian(rate, symbols[0]))
 
@@ -138,7 +141,8 @@ class VectorisedModel:
 def _map_over_rows(name: str, symbols: list[Any], slopes: Any) -> Any:
     """Return a CasADi function that evaluates the matrix ``slopes`` for 32 rows of states and inputs in one call.
 
-    ``name`` is the name of the CasADi function, and ``symbols`` are [x, u, p]. The parameters p are common to all rows.
+    ``name`` is the name of the CasADi function. ``symbols`` are the symbols [x, u, p] of ``slopes``: states, inputs and
+    parameters. The parameters are common to all rows.
     """
     single_row = ca.Function(name, symbols, [ca.densify(slopes)])
     return single_row.map(f"{name}_by_rows", "serial", ROWS, [2], [])

@@ -66,10 +66,10 @@ def unexcited_motion(fit: Fit, records: Sequence[Record]) -> UnexcitedMotion | N
             value, error = reported.estimate(p, 0)
             if not error <= LARGEST_ERROR * abs(value):
                 lost.append(p.name)
-    return UnexcitedMotion(tuple(lost), _reason(fit, records)) if lost else None
+    return UnexcitedMotion(tuple(lost), _reason_in_commands(fit, records)) if lost else None
 
 
-def _reason(fit: Fit, records: Sequence[Record]) -> str:
+def _reason_in_commands(fit: Fit, records: Sequence[Record]) -> str:
     """Return why the motion was not excited, as a clause about the inputs of the left and the right thruster.
 
     The reason is that neither input changed, or that the two did not differ: a standard deviation below 2 % of the
@@ -81,13 +81,13 @@ def _reason(fit: Fit, records: Sequence[Record]) -> str:
         return ""
     left, right = (np.concatenate([r.u[:, r.inputs.index(str(n))] for r in records]) for n in sides)
     full = max(float(np.max(np.abs([left, right]))), 1e-12)
-    if all(_spread(side) < SAME_COMMAND * full for side in (left, right)):
+    if all(_standard_deviation(side) < SAME_COMMAND * full for side in (left, right)):
         return "the thrusters never changed"
-    if _spread(left - right) < SAME_COMMAND * full:
+    if _standard_deviation(left - right) < SAME_COMMAND * full:
         return "both thrusters always did the same, so that nothing turned the boat"
     return ""
 
 
-def _spread(signal: Array) -> float:
-    """Return the standard deviation of a signal."""
+def _standard_deviation(signal: Array) -> float:
+    """Return the standard deviation of a signal (n,), in its unit."""
     return float(np.std(signal))

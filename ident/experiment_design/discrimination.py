@@ -107,7 +107,7 @@ class HypothesisPair:
             change = values[:, columns] - initial
             current = ee + np.einsum("ni,ij,nj->n", change, self._prior, change)
             slope = g - change @ self._prior
-            step = _solve(F + self._prior, slope)
+            step = _gauss_newton_step(F + self._prior, slope)
             best = np.fmin(best, current)
             if k == refits:
                 linear = current - np.einsum("ni,ni->n", slope, step)
@@ -171,7 +171,7 @@ class HypothesisPair:
         return ee[:, 0], g, symmetric_matrices(triangle, len(self.free))
 
 
-def _solve(F: Array, g: Array) -> Array:
+def _gauss_newton_step(F: Array, g: Array) -> Array:
     """Return the Gauss-Newton step F^-1 g (n, q) of each of n experiments.
 
     Each information matrix of F (n, q, q) is scaled to a unit diagonal and slightly regularised. The step is zero for
@@ -287,6 +287,11 @@ def discriminate(
         Number of evaluations of T.
     progress
         Function of the number of evaluations and the best logarithm of T, called during the search.
+
+    Returns
+    -------
+    DiscriminationDesign
+        Best step sequence, with its T after six Gauss-Newton steps for each model as the true one.
 
     Raises
     ------

@@ -204,10 +204,11 @@ class ThrusterResponse:
     def _column(self, name: str, n: Mapping[str, Array]) -> Array:
         """Return one input (n_rows, n) of the model by its name, from the shaft speeds (n_rows, n) of the channels.
 
-        The time input is ``t``. The work input is the integral of ``|n|^3`` over time, summed over the channels. An
-        input ``n_SIDE`` is a shaft speed, and ``f_SIDE`` is a thrust [N]. ``X`` is the sum of both thrusts [N]. ``N``
-        is the moment [N m] of both thrusts at arms of 0.15 m, positive for more thrust on the left. A model of surge
-        alone has the same speed on both sides; a model of yaw alone has opposite speeds.
+        ``n`` has the shaft speeds by channel, or the commands by name of the input if the shafts are states of the
+        model. The time input is ``t``. The work input is the integral of ``|n|^3`` over time, summed over the channels
+        and divided by 150 s. An input ``n_SIDE`` is a shaft speed, and ``f_SIDE`` is a thrust [N]. ``X`` is the sum of
+        both thrusts [N]. ``N`` is the moment [N m] of both thrusts at arms of 0.15 m, positive for more thrust on the
+        left. A model of surge alone has the same speed on both sides; a model of yaw alone has opposite speeds.
         """
         if name == TIME_INPUT:
             return np.broadcast_to(self.t[:, None], next(iter(n.values())).shape)
@@ -234,7 +235,8 @@ class ThrusterResponse:
     def _delayed(self, value: Array, seconds: float) -> Array:
         """Return a signal (n_rows, n) delayed by ``seconds``, interpolated linearly between the rows.
 
-        Before the start the delayed signal has the initial value.
+        Before the start the delayed signal has the initial value. A negative delay is a lead; after the end the signal
+        is then extrapolated linearly.
         """
         at = np.maximum(self.t - seconds, self.t[0])
         row = np.clip(np.searchsorted(self.t, at + 1e-9, side="right") - 1, 0, self.t.size - 2)
@@ -302,7 +304,7 @@ class StepInput:
 
     @property
     def n_rows(self) -> int:
-        """Total duration in rows of the grid."""
+        """Total duration of the steps, in rows of the grid."""
         return round(self.duration / self.grid)
 
     @property
@@ -312,7 +314,7 @@ class StepInput:
 
     @property
     def size(self) -> int:
-        """Number of coordinates of a search point."""
+        """Number of coordinates of a search point: the levels of all steps and channels, and the relative durations."""
         return self.n_steps * (self.n_channels + 1)
 
     @property

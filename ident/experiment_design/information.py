@@ -131,7 +131,10 @@ class Experiments:
         q, k = len(self.free), len(self.extremes)
 
         def work(lanes: slice) -> tuple[Array, Array, Array]:
-            """Return information (upper triangles), minima and maxima of a slice of the experiments, by rows."""
+            """Return information (upper triangles), minima and maxima, one row for each experiment of a slice.
+
+            The last rows may repeat the last experiment, to fill up its group.
+            """
             arguments = self._arguments(u, values, lanes)
             if self._batch.covariance:
                 arguments["s"] = with_covariance(self.model, arguments["s"], arguments["p"])
@@ -152,7 +155,10 @@ class Experiments:
         kernel = self._batch.tracks[u.ndim == 3]
 
         def work(lanes: slice) -> tuple[Array, Array]:
-            """Return minima and maxima (m, k) of a slice of the experiments; m includes the copies at the end."""
+            """Return minima and maxima (m, k), one row for each experiment of a slice.
+
+            The last rows may repeat the last experiment, to fill up its group.
+            """
             results = self._run(kernel, self._arguments(u, values, lanes), len(self.extremes))
             return _from_lanes(results["low"]), _from_lanes(results["high"])
 

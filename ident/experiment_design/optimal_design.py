@@ -68,7 +68,7 @@ class Design:
 
     @cached_property
     def evaluator(self) -> DesignEvaluator:
-        """Evaluator of the design problem."""
+        """Evaluator of the design problem: information, criterion and violation of the limits of commands."""
         return DesignEvaluator(self.problem)
 
     def command_on(self, problem: DesignProblem) -> Array:
@@ -350,7 +350,12 @@ def search_design(
         Number of random points.
     above
         Function of search points and a merit (the value of an admissible point) that returns value and violation. It
-        may be inexact, and therefore faster, for points that are not better than the merit.
+        may be inexact, and therefore faster, for points that are not better than the merit. None: ``evaluate``.
+
+    Returns
+    -------
+    SearchResult
+        Best point found. Its violation is positive if no point is admissible.
     """
     if warm is None:
         starts = steps.random(n_start, np.random.default_rng([seed, 13]))

@@ -82,7 +82,8 @@ class DesignProblem:
     prior
         Prior of the parameters. None: uniform within 0.75 to 1.25 of the nominal values, without earlier logs.
     validity
-        Range (minimum, maximum) of each input and state in the data of the model, by name; empty if unknown.
+        Range (minimum, maximum) of each input and state in the logs to which the model was fitted, by name; empty if
+        unknown.
     fitted_rates
         Rates of the sensors [Hz] to which the noise parameters of the model refer, by sensor; empty if unknown.
     robust

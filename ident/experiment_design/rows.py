@@ -106,6 +106,7 @@ def _jacobian(model: Model, x: Array, u: Array, boats: Array) -> Array:
     J, steps = np.empty((len(x), x.shape[1], x.shape[1])), 1e-5 * (1.0 + np.abs(x))
 
     def rates(at: Array) -> Array:
+        """Return the rates (n, n_states) of the states at states ``at`` (n, n_states)."""
         found = model.signals(at.T, u, boats.T).rate
         return np.column_stack([np.broadcast_to(found[s.name], len(x)) for s in model.states])
 

@@ -102,7 +102,10 @@ class TrackExtent:
 
     @property
     def extremes(self) -> tuple[str, ...]:
-        """Names of the k quantities of a call: the states, then the squared speed ``speed2`` if the model has one."""
+        """Names of the k quantities whose minimum and maximum a call returns.
+
+        They are the states, and then the squared speed ``speed2`` if the model has a surge speed.
+        """
         return self._experiments.extremes
 
     @cached_property

@@ -71,9 +71,10 @@ def integrated_autocorrelation_time(series: Sequence[Array], truncation: Truncat
 
 
 def correlation_length(series: Sequence[Array]) -> float:
-    """Return the correlation length m of a series [samples]; zero for white noise.
+    """Return the correlation length m [samples] of all series together; zero for white noise.
 
-    Block sums of L samples miss a share ``m / 2L`` of the variance of the sum of all samples.
+    It determines how long blocks have to be: the sums of blocks of L samples miss a share ``m / 2L`` of the variance of
+    the sum of all samples.
 
     Parameters
     ----------
@@ -88,9 +89,9 @@ def correlation_length(series: Sequence[Array]) -> float:
 
     Notes
     -----
-    The length is ``tau - 1 / tau`` for first-order noise; other noise is treated alike. It comes from the samples by
-    the window. It comes from sums over 2, 4, 8, ... samples by the correlation of neighbouring sums if that gives a
-    significantly longer one.
+    The length of first-order noise is ``tau - 1 / tau``, with tau the integrated autocorrelation time; other noise is
+    treated alike. A first estimate uses tau of the samples, by Sokal's window. A second estimate uses the correlation
+    of neighbouring sums over 2, 4, 8, ... samples. It replaces the first one if it is significantly longer.
     """
     kept = [x[x != 0.0] for x in series]
     n, rows = sum(x.size for x in kept), sum(x.size for x in series)
@@ -116,7 +117,8 @@ def correlation_length(series: Sequence[Array]) -> float:
 def _lag_one_correlation(series: Sequence[Array]) -> tuple[float, float]:
     """Return the correlation of neighbouring samples, -1 to 1, and its ratio to its standard error.
 
-    The mean of each series is removed. Empty series are ignored. (0, 0) if all samples are equal.
+    It is that of all series together, each without its mean. Empty series are ignored. The result is (0, 0) if all
+    samples of a series are equal in every series.
     """
     centred = [x - x.mean() for x in series if x.size]
     pairs = np.concatenate([np.zeros(1), *(x[1:] * x[:-1] for x in centred)])
@@ -125,9 +127,10 @@ def _lag_one_correlation(series: Sequence[Array]) -> tuple[float, float]:
 
 
 def _time_by_window(rho: Array) -> float:
-    """Return the integrated autocorrelation time [samples] by Sokal's window, from the autocorrelations rho (n,).
+    """Return the integrated autocorrelation time [samples] by Sokal's window, from rho (n,) at the lags 0 to n - 1.
 
-    If no window is long enough, return n.
+    It is ``tau(m) = 1 + 2 sum rho_k`` over the lags 1 to m, at the smallest m with ``m >= 5 tau(m)``. If there is no
+    such m, return n.
     """
     tau = 2.0 * np.cumsum(rho) - 1.0
     enough = np.flatnonzero(np.arange(rho.size) >= WINDOW * tau)
@@ -137,8 +140,9 @@ def _time_by_window(rho: Array) -> float:
 def _time_by_initial_positive(rho: Array) -> float:
     """Return the integrated autocorrelation time [samples] by Geyer's initial positive sequence.
 
-    For a reversible chain the sums of neighbouring autocorrelations are positive and decrease. The sequence of these
-    sums, from the autocorrelations rho (n,), ends at the first one that is not positive, and is made to decrease.
+    The autocorrelations rho (n,), from lag 0 on, are added in pairs. The sequence of these sums ends before the first
+    one that is not positive. Each sum that exceeds an earlier one is replaced by the earlier one, since the true sums
+    of a reversible chain are positive and decrease. The result may be below 1.
     """
     pairs = rho[: rho.size // 2 * 2].reshape(-1, 2).sum(axis=1)
     negative = np.flatnonzero(pairs <= 0)
@@ -157,7 +161,7 @@ def effective_sample_size(z: Array) -> float:
     Returns
     -------
     float
-        1 to n. n for fewer than three samples, and if all are zero.
+        Number between 1 and n. It is n for fewer than three samples, and if all samples are zero.
 
     Notes
     -----

@@ -13,14 +13,20 @@ from seatrial.ident.numerics.linear_algebra import Array
 
 
 def chi2_sf(x: Any, df: Any) -> Any:
-    """Return the probability that a chi-squared variable with ``df`` degrees of freedom exceeds x. Array or number."""
+    """Return the probability that a chi-squared variable with ``df`` degrees of freedom exceeds x.
+
+    The arguments are numbers or arrays. A negative x counts as zero.
+    """
     from scipy import special
 
     return special.chdtrc(df, np.maximum(x, 0.0))
 
 
 def chi2_cdf(x: Any, df: Any) -> Any:
-    """Return the probability that a chi-squared variable with ``df`` degrees of freedom is at most x."""
+    """Return the probability that a chi-squared variable with ``df`` degrees of freedom is at most x.
+
+    The arguments are numbers or arrays. A negative x counts as zero.
+    """
     from scipy import special
 
     return special.chdtr(df, np.maximum(x, 0.0))
@@ -62,7 +68,10 @@ def normal_ppf(p: Any) -> Any:
 
 
 def fisher_sf(x: Any, df_numerator: Any, df_denominator: Any) -> Any:
-    """Return the probability that a variable with Fisher's F distribution exceeds x."""
+    """Return the probability that a variable with Fisher's F distribution exceeds x.
+
+    The degrees of freedom are those of the numerator and the denominator of the ratio.
+    """
     from scipy import special
 
     return special.fdtrc(df_numerator, df_denominator, x)

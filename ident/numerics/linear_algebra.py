@@ -77,7 +77,9 @@ def scaled_eigen(A: Array, floor: float = 0.0) -> ScaledEigen:
 
 
 def scaled_inverse(A: Array) -> Array:
-    """Return the inverse (n, n) of a positive definite A (n, n), computed with unit diagonal.
+    """Return the inverse (n, n) of a positive definite A (n, n).
+
+    A is scaled to unit diagonal, inverted and scaled back, so that rounding errors do not depend on units.
 
     Raises
     ------
@@ -89,7 +91,7 @@ def scaled_inverse(A: Array) -> Array:
 
 
 def scaled_pseudo_inverse(A: Array) -> Array:
-    """Return the Moore-Penrose pseudo-inverse (n, n) of the scaled A, scaled back.
+    """Return the Moore-Penrose pseudo-inverse (n, n) of A scaled to unit diagonal, scaled back.
 
     A (n, n) is symmetric, positive semidefinite, with a positive diagonal. For a regular A the result is the inverse.
     """
@@ -98,7 +100,7 @@ def scaled_pseudo_inverse(A: Array) -> Array:
 
 
 def covariance_root(P: Array, tolerance: float) -> Array:
-    """Return directions of one standard deviation L (n, k) of a covariance P (n, n), such that ``L L' = P``.
+    """Return a square root L (n, k) of a covariance P (n, n): ``L L' = P``, a direction of one deviation per column.
 
     Parameters
     ----------

@@ -62,13 +62,13 @@ class SearchState:
     z : Array (size,)
         Best point so far.
     merit
-        Its merit by `penalised_objective`.
+        Its merit by `penalised_objective`: the objective, or a large negative number if a constraint is violated.
     mesh
         Mesh size, relative to the range of a coordinate.
     evaluations
         Number of evaluations so far.
     history
-        Evaluations and merit after each batch.
+        Number of evaluations so far and best merit so far, after each batch.
     order
         Indices of the coordinates that are still to be polled (moved up and down) with this mesh, in random order.
     idle
@@ -107,7 +107,7 @@ class SearchResult:
     evaluations
         Number of evaluations.
     history
-        Evaluations and merit of the best search after each batch.
+        Number of evaluations so far and best merit so far of the best search, after each batch.
     merits
         Final merit of the search from each start.
     """
@@ -167,9 +167,10 @@ class PatternSearch:
             gets the rest. A single start gets all.
         evaluations
             Total number of evaluations. The last batch of each search may exceed it. A search ends earlier if its mesh
-            is fine enough.
+            becomes finer than 0.001 of the range of a coordinate.
         progress
-            Function that is called with the evaluations and the merit of the current search after each batch.
+            Function that is called after each batch with the number of evaluations and the best merit of the current
+            search.
 
         Returns
         -------
@@ -194,9 +195,10 @@ class PatternSearch:
         return SearchResult(best.z, float(value[0]), float(violation[0]), spent, tuple(best.history), merits)
 
     def _continue_search(self, search: SearchState, until: int, progress: Callable[[int, float], None] | None) -> None:
-        """Continue a search until it has used ``until`` evaluations or its mesh is fine enough.
+        """Continue a search until it has used ``until`` evaluations in all or its mesh is below 0.001 of the range.
 
-        It changes ``search`` in place, and calls ``progress`` with evaluations and merit after each batch.
+        It changes ``search`` in place. After each batch it calls ``progress`` with the number of evaluations and the
+        best merit of the search.
         """
         while search.evaluations < until and not search.done:
             self._evaluate_batch(search)
@@ -205,9 +207,10 @@ class PatternSearch:
                 progress(search.evaluations, search.merit)
 
     def _evaluate_batch(self, search: SearchState) -> None:
-        """Evaluate one batch and move to its best point if that is an improvement; else count an idle batch.
+        """Evaluate one batch of points and move to its best point if that is an improvement; else count an idle batch.
 
-        It changes ``search`` in place. After enough idle batches it halves the mesh first.
+        It changes ``search`` in place. It halves the mesh first if all coordinates have been polled and at least six
+        batches in sequence were idle (more for many coordinates).
         """
         if not search.order:
             if search.idle >= max(PATIENCE, -(-self.low.size // (BATCH // 4))):

@@ -53,11 +53,11 @@ def rotate(R: Matrix, z: Sequence[Any]) -> list[Any]:
 
 
 def transposed(R: Matrix) -> Matrix:
-    """Return the transposed matrix; the transpose of a rotation matrix is its inverse."""
+    """Return the transpose of a matrix, a list of rows. The transpose of a rotation matrix is its inverse."""
     return [list(column) for column in zip(*R, strict=True)]
 
 
 def matrix_product(A: Matrix, B: Matrix) -> Matrix:
-    """Return the product A B of two matrices."""
+    """Return the product A B (n, p) of two matrices (n, m) and (m, p), as a list of rows."""
     columns = transposed(B)
     return [rotate(columns, row) for row in A]

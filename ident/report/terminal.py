@@ -33,19 +33,22 @@ from seatrial.ident.results import (
     VehicleResult,
 )
 
-MAX_OUTAGES, MAX_SEGMENTS, MAX_NOISE_CHANNELS = 8, 24, 12  # rows of a table
+MAX_OUTAGES, MAX_SEGMENTS, MAX_NOISE_CHANNELS = 8, 24, 12  # largest numbers of rows of a table
 MAX_PARAMETERS, MAX_CANDIDATES, MAX_ERROR_CHANNELS = 9, 6, 8
 MIN_GROWTH = 1.05  # a standard error that grows by a smaller factor does not depend on the segment
 
 
 def titled_table(title: str) -> Table:
-    """Return an empty terminal table with a title and the common style."""
+    """Return an empty table for the terminal, with a title and the style of all tables of this module."""
     style = {"title_justify": "left", "title_style": "bold cyan", "header_style": "dim", "border_style": "dim"}
     return Table(title=Text(title), box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, **style)  # type: ignore[arg-type]
 
 
 def tables_of(result: Result) -> list[Table]:
-    """Return the terminal tables below the answer of a result that is not a fit; empty if it has none."""
+    """Return the tables for the terminal of a result that is not a fit: of sensor noise, navigation or information.
+
+    The list is empty for other results and for a navigation without GNSS outages.
+    """
     if isinstance(result, NoiseResult):
         return [noise_table(result)]
     if isinstance(result, NavigationResult):
@@ -56,7 +59,10 @@ def tables_of(result: Result) -> list[Table]:
 
 
 def noise_table(result: NoiseResult) -> Table:
-    """Return the table of white noise and random walk of up to 12 channels, rejected noise models first."""
+    """Return the table of white noise and random walk of up to 12 channels of sensors at rest.
+
+    Channels whose noise model failed its test come first. The title has the number of channels that are left out.
+    """
     shown = sorted(result.noise, key=lambda c: c.accepted)[:MAX_NOISE_CHANNELS]
     left = f" ({len(result.noise) - len(shown)} more in the report)" if len(result.noise) > len(shown) else ""
     table = titled_table(f"Noise{left}")
@@ -77,7 +83,10 @@ def noise_table(result: NoiseResult) -> Table:
 
 
 def outage_table(result: NavigationResult) -> Table:
-    """Return the table of up to eight GNSS outages, those with the largest predicted position errors first."""
+    """Return the table of up to eight GNSS outages, the largest predicted position error first.
+
+    An outage whose error exceeds the allowed one is red. The title has the number of all outages if some are left out.
+    """
     found = result.outages
     shown = sorted(found, key=lambda o: -o.at_end.radius)[:MAX_OUTAGES]
     worst = "" if len(shown) == len(found) else f" ({len(shown)} worst of {len(found)})"
@@ -93,7 +102,11 @@ def outage_table(result: NavigationResult) -> Table:
 
 
 def parameter_table(result: InformationResult) -> Table:
-    """Return the table of standard errors from these logs, with the segment of a log that each depends on most."""
+    """Return the table of the standard errors of the parameters from all logs, with their most important segment.
+
+    It is the segment of a log that a standard error depends on most; the last column is the factor by which the error
+    would grow without it. A parameter without information has neither.
+    """
     table = titled_table("Information of these logs")
     table.add_column("", no_wrap=True)
     table.add_column("value ± s.e.", justify="right", no_wrap=True)
@@ -111,9 +124,9 @@ def parameter_table(result: InformationResult) -> Table:
 
 
 def segment_table(result: InformationResult) -> Table:
-    """Return the table of factors by which standard errors would grow without each segment of the logs.
+    """Return the table of factors by which the standard errors would grow without each segment of the logs.
 
-    Up to nine parameters (columns) and 24 segments are shown.
+    The rows are the first 24 segments and the columns the first nine parameters; the title states if there are more.
     """
     names, found = result.information.names, result.information.segments
     shown = names[:MAX_PARAMETERS]
@@ -133,10 +146,10 @@ def segment_table(result: InformationResult) -> Table:
 
 
 def _growth_text(factor: float) -> str:
-    """Return the factor by which a standard error grows without a segment as text.
+    """Return the factor by which a standard error grows without a segment of the logs, as text of two digits.
 
-    ``all``: only this segment informs the parameter (infinite factor). A dash: no segment does (NaN). A dot: the factor
-    is below 1.05.
+    ``all``: only this segment informs the parameter (infinite factor). A dash: no segment informs it (NaN). A dot: the
+    factor is below 1.05, so that the standard error does not depend on the segment.
     """
     if math.isnan(factor):
         return "–"
@@ -147,7 +160,14 @@ def print_result(result: Result, console: Console) -> None:
     """Print the warnings, the answer, the caveat of a diagnosis and the tables of a result to the console.
 
     The tables of a fit are its parameters, profile likelihoods and prediction errors; a diagnosis adds the candidates.
-    The answer of a fit that did not converge is printed as a warning.
+    A table without rows is left out. The answer of a fit that did not converge is printed as a warning.
+
+    Parameters
+    ----------
+    result
+        Result of a command.
+    console
+        Console of rich to print to.
     """
     console.print()
     for warning in result.warnings:
@@ -165,7 +185,7 @@ def print_result(result: Result, console: Console) -> None:
 
 
 def _all_tables(result: Result) -> Sequence[Table | None]:
-    """Return the tables of any result in the order of printing, None in place of a table without content."""
+    """Return the tables for the terminal of any result in the order of printing; None for a table without rows."""
     if not isinstance(result, FitResult):
         return tables_of(result)
     diagnosis = result if isinstance(result, DiagnosisResult) else None
@@ -178,9 +198,10 @@ def _all_tables(result: Result) -> Sequence[Table | None]:
 
 
 def _parameters_table(fit: FitSummary, added: Sequence[EffectRow]) -> Table | None:
-    """Return the table of up to nine free parameters: those of the added effects first, then those of the dynamics.
+    """Return the table of up to nine estimated parameters: those of the added effects first, then those of the model.
 
-    Noise parameters and fixed parameters are left out; the report contains them. None if no parameter is left.
+    Noise parameters and fixed parameters are left out (the report has them), and per-record parameters come last. The
+    result is None if no parameter is left. ``added`` has the effects that a diagnosis added; empty for other fits.
     """
     effects = [row for effect in added for row in effect.parameters]
     effect_names = {row.name for row in effects}
@@ -207,15 +228,15 @@ def _parameters_table(fit: FitSummary, added: Sequence[EffectRow]) -> Table | No
 
 
 def error_title(scale: ForceScale) -> str:
-    """Return the title of the column of values and standard errors in the terminal's table of parameters.
+    """Return the title of the column of values and standard errors in the table of parameters.
 
-    The title says so if the standard errors exclude the uncertainty of the thrust.
+    It is ``value ± s.e.``, with ``(statistical only)`` if the standard errors exclude the uncertainty of the thrust.
     """
     return "value ± s.e. (statistical only)" if scale.statistical_only else "value ± s.e."
 
 
 def _profiles_table(found: Sequence[ProfileCurve]) -> Table | None:
-    """Return the table of profile-likelihood intervals, None without profiles; the report shows their curves."""
+    """Return the table of the 95 % intervals by profile likelihood and by standard error; None without profiles."""
     if not found:
         return None
     table = titled_table("Profile likelihood")
@@ -235,10 +256,11 @@ def _profiles_table(found: Sequence[ProfileCurve]) -> Table | None:
 
 
 def _candidates_table(result: DiagnosisResult) -> Table | None:
-    """Return the table of the six best candidates of the first round that tested any, with their score tests.
+    """Return the table of the six best candidates of the first search round that tested any, with their score tests.
 
-    None if no round tested candidates. A mark shows whether a candidate was added in any round, removed again, or
-    passed.
+    A candidate is an effect or nonparametric curve that may be missing. A mark shows whether it was added to the model
+    in any round, was added and removed again, or passed the score test. The result is None if no round tested
+    candidates.
     """
     found = [row for row in result.rounds if row.candidates]
     if not found:
@@ -264,9 +286,10 @@ def _candidates_table(result: DiagnosisResult) -> Table | None:
 
 
 def _errors_table(errors: Errors, seconds: float) -> Table | None:
-    """Return the table of RMS prediction errors of up to eight channels, None without channels.
+    """Return the table of the RMS prediction errors of up to eight channels; None if there are no channels.
 
-    The errors are from validation data if the result has any. ``seconds`` is the prediction horizon [s].
+    It has a column for each kind of prediction: over the horizon of ``seconds`` [s], one step ahead, simulation. The
+    errors are those on the validation data if the result has any, otherwise those on the estimation data.
     """
     role, data = by_role(errors.validation, errors.estimation)[0]
     kinds = [(title, table) for title, table in horizons(data, seconds) if table]
@@ -290,10 +313,10 @@ def _errors_table(errors: Errors, seconds: float) -> Table | None:
 
 
 def _error_text(row: ErrorComparison | None) -> Text:
-    """Return the RMS prediction error of a channel as ``before → after`` in the shown unit, or one error.
+    """Return the RMS prediction errors of a channel before and after effects were added: ``0.31 → 0.12``.
 
-    One error is returned if no models were compared. The text is empty without a table row (None). A significant fall
-    is green, and a significant rise is red.
+    A significant fall is green, and a significant rise is red. If one of both is None, only the error after is returned
+    (``diverged`` for None). The text is empty if ``row`` is None. Angles are in degrees.
     """
     factor = 1.0 if row is None else formatting.degrees_for(row.unit)[0]
     before, after = (None, None) if row is None else formatting.scaled(factor, row.before, row.after)

@@ -85,9 +85,10 @@ def _shaft_speeds(command: Array, step: float) -> Array:
 
 
 def surge_case(seconds: float = 300.0) -> Case:
-    """Return the simulated case of straight motion: forward and reverse thrust in steps, position at 10 Hz.
+    """Return the study case (mission and model) of straight motion: forward and reverse thrust in steps.
 
-    The mission lasts ``seconds`` [s]. The true values are those of the boat of Table 5.
+    The mission lasts ``seconds`` [s], and the position is sampled at 10 Hz. The true values are those of the boat of
+    Table 5 of the paper.
     """
     t = _row_times(seconds, 0.1)
     force = random_levels(t, lambda rng: rng.uniform(-30.0, 80.0, 1), (5.0, 15.0), MISSION_SEED)
@@ -98,9 +99,9 @@ def surge_case(seconds: float = 300.0) -> Case:
 
 
 def yaw_case(seconds: float = 300.0) -> Case:
-    """Return the simulated case of pure rotation: yaw moment in steps, gyro at 20 Hz.
+    """Return the study case (mission and model) of pure rotation: yaw moment in steps, gyro at 20 Hz.
 
-    The mission lasts ``seconds`` [s]. The true values are those of the boat of Table 5.
+    The mission lasts ``seconds`` [s]. The true values are those of the boat of Table 5 of the paper.
     """
     t = _row_times(seconds, 0.05)
     moment = random_levels(t, lambda rng: rng.uniform(-12.0, 12.0, 1), (2.0, 8.0), MISSION_SEED)
@@ -109,10 +110,10 @@ def yaw_case(seconds: float = 300.0) -> Case:
 
 
 def horizontal_case(seconds: float = 400.0) -> Case:
-    """Return the simulated case of the boat in surge, sway and yaw: both thrusters in steps, for ``seconds`` [s].
+    """Return the study case (mission and model) of surge, sway and yaw: both thrusters in steps, for ``seconds`` [s].
 
     Heading, gyro and accelerometers are sampled at 10 Hz, position and velocity at 5 Hz. The current is unknown. The
-    true values are those of the boat of Table 5.
+    true values are those of the boat of Table 5 of the paper.
     """
     t = _row_times(seconds, 0.1)
     n = _shaft_speeds(random_levels(t, lambda rng: rng.uniform(-0.5, 1.0, 2), (3.0, 10.0), MISSION_SEED), 0.1)
@@ -127,9 +128,9 @@ def horizontal_case(seconds: float = 400.0) -> Case:
 
 
 def thruster_case(seconds: float = 100.0) -> Case:
-    """Return the simulated bench test of a thruster: random steps for ``seconds`` [s].
+    """Return the study case (mission and model) of a thruster on its bench: random steps for ``seconds`` [s].
 
-    Command, shaft speed and force are sampled at 80 Hz. The delay is 0.1 s.
+    Command, shaft speed and force are sampled at 80 Hz. The delay from command to shaft is 0.1 s.
     """
     t = _row_times(seconds, DELAY_STEP)  # with this step the delayed commands change at rows
     command = random_levels(t, lambda rng: rng.uniform(-1.0, 1.0, 1), (1.0, 4.0), MISSION_SEED)[:, 0]
@@ -142,9 +143,10 @@ def thruster_case(seconds: float = 100.0) -> Case:
 
 
 def kinematic_case(seconds: float = 400.0) -> Case:
-    """Return the case of `horizontal_case` with measured attitude and body rates as inputs, for ``seconds`` [s].
+    """Return the study case of surge, sway and yaw with measured attitude and body rates as inputs (`kinematic_model`).
 
-    The boat rolls by 3 and pitches by 2 degrees (amplitudes).
+    The mission lasts ``seconds`` [s], with both thrusters in steps. The boat rolls by 3 and pitches by 2 degrees
+    (amplitudes). Accelerometers are sampled at 10 Hz, position and velocity at 5 Hz.
     """
     t = _row_times(seconds, 0.1)
     n = _shaft_speeds(random_levels(t, lambda rng: rng.uniform(-0.5, 1.0, 2), (3.0, 10.0), MISSION_SEED), 0.1)
@@ -206,9 +208,10 @@ def simulated_attitude(t: Array, psi: Array) -> Array:
 
 
 def noise_case(seconds: float = 300.0) -> Case:
-    """Return the case of a sensor at rest: one axis at 20 Hz for ``seconds`` [s], with white noise and a random walk.
+    """Return the study case of a sensor at rest: one axis at 20 Hz for ``seconds`` [s].
 
-    `seatrial ident noise` fits the same model. REML is not used.
+    Its noise is white noise plus a random walk. `seatrial ident noise` fits the same model. Restricted maximum
+    likelihood is not used.
     """
     t = _row_times(seconds, 0.05)
     model = noise_model(1e-3).with_values({"white": 1.0, "walk": 0.3})

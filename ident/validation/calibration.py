@@ -38,7 +38,7 @@ Verdict = Literal["right", "overconfident", "underconfident", "insufficient_data
 
 @dataclass(frozen=True)
 class Calibration:
-    """Calibration of the prediction intervals of one channel over one horizon.
+    """Calibration of the prediction intervals of one channel for one kind of prediction: one step, horizon, simulation.
 
     Attributes
     ----------
@@ -69,8 +69,9 @@ class Calibration:
     def verdict(self) -> Verdict:
         """Verdict by the 95 % interval of the scale, the ratio of actual to predicted errors.
 
-        ``overconfident`` if the whole interval is above 1.1, ``underconfident`` if it is below 1 / 1.1, otherwise
-        ``right``. With fewer than eight independent errors it is ``overconfident`` or ``insufficient_data``.
+        ``overconfident`` if the whole interval is above 1.1, for any number of errors. Otherwise ``insufficient_data``
+        with fewer than eight independent errors, ``underconfident`` if the whole interval is below 1 / 1.1, and
+        ``right`` (calibrated) in all other cases.
         """
         if self.low > TOLERANCE:
             return "overconfident"
@@ -160,7 +161,8 @@ def horizon_forecasts(
 
     Predictions use the inputs alone. They start from filtered states, five times per horizon, or less often in records
     that would have more than 1000 starts. The predicted sample is the first at or after the end of the horizon. It may
-    be later than that by 20 % of the horizon, or by one row if a row is longer.
+    be later than that by 20 % of the horizon, or by one row if a row is longer. A start without a sample in this time
+    gives no prediction of the channel.
 
     Parameters
     ----------
@@ -169,7 +171,7 @@ def horizon_forecasts(
     values : Array (n_parameters,)
         Parameter values.
     run
-        Filter run of the record.
+        Filter run of the record with these parameter values.
     seconds
         Horizon [s].
     likelihood
@@ -214,7 +216,7 @@ def horizon_forecasts(
 
 
 def horizon_calibration(forecasts: Mapping[str, Forecast]) -> dict[str, Array]:
-    """Return the standardised errors (n,) of forecasts, by channel; infinite for diverged predictions."""
+    """Return the errors (n,) of forecasts over their standard deviations, by channel; infinite if diverged."""
     return {name: _standardised_errors(f.e, f.sd, np.ones(f.e.size, dtype=bool)) for name, f in forecasts.items()}
 
 
@@ -261,9 +263,9 @@ def pooled_calibration(by_record: Sequence[Mapping[str, Array]], *, together: bo
     by_record
         Standardised errors of each record, by channel. NaN (no measurement) is left out.
     together
-        Whether the errors of all channels are correlated with each other. Each channel then has the smallest effective
-        sample size of all channels. A simulation is such a case: the error of the heading rotates every velocity over
-        ground.
+        Whether the errors of all channels are correlated with each other. Each record then counts with the smallest
+        effective sample size of its channels, for every channel. A simulation is such a case: the error of the heading
+        rotates every velocity over ground.
 
     Returns
     -------

@@ -274,8 +274,8 @@ def _horizon_prediction(
 ) -> HorizonPrediction:
     """Return the predictions of the channel ``name`` at the times of their errors: measured value minus error.
 
-    Their standard deviation is interpolated linearly between the forecasts, which are fewer. It is NaN without
-    forecasts (None).
+    A diverged prediction, whose error is infinite, is NaN. The standard deviation is interpolated linearly between the
+    forecasts, which are fewer. It is NaN without forecasts (None).
     """
     y = record.y[np.searchsorted(record.t, errors.t), record.outputs.index(name)] - errors.e
     sd = np.full(y.size, np.nan) if forecast is None else np.interp(errors.t, forecast.t, forecast.sd)
@@ -297,7 +297,8 @@ def residual_tests(model: Model, record: Record, eps: Array) -> list[ChannelResi
     Returns
     -------
     list of ChannelResiduals
-        A result for each channel. Channels with fewer than 60 samples or with constant innovations are left out.
+        A result for each channel, with the correlations with the inputs of `shown_inputs`. Channels with fewer than 60
+        samples or with constant innovations are left out.
     """
     found = []
     for j, o in enumerate(model.outputs):
@@ -315,10 +316,11 @@ def residual_tests(model: Model, record: Record, eps: Array) -> list[ChannelResi
 
 
 def shown_inputs(model: Model) -> list[tuple[int, str, str]]:
-    """Return the inputs that reports show, as tuples of column in ``record.u``, name and unit.
+    """Return the inputs that reports show, as tuples (column in ``record.u``, shown name, unit).
 
-    Time, the work input and inputs with an empty label are left out. An input with a label is shown under its label: of
-    the delayed copies of a thruster's command, only the command itself is shown.
+    The time, the work of the thrusters (integral of cubed shaft speeds) and inputs with an empty label are left out. An
+    input with a label is shown under its label: of the delayed copies of a thruster's command, only the command itself
+    is shown.
     """
     shown = []
     for j, i in enumerate(model.inputs):

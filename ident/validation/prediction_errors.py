@@ -70,13 +70,14 @@ class SimulationRun:
     Attributes
     ----------
     y, sd : Array (n_rows, n_outputs)
-        Predicted outputs and their standard deviations, in the units of the outputs.
+        Predicted outputs and their standard deviations, in the units of the outputs. In the first 15 s the predictions
+        are those of the filter, one step ahead.
     errors
-        Prediction errors after the first 15 s, by channel.
+        Prediction errors after the first 15 s, by channel. Channels without samples then are left out.
     diverged
         First time [s] at which a channel diverged, by channel. A channel diverges when the prediction is farther from
-        the middle of the measured range than ten times that range. Channels that did not diverge, and angles, are left
-        out.
+        the middle of the measured range than ten times that range. Channels that did not diverge, angles and channels
+        whose samples are all equal are left out.
     """
 
     y: Array
@@ -102,7 +103,8 @@ def horizon_errors(
     """Return the errors of predictions over a horizon, by channel.
 
     The predictions use the inputs alone; the disturbance forces decay. Each channel is predicted at its own samples. A
-    prediction starts at the last row that is at least ``seconds`` earlier.
+    prediction starts at the last row that is at least ``seconds`` earlier. Only one prediction of a channel starts in
+    every two rows; in records of 12 000 rows or more the starts are farther apart, so that there are about 4000.
 
     Parameters
     ----------
@@ -251,9 +253,10 @@ class ErrorRatio:
 
     @property
     def verdict(self) -> Literal["fell", "rose", "unchanged"]:
-        """Direction of the change by the 95 % interval.
+        """Direction of the change by the 95 % interval of the ratio.
 
-        ``unchanged`` if the interval contains 1, if there is no interval, or if the change is below half a per cent.
+        ``fell`` if the whole interval is below 1, ``rose`` if it is above 1. ``unchanged`` if the interval contains 1,
+        if there is no interval, or if the change of the ratio is at most half a per cent.
         """
         if self.high < 1.0 and self.ratio < 1.0 - LEAST_CHANGE:
             return "fell"
@@ -347,8 +350,9 @@ def prediction_change(
     Returns
     -------
     PredictionChange
-        Ratios with 95 % intervals, NaN without common errors. Channels with errors in fewer than four blocks are left
-        out of the mean if other channels have more.
+        Ratios with 95 % intervals, NaN without common errors. Channels of which a model has no error other than zero
+        are left out. Channels with errors in fewer than four blocks have no interval; they are also left out of the
+        mean over all channels, unless no channel has four.
 
     Notes
     -----
@@ -397,7 +401,9 @@ class LargestErrors:
 
 
 def largest_errors(by_record: Mapping[str, Mapping[str, PredictionErrors]], horizon: float) -> LargestErrors | None:
-    """Return the interval of two horizons whose prediction errors have the largest share of the total.
+    """Return the interval of time in which the prediction errors have the largest share of the total.
+
+    The time of each record is divided into intervals of two horizons, from time 0 on.
 
     Parameters
     ----------

@@ -87,7 +87,10 @@ class Whiteness:
 
     @property
     def white(self) -> bool:
-        """Return whether both tests together pass at 1 % (Bonferroni): neither p value is below 0.5 %."""
+        """Return whether the Ljung-Box and the cumulative periodogram test both pass: each p value is above 0.5 %.
+
+        By Bonferroni's correction, white innovations fail with a probability of at most 1 %.
+        """
         return 2 * min(self.ljung_box, self.periodogram) > 0.01
 
 
@@ -154,7 +157,7 @@ def ljung_box(acf: Array, n: int, *, n_fitted: int = 0, finite_sample: bool = Fa
     n
         Number of samples of the series.
     n_fitted
-        Number of noise parameters that were fitted to the series.
+        Number of noise parameters that were fitted to the series, below ``n_lags``. They reduce the degrees of freedom.
     finite_sample
         Whether to correct for short series. The variance of the statistic then exceeds that of chi-squared by a factor
         of about ``1 + 2 n_lags / n``. The correction uses a scaled chi-squared distribution with the same mean.
@@ -241,10 +244,12 @@ def cross_correlation(
 
 
 def _variance_for_coloured(past: Array, coefficients: Array) -> tuple[float, float]:
-    """Return the variance of the correlation of an input with coloured innovations, and its covariance at two lags.
+    """Return variance and lag covariance of the correlation between an input and coloured (autocorrelated) innovations.
 
-    ``past`` (2, n) has the input at two neighbouring lags, each of norm one. The innovations are an autoregression of
-    variance one with ``coefficients`` (order,), latest first. For white innovations the variance is 1.
+    ``past`` (2, n) has the input at two neighbouring lags, each with mean zero and Euclidean norm one. The first result
+    is the variance of its correlation at the first lag, the second one the covariance of those at both lags. The
+    innovations are an autoregression of variance one with ``coefficients`` (order,), latest first. For white
+    innovations the variance is 1.
     """
     size = 2 * past.shape[1]
     gain = np.abs(np.fft.rfft(np.append(1.0, -coefficients), size)) ** 2
@@ -395,12 +400,18 @@ class WhitenessDiagnostics(NamedTuple):
 
     @property
     def matter(self) -> bool:
-        """Return whether any of the three departures is significant and large enough to matter."""
+        """Return whether a departure (regression on the past, spectral line or octave) is significant and large enough.
+
+        Large enough are more than 5 % of the variance, and a factor of 2 or more in the density of an octave.
+        """
         return any(part.matters for part in self)
 
     @property
     def significant(self) -> bool:
-        """Return whether any of the three departures is significant (p below 0.001), even if it is small."""
+        """Return whether a departure (regression on the past, spectral line or octave) has a p value below 0.001.
+
+        Small departures count too.
+        """
         return any(part.p < SIGNIFICANCE for part in self)
 
 
@@ -424,7 +435,7 @@ class Predictable(NamedTuple):
 
     @property
     def matters(self) -> bool:
-        """Return whether the share is significant (p below 0.001) and above 5 % (`MAX_PREDICTABLE_SHARE`)."""
+        """Return whether the predicted share of the variance is significant (p below 0.001) and above 5 %."""
         return self.p < SIGNIFICANCE and self.share > MAX_PREDICTABLE_SHARE
 
 
@@ -473,7 +484,10 @@ class FrequencyBand(NamedTuple):
 
     @property
     def matters(self) -> bool:
-        """Return whether the departure is significant (p below 0.001) and is a factor of 2 or more, up or down."""
+        """Return whether the spectral density in the band differs from that of white noise by a factor of 2 or more.
+
+        The difference must also be significant (p below 0.001).
+        """
         return self.p < SIGNIFICANCE and not 1 / MAX_DENSITY_RATIO < self.ratio < MAX_DENSITY_RATIO
 
 
@@ -497,8 +511,9 @@ def whiteness_diagnostics(e: Array) -> WhitenessDiagnostics:
 def predictable_share(e: Array, most_lags: int = MAX_LAGS) -> Predictable:
     """Fit a regression of innovations e (n,) on a constant and their past, and return the predicted share of variance.
 
-    The number of lags, at most ``most_lags``, has the least BIC. If no regressor is chosen, the share is 0 and the p
-    value is 1. The p value comes from the likelihood ratio, with a Bonferroni correction for the number of orders.
+    The past is up to ``most_lags`` lags, and at most n / 10. The number of regressors has the least BIC; they enter in
+    the order constant, lag 1, lag 2, ... If no regressor is chosen, the share is 0 and the p value is 1. The p value
+    comes from the likelihood ratio, with a Bonferroni correction for the number of orders.
     """
     found = _regression(e, most_lags)
     n, rest, order, total = found.n, found.left, found.chosen, found.left[0]
@@ -511,8 +526,8 @@ def predictable_share(e: Array, most_lags: int = MAX_LAGS) -> Predictable:
 def autoregression(e: Array, most_lags: int = MAX_LAGS) -> Array:
     """Return the coefficients (order,) of the regression of innovations e (n,) on their past, latest first.
 
-    The order, at most ``most_lags``, has the least BIC (Schwarz 1978). The result is empty if no lag improves it, as
-    for white innovations.
+    The order has the least BIC (Schwarz 1978). It is at most ``most_lags`` and at most n / 10. The regression also has
+    a constant, which is not returned. The result is empty if no lag improves the BIC, as for white innovations.
     """
     found = _regression(e, most_lags)
     if found.chosen < 2:
@@ -543,9 +558,9 @@ class _Regression(NamedTuple):
 
 
 def _regression(e: Array, most_lags: int) -> _Regression:
-    """Regress innovations e (n,) on a constant and on up to ``most_lags`` past values, for all orders at once.
+    """Regress innovations e (n,) on a constant and on past values, for all orders at once.
 
-    There are at least ten samples per lag. The innovations are scaled to mean square one.
+    The number of past values is up to ``most_lags``, and at most n / 10. The innovations are scaled to mean square one.
     """
     e = e / (np.sqrt(np.mean(e**2)) or 1.0)  # the constant regressor is one, so the scale of e has to be one too
     most = min(most_lags, e.size // 10)  # at least ten samples per lag

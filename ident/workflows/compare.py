@@ -254,8 +254,9 @@ def _why_not_comparable(
 ) -> str:
     """Return the reason why there are no information criteria of two models; an empty text if they are valid.
 
-    They are valid if both models are plain maximum likelihood fits to exactly the compared ``logs``, each read as a
-    whole. ``score``: difference of the models in log-likelihood; None if they do not predict the same samples.
+    They are valid if both models were fitted to exactly the compared ``logs``, each read as a whole, by maximum
+    likelihood without REML and with a first-order filter. ``score``: difference of the models in log-likelihood; None
+    if they do not predict the same samples.
     """
     if score is None:
         return "the models do not predict the same samples"
@@ -282,6 +283,11 @@ def _criteria(first: Model, second: Model, first_views: Sequence[RecordEvaluatio
         Evaluation of the first model on each record. The evaluation of the second model has the same samples.
     gain : float
         Log-likelihood of the second model less that of the first.
+
+    Returns
+    -------
+    InformationCriteria
+        Its p value is None unless the first model is the second one with at least one free parameter fixed.
     """
     more = _n_estimates(second, len(first_views)) - _n_estimates(first, len(first_views))
     n = sum(int(np.isfinite(v.record.y).sum()) for v in first_views)

@@ -408,8 +408,8 @@ def make_task(source: str, request: DesignRequest) -> DesignProblem:
     Raises
     ------
     SeatrialError
-        If the model cannot be read, lacks a named sensor, has no free parameters, or has inputs that no mission
-        commands.
+        If the model cannot be read, lacks a sensor that ``request.rates`` names, has no free parameters, or has inputs
+        that no mission commands.
     """
     is_path = source.endswith((".toml", ".json")) or ("/" in source and Path(source).is_dir())
     saved = load_model(Path(source)) if is_path else None

@@ -56,7 +56,7 @@ class DiagnosisRequest:
     despite_faults
         Whether to search even if the checks find faults that make a fit meaningless.
     window
-        Interval of ``logs`` to use; validation logs are used whole.
+        Interval of time of each of ``logs`` to use; validation logs are used as a whole.
     """
 
     model: Path

@@ -20,14 +20,14 @@ Models = Sequence[AnyModel] | Mapping[str, AnyModel]
 
 @dataclass(frozen=True, repr=False)
 class Comparison:
-    """Models on the same logs. `compare` returns it.
+    """Comparison of fitted models by their prediction errors on the same logs. `compare` returns it.
 
     Attributes
     ----------
     names : tuple of str
         Name of each model; the first one is the reference.
     found : ModelComparison
-        Errors and differences (`seatrial.ident.workflows.compare`).
+        Prediction errors of each model, and their differences from the first one (`seatrial.ident.workflows.compare`).
     """
 
     names: tuple[str, ...]
@@ -35,7 +35,10 @@ class Comparison:
 
     @property
     def best(self) -> str:
-        """Name of the model with the smallest prediction error; the first one if no other is significantly better."""
+        """Name of the model with the smallest prediction error over the horizon.
+
+        Only models that are significantly better than the first one are considered. If there are none, it is the first.
+        """
         better = [
             (m.change.ratio, name)
             for name, m in zip(self.names, self.found.models, strict=True)
@@ -44,13 +47,15 @@ class Comparison:
         return min(better)[1] if better else self.names[0]
 
     def summary(self) -> str:
-        """Return the comparison as text: errors by channel, then each difference to the first model."""
+        """Return the comparison as text: RMS errors by channel, then the difference of each model to the first one."""
         from seatrial.ident.workflows.compare import comparison_lines
 
         return "\n".join(comparison_lines(self.found, self.names))
 
     def to_pandas(self) -> Any:
         """Return the RMS prediction errors as a ``pandas.DataFrame``: a row for each channel, a column for each model.
+
+        A channel that a model does not predict is NaN.
 
         Raises
         ------
@@ -61,7 +66,7 @@ class Comparison:
         return import_library("pandas").DataFrame(columns)
 
     def __repr__(self) -> str:
-        """Return the summary."""
+        """Return the text of `summary`, which the interpreter shows."""
         return self.summary()
 
 
@@ -78,11 +83,12 @@ def compare(
     models : sequence, or dict by name, of path, `FittedVehicle` or `FittedDiagnosis`
         Two models or more; the first one is the reference.
     logs : path, `Log` or sequence of them
-        Logs. Use logs that no model was fitted to; the summary names the others.
+        Logs on which the models are compared; of a `Log`, its window is used. Use logs that no model was fitted to; the
+        summary names the others.
     horizon : float, optional
         Horizon of the predictions [s]. None: that of the first model.
     rate : float, optional
-        Rate of the rows [Hz]. None: the usual rate of the first model.
+        Rate of the rows [Hz] to which faster sensors are averaged. None: the usual rate of the first model.
 
     Returns
     -------
@@ -109,5 +115,5 @@ def compare(
 
 
 def _name_of(model: AnyModel, index: int) -> str:
-    """Return a name of the model with this index: its path, or its number (from 1) if it was fitted in Python."""
+    """Return a name for a model: its path as text, or "model 2" for a fitted model with the `index` 1 (from 0)."""
     return f"model {index + 1}" if isinstance(model, FittedVehicle | FittedDiagnosis) else str(model)

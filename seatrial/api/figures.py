@@ -22,11 +22,11 @@ class Figure:
     Attributes
     ----------
     title : str
-        Title.
+        Title of the figure.
     data : list of dict
-        Plotly traces.
+        Plotly traces: curves, points and bands.
     layout : dict
-        Plotly layout.
+        Plotly layout: axes and their titles.
     """
 
     title: str
@@ -34,7 +34,7 @@ class Figure:
     layout: dict[str, Any]
 
     def __repr__(self) -> str:
-        """Return the title and the number of traces."""
+        """Return a short text for the interpreter: the title and the number of Plotly traces."""
         return f"<Figure {self.title!r}: {len(self.data)} traces>"
 
     def to_dict(self) -> dict[str, Any]:
@@ -42,7 +42,10 @@ class Figure:
         return {"data": self.data, "layout": self.layout}
 
     def _repr_mimebundle_(self, **_: Any) -> dict[str, Any]:
-        """Return the figure for a notebook, with its title as the text for other displays."""
+        """Return the figure by MIME type, as a notebook draws it, and a text with its title for other displays.
+
+        The keyword arguments of the notebook are ignored.
+        """
         return {PLOTLY_JSON: self.to_dict(), "text/plain": repr(self)}
 
     def to_plotly(self) -> Any:

@@ -38,28 +38,29 @@ class FitOptions(TypedDict, total=False):
     Attributes
     ----------
     thruster : path
-        model.toml of the bench, or file of a static curve from command to thrust.
+        File with the thrust from a bench test: model.toml of a thruster model, or of a static curve from command to
+        thrust. Without it the thrust is estimated or unknown.
     fixed : dict of str to float
-        Values of parameters that are known and not estimated.
+        Values of parameters, by name, that are known and not estimated.
     initial : dict of str to float
-        Initial values of the search.
+        Initial values of parameters, by name, for the search of the maximum of the likelihood.
     priors : dict of str to (mean, standard deviation)
-        Priors of parameters.
+        Priors of parameters by name.
     effects : sequence of str
-        Effects of the catalogue to add with free parameters.
+        Names of effects of the catalogue to add to the model with free parameters.
     score_tests : bool
         Whether to test the model for missing effects: sensor errors are then estimated if the logs show them, and the
         standard errors include what remains unexplained.
     profiles : sequence of str
-        Parameters whose profile likelihood is computed.
+        Names of the parameters whose profile likelihood is computed.
     outlier_model : bool
-        Whether all sensors may have outliers.
+        Whether outliers are part of the noise of all sensors, so that they have little weight.
     reml : bool
         Whether the noise is estimated by restricted maximum likelihood.
     mean_order : 1 or 2
-        Order of the extended Kalman filter.
+        Order of the extended Kalman filter; at order 2 its mean includes the curvature of the model.
     horizon : float
-        Horizon of the predictions [s].
+        Horizon [s] of the predictions with which the fit is evaluated.
     rate : float
         Rate of the rows [Hz] to which faster sensors are averaged.
     despite_faults : bool
@@ -90,18 +91,18 @@ class DiagnosisOptions(TypedDict, total=False):
     Attributes
     ----------
     max_effects : int
-        Largest number of effects to add.
+        Largest number of effects to add to the model.
     effects_file : path
-        Python file of own candidates.
+        Python file with user-defined effects, which are tested too.
     thruster : str
         For a vehicle model: file of the static curve that it was fitted with. For a thruster model: name of the
         thruster, if the logs have several.
     outlier_model : bool
-        Whether all sensors may have outliers.
+        Whether outliers are part of the noise of all sensors, so that they have little weight.
     horizon : float
-        Horizon of the predictions [s].
+        Horizon [s] of the predictions with which the models are evaluated.
     rate : float
-        Rate of the rows [Hz]; None for the usual rate of the model.
+        Rate of the rows [Hz] to which faster sensors are averaged; None for the usual rate of the model.
     despite_faults : bool
         Whether to search in logs with faults that make a fit meaningless.
     progress : bool
@@ -119,14 +120,14 @@ class DiagnosisOptions(TypedDict, total=False):
 
 
 class Series(NamedTuple):
-    """Values of one channel of a record.
+    """Values over time of one signal, for example of a state, an output or a residual.
 
     Attributes
     ----------
     t : Array (n,)
-        Times [s] of the record.
+        Times [s], from the same origin as those of the record or of the simulated inputs.
     value : Array (n,)
-        Values.
+        Values at these times.
     """
 
     t: NDArray[np.float64]
@@ -134,16 +135,16 @@ class Series(NamedTuple):
 
 
 class Prediction(NamedTuple):
-    """Predictions of one channel of a record, at its samples.
+    """Measured samples of one channel of a record, and their predictions by a model.
 
     Attributes
     ----------
     t : Array (n,)
-        Times [s] of the record.
+        Times of the samples [s], in the time of the record.
     measured : Array (n,)
         Samples, in the unit of the channel.
     predicted : Array (n,)
-        Predictions of these samples; infinite if the prediction diverged.
+        Predictions of these samples, in the same unit; infinite if the prediction diverged.
     """
 
     t: NDArray[np.float64]
@@ -152,7 +153,10 @@ class Prediction(NamedTuple):
 
     @property
     def rms(self) -> float:
-        """Root mean square of the prediction error. Errors of angles are within half a turn."""
+        """Root mean square of measured minus predicted, in the unit of the channel; NaN without samples.
+
+        Errors of angles are within half a turn.
+        """
         return float(np.sqrt(np.mean((self.measured - self.predicted) ** 2)))
 
 
@@ -170,30 +174,34 @@ class FitReport:
 
     @property
     def answer(self) -> str:
-        """Answer of the fit in one or two sentences."""
+        """Main conclusion of the fit in one or two sentences, as in its report."""
         return self.result.answer
 
     @property
     def warnings(self) -> list[str]:
-        """Warnings of the fit, as sentences."""
+        """Warnings of the fit, as sentences; empty if there are none."""
         return [w.text for w in self.result.warnings]
 
     @property
     def converged(self) -> bool:
-        """Whether the search for the maximum converged."""
+        """Whether the search for the maximum of the likelihood converged. Otherwise do not use the estimates."""
         return self.result.converged
 
     @property
     def params(self) -> dict[str, float]:
-        """Values of all parameters by name, SI and radians. A parameter of one record is ``NAME@RECORD``.
+        """Values of all parameters by name, estimated and fixed, in SI units and radians.
 
-        Without a known thrust, forces and masses are ratios to it, with names such as ``m_u/T``.
+        In a fit to several records, a parameter with its own value in each record is ``NAME@RECORD``. If the thrust is
+        not known in N, forces and masses are ratios to it, with names such as ``m_u/T``.
         """
         return {tables.full_name(row): row.value for row in self.result.fit.parameters}
 
     @property
     def standard_errors(self) -> dict[str, float]:
-        """Standard errors of the estimated parameters by name. NaN if a parameter has none: at a bound, for example."""
+        """Standard errors of the estimated parameters by name, as in `params`.
+
+        NaN stands for a parameter without standard error, for example at a bound. Fixed parameters are left out.
+        """
         return {
             tables.full_name(row): np.nan if row.se is None else row.se
             for row in self.result.fit.parameters
@@ -226,29 +234,34 @@ class FitReport:
         Parameters
         ----------
         *channels : str
-            Names of channels; none: all.
+            Names of the channels to draw, such as ``"psi"``; without names all are drawn.
+
+        Raises
+        ------
+        SeatrialError
+            If the result has no channel with one of the names.
         """
         return plots.prediction_figure(self.result, channels)
 
     def __repr__(self) -> str:
-        """Return the kind of result, the model and the answer, in a few lines."""
+        """Return a short text for the interpreter: class of the result, name of the model, and `answer`."""
         return f"<{type(self).__name__}: {self.result.fit.model}>\n{self.answer}\nsummary() has the estimates."
 
     def _repr_html_(self) -> str:
-        """Return the summary for a notebook."""
+        """Return answer, warnings and a table of the estimates as HTML, which a notebook shows."""
         return tables.as_html(self.result)
 
 
 @dataclass(frozen=True, repr=False)
 class FittedResult(FitReport):
-    """Fitted model with its records, and the result that the command would write.
+    """Model that was fitted in this process, with the records of its logs, and its result.
 
     Attributes
     ----------
     result : FitResult
-        Content of result.json (`seatrial.ident.results`).
+        Content of the result.json that the command would write (`seatrial.ident.results`).
     fitted : FittedModel
-        The fitted model (`seatrial.ident.estimation.FittedModel`).
+        The fitted model with its estimation and validation records (`seatrial.ident.estimation.FittedModel`).
     """
 
     fitted: FittedModel
@@ -260,7 +273,10 @@ class FittedResult(FitReport):
 
     @property
     def free(self) -> tuple[str, ...]:
-        """Names of the n estimated parameters, the order of `cov`. ``V_x@0`` is V_x in the first record."""
+        """Names of the n estimated parameters, in the order of `cov`. ``V_x@0`` is V_x in the first record.
+
+        The number of the record, from 0, follows the @. The names in `params` have the name of the record instead.
+        """
         return self.fitted.fit.names
 
     @property
@@ -270,21 +286,27 @@ class FittedResult(FitReport):
 
     @property
     def bic(self) -> float:
-        """Bayesian information criterion; smaller is better."""
+        """Bayesian information criterion of the fit; among models of the same data the smaller value is better."""
         return self.fitted.fit.bic
 
     def residuals(self, on: Role = "estimation") -> dict[str, dict[str, Series]]:
-        """Return the standardised residuals (innovations), by record and channel.
+        """Return the standardised residuals by record and channel: innovations divided by their standard deviations.
 
         Parameters
         ----------
         on : ``estimation`` or ``validation``
-            Data.
+            Data whose residuals are returned.
 
         Returns
         -------
         dict of str to dict of str to Series
-            White noise of variance 1 if the model is complete. A channel has values only at its samples.
+            White noise of variance 1 if the model is complete. A channel has values only at its samples. A channel
+            without samples in a record is missing.
+
+        Raises
+        ------
+        SeatrialError
+            If ``on`` is ``validation`` and the fit has no validation data.
         """
         found = {}
         for view in self._views(on):
@@ -297,20 +319,25 @@ class FittedResult(FitReport):
         return found
 
     def predict(self, horizon: float | None = None, on: Role | None = None) -> dict[str, dict[str, Prediction]]:
-        """Predict each sample from the state a time ``horizon`` earlier, by the inputs alone.
+        """Predict each sample from the filtered state a time ``horizon`` earlier, by the inputs alone since then.
 
         Parameters
         ----------
         horizon : float, optional
             Horizon [s]. None: that of the fit.
         on : ``estimation`` or ``validation``, optional
-            Data. None: the validation data if there are any.
+            Data whose samples are predicted. None: the validation data if there are any, otherwise the estimation data.
 
         Returns
         -------
         dict of str to dict of str to Prediction
             Predictions by record and channel. Angles are not wrapped: the prediction is within half a turn of the
             sample.
+
+        Raises
+        ------
+        SeatrialError
+            If ``on`` is ``validation`` and the fit has no validation data.
         """
         from seatrial.ident.validation import horizon_errors
 
@@ -323,17 +350,22 @@ class FittedResult(FitReport):
         return found
 
     def simulate(self, on: Role | None = None) -> dict[str, dict[str, Prediction]]:
-        """Simulate each record: the filter runs for 15 s, and then the model by the inputs alone.
+        """Simulate each record: the state is filtered for 15 s, and then predicted by the inputs alone to the end.
 
         Parameters
         ----------
         on : ``estimation`` or ``validation``, optional
-            Data. None: the validation data if there are any.
+            Data to simulate. None: the validation data if there are any, otherwise the estimation data.
 
         Returns
         -------
         dict of str to dict of str to Prediction
             Simulated values at the samples after 15 s, by record and channel.
+
+        Raises
+        ------
+        SeatrialError
+            If ``on`` is ``validation`` and the fit has no validation data.
         """
         from seatrial.ident.validation import simulation_run
 
@@ -344,24 +376,28 @@ class FittedResult(FitReport):
         return found
 
     def plot_residuals(self, *channels: str, on: Role = "estimation") -> Figure:
-        """Return a figure of the standardised residuals over time.
+        """Return a figure of the standardised residuals (see `residuals`) over time, with lines at ± 2.
 
         Parameters
         ----------
         *channels : str
-            Names of channels; none: all.
+            Names of the channels to draw, such as ``"psi"``; without names all are drawn.
         on : ``estimation`` or ``validation``
-            Data.
-        """
-        return plots.residual_figure(self.residuals(on), channels)
-
-    def _views(self, on: Role | None) -> tuple[RecordEvaluation, ...]:
-        """Return the records of a set of data; None: the validation data if there are any.
+            Data whose residuals are drawn.
 
         Raises
         ------
         SeatrialError
-            If there are no validation data.
+            If there is no channel with one of the names, or if ``on`` is ``validation`` and the fit has no validation
+            data.
+        """
+        return plots.residual_figure(self.residuals(on), channels)
+
+    def _views(self, on: Role | None) -> tuple[RecordEvaluation, ...]:
+        """Return the evaluated records (with model, filter run and parameter values) of estimation or validation data.
+
+        With None these are the validation data if there are any, otherwise the estimation data. SeatrialError is raised
+        if `on` is "validation" and there are no validation data.
         """
         if on == "validation" and not self.fitted.validation:
             raise SeatrialError("this fit has no validation data; give logs to validate")
@@ -374,12 +410,12 @@ class FittedVehicle(FittedResult):
     result: VehicleResult
 
     def save(self, folder: PathLike) -> Path:
-        """Write model.toml, result.json and report.html, as ``seatrial ident vehicle``. Return the folder.
+        """Write model.toml, result.json and report.html, as ``seatrial ident vehicle``, and return the folder.
 
         Parameters
         ----------
         folder : path
-            Folder. Existing files of these names are replaced.
+            Folder for the files. Existing files of these names are replaced.
         """
         from seatrial.ident.workflows.vehicle import VehicleFit, write_vehicle_fit
 
@@ -398,9 +434,9 @@ class FittedDiagnosis(FittedResult):
     fitted : FittedModel
         The model with the effects.
     found : Diagnosis
-        All findings (`seatrial.ident.diagnosis.Diagnosis`).
+        All steps and findings of the search (`seatrial.ident.diagnosis.Diagnosis`).
     effects_file : Path or None
-        Python file of own effects.
+        Python file with user-defined effects; None if none was given.
     """
 
     result: DiagnosisResult
@@ -409,7 +445,11 @@ class FittedDiagnosis(FittedResult):
 
     @property
     def effects(self) -> dict[str, str]:
-        """Attribution of each effect that was added: ``identified``, ``ambiguous`` or ``nonparametric``, by name."""
+        """Attribution of each effect that was added to the model, by name of the effect.
+
+        It is ``identified`` (no competing model explains the data as well), ``ambiguous`` (a competing model is nearly
+        as good, or a part remains unexplained) or ``nonparametric`` (a curve without a name). Empty without effects.
+        """
         return {e.name: e.attribution for e in self.result.effects}
 
     @property
@@ -423,7 +463,7 @@ class FittedDiagnosis(FittedResult):
         Parameters
         ----------
         folder : path
-            Folder, which is returned. Existing files of these names are replaced.
+            Folder for the files, which is returned. Existing files of these names are replaced.
         """
         from seatrial.ident.workflows.diagnose import DiagnosedModel, write_diagnosed_model
 
@@ -437,12 +477,12 @@ def fit(logs: Logs, model: str = "auto", validate: Logs = (), **options: Unpack[
     Parameters
     ----------
     logs : path, `Log` or sequence of them
-        Logs that the model is fitted to. Of a `Log`, its window is used.
+        Logs that the model is fitted to. Of a `Log`, its window is used; it must be the same for all logs.
     model : str
         Name of the structure, such as ``horizontal:command``, or ``FILE.py:NAME`` of your own. ``auto``: the horizontal
         model with the inputs that the logs have.
     validate : path, `Log` or sequence of them
-        Other logs, on which the fit is evaluated.
+        Other logs, on which the fit is evaluated. They are used whole. Without them the fit is evaluated on ``logs``.
     **options
         `FitOptions`: thruster, fixed, initial, priors, effects, score_tests, profiles, outlier_model, reml, mean_order,
         horizon, rate, despite_faults, progress.
@@ -455,7 +495,8 @@ def fit(logs: Logs, model: str = "auto", validate: Logs = (), **options: Unpack[
     Raises
     ------
     SeatrialError
-        If a log cannot be read, lacks signals that the model needs, or has faults that make a fit meaningless.
+        If a log cannot be read, lacks signals that the model needs, or has faults that make a fit meaningless; if an
+        option is unknown.
 
     Examples
     --------
@@ -488,16 +529,16 @@ def fit(logs: Logs, model: str = "auto", validate: Logs = (), **options: Unpack[
 def diagnose(
     model: PathLike | FittedResult, logs: Logs, validate: Logs = (), **options: Unpack[DiagnosisOptions]
 ) -> FittedDiagnosis:
-    """Find the effects that a model lacks, as ``seatrial ident diagnose``.
+    """Find the effects (physical phenomena) that a model lacks, as ``seatrial ident diagnose``.
 
     Parameters
     ----------
     model : path, `FittedVehicle` or `FittedDiagnosis`
         Model to diagnose: a model.toml, a folder with one, or a fitted model.
     logs : path, `Log` or sequence of them
-        Logs for the search. Of a `Log`, its window is used.
+        Logs for the search. Of a `Log`, its window is used; it must be the same for all logs.
     validate : path, `Log` or sequence of them
-        Other logs that validate each effect. Without them, blocks of the logs are cross-validated.
+        Other logs that validate each effect. They are used whole. Without them, blocks of ``logs`` are cross-validated.
     **options
         `DiagnosisOptions`: max_effects, effects_file, thruster, outlier_model, horizon, rate, despite_faults, progress.
 
@@ -509,7 +550,8 @@ def diagnose(
     Raises
     ------
     SeatrialError
-        If model or logs cannot be used, or if the logs have faults that make a fit meaningless.
+        If model or logs cannot be used, if the logs have faults that make a fit meaningless, or if an option is
+        unknown.
 
     Examples
     --------
@@ -541,25 +583,31 @@ def diagnose(
 
 
 class Messages:
-    """Reporter of the Python interface: warnings are Python warnings, and progress is printed if asked for."""
+    """Receiver of the messages of a workflow (fit, diagnosis, ...) in the Python interface.
+
+    Warnings become Python warnings. Lines of progress are printed to stderr only if the user has asked for them.
+    """
 
     def __init__(self, progress: bool) -> None:
-        """Set up a reporter. ``progress``: whether to print a line for each step of the computation."""
+        """Store whether to print a line for each step of the computation (``progress``)."""
         self._progress = progress
 
     def progress(self, text: str) -> None:
-        """Print a step of the computation to standard error, if asked for."""
+        """Print the line `text` about a step of the computation to stderr, if progress is printed; else do nothing."""
         if self._progress:
             print(text, file=sys.stderr, flush=True)
 
     def warning(self, text: str) -> None:
-        """Warn with the category `SeatrialWarning`, so that ``warnings.filterwarnings`` applies."""
+        """Issue a Python warning with this text and the category `SeatrialWarning`, which the user may filter."""
         warnings.warn(text, SeatrialWarning, stacklevel=4)
 
 
 @contextmanager
 def errors_of_users() -> Iterator[None]:
-    """Raise ValueError and KeyError of a computation as SeatrialError with one line, as the commands do."""
+    """Context that turns ValueError and KeyError of a computation into SeatrialError with the same text.
+
+    Other errors pass unchanged.
+    """
     try:
         yield
     except (ValueError, KeyError) as problem:
@@ -568,7 +616,9 @@ def errors_of_users() -> Iterator[None]:
 
 @contextmanager
 def model_path(model: PathLike | FittedResult) -> Iterator[Path]:
-    """Yield the path of a model.toml: that of a file or a folder, or of a temporary file for a fitted model.
+    """Yield the path of a model.toml: of the file itself, of the one in a folder, or of a temporary file.
+
+    A fitted model is written to a temporary folder, which is deleted after the `with` block.
 
     Raises
     ------
@@ -588,24 +638,28 @@ def model_path(model: PathLike | FittedResult) -> Iterator[Path]:
 
 
 def window_of(logs: Logs) -> Any:
-    """Return the window of time of logs for a workflow (`seatrial.ident.data.TimeWindow`).
+    """Return the interval of time of the logs that a workflow uses (`seatrial.ident.data.TimeWindow`).
+
+    Of a `Log` it is the window with which it was opened, of a path the whole log. Without logs it is the whole log.
 
     Raises
     ------
     SeatrialError
-        If several logs have different windows.
+        If the logs have different windows.
     """
     from seatrial.ident.data import WHOLE, TimeWindow
 
     several = [logs] if isinstance(logs, str | Path | Log) else list(logs)
     windows = {TimeWindow(x.start, x.end) if isinstance(x, Log) else WHOLE for x in several}
     if len(windows) > 1:
-        raise SeatrialError("the logs were opened with different start or end, and a fit uses one window for all")
+        raise SeatrialError(
+            "the logs have different windows, and one window is used for all: open them with the same start and end"
+        )
     return windows.pop() if windows else WHOLE
 
 
 def _paths_or_none(logs: Logs) -> list[Path]:
-    """Return the paths of validation logs, which are used whole; an empty sequence is allowed.
+    """Return the paths of validation logs, which are used whole. Without logs return an empty list.
 
     Raises
     ------
@@ -614,12 +668,16 @@ def _paths_or_none(logs: Logs) -> list[Path]:
     """
     several = [logs] if isinstance(logs, str | Path | Log) else list(logs)
     if any(isinstance(x, Log) and (x.start > 0.0 or np.isfinite(x.end)) for x in several):
-        raise SeatrialError("validation logs are used whole; open them without start and end")
+        raise SeatrialError("validation logs are used whole: open them without start and end")
     return as_paths(several) if several else []
 
 
 def known_options(given: Mapping[str, Any], request: Callable[..., T]) -> Mapping[str, Any]:
-    """Return options for a request. SeatrialError names the first option that the request does not have."""
+    """Return the options unchanged, after a check that the dataclass `request` has a field for each of them.
+
+    `request` is the class of the options of a workflow. SeatrialError names the first unknown option and lists the
+    known ones.
+    """
     fields = getattr(request, "__dataclass_fields__", {})
     for name in given:
         if name not in fields:
@@ -628,12 +686,19 @@ def known_options(given: Mapping[str, Any], request: Callable[..., T]) -> Mappin
 
 
 def python_call(function: str, logs: Sequence[Path], **more: str) -> str:
-    """Return the Python call for the provenance of a result, such as ``seatrial.fit(['run1.mcap'], model='auto')``."""
+    """Return the Python call for the provenance of a result, such as ``seatrial.fit(['run1.mcap'], model='auto')``.
+
+    `function` is the name of the function, `logs` are its logs, of which only the file names are shown, and `more` are
+    further arguments by name. Options are not included.
+    """
     rest = "".join(f", {name}={value!r}" for name, value in more.items())
     return f"seatrial.{function}({[p.name for p in logs]}{rest})"
 
 
 def _prediction(record: Any, channel: str, t: NDArray[np.float64], error: NDArray[np.float64]) -> Prediction:
-    """Return the predictions of a channel: the samples of the record at the times ``t`` [s], less their errors."""
+    """Return the samples and predictions of a channel of a record, from the prediction errors at its sample times.
+
+    `t` (n,) are the times of the samples [s], and `error` (n,) is measured minus predicted, in the unit of the channel.
+    """
     measured = record.y[np.searchsorted(record.t, t), record.outputs.index(channel)]
     return Prediction(t, measured, measured - error)

@@ -65,13 +65,18 @@ class Saved:
 
     @property
     def answer(self) -> str:
-        """Answer of the result; empty if no result was loaded."""
+        """Main conclusion of the result in one or two sentences, as in its report; empty if no result was loaded."""
         return "" if self.result is None else str(self.result.answer)
 
     def summary(self) -> str:
-        """Return the estimates as a table in text if the result is a fit, otherwise its answer.
+        """Return the estimates as a table in text if the loaded result is that of a fit, otherwise its `answer`.
 
         Without a result the parameters of the model are listed with their standard errors.
+
+        Raises
+        ------
+        SeatrialError
+            If neither a result nor a model was loaded.
         """
         if hasattr(self.result, "fit"):
             return tables.summary(self.result)
@@ -81,13 +86,13 @@ class Saved:
         return "\n".join(f"{n} = {v:.6g} ± {errors.get(n, np.nan):.2g}" for n, v in self.params.items())
 
     def _saved_model(self) -> SavedModel:
-        """Return the model; SeatrialError if no model.toml was loaded."""
+        """Return the loaded content of model.toml; SeatrialError if no model.toml was loaded."""
         if self.model is None:
             raise SeatrialError(f"{self.path}: no {MODEL} was loaded; load the folder that contains it")
         return self.model
 
     def __repr__(self) -> str:
-        """Return path, name of the model and answer, in a few lines."""
+        """Return a short text for the interpreter: path, name of the model, and the answer of the result if any."""
         name = "no model" if self.model is None else self.model.model.name
         return f"<Saved {self.path}: {name}>" + (f"\n{self.answer}" if self.answer else "")
 
@@ -98,12 +103,12 @@ def load(path: PathLike) -> Saved:
     Parameters
     ----------
     path : str or Path
-        File or folder.
+        File or folder. A file with the ending .json is read as result.json, any other file as model.toml.
 
     Returns
     -------
     Saved
-        The model, the result, or both.
+        The model, the result, or both; what was not found is None.
 
     Raises
     ------
@@ -136,7 +141,7 @@ def simulate(
     inputs: Mapping[str, ArrayLike],
     start: Mapping[str, float] | None = None,
 ) -> dict[str, Series]:
-    """Simulate a fitted model for given inputs, without noise.
+    """Simulate a fitted model for given inputs, without process noise and without measurement noise.
 
     Parameters
     ----------
@@ -147,17 +152,19 @@ def simulate(
     inputs : dict of str to Array (n,)
         Value of each input at these times, for example ``n_left`` and ``n_right`` (-1 to 1).
     start : dict of str to float, optional
-        Initial values of states, for example ``{"u": 1.0}``; the others have those of the model.
+        Initial values of states by name, for example ``{"u": 1.0}``. The other states begin at the initial values of
+        the model.
 
     Returns
     -------
     dict of str to Series
-        States and outputs by name, in SI units and radians.
+        States and outputs by name, in SI units and radians. Where a state and an output have one name, it is the state.
 
     Raises
     ------
     SeatrialError
-        If an input of the model is missing, or if a state or input is unknown.
+        If an input of the model is missing, if a state or input is unknown, or if an input has another length than
+        ``t``.
 
     Examples
     --------
@@ -194,7 +201,7 @@ def simulate(
 
 
 def linearise(model: PathLike | Saved | FittedVehicle | FittedDiagnosis, speed: float) -> Linearisation:
-    """Linearise a fitted model about straight motion at a forward speed in still water.
+    """Linearise a fitted model about straight motion at a constant forward speed, without current.
 
     Parameters
     ----------
@@ -229,7 +236,10 @@ def linearise(model: PathLike | Saved | FittedVehicle | FittedDiagnosis, speed: 
 
 
 def _structure(model: PathLike | Saved | FittedVehicle | FittedDiagnosis) -> Model:
-    """Return the model with the estimates as values."""
+    """Return the model (equations, parameters, sensors) with its estimates as the values of the parameters.
+
+    `model` is a file, a folder, a loaded or a fitted model. SeatrialError is raised if there is no model.toml.
+    """
     if isinstance(model, FittedVehicle | FittedDiagnosis):
         return model.fitted.fit.model
     saved = model if isinstance(model, Saved) else load(model)

@@ -44,7 +44,7 @@ class Signal:
     value: NDArray[np.float64]
 
     def __repr__(self) -> str:
-        """Return name, unit, number of samples and rate."""
+        """Return a short text for the interpreter: name, unit, number of samples and median rate [Hz]."""
         rate = f", {1.0 / float(np.median(np.diff(self.t))):.3g} Hz" if self.t.size > 1 else ""
         return f"<Signal {self.name} [{self.unit or '1'}]: {self.t.size} samples{rate}>"
 
@@ -82,7 +82,7 @@ class Log:
 
     @property
     def duration(self) -> float:
-        """Time from the first to the last sample of any signal [s]."""
+        """Time from the first to the last sample of all signals [s]."""
         first = min(s.t[0] for s in self.signals.values())
         return float(max(s.t[-1] for s in self.signals.values()) - first)
 
@@ -93,7 +93,7 @@ class Log:
         return self.signals[name]
 
     def __repr__(self) -> str:
-        """Return file, duration and the first signals, in a few lines."""
+        """Return a short text for the interpreter: file name, duration and the names of the first 12 signals."""
         names = list(self.signals)
         more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
         return f"<Log {self.path.name}: {self.duration:.1f} s, {len(names)} signals: {', '.join(names[:SHOWN])}{more}>"
@@ -116,7 +116,7 @@ class Log:
         Parameters
         ----------
         *names : str
-            Names of signals.
+            Names of signals; without names all signals are drawn.
 
         Raises
         ------
@@ -139,12 +139,13 @@ def open_log(path: PathLike, start: float = 0.0, end: float = np.inf) -> Log:
     path : str or Path
         Log: a .mcap file, or the first of its segments.
     start, end : float
-        Window of time to read [s], from the first sample of the log.
+        Window of time to read, ``start <= t < end`` [s], from the first sample of the log. By default the whole log.
 
     Returns
     -------
     Log
-        The signals, without outliers. `seatrial.daq.log.open_log` reads the recorded messages instead.
+        The signals that models use, without outliers. A signal without a sample in the window is left out.
+        `seatrial.daq.log.open_log` reads the recorded messages instead.
 
     Raises
     ------
@@ -162,7 +163,10 @@ def open_log(path: PathLike, start: float = 0.0, end: float = np.inf) -> Log:
 
 
 def _log_of(loaded: LoadedLog, path: Path, window: TimeWindow) -> Log:
-    """Return a loaded log with its signals cut to the window [s]."""
+    """Return a `Log` from a loaded log: its signals, cut to the window ``t_from <= t < t_to`` [s].
+
+    A signal without a sample in the window is left out. `path` is the file or folder of the log.
+    """
     signals = {}
     for name, channel in loaded.run.channels.items():
         inside = (channel.t >= window.t_from) & (channel.t < window.t_to)
@@ -186,17 +190,17 @@ def import_log(
     out_dir : path
         Folder of the logs.
     force : bool
-        Whether existing logs are replaced.
+        Whether existing logs are replaced. If false, an existing log is an error.
 
     Returns
     -------
     list of Path
-        The logs.
+        Paths of the written logs.
 
     Raises
     ------
     SeatrialError
-        If a file cannot be read, or if no signal can be recognised.
+        If a file does not exist or cannot be read, if no signal can be recognised, or if a log exists already.
 
     Examples
     --------
@@ -221,22 +225,25 @@ def import_log(
 
 
 class Findings(tuple[Finding, ...]):
-    """Findings of a check, the worst first. Each has ``level``, ``code``, ``where``, ``text`` and ``advice``."""
+    """Findings of a check as a tuple, the worst first. `check` returns it.
+
+    Each finding has ``level`` (ok, warning or fault), ``code``, ``check``, ``where``, ``text`` and ``advice``.
+    """
 
     __slots__ = ()
 
     @property
     def faults(self) -> list[Finding]:
-        """Findings that make a fit or a run meaningless."""
+        """Findings of the level fault, which make a fit or a run meaningless; empty if there are none."""
         return [f for f in self if f.level == FAULT]
 
     @property
     def warnings(self) -> list[Finding]:
-        """Findings that need attention."""
+        """Findings of the level warning, which need attention; empty if there are none."""
         return [f for f in self if f.level == WARNING]
 
     def __repr__(self) -> str:
-        """Return one line for each finding, and their numbers."""
+        """Return one line for each finding, and a line with the numbers of faults and warnings."""
         return "\n".join([*findings_lines(self), findings_summary(self)])
 
     def to_pandas(self) -> Any:
@@ -256,7 +263,7 @@ def check(logs: PathLike | Sequence[PathLike]) -> Findings:
     Parameters
     ----------
     logs : path or sequence of paths
-        Logs.
+        Files or folders of the logs, which are checked whole.
 
     Returns
     -------
@@ -266,7 +273,7 @@ def check(logs: PathLike | Sequence[PathLike]) -> Findings:
     Raises
     ------
     SeatrialError
-        If a file is not a log.
+        If no log is given, or if a file does not exist or is not a log.
 
     Examples
     --------
@@ -280,7 +287,7 @@ def check(logs: PathLike | Sequence[PathLike]) -> Findings:
 
 
 def as_paths(logs: PathLike | Log | Sequence[PathLike | Log]) -> list[Path]:
-    """Return the paths of one log or of several logs, given as paths or as `Log`.
+    """Return the paths of one log or of several logs, given as paths or as `Log`. The window of a `Log` is not used.
 
     Raises
     ------

@@ -22,17 +22,20 @@ TURN_DEG = 360.0
 def prediction_figure(result: FitResult, channels: Sequence[str]) -> Figure:
     """Return a figure of measured and predicted channels over the horizon, with the 95 % band of the prediction.
 
+    It has a panel for each channel of each record. Angles are in degrees. A channel without predictions has only its
+    samples.
+
     Parameters
     ----------
     result
         Result of a fit.
     channels
-        Names of channels; empty: all.
+        Names of the channels to draw; empty: all.
 
     Raises
     ------
     SeatrialError
-        If the result has no channel of a name.
+        If the result has no channel with one of the names, or no channel at all.
     """
     check_names(channels, [x.channel for x in result.traces])
     panels = []
@@ -57,17 +60,19 @@ def prediction_figure(result: FitResult, channels: Sequence[str]) -> Figure:
 def residual_figure(residuals: Mapping[str, Mapping[str, Series]], channels: Sequence[str]) -> Figure:
     """Return a figure of standardised residuals over time, by record and channel, with lines at ± 2.
 
+    A standardised residual is an innovation divided by its predicted standard deviation.
+
     Parameters
     ----------
     residuals
-        Residuals by record and channel.
+        Standardised residuals by record and channel, each with at least one sample.
     channels
-        Names of channels; empty: all.
+        Names of the channels to draw; empty: all.
 
     Raises
     ------
     SeatrialError
-        If the residuals have no channel of a name.
+        If the residuals have no channel with one of the names, or no channel at all.
     """
     check_names(channels, [n for by_channel in residuals.values() for n in by_channel])
     panels = []
@@ -85,12 +90,12 @@ def residual_figure(residuals: Mapping[str, Mapping[str, Series]], channels: Seq
 
 
 def check_names(asked: Sequence[str], known: Sequence[str]) -> None:
-    """Check names of channels that a user gave.
+    """Check that the names of channels that a user gave (`asked`) are among those of a fit (`known`).
 
     Raises
     ------
     SeatrialError
-        If a name is not among the known ones.
+        For the first unknown name. The message lists the known ones.
     """
     for name in asked:
         if name not in known:
@@ -98,7 +103,10 @@ def check_names(asked: Sequence[str], known: Sequence[str]) -> None:
 
 
 def _stacked(title: str, panels: Sequence[Panel]) -> Figure:
-    """Return a figure of panels above each other; SeatrialError if there are none."""
+    """Return a figure with a title and panels above each other over one time axis. Without panels raise SeatrialError.
+
+    A panel is a diagram with its title and traces.
+    """
     if not panels:
         raise SeatrialError("there is nothing to draw: the fit has no such channel with samples")
     figure, height = stacked(panels, "time [s]")

@@ -41,17 +41,17 @@ class ThrusterOptions(TypedDict, total=False):
     Attributes
     ----------
     name : str
-        Name of the thruster in the rig, if the logs have several.
+        Name of the thruster in the rig; needed if the logs have several thrusters.
     settle : float
-        For a static curve: time that is left out after each change of command [s].
+        Time after each change of command that is left out from means of the force [s].
     profiles : sequence of str
-        Parameters whose profile likelihood is computed.
+        Names of the parameters whose profile likelihood is computed.
     outlier_model : bool
-        Whether all sensors may have outliers.
+        Whether outliers are part of the noise of all sensors, so that they have little weight.
     reml : bool
         Whether the noise is estimated by restricted maximum likelihood.
     horizon : float
-        Horizon of the predictions [s].
+        Horizon [s] of the predictions with which the fit is evaluated.
     despite_faults : bool
         Whether to fit logs with faults that make a fit meaningless.
     progress : bool
@@ -76,23 +76,24 @@ class DesignOptions(TypedDict, total=False):
     duration : float
         Length of the mission [s].
     steps : int
-        Number of steps; one for each 5 s if it is left out.
+        Number of steps of the commands; one for each 5 s if it is left out.
     criterion : ``D``, ``A``, ``E`` or ``Ds``
-        Scalar of the information matrix that is maximised.
+        Scalar of the Fisher information that is optimised: determinant (D), mean variance (A), largest variance (E), or
+        determinant of the chosen parameters (Ds).
     chosen : tuple of str
-        Parameters of the criterion; empty for all.
+        Names of the parameters of the criterion; empty for all that the sensors observe.
     between : tuple of two str
-        Two effects that the mission has to tell apart; empty for none.
+        Names of two effects that the mission distinguishes; empty for a design by the criterion.
     n_max : float
-        Largest command, as a part of full command.
+        Largest magnitude of a command, 0 to 1 (full command).
     slew : float
         Slew limit of a command [1/s].
     shortest : float
         Length of the shortest step [s].
     rates : dict of str to float
-        Rate of each sensor [Hz].
+        Sample rates [Hz] by name of the sensor. Others have the rate of the data that the model was fitted to.
     evaluations : int
-        Number of simulations of the search.
+        Number of simulations of the mission in the search for the best commands.
     seed : int
         Seed of all random draws.
     progress : bool
@@ -115,14 +116,14 @@ class DesignOptions(TypedDict, total=False):
 
 @dataclass(frozen=True, repr=False)
 class WrittenResult:
-    """Result of a command with the files that the command writes.
+    """Result of a workflow, with the files that the command of the same name would write.
 
     Attributes
     ----------
     result : Result
         Content of result.json.
     files : dict of str to bytes
-        Files that ``save`` writes, by name.
+        Contents of the files that ``save`` writes, by name of the file.
     """
 
     result: Any
@@ -130,21 +131,21 @@ class WrittenResult:
 
     @property
     def answer(self) -> str:
-        """Answer in one or two sentences."""
+        """Main conclusion of the result in one or two sentences, as in its report."""
         return str(self.result.answer)
 
     @property
     def warnings(self) -> list[str]:
-        """Warnings, as sentences."""
+        """Warnings of the result, as sentences; empty if there are none."""
         return [w.text for w in self.result.warnings]
 
     def save(self, folder: PathLike) -> Path:
-        """Write the files of the command to a folder, which is created, and return its path.
+        """Write the files of the command to a folder, and return its path.
 
         Parameters
         ----------
         folder : path
-            Folder. Existing files of the same names are replaced.
+            Folder, which is created if it does not exist. Existing files of the same names are replaced.
         """
         out = Path(folder)
         out.mkdir(parents=True, exist_ok=True)
@@ -170,7 +171,9 @@ class FittedThruster(FitReport, WrittenResult):
 
 @dataclass(frozen=True, repr=False)
 class ThrustCurve(WrittenResult):
-    """Static thrust curve of a thruster whose shaft speed was not logged. `thruster` returns it.
+    """Static thrust curve of a thruster whose shaft speed was not logged: force against command.
+
+    `thruster` returns it if the logs have no shaft speed.
 
     Attributes
     ----------
@@ -183,7 +186,10 @@ class ThrustCurve(WrittenResult):
     result: ThrustCurveResult
 
     def to_pandas(self) -> Any:
-        """Return the measured points as a ``pandas.DataFrame``: command or shaft speed, force [N], standard error [N].
+        """Return the measured points of the curve as a ``pandas.DataFrame`` with a row for each.
+
+        The columns are ``n`` (normalised command or shaft speed, -1 to 1), ``force`` [N] and ``se`` (its standard error
+        [N]).
 
         Raises
         ------
@@ -194,13 +200,13 @@ class ThrustCurve(WrittenResult):
         return import_library("pandas").DataFrame({"n": static.n, "force": static.force, "se": static.sd})
 
     def __repr__(self) -> str:
-        """Return the number of points and the answer."""
+        """Return a short text for the interpreter: number of points of the curve, and `answer`."""
         return f"<ThrustCurve: {self.result.static.n.size} points>\n{self.answer}"
 
 
 @dataclass(frozen=True, repr=False)
 class Navigated(WrittenResult):
-    """States of logs that a model has estimated. `navigate` returns it.
+    """States of the boat over the time of one or more logs, estimated with a fitted model. `navigate` returns it.
 
     Attributes
     ----------
@@ -214,7 +220,13 @@ class Navigated(WrittenResult):
 
     @property
     def states(self) -> dict[str, dict[str, NDArray[np.float64]]]:
-        """Time, states, standard deviations (``sd_u``) and current of each log, by name; arrays (n_rows,), SI units."""
+        """Columns of the estimated states: for each name of a log a dictionary of arrays (n_rows,) by name.
+
+        The columns are the time ``t`` [s of the log], the states, their standard deviations (such as ``sd_u``), the
+        current if the model estimates it, the covariance ``cov_x_y`` [m2] of the position, and ``gnss``: 1 for a fix
+        that was used, -1 for one that was withheld, 0 without a fix. Units are SI and radians; forces are ratios to the
+        thrust if it is not known in N.
+        """
         found = {}
         for name, content in self.files.items():
             if name.endswith(".csv"):
@@ -223,7 +235,9 @@ class Navigated(WrittenResult):
         return found
 
     def to_pandas(self) -> Any:
-        """Return the states of all logs as a ``pandas.DataFrame``, with the name of the log in the column ``log``.
+        """Return the states of all logs as one ``pandas.DataFrame``, with the name of the log in the column ``log``.
+
+        The other columns are those of `states`.
 
         Raises
         ------
@@ -235,7 +249,7 @@ class Navigated(WrittenResult):
         return pandas.concat(frames, ignore_index=True)
 
     def __repr__(self) -> str:
-        """Return the names of the logs and the answer."""
+        """Return a short text for the interpreter: names of the logs, and `answer`."""
         return f"<Navigated: {', '.join(self.states)}>\n{self.answer}"
 
 
@@ -245,7 +259,7 @@ def thruster(logs: Logs, **options: Unpack[ThrusterOptions]) -> FittedThruster |
     Parameters
     ----------
     logs : path, `Log` or sequence of them
-        Bench logs.
+        Bench logs, which are used whole, also if a `Log` has a window.
     **options
         `ThrusterOptions`: name, settle, profiles, outlier_model, reml, horizon, despite_faults, progress.
 
@@ -257,7 +271,7 @@ def thruster(logs: Logs, **options: Unpack[ThrusterOptions]) -> FittedThruster |
     Raises
     ------
     SeatrialError
-        If the logs lack signals or have faults that make a fit meaningless.
+        If the logs lack signals or have faults that make a fit meaningless, or if an option is unknown.
 
     Examples
     --------
@@ -276,7 +290,7 @@ def thruster(logs: Logs, **options: Unpack[ThrusterOptions]) -> FittedThruster |
     paths = as_paths(logs)
 
     def work(out: Path) -> Any:
-        """Run the workflow with this folder."""
+        """Fit the thruster, write the files of the command to the folder `out`, and return the result."""
         request = ThrusterRequest(paths, out, estimation=how, **known_options(given, ThrusterRequest))
         return characterise(request, python_call("thruster", paths), reporter)
 
@@ -299,13 +313,14 @@ def navigate(
     model : path, `FittedVehicle` or `FittedDiagnosis`
         The fitted model.
     logs : path, `Log` or sequence of them
-        Logs with different names, which the model should not have been fitted to.
+        Logs with different names, which the model should not have been fitted to. Of a `Log`, its window is used; it
+        must be the same for all logs.
     gnss_outages : sequence of (from, to)
-        Intervals [s of the log] in which GNSS is withheld.
+        Intervals [s from the start of the log] in which the samples of GNSS are not used.
     smoothed : bool
-        Whether states are estimated from all samples, or only from those so far.
+        Whether each state is estimated from all samples (smoother), or only from those up to its time (filter).
     thruster : path, optional
-        Static curve from command to thrust that the model was fitted with.
+        File of the static curve from command to thrust with which the model was fitted.
     rate : float
         Rate of the rows [Hz] to which faster sensors are averaged.
 
@@ -317,7 +332,8 @@ def navigate(
     Raises
     ------
     SeatrialError
-        If two logs have one name, or if model and logs do not go together.
+        If two logs have the same name, if the logs have different windows, or if they lack signals that the model
+        needs.
 
     Examples
     --------
@@ -328,7 +344,7 @@ def navigate(
     paths, curve = as_paths(logs), None if thruster is None else Path(thruster)
 
     def work(out: Path) -> Any:
-        """Run the workflow with this folder."""
+        """Estimate the states, write the files of the command to the folder `out`, and return the result."""
         request = NavigationRequest(path, paths, out, smoothed, gnss_outages, window_of(logs), rate, curve)
         return navigate_logs(request, python_call("navigate", paths), Messages(False))
 
@@ -354,7 +370,7 @@ def design(
     Returns
     -------
     DesignResult
-        Expected standard errors, comparison with baseline signals, and the commands.
+        Expected standard errors after the mission, comparison with baseline signals, and the commands of the mission.
 
     Raises
     ------
@@ -378,7 +394,10 @@ def design(
 
 
 def _with_files(work: Callable[[Path], T]) -> tuple[T, Files]:
-    """Run a workflow with a temporary folder; return its result and the files that it has written, by name."""
+    """Call `work` with a temporary folder; return its result, and the contents of the files in the folder by name.
+
+    ValueError and KeyError become SeatrialError.
+    """
     with errors_of_users(), TemporaryDirectory() as folder:
         result = work(Path(folder))
         return result, {path.name: path.read_bytes() for path in sorted(Path(folder).iterdir())}

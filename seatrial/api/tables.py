@@ -14,28 +14,28 @@ COLUMNS = ("", "estimate", "s.e.", "2.5 %", "97.5 %", "t", "unit", "origin")
 
 
 class Statistics(NamedTuple):
-    """Statistics of one parameter.
+    """Estimate of one parameter with its uncertainty, as a row of the tables of a fit.
 
     Attributes
     ----------
     name : str
-        Name; a parameter of one record is ``NAME@RECORD``.
+        Name; ``NAME@RECORD`` if the parameter has its own value in each record of a fit to several records.
     value, se : float
-        Estimate and standard error; NaN for none.
+        Estimate, or value of a fixed parameter, and standard error (NaN if there is none).
     low, high : float
-        95 % interval; NaN without a standard error.
+        Ends of the 95 % interval; NaN without a standard error.
     t : float
-        Estimate over standard error; NaN without one.
+        Value divided by the standard error; NaN if the standard error is missing or zero.
     unit : str
-        Unit of the values.
+        Unit of value, standard error and interval.
     origin : str
         Origin of the value, for example ``estimated`` or ``built-in``.
     free : bool
-        Whether the parameter was estimated.
+        Whether the parameter was estimated; otherwise it was fixed.
     flag : str
-        What is wrong with the estimate; empty if nothing is.
+        Problem of the estimate in words, for example that it is at a bound; empty without one.
     meaning : str
-        Meaning in words.
+        Meaning of the parameter in words.
     """
 
     name: str
@@ -52,12 +52,16 @@ class Statistics(NamedTuple):
 
 
 def full_name(row: ParameterRow) -> str:
-    """Return the name of a parameter; ``NAME@RECORD`` for a parameter of one record."""
+    """Return the name of a parameter in the table of a result; ``NAME@RECORD`` if it belongs to one record only."""
     return row.name if row.record is None else f"{row.name}@{row.record}"
 
 
 def statistics(row: ParameterRow) -> Statistics:
-    """Return the statistics of a parameter. A parameter that is fixed has no standard error."""
+    """Return estimate, standard error, 95 % interval and t statistic of a parameter in the table of a result.
+
+    Standard error, interval and t statistic are NaN if the result has no standard error, as for a fixed parameter or
+    one at a bound. The interval is that of a normal distribution.
+    """
     se = row.se if row.se is not None else math.nan
     reach = NORMAL_95 * se
     return Statistics(
@@ -67,7 +71,11 @@ def statistics(row: ParameterRow) -> Statistics:
 
 
 def summary(result: FitResult) -> str:
-    """Return the answer of a fit, its estimates as a table, the fixed parameters and the warnings, as text."""
+    """Return the result of a fit as text: its conclusion, a table of the estimates, fixed parameters and warnings.
+
+    Method and log-likelihood come first, then the conclusion (`result.answer`). Flags, which name problems of single
+    estimates, follow the table.
+    """
     fit = result.fit
     lines = [
         f"{fit.model}: {fit.method}{', REML' if fit.restricted else ''}, {fit.message}",
@@ -97,7 +105,10 @@ def summary(result: FitResult) -> str:
 
 
 def as_html(result: FitResult) -> str:
-    """Return answer, estimates and warnings as HTML for a notebook."""
+    """Return the result of a fit as HTML for a notebook: conclusion (`answer`), warnings and a table of the estimates.
+
+    Fixed parameters are left out.
+    """
     rows = [statistics(row) for row in result.fit.parameters]
     head = "".join(f"<th>{html.escape(c)}</th>" for c in COLUMNS)
     body = "".join(f"<tr>{''.join(f'<td>{html.escape(c)}</td>' for c in _cells(row))}</tr>" for row in rows if row.free)
@@ -109,7 +120,10 @@ def as_html(result: FitResult) -> str:
 
 
 def _cells(row: Statistics) -> tuple[str, ...]:
-    """Return the cells of a parameter in the order of `COLUMNS`. Numbers have four significant digits, NaN is empty."""
+    """Return the cells of one row of the table of estimates, for one parameter, as texts in the order of `COLUMNS`.
+
+    Numbers have four significant digits, the t statistic has one decimal, and NaN is empty.
+    """
     numbers = (row.value, row.se, row.low, row.high)
     shown = ["" if math.isnan(v) else f"{v:.4g}" for v in numbers]
     return (row.name, *shown, "" if math.isnan(row.t) else f"{row.t:.1f}", row.unit, row.origin)

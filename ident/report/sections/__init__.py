@@ -1,4 +1,4 @@
-"""Sections of the page of a result, in their order; each is built from the result alone."""
+"""Sections of the report page of a result, in their order; each is built from the result alone."""
 
 from __future__ import annotations
 
@@ -18,14 +18,22 @@ from seatrial.ident.results import (
 
 
 def opening(result: Result) -> Section:
-    """Return the part of the report page that follows its headline: the main numbers of the result."""
+    """Return the section of the report page that follows its headline: the main numbers of the result.
+
+    It is empty for a result that is neither a fit nor a diagnosis.
+    """
     return answer.section(result)
 
 
 def body(canvas: Canvas, result: Result) -> list[Section]:
     """Return the sections of the report page of a result, in their order, without the empty ones.
 
-    Figures are added to ``canvas``.
+    Parameters
+    ----------
+    canvas
+        Collector of the figures, to which the figures are added.
+    result
+        Result of a command.
 
     Raises
     ------
@@ -52,7 +60,10 @@ def body(canvas: Canvas, result: Result) -> list[Section]:
 
 
 def _fit(canvas: Canvas, result: FitResult) -> list[Section]:
-    """Return the sections of a fit of a vehicle or thruster, or of a diagnosis, including empty ones."""
+    """Return the sections of the page of a vehicle fit, a thruster fit or a diagnosis, including empty ones.
+
+    Figures are added to ``canvas``.
+    """
     static = result.static if isinstance(result, ThrusterResult) else None
     profiled = result.profiles if isinstance(result, VehicleResult | ThrusterResult) else ()
     diagnosis = result if isinstance(result, DiagnosisResult) else None

@@ -1,4 +1,4 @@
-"""First section of the page: error reduction and cards of the found effects, or the key parameters of a fit.
+"""First section of a report page: error reduction and cards of the found effects, or the key parameters of a fit.
 
 The section of a thruster's static thrust curve is here too.
 """
@@ -29,9 +29,9 @@ MAX_KEY_PARAMETERS = 9
 def section(result: Result) -> Section:
     """Return the untitled section that follows the headline of a report page.
 
-    A diagnosis has its caveat, the chart of prediction errors and a card for each effect. Another fit has its key
-    parameters. For any other result, and for a fit that did
-    not converge and has no valid estimates, the section is empty.
+    A diagnosis has its caveat, the chart of prediction errors and a card for each added effect. Another fit has its key
+    parameters. If a fit of the result did not converge, so that the estimates are not valid, only the caveat is left.
+    The section is empty for any other result.
     """
     caveat = [result.caveat] if isinstance(result, DiagnosisResult) and result.caveat else []
     blocks: list[Any] = [Prose(line, "callout") for line in caveat]
@@ -45,10 +45,10 @@ def section(result: Result) -> Section:
 
 
 def headline(result: DiagnosisResult) -> list[Any]:
-    """Return the chart of prediction errors over the horizon, before and after the effects were added.
+    """Return the chart of prediction errors over the horizon, before and after effects were added, as a list of one.
 
-    The errors are from validation data if the result has any, otherwise from estimation data. Channels that diverged
-    are named in the caption. The result is empty if no channel was compared.
+    The errors are from validation data if the result has any, otherwise from estimation data. Channels whose prediction
+    diverged are named in the caption. The list is empty if no channel has both errors.
     """
     role, data = by_role(result.errors.validation, result.errors.estimation)[0]
     items = [(n, row) for n, row in data.horizon.items() if row.before is not None and row.after is not None]
@@ -67,7 +67,12 @@ def headline(result: DiagnosisResult) -> list[Any]:
 
 
 def _dumbbells(items: list[tuple[str, ErrorComparison]]) -> list[Dumbbell]:
-    """Return one dumbbell for each channel on a common scale: the largest ratio, at most 2.5, is near the right end."""
+    """Return one dumbbell (error before and after as two dots) for each channel, all on one scale.
+
+    Positions are proportional to the ratio to the error before. The largest of 1, the ratios and the upper ends of
+    their intervals, or 2.5 if that is less, is at 96 per cent of the width. ``items`` has name and errors of each
+    channel.
+    """
     ratios = [(row.after or 0.0) / max(row.before or 0.0, 1e-300) for _, row in items]
     widest = max([1.0, *ratios, *(row.high or 0.0 for _, row in items)])
     scale = 96.0 / min(widest, 2.5)  # per cent of the track's width for a ratio of one
@@ -75,19 +80,18 @@ def _dumbbells(items: list[tuple[str, ErrorComparison]]) -> list[Dumbbell]:
 
 
 def _channel_dumbbell(name: str, row: ErrorComparison, ratio: float, scale: float) -> Dumbbell:
-    """Return the dumbbell of one channel.
+    """Return the dumbbell of one channel: its errors before and after effects were added, as two dots on a track.
 
     Parameters
     ----------
     name
         Name of the channel.
     row
-        Errors before and after.
+        RMS errors before and after, with the 95 % interval of their ratio.
     ratio
-        Error after over error before.
+        Error after / error before. A change by less than 0.5 % is shown as ±0 %.
     scale
-        Length of a ratio of one, in per cent of the width of the dumbbell's track. Positions beyond 100 are drawn at
-        100.
+        Position of a ratio of one, in per cent of the track's width. Positions beyond 100 are drawn at 100.
     """
     factor, unit = formatting.degrees_for(row.unit)
     before, after = (factor * (value or 0.0) for value in (row.before, row.after))
@@ -107,9 +111,10 @@ def _channel_dumbbell(name: str, row: ErrorComparison, ratio: float, scale: floa
 
 
 def _criterion_in_words(criterion: float) -> str:
-    """Return by how much the criterion (BIC) of a competing model is worse, or better if ``criterion`` is negative.
+    """Return by how much the criterion (Delta BIC) of a competing model is worse, as text: ``12 worse``.
 
-    ``criterion`` is that of the added effect less that of the competing model.
+    ``criterion`` is that of the added effect minus that of the competing model. If it is negative, the text is ``12
+    better, but worse on the validation data``.
     """
     if criterion < 0:  # the effect was still preferred, because validation data do not support the competing model
         return f"{formatting.plain(-criterion)} better, but worse on the validation data"
@@ -119,7 +124,14 @@ def _criterion_in_words(criterion: float) -> str:
 def effect_card(effect: EffectRow, horizon: float) -> EffectCard:
     """Return the card of an added effect: formula, parameters, source, experiment, competing models, importance.
 
-    ``horizon`` is the prediction horizon [s] of the result.
+    Entries without a text are left out.
+
+    Parameters
+    ----------
+    effect
+        Effect that a diagnosis added to the model.
+    horizon
+        Prediction horizon [s] of the result, for the text on the importance.
     """
     parameters = []
     for row in effect.parameters:
@@ -146,10 +158,17 @@ def effect_card(effect: EffectRow, horizon: float) -> EffectCard:
 
 
 def _importance_in_words(change: PredictionChangeRow | None, horizon: float) -> tuple[str, str]:
-    """Return how the prediction error changes if the effect is left out: the number, and the words after it.
+    """Return how the prediction error changes if an effect is left out, as two texts: number, and words after it.
 
-    ``change`` is the change over the horizon [s] by adding the effect to the others; both texts are empty if it is
-    unknown (None). From 2 on the number is a factor, otherwise a percentage.
+    The number is a factor if it is 2 or more, otherwise a percentage; without a significant change it is ``no
+    significant change``. Both texts are empty if ``change`` is None.
+
+    Parameters
+    ----------
+    change
+        Change of the prediction error over the horizon by adding the effect to the others; None if it is unknown.
+    horizon
+        Prediction horizon [s].
     """
     if change is None:
         return "", ""
@@ -167,7 +186,10 @@ def _importance_in_words(change: PredictionChangeRow | None, horizon: float) -> 
 
 
 def attribution_words(effect: EffectRow) -> str:
-    """Return a text on how far the name of an effect can be trusted, with the reasons if it is ambiguous."""
+    """Return the attribution of an added effect in words: how far its name can be trusted.
+
+    If the attribution is ambiguous, the text has the reasons and the effects that are not excluded.
+    """
     if effect.attribution == "ambiguous":
         alternatives = [formatting.titled(name) for name in effect.not_excluded]
         reasons = [*effect.reasons, *([f"not excluded: {', '.join(alternatives)}"] if alternatives else [])]
@@ -179,9 +201,10 @@ def attribution_words(effect: EffectRow) -> str:
 
 
 def key_parameters(fit: FitSummary) -> list[Any]:
-    """Return up to nine facts of the free dynamic parameters that all runs share, and a caption.
+    """Return up to nine estimated parameters of a fit, with standard errors, as labelled values, and a caption.
 
-    Noise parameters and parameters without a standard error are left out. The result is empty if no parameter is left.
+    Noise parameters, per-record parameters, and parameters without a standard error are left out. The list is empty if
+    no parameter is left.
     """
     found = []
     for row in fit.parameters:
@@ -200,14 +223,14 @@ def key_parameters(fit: FitSummary) -> list[Any]:
 
 
 def _symbol_and_value(row: ParameterRow, value: float, se: float, unit: str) -> str:
-    """Return ``NAME = value ± standard error unit`` of a parameter, whose numbers are in the shown unit."""
+    """Return ``NAME = value ± standard error unit`` as text; ``value`` and ``se`` are in the shown unit."""
     return f"{row.name} = {formatting.with_error(value, se, unit)}"
 
 
 def static_section(canvas: Canvas, static: StaticForce) -> Section:
-    """Return the section of a thruster's static curve, measured and fitted.
+    """Return the section with the figure of a thruster's static thrust curve, measured and fitted.
 
-    The curve is the steady force [N] over shaft speed or command, which are fractions of full.
+    The curve is the steady force [N] over the shaft speed or the command, as a fraction of full speed or command.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Sections of navigation: GNSS outages, track with 95 % ellipses, and all states with their 95 % bands."""
+"""Sections of the page of a navigation result: GNSS outages, track with 95 % ellipses, states with 95 % bands."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ ELLIPSE_ANGLES = np.linspace(0.0, 2 * np.pi, 73)  # rad
 
 
 def outages_section(result: NavigationResult) -> Section:
-    """Return the section with the table of outages, with no blocks if there are none.
+    """Return the section with the table of GNSS outages; empty if there are none.
 
-    The table has the predicted position error at the end of each outage, and the distance from the next fix. If fixes
-    were withheld on purpose, it also has the RMS errors at these fixes.
+    The table has the 95 % radius of the predicted position at the end of each outage, and the distance of this position
+    from the next fix. If GNSS fixes were withheld on purpose, it also has the RMS errors at these fixes.
     """
     found = result.outages
     if not found:
@@ -49,7 +49,7 @@ def outages_section(result: NavigationResult) -> Section:
 
 
 def _outage_cells(o: GnssOutage, withheld: bool) -> list[Cell | str]:
-    """Return the table cells of one outage; ``withheld`` adds the RMS errors on withheld fixes."""
+    """Return the table cells of one GNSS outage; ``withheld`` adds two cells of RMS errors at withheld fixes."""
     verdict = {True: Cell("✓ inside", "good"), False: Cell("✗ outside", "bad"), None: Cell("–")}[o.inside]
     cells: list[Cell | str] = [
         o.record,
@@ -65,14 +65,14 @@ def _outage_cells(o: GnssOutage, withheld: bool) -> list[Cell | str]:
 
 
 def _metres_cell(value: float | None) -> Cell:
-    """Return the table cell of a length [m]; a dash for None."""
+    """Return the table cell of a length [m] with its unit; a dash for None."""
     return Cell("–" if value is None else f"{formatting.plain(value)} m", "num")
 
 
 def states_section(canvas: Canvas, result: NavigationResult) -> Section:
-    """Return the section of estimated states: one tab per record with the track and all states over time.
+    """Return the section of the estimated states: one tab for each record with the track and all states over time.
 
-    Without finite states the section is empty.
+    The section is empty if the model has no position and no state has finite values.
 
     Parameters
     ----------
@@ -92,9 +92,20 @@ def states_section(canvas: Canvas, result: NavigationResult) -> Section:
 
 
 def _record_blocks(canvas: Canvas, row: NavigatedRecord, outages: Sequence[GnssOutage], origin: str) -> list[Any]:
-    """Return the legend, the track and the states over time of one record.
+    """Return the blocks of one record: legend and figure of the track, and figure of the states over time.
 
-    ``origin`` ends the titles of the track's axes, for example `` of its first fix``.
+    The list is empty if the model has no position and no state has finite values.
+
+    Parameters
+    ----------
+    canvas
+        Collector of the figures, to which the figures are added.
+    row
+        Estimated states of the record.
+    outages
+        GNSS outages of the record.
+    origin
+        End of the titles of the track's axes, for example `` of its first fix``.
     """
     blocks: list[Any] = []
     track = _track_plot(canvas, row, outages, origin)
@@ -114,9 +125,9 @@ def _record_blocks(canvas: Canvas, row: NavigatedRecord, outages: Sequence[GnssO
 
 
 def _state_panel(canvas: Canvas, t: Array, state: StateTrace, outages: Sequence[GnssOutage]) -> drawing.Panel | None:
-    """Return the panel of one state over time ``t`` (n_rows,) [s] with its 95 % band, None without finite values.
+    """Return the panel of one state over the times ``t`` (n,) [s] with its 95 % band; None without finite values.
 
-    Measurements are added if there are any. Outages are shaded.
+    Measurements of the same quantity are added if there are any. The times of GNSS ``outages`` are shaded.
     """
     if not np.isfinite(state.value).any():
         return None
@@ -142,9 +153,10 @@ def _state_panel(canvas: Canvas, t: Array, state: StateTrace, outages: Sequence[
 
 
 def _track_plot(canvas: Canvas, row: NavigatedRecord, outages: Sequence[GnssOutage], origin: str) -> Plot | None:
-    """Return the plot of the track with fixes and outage ellipses, None for a model without position.
+    """Return the plot of the track of a record with GNSS fixes and a 95 % ellipse at the end of each outage.
 
-    Outages before the first fix have no ellipse. ``origin`` ends the titles of the axes.
+    An outage before the first fix has no ellipse. ``origin`` is the end of the titles of the axes. The result is None
+    if the states of the model do not include a position.
     """
     values = {s.name: s.value for s in row.states}
     if not {"x", "y"} <= set(values):
@@ -171,7 +183,7 @@ def _track_plot(canvas: Canvas, row: NavigatedRecord, outages: Sequence[GnssOuta
 
 
 def _fix_traces(fixes: GnssFixes, limit: int) -> list[drawing.Trace]:
-    """Return the traces of used and withheld fixes, each of at most ``limit`` points.
+    """Return the traces of the used GNSS fixes and of the withheld ones, each of at most ``limit`` points.
 
     A trace without points is left out.
     """
@@ -194,7 +206,7 @@ def _fix_traces(fixes: GnssFixes, limit: int) -> list[drawing.Trace]:
 
 
 def _ellipse_trace(o: GnssOutage) -> drawing.Trace:
-    """Return the trace of the 95 % ellipse about the position predicted for the end of an outage."""
+    """Return the trace of the 95 % ellipse about the position that is predicted for the end of a GNSS outage."""
     e = o.at_end
     a, b = e.major * np.cos(ELLIPSE_ANGLES), e.minor * np.sin(ELLIPSE_ANGLES)
     c, s = np.cos(e.azimuth), np.sin(e.azimuth)

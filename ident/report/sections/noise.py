@@ -1,4 +1,4 @@
-"""Section of sensor noise: white noise and random walk of each channel, and the test of this noise model."""
+"""Section of sensor noise in a report page: white noise and random walk of each channel, and the test of this model."""
 
 from __future__ import annotations
 
@@ -13,14 +13,16 @@ from seatrial.ident.results import ChannelNoise, NoiseResult, SpectrumBands
 
 
 def section(canvas: Canvas, result: NoiseResult) -> Section:
-    """Return the section of sensor noise: a table of all channels and a power spectral density plot of each.
+    """Return the section of sensor noise: a table of all channels, and a plot of the power spectral density of each.
+
+    The section is empty if the result has no channels.
 
     Parameters
     ----------
     canvas
         Collector of the figures, to which the plots are added.
     result
-        Noise of each channel.
+        Noise of each channel of sensors at rest.
     """
     columns = (
         ("channel", ""),
@@ -39,7 +41,10 @@ def section(canvas: Canvas, result: NoiseResult) -> Section:
 
 
 def _noise_cells(c: ChannelNoise) -> list[Cell | str]:
-    """Return the table cells of one channel: noise levels in the shown unit, verdict, predictable share and p value."""
+    """Return the table cells of one channel: name, white noise, random walk, verdict, predictable share and p value.
+
+    The noise is in the unit that the report shows. A noise that was not found is shown by its 95 % upper limit.
+    """
     factor, unit = formatting.degrees_for(c.unit)
     cells: list[Cell | str] = [formatting.named(c.channel)]
     walk_unit = f"{unit}/√s" if unit else "1/√s"
@@ -53,9 +58,10 @@ def _noise_cells(c: ChannelNoise) -> list[Cell | str]:
 
 
 def _density_plot(canvas: Canvas, c: ChannelNoise) -> Plot | None:
-    """Return the plot of a channel's measured and modelled power spectral density, None without finite values.
+    """Return the plot of the measured and modelled power spectral density of a channel; None without finite values.
 
-    Both axes are logarithmic; frequencies and densities that are not positive are left out.
+    Both axes are logarithmic; points whose frequency or density is not positive are left out. The plot is added to
+    ``canvas``.
     """
     factor, unit = formatting.degrees_for(c.unit)
     traces = []
@@ -85,7 +91,7 @@ def _density_plot(canvas: Canvas, c: ChannelNoise) -> Plot | None:
 
 
 def _band_averages_trace(bands: SpectrumBands, factor: float) -> drawing.Trace:
-    """Return the trace of averages over frequency bands with their 95 % intervals, for comparison with the model.
+    """Return the trace of the measured power spectral density, averaged over frequency bands, with 95 % intervals.
 
     ``factor`` converts the density to the shown unit.
     """
@@ -96,9 +102,10 @@ def _band_averages_trace(bands: SpectrumBands, factor: float) -> drawing.Trace:
 
 
 def _frequency_axis(frequency: Array) -> dict[str, Any]:
-    """Return the layout of a logarithmic axis with ticks at powers of ten, and at 2 and 5 below 2.5 decades.
+    """Return the Plotly layout of a logarithmic axis for the frequencies [Hz], with ticks at powers of ten.
 
-    Without a positive frequency [Hz] the ticks are those of Plotly.
+    If they span less than 2.5 decades, ticks at 2 and 5 times these powers are added. If no frequency is positive, the
+    ticks are left to Plotly.
     """
     positive = frequency[frequency > 0]
     if not positive.size:

@@ -1,8 +1,8 @@
-"""Sections of parameters.
+"""Sections of parameters in a report page.
 
 - Estimates with standard errors, changes by the added effects, and correlation of the estimates.
 - Profile likelihoods with their 95 % intervals.
-- Information of each segment of the logs about each parameter, as a table and as a map over time.
+- Fisher information of each segment of the logs about each parameter, as a table and as a map over time.
 """
 
 from __future__ import annotations
@@ -40,18 +40,18 @@ def parameters_section(
 ) -> Section:
     """Return the section of estimates: facts and table of the fit, changes by effects, and correlation.
 
-    The columns for prior, record and note are shown only if a parameter has such an entry.
+    The table has columns for the share of the prior, the record and a note only if a parameter has such an entry.
 
     Parameters
     ----------
     canvas : Canvas
         Collector of the figures, to which the figure is added.
     fit : FitSummary
-        The last fit.
+        Fit of the model; in a diagnosis, of the model with the added effects.
     changes : sequence of ParameterChange
         Parameters before and after the effects of a diagnosis were added; empty for other fits.
     common_errors : CommonErrorsRow, optional
-        Common errors of the model, which get a table of their own.
+        Common errors of the model (small errors that every craft has), which get a table of their own.
     """
     blocks: list[Any] = _fit_facts(fit)
     table = fit.parameters
@@ -69,7 +69,11 @@ def parameters_section(
 
 
 def common_errors_blocks(row: CommonErrorsRow | None) -> list[Any]:
-    """Return the heading and the table of the common errors, empty if they were not added (None)."""
+    """Return heading, sentence and table of the common errors; an empty list if ``row`` is None.
+
+    Common errors are small errors that every craft has: sensor timing, mounting, hull form. The sentence has the gain
+    of the likelihood by them. The table has the estimates of their parameters.
+    """
     if row is None:
         return []
     columns, cells = (("parameter", ""), ("estimate ± s.e.", "num"), ("meaning", "")), list[list[Cell | str]]()
@@ -90,9 +94,10 @@ def common_errors_blocks(row: CommonErrorsRow | None) -> list[Any]:
 
 
 def _fit_facts(fit: FitSummary) -> list[Any]:
-    """Return the labelled facts of a fit: model, method, convergence, likelihood, kind of standard errors, CPU time.
+    """Return the labelled facts of a fit as a list of one block.
 
-    Facts without a value are left out.
+    They are model, method, convergence, log-likelihood, iterations, kind of standard errors and CPU time. Facts without
+    a value are left out.
     """
     methods = {"OE": "output error (OE)", "PE": "prediction error (PE)"}
     converged, message = "yes" if fit.converged else "no", fit.message
@@ -113,10 +118,11 @@ def _fit_facts(fit: FitSummary) -> list[Any]:
 
 
 def _parameter_cells(row: ParameterRow, extra: list[str]) -> list[Cell | str]:
-    """Return the table cells of one parameter.
+    """Return the table cells of one parameter: name, value, standard error, unit, meaning, and those of ``extra``.
 
-    ``extra`` has the names of the optional columns of the table: ``prior_share``, ``record``, ``flag``. In place of a
-    missing standard error, a fixed parameter has the provenance of its value.
+    ``extra`` has the names of further columns of the table: ``prior_share``, ``record``, ``flag``. In place of a
+    missing standard error, a fixed parameter has the provenance of its value, for example ``given``, and any other a
+    dash.
     """
     factor, unit = formatting.degrees_for(row.unit)
     value, se = formatting.scaled(factor, row.value, row.se)
@@ -137,7 +143,7 @@ def _parameter_cells(row: ParameterRow, extra: list[str]) -> list[Cell | str]:
 
 
 def _change_blocks(table: Sequence[ParameterChange]) -> list[Any]:
-    """Return the heading and table of the parameters before and after the effects were added; empty without any."""
+    """Return heading and table of the parameters before and after effects were added; an empty list without any."""
     if not table:
         return []
     columns = (("parameter", ""), ("before", "num"), ("after", "num"), ("unit", ""), ("change", "num"))
@@ -146,9 +152,10 @@ def _change_blocks(table: Sequence[ParameterChange]) -> list[Any]:
 
 
 def _change_cells(row: ParameterChange) -> list[Cell | str]:
-    """Return the table cells of one parameter before and after; a change beyond 1.96 standard errors is in bold.
+    """Return the table cells of one parameter before and after effects were added: values, unit and change.
 
-    The change is in standard errors of the value before, or of the value after if the former is unknown.
+    The change is in standard errors of the value before, or of the value after if the former is unknown or zero. If
+    both are unknown, it is a dash. A change beyond 1.96 standard errors is in bold.
     """
     factor, unit = formatting.degrees_for(row.unit)
     before, before_se, after, after_se = formatting.scaled(factor, row.before, row.before_se, row.after, row.after_se)
@@ -163,9 +170,10 @@ def _change_cells(row: ParameterChange) -> list[Cell | str]:
 
 
 def _correlation_blocks(canvas: Canvas, correlation: Correlation) -> list[Any]:
-    """Return the heat map of the correlation of the estimates, and its strongest pairs.
+    """Return heading, strongest pairs, and heat map of the correlation of the estimated parameters.
 
-    The result is empty for fewer than two parameters. Numbers are printed in the map for up to 14 parameters.
+    The list is empty for fewer than two parameters. The map shows its numbers for up to 14 parameters, otherwise only
+    on hover. It is added to ``canvas``.
     """
     names, table = correlation.names, correlation.matrix
     if len(names) < 2:
@@ -202,9 +210,10 @@ def _correlation_blocks(canvas: Canvas, correlation: Correlation) -> list[Any]:
 
 
 def _strongest_pairs(names: Sequence[str], table: Array, n: int = 4) -> str:
-    """Return the ``n`` most correlated pairs with their correlation as a text; pairs below 0.5 are left out.
+    """Return the ``n`` pairs of parameters with the largest absolute correlation as text: ``m_u and d_u 0.93``.
 
-    ``table`` is the correlation matrix (names, names); NaN counts as no correlation. Empty if no pair is left.
+    Pairs below 0.5 are left out; the text is empty if no pair is left. ``table`` is the correlation matrix
+    (n_names, n_names), in which NaN counts as no correlation.
     """
     i, j = np.triu_indices(len(names), 1)
     size = np.nan_to_num(np.abs(table[i, j]))
@@ -213,13 +222,13 @@ def _strongest_pairs(names: Sequence[str], table: Array, n: int = 4) -> str:
 
 
 DROP_95 = 1.92  # drop of the log-likelihood that bounds the 95 % interval: chi-squared quantile over two
-MAX_DROP = 2.6  # upper end of the plots
+MAX_DROP = 2.6  # drop of the log-likelihood at the upper end of the plots
 
 
 def profiles_section(canvas: Canvas, table: Sequence[ProfileCurve]) -> Section:
-    """Return the section of profile likelihoods: a table of 95 % intervals and a plot for each parameter.
+    """Return the section of profile likelihoods: a table of 95 % intervals, and a plot for each parameter.
 
-    The result is empty without profiles.
+    The section is empty without profiles.
 
     Parameters
     ----------
@@ -254,9 +263,9 @@ def profiles_section(canvas: Canvas, table: Sequence[ProfileCurve]) -> Section:
 
 
 def _profile_cells(row: ProfileCurve, noted: bool) -> list[Cell | str]:
-    """Return the table cells of one parameter: value, interval by profile, interval by standard error, and unit.
+    """Return the table cells of a profile likelihood: name and value of the parameter, 95 % intervals, and unit.
 
-    ``noted`` adds the cell of notes.
+    One interval is that by the profile, the other that by the standard error. ``noted`` adds the cell of notes.
     """
     factor, unit = formatting.degrees_for(row.unit)
     ends = ((row.low, row.high), (row.wald_low, row.wald_high))
@@ -270,9 +279,10 @@ def _profile_cells(row: ProfileCurve, noted: bool) -> list[Cell | str]:
 
 
 def interval(low: float | None, high: float | None) -> str:
-    """Return an interval from ``low`` to ``high`` as text, ``1.2 to 3.4``.
+    """Return an interval from ``low`` to ``high`` as text: ``1.2 to 3.4``.
 
-    An end that the data do not bound (None) is written as ``open``. If both ends are None, the text is a dash.
+    An end of None is written as ``open``: the data do not bound the parameter on that side. If both ends are None, the
+    text is a dash.
     """
     if low is None and high is None:
         return "–"
@@ -281,9 +291,10 @@ def interval(low: float | None, high: float | None) -> str:
 
 
 def _profile_plot(canvas: Canvas, row: ProfileCurve) -> Plot | None:
-    """Return the plot of a profile likelihood with its 95 % interval, None if it has fewer than three points.
+    """Return the plot of a profile likelihood: drop of the log-likelihood over the parameter, with its 95 % interval.
 
-    The parabola of the standard error is added if its interval is known.
+    The parabola that follows from the standard error is added if the interval of the latter is known. The plot is added
+    to ``canvas``. The result is None if the profile has fewer than three points, or no finite value.
     """
     value = row.value
     if row.grid.size < 3 or drawing.drawable(row.drop) is None:
@@ -321,9 +332,9 @@ ROW_PX, AXES_PX, LEFT_PX = 26, 104, 74  # height of a row, height of colour bar 
 
 
 def information_section(result: InformationResult) -> Section:
-    """Return the section with the table of standard errors from the logs, and of the most informative segment of each.
+    """Return the section with the table of the standard errors of the parameters from all logs.
 
-    The result is empty without parameters.
+    It also has the segment of a log that each standard error depends on most. The section is empty without parameters.
     """
     found = result.information.parameters
     columns = [
@@ -343,7 +354,11 @@ def information_section(result: InformationResult) -> Section:
 
 
 def _information_row(p: InformedParameter) -> list[Cell | str]:
-    """Return the table cells of one parameter; without information (no standard error) most of them are dashes."""
+    """Return the table cells of one parameter: name, value, standard error, and its most important segment of a log.
+
+    The last two cells are the standard errors without this segment (``unknown`` if no other segment informs the
+    parameter) and from it alone. If the logs have no information (no standard error), these cells are dashes.
+    """
     factor, unit = formatting.degrees_for(p.unit)
     name, shown = f"{p.name}  {p.meaning}{formatting.bracket(unit)}", Cell(formatting.plain(factor * p.value), "num")
     if p.se is None:
@@ -361,18 +376,19 @@ def _information_row(p: InformedParameter) -> list[Cell | str]:
 
 
 def segment_in_words(segment: LogSpan) -> str:
-    """Return record, interval and manoeuvre of a segment of a log: ``run, 30 to 60 s (zigzag)``.
+    """Return record, interval of time and step of the mission of a segment of a log: ``run, 30 to 60 s (zigzag)``.
 
-    The manoeuvre is left out if it is unknown.
+    The step is left out if it is unknown.
     """
     words = f"{segment.record}, {segment.t_from:.0f} to {segment.t_to:.0f} s"
     return f"{words} ({segment.what})" if segment.what else words
 
 
 def segments_section(canvas: Canvas, result: InformationResult) -> Section:
-    """Return the map of lost information over time: one tab per log, with the inputs below the map.
+    """Return the section with the map of the information that would be lost without each segment of a log.
 
-    The result is empty if no segment has information.
+    It has one tab for each log: the map over parameters and time, and the inputs below it. The section is empty if no
+    segment has information.
 
     Parameters
     ----------
@@ -401,8 +417,8 @@ def _record_blocks(
 ) -> list[Any]:
     """Return the blocks of one log: a map of the information lost without each segment, and the log's inputs below it.
 
-    The map has a row for each parameter and the same time axis as the inputs. The list is empty if no segment has
-    information.
+    The map has a row for each parameter, and the same time axis as the figure of the inputs. The list is empty if no
+    segment has information.
 
     Parameters
     ----------
@@ -411,7 +427,7 @@ def _record_blocks(
     names
         Names of the parameters, from top to bottom.
     found
-        Segments of the log in the order of time.
+        Segments of the log in the order of time. Those without information are left out of the map.
     inputs
         Inputs of the log.
     """
@@ -449,10 +465,18 @@ def _record_blocks(
 def _lost_information_map(
     edges: Array, z: Array, names: Sequence[str], words: Sequence[Sequence[str]]
 ) -> drawing.Trace:
-    """Return a heat map of the share of information that is lost without each segment of a log.
+    """Return the trace of a heat map of the share of information that is lost without each segment of a log.
 
-    ``z`` has the shares (n_parameters, n_segments) between the times ``edges`` (n_segments + 1,) [s], and ``words`` the
-    text of each cell on hover. A share that is not finite has no colour.
+    Parameters
+    ----------
+    edges
+        Times [s] between which the segments lie, Array (n_segments + 1,).
+    z
+        Shares, 0 to 1, Array (n_parameters, n_segments). A share that is not finite has no colour.
+    names
+        Names of the parameters, from top to bottom.
+    words
+        Text of each field of the map on hover: a list for each parameter.
     """
     shown = [[None if not np.isfinite(v) else round(float(v), 4) for v in line] for line in z]
     texts = [[drawing.escaped(word) for word in line] for line in words]

@@ -1,4 +1,7 @@
-"""Sections of prediction errors and calibration of prediction intervals, and the last sections of the page."""
+"""Sections of prediction errors and of the calibration of prediction intervals in a report page.
+
+The last sections of the page (recommended experiment, notes, provenance) are here too.
+"""
 
 from __future__ import annotations
 
@@ -26,31 +29,42 @@ Kinds = Sequence[tuple[str, Mapping[str, ErrorComparison]]]
 
 
 def horizons(table: ErrorTable, seconds: float) -> list[tuple[str, Mapping[str, ErrorComparison]]]:
-    """Return title and errors by channel of each kind of prediction, in the order of the report page.
+    """Return (title, errors by channel) of each kind of prediction, in the order of the report page.
 
-    The order is: over the horizon of ``seconds`` [s], one step ahead, simulation.
+    The order is: over the horizon, one step ahead, simulation.
+
+    Parameters
+    ----------
+    table
+        RMS prediction errors on one set of data.
+    seconds
+        Prediction horizon [s], for the title.
     """
     one_step, horizon, simulation = titles(seconds)
     return [(horizon, table.horizon), (one_step, table.one_step), (simulation, table.simulation)]
 
 
 def titles(seconds: float) -> tuple[str, str, str]:
-    """Return the titles of one-step prediction, prediction over the horizon of ``seconds`` [s], and simulation."""
+    """Return the titles of the three kinds of prediction: ``One step ahead``, ``10 s ahead``, ``Simulation``.
+
+    ``seconds`` is the prediction horizon [s].
+    """
     return "One step ahead", f"{seconds:g} s ahead", "Simulation"
 
 
 def by_role(validation: T | None, estimation: T) -> list[tuple[str, T]]:
-    """Return the role (``validation``, ``estimation``) and the data of each set, in the order of the report page.
+    """Return (role, data) of both sets of data, ``validation`` first, as validation data are stronger evidence.
 
-    Validation data come first, as they are stronger evidence. If they are None, only the estimation data are returned.
+    If ``validation`` is None, only the set ``estimation`` is returned. The data may be of any type, for example errors
+    or calibration; they are not changed.
     """
     return [*([] if validation is None else [("validation", validation)]), ("estimation", estimation)]
 
 
 def compared(errors: Errors) -> bool:
-    """Return whether the result compares two models, before and after effects were added.
+    """Return whether the errors are those of two models, before and after effects were added.
 
-    It does if any channel has an error of the model before.
+    They are if any channel of any kind of prediction has an error before.
     """
     tables = [table for _, table in by_role(errors.validation, errors.estimation)]
     kinds = [kind for table in tables for kind in (table.one_step, table.horizon, table.simulation)]
@@ -58,14 +72,16 @@ def compared(errors: Errors) -> bool:
 
 
 def errors_section(errors: Errors, seconds: float) -> Section:
-    """Return the section of RMS prediction errors: one tab for validation data, one for estimation data.
+    """Return the section with the tables of RMS prediction errors: one tab for validation, one for estimation data.
+
+    With one model, a table has the fit in per cent; with two models, the ratio of their errors.
 
     Parameters
     ----------
     errors : Errors
         Errors of one model, or of the models before and after effects were added.
     seconds : float
-        Horizon [s].
+        Prediction horizon [s].
     """
     has_before = compared(errors)
     table = _before_after_table if has_before else _error_table
@@ -78,13 +94,20 @@ def errors_section(errors: Errors, seconds: float) -> Section:
 
 
 def _before_after_table(kinds: Kinds) -> list[Any]:
-    """Return the table of errors before and after, with their ratio and its interval; empty without channels."""
+    """Return the table of RMS errors before and after effects were added, with their ratio and its 95 % interval.
+
+    It is a list of one; an empty list without channels. ``kinds`` has title and errors by channel of each kind of
+    prediction.
+    """
     columns = (("channel", ""), ("before", "num"), ("after", "num"), ("unit", ""), ("ratio", "num"), ("95 %", "num"))
     return _grouped_table(kinds, columns, _before_after_cells)
 
 
 def _error_table(kinds: Kinds) -> list[Any]:
-    """Return the table of the errors of one model, with the fit in per cent; empty without channels."""
+    """Return the table of the RMS errors of one model with the fit in per cent, as a list of one.
+
+    The list is empty without channels. ``kinds`` has title and errors by channel of each kind of prediction.
+    """
     return _grouped_table(kinds, (("channel", ""), ("error", "num"), ("unit", ""), ("fit", "num")), _error_cells)
 
 
@@ -93,7 +116,9 @@ def _grouped_table(
     columns: tuple[tuple[str, str], ...],
     cells: Callable[[str, ErrorComparison], list[Cell | str]],
 ) -> list[Any]:
-    """Return a table with a heading and one row per channel for each kind of prediction; empty without channels.
+    """Return a table with a heading and one row per channel for each kind of prediction, as a list of one.
+
+    A kind without channels is left out. The list is empty if no kind has channels.
 
     Parameters
     ----------
@@ -102,7 +127,7 @@ def _grouped_table(
     columns
         Title and CSS class of each column.
     cells
-        Function that returns the cells of a channel.
+        Function that returns the cells of a row from the name and the errors of a channel.
     """
     lines: list[list[Cell | str]] = []
     for title, table in kinds:
@@ -112,7 +137,11 @@ def _grouped_table(
 
 
 def _error_cells(channel: str, row: ErrorComparison) -> list[Cell | str]:
-    """Return channel, error, unit and fit; the fit is 1 - error / spread, or a dash if one of both is unknown."""
+    """Return the table cells of one channel: name, RMS error of the model, unit, and fit in per cent.
+
+    The fit is 1 - error / standard deviation of the measured output, or a dash if one of both is unknown. An error of
+    None is written as ``diverged``.
+    """
     factor, unit = formatting.degrees_for(row.unit)
     error = row.after
     fit = None if error is None or not row.spread else 1 - error / row.spread
@@ -125,14 +154,18 @@ def _error_cells(channel: str, row: ErrorComparison) -> list[Cell | str]:
 
 
 def error_words(error: float | None) -> str:
-    """Return an RMS error as text; None (not finite in the computation) means that the prediction diverged."""
+    """Return an RMS prediction error as text: three digits, or ``diverged`` if it is None.
+
+    An error is None in a result if it was not finite, because the prediction diverged.
+    """
     return "diverged" if error is None else formatting.plain(error)
 
 
 def _before_after_cells(channel: str, row: ErrorComparison) -> list[Cell | str]:
-    """Return channel, error before and after, unit, ratio with its verdict, and the 95 % interval of the ratio.
+    """Return the table cells of one channel: name, errors before and after, unit, their ratio and its 95 % interval.
 
-    Unknown numbers are dashes; an error of None is printed as ``diverged``.
+    A mark at the ratio shows whether the error fell or rose significantly. An unknown ratio or interval is a dash; an
+    error of None is written as ``diverged``.
     """
     factor, unit = formatting.degrees_for(row.unit)
     before, after = formatting.scaled(factor, row.before, row.after)
@@ -150,19 +183,19 @@ def _before_after_cells(channel: str, row: ErrorComparison) -> list[Cell | str]:
 
 
 def next_section(words: str | None) -> Section:
-    """Return the section of the report page with the recommended experiment; empty without a text."""
+    """Return the section of the report page with the recommended experiment; empty if ``words`` is None or empty."""
     return Section("next", "Next experiment", [Prose(words, "callout")] if words else [])
 
 
 def notes_section(lines: Sequence[str], unused: Sequence[UnusedSignal] = ()) -> Section:
-    """Return the section of the notes of a result and of the signals that the model does not use, with the reasons.
+    """Return the section of the notes of a result, and of the unused signals with the reasons; empty without any.
 
     Parameters
     ----------
     lines
-        Notes, each a sentence.
+        Notes of the result.
     unused
-        Signals that the model does not use.
+        Signals of the logs that the model does not use.
     """
     blocks: list[Any] = [Lines(list(lines))] if lines else []
     if unused:
@@ -171,7 +204,10 @@ def notes_section(lines: Sequence[str], unused: Sequence[UnusedSignal] = ()) -> 
 
 
 def made_section(made: Provenance) -> Section:
-    """Return the section of provenance: command line, version of seatrial and time; empty entries are left out."""
+    """Return the section of the provenance of a result: command line, version of seatrial and time.
+
+    Entries that are empty are left out.
+    """
     facts = (("Command", made.command), ("seatrial", made.seatrial), ("Time", formatting.moment(made.created)))
     found = [(label, value) for label, value in facts if value]
     return Section("made", "How it was made", [Facts(found, "made")] if found else [])
@@ -195,16 +231,18 @@ VERDICTS: dict[Verdict, Cell] = {
 
 
 def calibration_section(canvas: Canvas, calibration: Calibrations, seconds: float) -> Section:
-    """Return the section of calibration: a table and reliability plots for validation and for estimation data.
+    """Return the section of the calibration of the prediction intervals.
+
+    It has one tab for validation data and one for estimation data, each with a table and reliability plots.
 
     Parameters
     ----------
     canvas : Canvas
         Collector of the figures, to which the plots are added.
     calibration : Calibrations
-        Coverage of the prediction intervals.
+        Calibration of each channel by set of data and kind of prediction.
     seconds : float
-        Horizon of the prediction [s].
+        Prediction horizon [s].
     """
     roles = by_role(calibration.validation, calibration.estimation)
     tabs = [(f"{role} data", _calibration_blocks(canvas, role, data, seconds)) for role, data in roles]
@@ -217,9 +255,10 @@ def calibration_section(canvas: Canvas, calibration: Calibrations, seconds: floa
 
 
 def _calibration_blocks(canvas: Canvas, role: str, data: CalibrationTable, seconds: float) -> list[Any]:
-    """Return the table of all kinds of prediction for one set of data, and a reliability plot for each kind.
+    """Return the blocks of the calibration on one set of data: a table, and a reliability plot for each kind.
 
-    ``role`` is ``estimation`` or ``validation``, and ``seconds`` the horizon [s]. The result is empty without channels.
+    The kinds of prediction are one step ahead, over the horizon of ``seconds`` [s], and simulation. ``role`` is
+    ``estimation`` or ``validation``. The plots are added to ``canvas``. The list is empty without channels.
     """
     lines: list[list[Cell | str]] = []
     plots = []
@@ -238,10 +277,10 @@ def _calibration_blocks(canvas: Canvas, role: str, data: CalibrationTable, secon
 
 
 def _calibration_cells(channel: str, row: CalibrationRow) -> list[Cell | str]:
-    """Return the table cells of one channel.
+    """Return the table cells of the calibration of one channel.
 
-    They are the channel, the shares inside the 50 % and 95 % interval, error over predicted standard deviation, its 95
-    % interval, the number of independent samples, and the verdict.
+    They are the name of the channel, the shares of its errors inside the 50 % and 95 % interval, the RMS of error over
+    predicted standard deviation with its 95 % interval, the number of independent errors, and the verdict.
     """
     low, high = row.low, row.high
     return [
@@ -256,10 +295,10 @@ def _calibration_cells(channel: str, row: CalibrationRow) -> list[Cell | str]:
 
 
 def _reliability_plot(canvas: Canvas, title: str, found: Mapping[str, CalibrationRow]) -> Plot | None:
-    """Return the reliability plot: empirical over nominal coverage of the central 20, 40, ... 100 % intervals.
+    """Return the reliability plot of one kind of prediction, with one curve for each channel; None without channels.
 
-    The coverage is summed from the histogram of the probability integral transform, which has ten bins. None without
-    channels.
+    A curve is the share of the errors inside the central 20, 40, ... 100 % prediction intervals over this nominal
+    share. It is summed from the shares of the errors in each tenth of the predicted distribution (``pit``).
     """
     nominal: Any = 0.2 * np.arange(6)
     traces = [drawing.line_trace(nominal, nominal, "nominal", 10, color=drawing.FAINT, dash="dot")]

@@ -1,4 +1,8 @@
-"""Section of residuals: whiteness of the innovations and their correlation with the inputs."""
+"""Section of residuals in a report page: whiteness of the innovations and their correlation with the inputs.
+
+An innovation is a measured sample minus its prediction from earlier samples; here it is divided by its predicted
+standard deviation.
+"""
 
 from __future__ import annotations
 
@@ -20,9 +24,9 @@ KOLMOGOROV_95 = 1.358
 
 
 def section(canvas: Canvas, result: FitResult) -> Section:
-    """Return the section of residuals: one tab per record, empty without residuals.
+    """Return the section of the residuals of a fit: one tab for each estimation record; empty without residuals.
 
-    A tab has the table of whiteness tests, three plots per channel, and the correlations with the inputs.
+    A tab has the table of whiteness tests, up to three plots for each channel, and the correlations with the inputs.
 
     Parameters
     ----------
@@ -56,10 +60,10 @@ def section(canvas: Canvas, result: FitResult) -> Section:
 
 
 def _before_and_after(row: T, after: T | None) -> list[tuple[str, T, str]]:
-    """Return label, values and colour of the curves in a plot of residuals, for one model or two.
+    """Return (label, values, colour) of the curves in a plot of residuals: those before and after effects were added.
 
-    ``row`` has the values of the model before effects were added, and ``after`` those of the model with them. If
-    ``after`` is None, only ``row`` is returned.
+    ``row`` has the values of the model before, and ``after`` those of the model with the effects. If ``after`` is None,
+    because there is only one model, the only entry is that of ``row`` with the label ``residual``.
     """
     if after is not None:
         return [("before", row, drawing.BEFORE), ("after", after, drawing.MODEL)]
@@ -67,7 +71,10 @@ def _before_and_after(row: T, after: T | None) -> list[tuple[str, T, str]]:
 
 
 def _whiteness_table(found: Sequence[ResidualTests]) -> list[Any]:
-    """Return the table of the whiteness tests of a record, one row for each channel; empty without channels."""
+    """Return the table of the whiteness tests of a record, one row for each channel, as a list of one.
+
+    The list is empty without channels.
+    """
     columns = (
         ("channel", ""),
         ("white", ""),
@@ -77,9 +84,9 @@ def _whiteness_table(found: Sequence[ResidualTests]) -> list[Any]:
 
 
 def _whiteness_cells(row: ResidualTests) -> list[Cell | str]:
-    """Return the table cells of one channel: verdict, p values, number of outliers, largest residual.
+    """Return the table cells of one channel: name, verdict, p values, number of outliers, largest residual.
 
-    With effects, each cell has the values before and after, joined by an arrow.
+    If effects were added, each cell except the name has the values before and after, joined by an arrow.
     """
     versions: list[WhitenessTests] = [row] if row.after is None else [row, row.after]
     verdict = " → ".join("✓" if v.white else "✗" for v in versions)
@@ -95,7 +102,11 @@ def _whiteness_cells(row: ResidualTests) -> list[Cell | str]:
 
 
 def _channel_plots(canvas: Canvas, rows: Sequence[ResidualTests], tab: RecordTab) -> list[Any]:
-    """Return a heading and up to three plots for each channel: innovations, autocorrelation, cumulative periodogram."""
+    """Return a heading and up to three plots for each channel of a record.
+
+    The plots are innovations over time, autocorrelation and cumulative periodogram, as far as they have finite values.
+    They are added to ``canvas``. A channel without plots has no heading.
+    """
     blocks: list[Any] = []
     for row in rows:
         makers = (_innovations_plot, _autocorrelation_plot, _periodogram_plot)
@@ -106,9 +117,10 @@ def _channel_plots(canvas: Canvas, rows: Sequence[ResidualTests], tab: RecordTab
 
 
 def _innovations_plot(canvas: Canvas, row: ResidualTests, tab: RecordTab) -> Plot | None:
-    """Return the plot of the standardised innovations over time, None without finite values.
+    """Return the plot of the standardised innovations of a channel over time; None without finite values.
 
-    Lines at ±1.96 contain 95 % of white innovations. ``tab`` gives the record's title for the description of the plot.
+    95 % of the innovations of a complete model are between the lines at ±1.96. ``tab`` has the title of the record for
+    the description of the plot, which is added to ``canvas``.
     """
     traces = []
     for name, values, color in _before_and_after(row, row.after):
@@ -126,26 +138,26 @@ def _innovations_plot(canvas: Canvas, row: ResidualTests, tab: RecordTab) -> Plo
 
 
 def _horizontal_line(y: float) -> dict[str, Any]:
-    """Return a dotted horizontal line at ``y`` as a shape of a Plotly layout."""
+    """Return a dotted horizontal line at ``y``, over the width of the plot, as a shape of a Plotly layout."""
     line = {"color": drawing.FAINT, "width": 1, "dash": "dot"}
     return {"type": "line", "xref": "paper", "x0": 0, "x1": 1, "y0": y, "y1": y, "line": line}
 
 
 def _horizontal_band(half: float) -> dict[str, Any]:
-    """Return a grey horizontal band from ``-half`` to ``half`` as a shape of a Plotly layout."""
+    """Return a grey band from ``-half`` to ``half``, over the width of the plot, as a shape of a Plotly layout."""
     style = {"fillcolor": "#8a93a0", "opacity": 0.22, "line": {"width": 0}, "layer": "below"}
     return {"type": "rect", "xref": "paper", "x0": 0, "x1": 1, "y0": -half, "y1": half, **style}
 
 
 def _plot_label(plot: str, row: ResidualTests, tab: RecordTab) -> str:
-    """Return the description of a plot for screen readers: kind of plot, channel, and role and name of the record."""
+    """Return the description of a plot for screen readers: kind (``plot``), channel, role and name of the record."""
     return f"{plot}, {formatting.named(row.channel)}, {tab.title}"
 
 
 def _stem_trace(x: Array, y: Array, name: str, color: str) -> drawing.Trace:
-    """Return a trace of markers at x and y (n,), joined by a thin line.
+    """Return the trace of markers at x and y (n,), joined by a thin line.
 
-    The markers of the trace with the name "before" are open, and its line is dotted.
+    ``name`` is the text on hover. If it is "before", the markers are open and the line is dotted.
     """
     marker = {"color": color, "size": 5, "symbol": "circle-open" if name == "before" else "circle"}
     line = {"color": color, "width": 1, "dash": "dot" if name == "before" else "solid"}
@@ -154,9 +166,10 @@ def _stem_trace(x: Array, y: Array, name: str, color: str) -> drawing.Trace:
 
 
 def _autocorrelation_plot(canvas: Canvas, row: ResidualTests, tab: RecordTab) -> Plot | None:
-    """Return the plot of the autocorrelation over the lag [s] with its 95 % band, None without finite values.
+    """Return the plot of the autocorrelation of a channel's innovations over the lag [s]; None without finite values.
 
-    ``tab`` gives the record's title for the description of the plot.
+    The band contains 95 % of the values of white innovations. ``tab`` has the title of the record for the description
+    of the plot, which is added to ``canvas``.
     """
     traces = []
     for name, values, color in _before_and_after(row, row.after):
@@ -169,9 +182,10 @@ def _autocorrelation_plot(canvas: Canvas, row: ResidualTests, tab: RecordTab) ->
 
 
 def _periodogram_plot(canvas: Canvas, row: ResidualTests, tab: RecordTab) -> Plot | None:
-    """Return the plot of the cumulative periodogram with its 95 % band, None without finite values.
+    """Return the plot of the cumulative periodogram of a channel's innovations; None without finite values.
 
-    ``tab`` gives the record's title for the description of the plot.
+    For white innovations the whole curve is inside the band about the diagonal with 95 % probability. ``tab`` has the
+    title of the record for the description of the plot, which is added to ``canvas``.
     """
     traces, top = [], 0.0
     for name, values, color in _before_and_after(row, row.after):
@@ -191,9 +205,11 @@ def _periodogram_plot(canvas: Canvas, row: ResidualTests, tab: RecordTab) -> Plo
 
 
 def _cross_correlation_blocks(canvas: Canvas, rows: Sequence[CrossCorrelationRow], tab: RecordTab) -> list[Any]:
-    """Return a plot of the cross-correlation for each pair of channel and input of a record.
+    """Return heading and plots of the correlation of residuals with inputs, one plot for each channel and input.
 
-    The result is empty without finite values.
+    The correlation, over the lag [s], is in standard deviations under independence. Plots without finite values are
+    left out; the list is empty if no plot is left. ``tab`` has the title of the record. The plots are added to
+    ``canvas``.
     """
     plots = []
     for row in rows:

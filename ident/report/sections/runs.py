@@ -1,4 +1,7 @@
-"""Sections of the runs: logs and inputs, channels measured and predicted or simulated over time, and the track."""
+"""Sections of the runs in a report page.
+
+They show logs and inputs, channels measured and predicted or simulated over time, and the track of the boat.
+"""
 
 from __future__ import annotations
 
@@ -20,6 +23,8 @@ TIME = "time since the start of the record [s]"
 def run_section(canvas: Canvas, logs: Sequence[LogSummary], inputs: Sequence[InputTrace]) -> Section:
     """Return the section of the logs (role, duration, rig, mission, origin, warnings) and of their inputs over time.
 
+    The section is empty without logs and inputs.
+
     Parameters
     ----------
     canvas
@@ -27,7 +32,7 @@ def run_section(canvas: Canvas, logs: Sequence[LogSummary], inputs: Sequence[Inp
     logs
         Logs of the result.
     inputs
-        Inputs of the model, one for each record and input; may be empty.
+        Inputs of the model over time, one for each record and input; may be empty.
     """
     columns = (("log", ""), ("role", ""), ("duration", "num"), ("rig", ""), ("mission", ""), ("SHA-256", ""))
     blocks: list[Any] = [Table(columns, [_log_cells(row) for row in logs])] if logs else []
@@ -42,12 +47,15 @@ def run_section(canvas: Canvas, logs: Sequence[LogSummary], inputs: Sequence[Inp
 
 
 def _log_name(row: LogSummary) -> str:
-    """Return the name of a log for its table row, or else the last part of its path, or else ``log``."""
+    """Return the name of a log; if it is empty, the last part of its path; if that is empty too, ``log``."""
     return row.name or row.path.replace("\\", "/").rsplit("/", 1)[-1] or "log"
 
 
 def _log_cells(row: LogSummary) -> list[Cell | str]:
-    """Return the table cells of one log: name, role, duration, rig, mission, and ten digits of the SHA-256."""
+    """Return the table cells of one log: name, role, duration, rig, mission, first ten digits of the SHA-256.
+
+    An unknown rig, mission or SHA-256 is a dash.
+    """
     role = row.role
     return [
         Cell(_log_name(row), "strong"),
@@ -60,7 +68,11 @@ def _log_cells(row: LogSummary) -> list[Cell | str]:
 
 
 def _input_blocks(canvas: Canvas, inputs: Sequence[InputTrace], tab: RecordTab) -> list[Any]:
-    """Return the figure of the inputs of one record: one panel for each unit; empty without finite values."""
+    """Return the figure of the inputs of one record over time, one panel for each unit, as a list of one block.
+
+    The figure is added to ``canvas``. The list is empty if no input has finite values. ``tab`` has the title of the
+    record for the description of the figure.
+    """
     by_unit: dict[str, list[InputTrace]] = {}
     for row in inputs:
         by_unit.setdefault(row.unit, []).append(row)
@@ -84,16 +96,16 @@ def _input_blocks(canvas: Canvas, inputs: Sequence[InputTrace], tab: RecordTab) 
 
 
 def prediction_section(canvas: Canvas, result: FitResult) -> Section:
-    """Return the section of channels measured and predicted over the horizon, one tab per record.
+    """Return the section of the channels measured and predicted over the horizon, one tab for each record.
 
-    The errors of the headline are those of these predictions. The result is empty without predictions.
+    The errors in the headline of the page are those of these predictions. The section is empty without predictions.
 
     Parameters
     ----------
     canvas
         Collector of the figures, to which the figures are added.
     result
-        Result of a fit, with predictions over the horizon.
+        Result of a fit, with the predictions over the horizon.
     """
     seconds = result.horizon_seconds
     found = record_tabs(result.traces, roles_of(result.logs, result.traces))
@@ -110,16 +122,16 @@ def prediction_section(canvas: Canvas, result: FitResult) -> Section:
 
 
 def traces_section(canvas: Canvas, result: FitResult) -> Section:
-    """Return the section of channels measured and simulated, and of the track, one tab per record.
+    """Return the section of the channels measured and simulated, and of the track, one tab for each record.
 
-    The result is empty without simulations.
+    The section is empty if no channel and no track has finite values.
 
     Parameters
     ----------
     canvas
         Collector of the figures, to which the figures are added.
     result
-        Result of a fit, with simulations and tracks.
+        Result of a fit, with the simulations and tracks.
     """
     tabs = [
         (
@@ -139,9 +151,10 @@ def traces_section(canvas: Canvas, result: FitResult) -> Section:
 
 
 def _legend(model: str, compared: bool) -> Key:
-    """Return the legend of measured and model curves; ``compared`` adds the model before the effects.
+    """Return the legend of the measured curve and of the model's curve.
 
-    ``model`` is the text for the model's curve, for example ``simulated``.
+    ``model`` is the text for the model's curve, for example ``simulated``. ``compared`` adds the curve of the model
+    before effects were added.
     """
     items = [("measured", "measured"), ("after", f"{model}, with 95 % interval")]
     return Key([*items, ("before", f"{model}, before the effects were added")] if compared else items)
@@ -149,28 +162,32 @@ def _legend(model: str, compared: bool) -> Key:
 
 @dataclass(frozen=True)
 class _Curves:
-    """Model curves of one channel. Gaps are NaN.
+    """Curves of the model for one channel of a record, in the unit of the channel. Gaps are NaN.
 
     Attributes
     ----------
     t : Array (n,)
         Times [s].
     model : Array (n,)
-        Prediction or simulation, in the unit of the channel.
+        Prediction over the horizon, or simulation.
     sd : Array (n,)
-        Standard deviation of the prediction.
+        Standard deviation of ``model``.
     before : Array (n,) or None
-        Curve of the model before the effects were added.
+        The same as ``model`` by the model before effects were added; None if no models are compared.
     """
 
-    t: Array  # s
+    t: Array
     model: Array
-    sd: Array  # standard deviation of the prediction
-    before: Array | None  # of the model before the effects were added
+    sd: Array
+    before: Array | None
 
 
 def _prediction_blocks(canvas: Canvas, result: FitResult, rows: Sequence[Trace], tab: RecordTab) -> list[Any]:
-    """Return the figure of the predictions over the horizon for one record, with the fit in the panel titles."""
+    """Return the figure of one record with its channels measured and predicted over the horizon, as a list of blocks.
+
+    Each panel has the fit in per cent in its title. The figure is added to ``canvas``. The list is empty without finite
+    values. ``rows`` has the channels of the record, and ``tab`` its title.
+    """
     panels = []
     for row in rows:
         curves = _Curves(row.t_horizon, row.horizon, row.sd_horizon, row.horizon_before)
@@ -181,9 +198,11 @@ def _prediction_blocks(canvas: Canvas, result: FitResult, rows: Sequence[Trace],
 
 
 def _simulation_blocks(canvas: Canvas, result: FitResult, rows: Sequence[Trace], tab: RecordTab) -> list[Any]:
-    """Return the figure of the simulations of one record, with the fit in the panel titles.
+    """Return the figure of one record with its channels measured and simulated, as a list of blocks.
 
-    A diverged simulation is cut at its divergence, and the title says so.
+    Each panel has the fit in per cent in its title. A diverged simulation ends at the time of its divergence, which is
+    in the title instead. The figure is added to ``canvas``. The list is empty without finite values. ``rows`` has the
+    channels of the record, and ``tab`` its title.
     """
     panels = []
     for row in rows:
@@ -197,16 +216,19 @@ def _simulation_blocks(canvas: Canvas, result: FitResult, rows: Sequence[Trace],
 
 
 def _errors_of(result: FitResult, role: str) -> ErrorTable:
-    """Return the errors on the data of ``role``; those of the estimation data if there are no validation data."""
+    """Return the prediction errors of a result on the data of ``role``, ``estimation`` or ``validation``.
+
+    They are those on the estimation data if there are no validation data.
+    """
     estimation, validation = result.errors.estimation, result.errors.validation
     return validation if role == "validation" and validation is not None else estimation
 
 
 def _fit_note(row: ErrorComparison | None) -> str:
-    """Return the note on the fit of one channel for its panel's title: per cent, before and after if both are known.
+    """Return the fit of one channel for the title of its panel: ``fit 87 %``, or ``fit 60 % → 87 %``.
 
-    Empty if the measured channel is constant, so that it has no fit. A prediction without a finite error is called
-    diverged.
+    The second form is that before and after effects were added. An error of None is written as ``diverged``. The text
+    is empty if ``row`` is None, or if the measured channel is constant, so that it has no fit.
     """
     if row is None or not row.spread:
         return ""
@@ -215,9 +237,10 @@ def _fit_note(row: ErrorComparison | None) -> str:
 
 
 def _stacked(canvas: Canvas, panels: Sequence[drawing.Panel], label: str) -> list[Any]:
-    """Return the figure of the panels above each other; empty without panels.
+    """Return the figure of the panels above each other as a list of blocks; an empty list without panels.
 
-    A caption is added if the vertical range of any panel is limited, except that of an angle.
+    A caption is added if the vertical range of any panel is limited, so that a part of a curve is outside. Panels of
+    angles do not count. The figure is added to ``canvas``, with ``label`` as its description for screen readers.
     """
     if not panels:
         return []
@@ -229,10 +252,21 @@ def _stacked(canvas: Canvas, panels: Sequence[drawing.Panel], label: str) -> lis
 
 
 def _channel_panel(canvas: Canvas, row: Trace, curves: _Curves, note: str) -> drawing.Panel | None:
-    """Return the panel of one channel, None without finite values.
+    """Return the panel of one channel over time: measurements, curve of the model with 95 % band, curve before.
 
-    The panel has the measurements, the model with its 95 % band, and the model before. Angles are wrapped to half a
-    turn about zero. ``note`` follows the title.
+    The curve before is that of the model before effects were added. Angles are wrapped to half a turn about zero. The
+    result is None if there are no finite values.
+
+    Parameters
+    ----------
+    canvas
+        Collector of the figures, which has the largest number of points of a trace.
+    row
+        Channel of a record with its measurements.
+    curves
+        Curves of the model for the channel.
+    note
+        Text after the title; may be empty.
     """
     limit = canvas.budget.points
     factor, unit = formatting.degrees_for(row.unit)
@@ -262,15 +296,19 @@ def _channel_panel(canvas: Canvas, row: Trace, curves: _Curves, note: str) -> dr
 
 
 def _wrapped_angle(angle: Array | None, turn: float | None) -> Array | None:
-    """Return an angle wrapped to half a ``turn`` about zero; None, or other signals (``turn`` None), unchanged."""
+    """Return an angle wrapped to half a turn about zero. If ``angle`` or ``turn`` is None, return ``angle`` unchanged.
+
+    ``turn`` is a full turn in the unit of the angle, None for signals that are no angles.
+    """
     return angle if angle is None or turn is None else np.mod(angle + turn / 2, turn) - turn / 2
 
 
 def _axis_limits(shown: list[Array | None], wide: list[Array | None]) -> list[float] | None:
-    """Return limits of the vertical axis that keep the curves ``shown`` readable, None if none are needed.
+    """Return limits of the vertical axis that keep the curves ``shown`` readable; None if no limits are needed.
 
-    Limits are needed if the curves ``wide`` exceed the span of ``shown`` by more than that span on a side. The limits
-    then leave half of that span on each side.
+    Limits are needed if the curves ``wide`` are beyond ``shown``, above or below, by more than the height of ``shown``.
+    They are then half of that height above and below ``shown``, or less if no curve reaches that far. A curve may be
+    None. No limits are needed if ``shown`` has no finite values or no height.
     """
     least, most = _finite_span(shown)
     margin = 0.5 * (most - least)
@@ -281,16 +319,20 @@ def _axis_limits(shown: list[Array | None], wide: list[Array | None]) -> list[fl
 
 
 def _finite_span(curves: list[Array | None]) -> tuple[float, float]:
-    """Return the smallest and the largest finite value of several curves; NaN without any. A curve may be None."""
+    """Return the smallest and the largest finite value of several curves; both are NaN if there is no finite value.
+
+    A curve of None is left out.
+    """
     finite = [curve[np.isfinite(curve)] for curve in curves if curve is not None]
     every = np.concatenate(finite) if finite else np.empty(0)
     return (float(every.min()), float(every.max())) if every.size else (np.nan, np.nan)
 
 
 def _track_blocks(canvas: Canvas, result: FitResult, tab: RecordTab) -> list[Any]:
-    """Return the plot of the track of a record: measured, simulated, and simulated before the effects.
+    """Return the figure of the track of one record as a list of one block; empty without finite positions.
 
-    The result is empty without finite positions.
+    It has the measured and the simulated track, and that simulated by the model before effects were added. ``tab`` is
+    the tab of the record. The figure is added to ``canvas``.
     """
     plots, origin = [], origin_words(result.logs, tab.name)
     for row in of_record(result.track, tab):
@@ -308,9 +350,10 @@ def _track_blocks(canvas: Canvas, result: FitResult, tab: RecordTab) -> list[Any
 
 
 def _path_traces(style: str, north: Array | None, east: Array | None, limit: int) -> list[drawing.Trace]:
-    """Return the trace of a path [m] of at most ``limit`` points, and a marker at its start.
+    """Return the trace of a track of at most ``limit`` points, and the trace of a marker at its start.
 
-    ``style`` is ``measured``, ``before`` or ``model``. Empty without finite positions.
+    ``style`` determines name, colour and width: ``measured``, ``before`` (model before effects were added) or
+    ``model``. The list is empty if ``north`` or ``east`` [m] is None, or without finite positions.
     """
     if north is None or east is None:
         return []

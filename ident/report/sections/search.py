@@ -1,4 +1,8 @@
-"""Section of the search for effects: candidates and refits of each round, residual forces, nonparametric curves."""
+"""Section of the search for missing effects in the report page of a diagnosis.
+
+It shows candidates and refits of each round, residual forces (forces that the model does not explain), and
+nonparametric curves.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +23,7 @@ from seatrial.ident.results import (
     RoundRow,
 )
 
-MAX_BARS = 14
+MAX_BARS = 14  # candidates in the chart of a round
 OUTCOMES = {
     "added": "added",
     "outranked": "accepted, but another effect explains more",
@@ -32,7 +36,9 @@ OUTCOMES = {
 
 
 def section(canvas: Canvas, result: DiagnosisResult) -> Section:
-    """Return the section of the search: a tab per round, then residual forces and nonparametric curves.
+    """Return the section of the search for missing effects.
+
+    It has the common errors, a tab for each round of the search, the residual forces and the nonparametric curves.
 
     Parameters
     ----------
@@ -53,14 +59,19 @@ def section(canvas: Canvas, result: DiagnosisResult) -> Section:
 
 
 def _round_title(i: int, row: RoundRow, removed: Collection[str]) -> str:
-    """Return the title of the tab of round ``i`` (from 1), with the name of the added effect."""
+    """Return the title of the tab of a search round: ``Round 2: NAME``, with the name of the effect that was added.
+
+    ``i`` is the number of the round, from 1. Without an added effect the text is ``nothing added``. The title states
+    that the effect was removed again if it is in ``removed``, the names of the removed effects.
+    """
     return f"Round {i}: {row.chosen or 'nothing added'}{', removed again' if row.chosen in removed else ''}"
 
 
 def _round_blocks(row: RoundRow, removed: Collection[str]) -> list[Any]:
-    """Return the contents of a tab for one round of the search: reason, candidates and refits.
+    """Return the contents of the tab of a search round: reason of the choice, chart of candidates, table of refits.
 
-    ``removed`` has the names of the effects that were removed later; the reason then says so.
+    ``removed`` has the names of the effects that were removed again later. If the effect of this round is among them, a
+    paragraph states that, and the effect is not marked as added.
     """
     blocks: list[Any] = [Prose(row.why, "why")] if row.why else []
     if row.chosen in removed:
@@ -71,16 +82,17 @@ def _round_blocks(row: RoundRow, removed: Collection[str]) -> list[Any]:
 
 
 def ranking(row: RoundRow, chosen: str | None) -> list[Any]:
-    """Return the bar chart of up to 14 candidates of a round on a logarithmic axis, with a heading.
+    """Return heading and bar chart of the score tests of up to 14 candidates of a search round.
 
-    Candidates with a statistic of zero are left out; empty if none is left.
+    The axis is logarithmic, so that candidates with a statistic of zero are left out. The list is empty if no candidate
+    is left.
 
     Parameters
     ----------
     row : RoundRow
-        Round with its candidates, best first.
-    chosen : str, optional
-        Name of the effect that was added.
+        Round of the search with its candidates, best first.
+    chosen : str or None
+        Name of the effect that was added and is marked in the chart; None if there is none.
     """
     best = [c for c in row.candidates if c.lm > 0][:MAX_BARS]
     if not best:
@@ -91,7 +103,7 @@ def ranking(row: RoundRow, chosen: str | None) -> list[Any]:
     high = max(*sizes, *limits) * 1.25
 
     def at(value: float) -> float:
-        """Return the position of a score statistic on the logarithmic axis, in per cent of the chart's width."""
+        """Return the position of a score statistic on the logarithmic axis, 0.4 to 100 % of its length."""
         return 100.0 * min(max(math.log(value / low) / math.log(high / low), 0.004), 1.0)
 
     bars = [_candidate_bar(c, at(size), at(limit), chosen) for c, size, limit in zip(best, sizes, limits, strict=True)]
@@ -106,14 +118,14 @@ def ranking(row: RoundRow, chosen: str | None) -> list[Any]:
 
 
 def _candidate_bar(candidate: Candidate, width: float, limit: float, chosen: str | None) -> Bar:
-    """Return the bar of one candidate.
+    """Return the bar of the score test of one candidate.
 
     Parameters
     ----------
     candidate
         Candidate with its score test.
     width, limit
-        Positions of the statistic and of its critical value, in per cent of the track's width.
+        Positions of the statistic and of its critical value, in per cent of the width of the bar's track.
     chosen
         Name or title of the effect that was added, None if there is none.
     """
@@ -133,9 +145,9 @@ def _candidate_bar(candidate: Candidate, width: float, limit: float, chosen: str
 
 
 def _refits_table(row: RoundRow, chosen: str | None) -> list[Any]:
-    """Return the heading and table of the refits of a round; empty without refits.
+    """Return heading and table of the refits of a search round; an empty list without refits.
 
-    ``chosen`` is the name of the effect that was added, None if there is none.
+    ``chosen`` is the name of the effect that was added and not removed again, None if there is none.
     """
     found = row.refits
     columns = (
@@ -153,9 +165,10 @@ def _refits_table(row: RoundRow, chosen: str | None) -> list[Any]:
 
 
 def _refit_cells(row: RefitRow, chosen: str | None) -> list[Cell | str]:
-    """Return the table cells of one refit; up to three parameters of its effect are printed.
+    """Return the table cells of one refit: effect, estimates, gains and outcome. Up to three estimates are printed.
 
-    ``chosen`` is the name of the effect that was added, None if there is none.
+    ``chosen`` is the name of the effect that was added in the round and not removed again, None if there is none. A
+    refit with the outcome "added" and another name is shown as removed again.
     """
     parameters = []
     for p in row.parameters:
@@ -178,9 +191,10 @@ def _refit_cells(row: RefitRow, chosen: str | None) -> list[Cell | str]:
 
 
 def _residual_force_blocks(canvas: Canvas, result: DiagnosisResult) -> list[Any]:
-    """Return the heading, legend and plots of the residual forces over time, one tab per record.
+    """Return heading, legend and figures of the residual forces over time, one tab for each record.
 
-    The result is empty if no force has finite values.
+    Residual forces are smoothed estimates of forces that the model does not explain. The figures are added to
+    ``canvas``. The list is empty if no force has finite values.
     """
     forces = result.residual_forces
     found = record_tabs(forces, roles_of(result.logs, result.traces))
@@ -194,7 +208,10 @@ def _residual_force_blocks(canvas: Canvas, result: DiagnosisResult) -> list[Any]
 
 
 def _force_tab(canvas: Canvas, forces: Sequence[ResidualForce], tab: RecordTab) -> list[Any]:
-    """Return the figure of the residual forces of one record; empty without finite values."""
+    """Return the figure of the residual forces of one record over time, as a list of one; empty without finite values.
+
+    ``tab`` has the title of the record for the description of the figure, which is added to ``canvas``.
+    """
     panels = [p for row in forces if (p := _force_panel(canvas, row))]
     if not panels:
         return []
@@ -203,9 +220,10 @@ def _force_tab(canvas: Canvas, forces: Sequence[ResidualForce], tab: RecordTab) 
 
 
 def _force_panel(canvas: Canvas, row: ResidualForce) -> drawing.Panel | None:
-    """Return the panel of one force over time with its 95 % band, None without finite values.
+    """Return the panel of one residual force over time with its 95 % band; None without finite values.
 
-    The curve after the effects were added is drawn too, if there is one.
+    The curve of the model after effects were added is drawn too, if there is one. ``canvas`` has the largest number of
+    points of a trace.
     """
     limit, traces = canvas.budget.points, []
     mean, sd, after_mean, after_sd = map(drawing.drawable, (row.mean, row.sd, row.after_mean, row.after_sd))
@@ -223,9 +241,10 @@ def _force_panel(canvas: Canvas, row: ResidualForce) -> drawing.Panel | None:
 
 
 def _curve_blocks(canvas: Canvas, curves: Sequence[NonparametricCurve]) -> list[Any]:
-    """Return a plot of each nonparametric curve: residual force or sensor error over one variable.
+    """Return heading and plots of the nonparametric curves, one plot for each curve.
 
-    Curves without finite values are left out.
+    A curve is a force or a sensor error over one variable, estimated from the data. Curves without finite values are
+    left out. The list is empty if no curve is left. The plots are added to ``canvas``.
     """
     plots = []
     for row in curves:
@@ -244,7 +263,7 @@ def _curve_blocks(canvas: Canvas, curves: Sequence[NonparametricCurve]) -> list[
         figure = drawing.single(traces, variable + formatting.bracket(unit), y_title)
         plots.append(canvas.plot(figure, 280, f"{force} over {variable}", f"{force} over {variable}"))
     note = (
-        "unexplained force or sensor error over one variable, estimated from the data; "
+        "disturbance force or sensor error over one variable, estimated from the data; "
         "the 95 % band contains the whole curve"
     )
     return [Heading("Nonparametric curves", note), Grid(plots, 320)] if plots else []
