@@ -317,6 +317,7 @@ def header(content: Content, target: str) -> list[str]:
         f"  y[{i}] {n} {_unit_text(o.unit)}" + (", an angle" if o.angle else "")
         for i, (n, o) in enumerate(zip(content.outputs, content.model.outputs, strict=True))
     ]
+    lines += _physical_input_lines(content)
     if content.validity:
         lines += ["", "Range of the estimation data (the model is not validated beyond this range):"]
         lines += [f"  {n} from {low:.4g} to {high:.4g}" for n, (low, high) in content.validity.items()]
@@ -334,19 +335,21 @@ def _input_lines(content: Content) -> list[str]:
     if taps:
         step = taps[0].delay / taps[0].tap
         lines.append(f"  NAME_ago_K (NAME~K in seatrial) is the input NAME delayed by K times {step:g} s.")
-    return lines + _physical_input_lines(content)
+    return lines
 
 
 def _physical_input_lines(content: Content) -> list[str]:
-    """Return the header lines of the physical inputs, from which the file computes the inputs."""
-    lines = ["Physical inputs, from which the inputs are computed:"]
+    """Return the header lines of the physical inputs, from which the inputs are computed."""
+    lines = ["", "Physical inputs, from which the inputs u are computed:"]
     for name, signal, hold in zip(content.physical_inputs, content.history.inputs, content.holds, strict=True):
         between = "linear between its samples" if hold == "linear" else "each value is held until the next one"
         lines.append(f"  {name} {_unit_text(signal.unit)}, {between}")
     computed = [n for n, s in (("the time", TIME), ("the work", WORK)) if s in content.history.sources]
     if computed:
         lines.append(f"  {' and '.join(computed)} since the start {'are' if len(computed) > 1 else 'is'} computed, too")
-    return lines
+    if min(content.history.delays, default=0.0) < 0.0:
+        lines.append("  a later value (a negative delay) is not known, and is taken as equal to the present value")
+    return lines if len(lines) > 2 else []
 
 
 def _input_meaning(signal: Input) -> str:

@@ -46,7 +46,8 @@ def write(content: Content) -> str:
         | {n for n in FUNCTION_CALL.findall(body) if n in _math_functions()}
         | {n for n in ("inf", "nan") if re.search(rf"\b{n}\b", body)}
     )
-    parts = [*("# " + line if line else "#" for line in header(content, "Python")), ""]
+    head = [*header(content, "Python"), "", "Simulation has one value for each physical input and keeps their past."]
+    parts = [*("# " + line if line else "#" for line in head), ""]
     parts += [f"from math import {', '.join(imported)}", ""] if imported else []
     return "\n".join([*parts, *constants(content), "", body])
 
