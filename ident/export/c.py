@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
+from seatrial.ident.data import WORK_UNIT
+from seatrial.ident.export.c_simulation import SIMULATION
 from seatrial.ident.export.codegen import C, Content, Program, comment, header
 from seatrial.ident.export.codegen import write as write_lines
 
@@ -35,7 +38,8 @@ static inline void NAME_step(const double x[], const double u[], const double p[
 def write(content: Content) -> str:
     """Return the text of the C99 header file of a model, from its collected content."""
     guard = f"{content.name.upper()}_MODEL_H"
-    head = [line.replace("*/", "* /").replace("/*", "/ *") for line in header(content, "C99")]
+    head = [*header(content, "C99"), "", f"{content.name}_advance has one value for each physical input."]
+    head = [line.replace("*/", "* /").replace("/*", "/ *") for line in head]
     return "\n".join(
         [
             "/*",
@@ -65,7 +69,9 @@ def write(content: Content) -> str:
             ),
             _function(content, "f", "dx", content.programs[0], "Rates of the states [unit/s]."),
             _function(content, "h", "y", content.programs[1], "Sensor outputs without noise."),
-            STEP_FUNCTION.replace("NAME", content.name),
+            STEP_FUNCTION.replace("NAME_", f"{content.name}_"),
+            *_history_lines(content),
+            SIMULATION.replace("NAME_", f"{content.name}_"),
             "#endif",
             "",
         ]
@@ -73,17 +79,44 @@ def write(content: Content) -> str:
 
 
 def _index_enumerations(content: Content) -> list[str]:
-    """Return enumerations of the indices (NAME_x_STATE etc.) and of the sizes NAME_NX, NAME_NU, NAME_NY, NAME_NP."""
+    """Return enumerations of the indices (NAME_x_STATE etc.) and of the sizes.
+
+    The sizes are NAME_NX, NAME_NU, NAME_NY, NAME_NP, and NAME_NIN for the physical inputs.
+    """
     lines = []
     for letter, names in (
         ("x", content.states),
         ("u", content.inputs),
         ("y", content.outputs),
         ("p", content.parameters),
+        ("in", content.physical_inputs),
     ):
         members = [f"    {content.name}_{letter}_{n}," for n in names]
         lines += ["enum {", *members, f"    {content.name}_N{letter.upper()}", "};"]
     return lines
+
+
+def _history_lines(content: Content) -> list[str]:
+    """Return the constants that `SIMULATION` needs: arrays over the inputs and over the physical inputs, and limits."""
+    past, name = content.history, content.name
+    physical, n = past.inputs, len(past.inputs)
+
+    def array(kind: str, name: str, values: Sequence[float | bool], description: str) -> str:
+        """Return the line of an array; an empty array gets one zero."""
+        numbers = ", ".join(repr(v) if isinstance(v, float) else str(int(v)) for v in values) or "0"
+        return f"static const {kind} {content.name}_{name}[] = {{{numbers}}}; /* {description} */"
+
+    return [
+        array("int", "source", past.sources, "index of the physical input of each input; -1: time, -2: work"),
+        array("double", "delay", past.delays, "delay of each input behind its source [s]"),
+        array("int", "linear", past.linear, "1: a physical input is linear between its samples, 0: held"),
+        array("int", "angle", [i.angle for i in physical], "1: a physical input is an angle"),
+        array("int", "keeps_mean", [i.prefilter for i in physical], "1: the line of a linear input keeps its mean"),
+        array("int", "shaft", [k in past.shafts for k in range(n)], "1: the input work depends on a physical input"),
+        f"#define {name}_MAX_STEP {past.max_step!r} /* longest step of the integration [s]; longer ones are divided */",
+        f"#define {name}_WORK_UNIT {WORK_UNIT!r} /* s */",
+        f"#define {name}_LONGEST_DELAY_US {math.ceil(max(past.longest, default=0.0) * 1e6 - 1e-3)} /* microseconds */",
+    ]
 
 
 def _array_lines(content: Content, name: str, rows: Sequence[tuple[float, str]], description: str) -> list[str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from seatrial.ident.export.codegen import CASADI, Content, Program, header
 from seatrial.ident.export.codegen import write as write_lines
 from seatrial.ident.export.python import constants, unpacked
+from seatrial.ident.export.python_simulation import NEEDED_FOR_PAST, PAST
 
 RESERVED = {"x", "u", "p", "dt", "f", "h", "step", "ca"}
 END = '''
@@ -32,6 +33,63 @@ def save(folder="."):
         function.save(os.path.join(folder, function.name() + ".casadi"))
 
 
+def make_step(dt, hold=None):
+    """Return the function of a step of dt [s] with one value for each physical input, and the names of its states.
+
+    The function is step(z, u, p) -> z_next. z are the states of the model and the past of the inputs; INPUT_past_K
+    is the value of the physical input INPUT K steps ago. u are the physical inputs in this step, in the order of
+    PHYSICAL_INPUTS. hold is "zero" (constant in a step) or "linear" (reached at the end of the step); by default that
+    of the fit, HOLDS. The initial z is that of initial_state.
+    """
+    z, u, names, values, parts = _with_history(dt, hold)
+    x = z[: len(STATES)]
+    for duration, lines in parts:
+        first, last = (ca.vertcat(*end) for end in _ends(lines, values))
+        x = _step_along(x, first, last, duration, _p)
+    computed = [values[source][1] for source in (-1, -2) if source in SOURCES]
+    z_next = ca.vertcat(x, *computed, *(item for part in values[:-2] for item in part[:-1]))
+    return ca.Function("NAME_advance", [z, u, _p], [z_next], ["z", "u", "p"], ["z_next"]), names
+
+
+def make_outputs(dt, hold=None):
+    """Return the function outputs(z, u, p) -> y: the outputs at the start of a step of make_step(dt, hold)."""
+    z, u, _, values, parts = _with_history(dt, hold)
+    y = h(z[: len(STATES)], ca.vertcat(*_ends(parts[0][1], values)[0]), _p)
+    return ca.Function("NAME_outputs", [z, u, _p], [y], ["z", "u", "p"], ["y"])
+
+
+def initial_state(dt, x=None, inputs=None, hold=None):
+    """Return the initial z of make_step(dt, hold), for physical inputs that were constant before; zero by default."""
+    computed = [0.0 for source in (-1, -2) if source in SOURCES]
+    before = [0.0] * len(PHYSICAL_INPUTS) if inputs is None else inputs
+    past = [value for value, n in zip(before, _plan(dt, hold)[1]) for _ in range(n - 1)]
+    return [*([0.0] * len(STATES) if x is None else x), *computed, *past]
+
+
+def _with_history(dt, hold):
+    """Return symbols of z and of the physical inputs, the names of z, the values of the inputs, and the parts."""
+    linear, counts, parts = _plan(dt, hold)
+    names = [*STATES, *(name for source, name in ((-1, "time"), (-2, "work")) if source in SOURCES)]
+    names += [f"{name}_past_{k}" for name, n in zip(PHYSICAL_INPUTS, counts) for k in range(1, n)]
+    z, u = ca.SX.sym("z", len(names)), ca.SX.sym("u", len(PHYSICAL_INPUTS))
+    rest = iter([z[k] for k in range(len(STATES), len(names))])
+    time, work = (next(rest) if source in SOURCES else 0.0 for source in (-1, -2))
+    past = [[next(rest) for _ in range(n - 1)] for n in counts]
+    values = _with_past([u[k] for k in range(len(PHYSICAL_INPUTS))], past, linear)
+    values += [[work, work + dt * _power(values, linear)], [time, time + dt]]
+    return z, u, names, values, parts
+
+
+def _step_along(x, first, last, dt, p):
+    """Return the states after dt [s], for inputs on a line from first to last: one step of Runge-Kutta 4."""
+    middle = (first + last) / 2
+    k1 = f(x, first, p)
+    k2 = f(x + dt / 2 * k1, middle, p)
+    k3 = f(x + dt / 2 * k2, middle, p)
+    k4 = f(x + dt * k3, last, p)
+    return x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+
+
 if __name__ == "__main__":
     save(*sys.argv[1:2])
 '''
@@ -45,6 +103,7 @@ def write(content: Content) -> str:
         "f(x, u, p), h(x, u, p) and step(x, u, dt, p) are casadi.Functions; DEFAULTS is p in the order of P.",
         f"Run this file to save them: python FILE [FOLDER] writes {content.name}_f.casadi, {content.name}_h.casadi and",
         f"{content.name}_step.casadi. casadi.Function.load reads them without this file, also in C++ and Matlab.",
+        "make_step(dt) returns a step with one value for each physical input, whose states include the past inputs.",
     ]
     return "\n".join(
         [
@@ -52,14 +111,17 @@ def write(content: Content) -> str:
             "",
             "import os",
             "import sys",
+            f"from math import {', '.join(sorted(NEEDED_FOR_PAST - {'remainder'}))}",
             "",
             "import casadi as ca",
             "",
+            "remainder = ca.remainder",
             *constants(content),
             "",
             _function(content, "_f", content.programs[0]),
             _function(content, "_h", content.programs[1]),
-            END.replace("NAME", content.name),
+            PAST,
+            END.replace("NAME_", f"{content.name}_"),
         ]
     )
 

@@ -24,6 +24,7 @@ from scipy.linalg import solve_continuous_lyapunov
 from seatrial.ident.data import TIME_INPUT, WORK_INPUT, WORK_UNIT
 from seatrial.ident.engine import VectorisedModel
 from seatrial.ident.estimation import SavedModel, thrust_scale_of
+from seatrial.ident.export.history import TIME, WORK, History, history_of
 from seatrial.ident.model import Input, Model, Parameter, ParameterRole, Signals, State
 from seatrial.ident.numerics import Array
 
@@ -78,6 +79,21 @@ class Content:
         """Exported parameters of the model, in the order of ``parameters``."""
         used = parameters_of(self.model)
         return tuple(p for p in self.model.parameters if p.name in used)
+
+    @cached_property
+    def history(self) -> History:
+        """Physical inputs, and the source and the delay of each input."""
+        return history_of(self.model)
+
+    @cached_property
+    def physical_inputs(self) -> tuple[str, ...]:
+        """Identifiers of the physical inputs."""
+        return identifiers(i.name for i in self.history.inputs)
+
+    @cached_property
+    def holds(self) -> tuple[str, ...]:
+        """Interpolation of each physical input between its samples: ``zero`` (held) or ``linear``."""
+        return tuple("linear" if linear else "zero" for linear in self.history.linear)
 
     @cached_property
     def symbols(self) -> tuple[list[str], list[str], list[str]]:
@@ -301,6 +317,7 @@ def header(content: Content, target: str) -> list[str]:
         f"  y[{i}] {n} {_unit_text(o.unit)}" + (", an angle" if o.angle else "")
         for i, (n, o) in enumerate(zip(content.outputs, content.model.outputs, strict=True))
     ]
+    lines += _physical_input_lines(content)
     if content.validity:
         lines += ["", "Range of the estimation data (the model is not validated beyond this range):"]
         lines += [f"  {n} from {low:.4g} to {high:.4g}" for n, (low, high) in content.validity.items()]
@@ -317,11 +334,22 @@ def _input_lines(content: Content) -> list[str]:
             lines.append(f"  u[{j}] {n} {_unit_text(i.unit)}{_input_meaning(i)}")
     if taps:
         step = taps[0].delay / taps[0].tap
-        lines += [
-            f"  NAME_ago_K (NAME~K in seatrial) is the input NAME delayed by K times {step:g} s. Keep a buffer of past",
-            "  values. For a held command, store its mean over the last step instead of its last value.",
-        ]
+        lines.append(f"  NAME_ago_K (NAME~K in seatrial) is the input NAME delayed by K times {step:g} s.")
     return lines
+
+
+def _physical_input_lines(content: Content) -> list[str]:
+    """Return the header lines of the physical inputs, from which the inputs are computed."""
+    lines = ["", "Physical inputs, from which the inputs u are computed:"]
+    for name, signal, hold in zip(content.physical_inputs, content.history.inputs, content.holds, strict=True):
+        between = "linear between its samples" if hold == "linear" else "each value is held until the next one"
+        lines.append(f"  {name} {_unit_text(signal.unit)}, {between}")
+    computed = [n for n, s in (("the time", TIME), ("the work", WORK)) if s in content.history.sources]
+    if computed:
+        lines.append(f"  {' and '.join(computed)} since the start {'are' if len(computed) > 1 else 'is'} computed, too")
+    if min(content.history.delays, default=0.0) < 0.0:
+        lines.append("  a later value (a negative delay) is not known, and is taken as equal to the present value")
+    return lines if len(lines) > 2 else []
 
 
 def _input_meaning(signal: Input) -> str:

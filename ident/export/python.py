@@ -6,8 +6,10 @@ import json
 import re
 from collections.abc import Sequence
 
+from seatrial.ident.data import WORK_UNIT
 from seatrial.ident.export.codegen import PYTHON, Content, Program, comment, header
 from seatrial.ident.export.codegen import write as write_lines
+from seatrial.ident.export.python_simulation import NEEDED_FOR_PAST, PAST, SIMULATION
 
 FUNCTION_CALL = re.compile(r"\b([a-z][a-z0-9]*)\(")
 BUILT_IN = {"abs", "min", "max", "float"}
@@ -35,13 +37,17 @@ def write(content: Content) -> str:
             ),
             _function(content, "h", content.programs[1], "Return the sensor outputs without noise."),
             STEP_FUNCTION,
+            PAST,
+            SIMULATION,
         ]
     )
     imported = sorted(
-        {n for n in FUNCTION_CALL.findall(body) if n in _math_functions()}
+        NEEDED_FOR_PAST
+        | {n for n in FUNCTION_CALL.findall(body) if n in _math_functions()}
         | {n for n in ("inf", "nan") if re.search(rf"\b{n}\b", body)}
     )
-    parts = [*("# " + line if line else "#" for line in header(content, "Python")), ""]
+    head = [*header(content, "Python"), "", "Simulation has one value for each physical input and keeps their past."]
+    parts = [*("# " + line if line else "#" for line in head), ""]
     parts += [f"from math import {', '.join(imported)}", ""] if imported else []
     return "\n".join([*parts, *constants(content), "", body])
 
@@ -64,11 +70,18 @@ def constants(content: Content) -> list[str]:
     diffusion = [f"    {json.dumps(n)}: {v!r}," for n, v in zip(content.states, content.state_noise, strict=True)]
     deviation = [f"    {json.dumps(n)}: {v!r}," for n, v in zip(content.outputs, content.output_noise, strict=True)]
     valid = [f"    {json.dumps(n)}: ({low!r}, {high!r})," for n, (low, high) in content.validity.items()]
-    units = (("STATE", content.model.states), ("INPUT", content.model.inputs), ("OUTPUT", content.model.outputs))
+    past = content.history
+    units = (
+        ("STATE", content.model.states),
+        ("INPUT", content.model.inputs),
+        ("OUTPUT", content.model.outputs),
+        ("PHYSICAL_INPUT", past.inputs),
+    )
     return [
         f"STATES = {_tuple_text(content.states)}",
         f"INPUTS = {_tuple_text(content.inputs)}",
         f"OUTPUTS = {_tuple_text(content.outputs)}",
+        f"PHYSICAL_INPUTS = {_tuple_text(content.physical_inputs)}",
         *[f"{kind}_UNITS = {_tuple_text([signal.unit for signal in part])}" for kind, part in units],
         "P = {  # value [unit] +- standard error, meaning",
         *rows,
@@ -82,12 +95,22 @@ def constants(content: Content) -> list[str]:
         "VALID = {  # range of the estimation data",
         *valid,
         "}",
+        f"HOLDS = {_tuple_text(content.holds)}  # physical inputs between their samples, as in the fit",
+        "# For each input its index in PHYSICAL_INPUTS (-1: time, -2: work), and its delay [s]",
+        f"SOURCES = {_tuple_text(past.sources)}",
+        f"DELAYS = {_tuple_text(past.delays)}",
+        f"MAX_STEP = {past.max_step!r}  # longest step of the integration [s]; longer steps are divided",
+        "_KEEPS_MEAN, _ANGLES = (",
+        f"    {_tuple_text([i.prefilter for i in past.inputs])},",
+        f"    {_tuple_text([i.angle for i in past.inputs])},",
+        ")",
+        f"_SHAFTS, WORK_UNIT = {_tuple_text(past.shafts)}, {WORK_UNIT!r}  # work is the integral of |n|^3 / WORK_UNIT",
     ]
 
 
-def _tuple_text(items: Sequence[str]) -> str:
-    """Return a tuple of texts as Python code; with more than eight texts there are eight in each line of code."""
-    words = [json.dumps(item, ensure_ascii=False) for item in items]
+def _tuple_text(items: Sequence[str | float]) -> str:
+    """Return a tuple of texts or numbers as Python code; with more than eight items there are eight in each line."""
+    words = [json.dumps(item, ensure_ascii=False) if isinstance(item, str) else repr(item) for item in items]
     if len(words) > 8:
         return "(\n" + "".join(f"    {', '.join(words[k : k + 8])},\n" for k in range(0, len(words), 8)) + ")"
     return f"({', '.join(words)}{',' * (len(words) == 1)})"

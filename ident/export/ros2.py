@@ -6,7 +6,9 @@ import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 
+from seatrial.ident.data import TIME_INPUT, WORK_INPUT
 from seatrial.ident.export.codegen import Content, comment, header
+from seatrial.ident.export.history import TIME, WORK
 
 
 def write(content: Content) -> str:
@@ -28,6 +30,20 @@ def write(content: Content) -> str:
     ):
         if names:
             rows += [f"{kind}s: {_quoted_list(names)}", f"{kind}_units: {_quoted_list(signal.unit for signal in part)}"]
+    past = content.history
+    if past.inputs:
+        rows += [
+            f"physical_inputs: {_quoted_list(content.physical_inputs)}",
+            f"physical_input_units: {_quoted_list(i.unit for i in past.inputs)}",
+            f"physical_input_holds: {_quoted_list(content.holds)}",
+        ]
+    if past.sources:
+        sources = [{TIME: TIME_INPUT, WORK: WORK_INPUT}.get(k) or content.physical_inputs[k] for k in past.sources]
+        rows += [
+            f"input_sources: {_quoted_list(sources)}",
+            f"input_delays: [{', '.join(map(_number_text, past.delays))}]  # of each input behind its source, s",
+        ]
+    rows.append(f"max_step: {_number_text(past.max_step)}  # of the integration, s")
     if content.angles:
         rows.append(f"angles: {_quoted_list(content.angles)}")
     if own:

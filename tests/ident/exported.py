@@ -187,6 +187,32 @@ int main(void)
     return NAME_state_noise[0] < 0.0 || NAME_output_noise[0] < 0.0;
 }
 """
+SIMULATE = """
+#include <stdio.h>
+#include "boat.h"
+static NAME_simulation sim;
+int main(void)
+{
+    double dt, x[NAME_NX], in[NAME_NIN + 1], y[NAME_NY + 1];
+    int i, hold, code;
+    if (scanf("%d", &hold) != 1) return 1;
+    for (i = 0; i < NAME_NX; i++) if (scanf("%lf", &x[i]) != 1) return 1;
+    for (i = 0; i < NAME_NIN; i++) if (scanf("%lf", &in[i]) != 1) return 1;
+    NAME_init(&sim, x, in, 0);
+    for (i = 0; i < NAME_NIN; i++) if (hold >= 0) sim.linear[i] = hold;
+    while (scanf("%lf", &dt) == 1) {
+        for (i = 0; i < NAME_NIN; i++) if (scanf("%lf", &in[i]) != 1) return 1;
+        code = NAME_outputs(&sim, in, dt, y);
+        if (code == NAME_OK) for (i = 0; i < NAME_NY; i++) printf("%.17g ", y[i]);
+        if (NAME_advance(&sim, in, dt) != code) return 2;
+        for (i = 0; i < NAME_NX; i++) printf("%.17g ", sim.x[i]);
+        printf("%d\\n", code);
+    }
+    return 0;
+}
+"""
+HOLDS = {None: -1, "zero": 0, "linear": 1}
+Steps = tuple[np.ndarray, np.ndarray]  # states after each step, and outputs before it
 
 
 def compiler() -> str:
@@ -215,3 +241,49 @@ def run_c(text: str, folder: Path, name: str) -> tuple[Functions, list[float]]:
         lambda x, u, p: call(1, x, u, p),
         lambda x, u, dt, p: call(2, x, u, p, dt),
     ), [float(word) for word in defaults]
+
+
+def simulate_python(text: str, x: Any, before: Any, inputs: np.ndarray, dt: float, hold: str | None = None) -> Steps:
+    """Simulate steps of dt [s] by the class of the Python export, from the states x and constant inputs before."""
+    space: dict[str, Any] = {"__name__": "boat"}
+    exec(compile(text, "boat.py", "exec"), space)
+    sim = space["Simulation"](dt, x, inputs=before, hold=hold)
+    outputs, states = zip(*((sim.outputs(now), sim.step(now)) for now in inputs.tolist()), strict=True)
+    return np.array(states), np.array(outputs)
+
+
+def simulate_casadi(text: str, x: Any, before: Any, inputs: np.ndarray, dt: float, hold: str | None = None) -> Steps:
+    """Simulate the same by the functions of the CasADi export."""
+    space: dict[str, Any] = {"__name__": "boat"}
+    exec(compile(text, "boat.py", "exec"), space)
+    (step, names), y = space["make_step"](dt, hold), space["make_outputs"](dt, hold)
+    z, rows = ca.DM(space["initial_state"](dt, x, before, hold)), []
+    assert z.shape == (len(names), 1)
+    for now in inputs.tolist():
+        output = y(z, now, space["DEFAULTS"])
+        z = step(z, now, space["DEFAULTS"])
+        rows.append((np.array(z).ravel()[: len(space["STATES"])], np.array(output).ravel()))
+    states, outputs = zip(*rows, strict=True)
+    return np.array(states), np.array(outputs)
+
+
+def build_c_simulation(text: str, folder: Path, name: str, *flags: str) -> Callable[..., list[list[float]]]:
+    """Compile a program with the C export that simulates steps.
+
+    The result is a function of the states, the inputs before, rows of dt and inputs, and the hold. It returns a row for
+    each step: outputs before, states after, and the return code; after an error there are no outputs.
+    """
+    (folder / "boat.h").write_text(text, encoding="utf-8")
+    (folder / "simulate.c").write_text(SIMULATE.replace("NAME", name), encoding="utf-8")
+    words = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", *(flags or ("-O0",))]
+    command = [compiler(), *words, "simulate.c", "-o", "simulate", "-lm"]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+    def run(x: Any, before: Any, rows: Any, hold: str | None = None) -> list[list[float]]:
+        numbers = [*x, *before, *(v for row in rows for v in row)]
+        line = " ".join([str(HOLDS[hold]), *(repr(float(v)) for v in numbers)])
+        ran = subprocess.run([folder / "simulate"], input=line, capture_output=True, text=True, check=True)
+        return [[float(word) for word in row.split()] for row in ran.stdout.splitlines()]
+
+    return run

@@ -26,13 +26,28 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "diagnosis").mkdir()
     model = blocks(ROOT / "docs/formats/model.md", "toml")[0]
     (tmp_path / "diagnosis/model.toml").write_text(model, encoding="utf-8")
-    lines = blocks(PAGE, "sh")[0].splitlines()
-    assert len(lines) == 4
+    export_files(0, 4)
+    return tmp_path
+
+
+@pytest.fixture
+def command_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Create the model of commands of the page, and the files that its export writes."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "command").mkdir()
+    (tmp_path / "command/model.toml").write_text(blocks(PAGE, "toml")[0], encoding="utf-8")
+    export_files(3, 3)
+    return tmp_path
+
+
+def export_files(block: int, n: int) -> None:
+    """Run the n export commands of a block of the page."""
+    lines = blocks(PAGE, "sh")[block].splitlines()
+    assert len(lines) == n
     for line in lines:
         words = shlex.split(line)
         assert words[:2] == ["seatrial", "ident"]
         CliRunner().invoke(ident, words[2:], catch_exceptions=False)
-    return tmp_path
 
 
 def after(code: str) -> str:
@@ -66,15 +81,31 @@ def test_controller_snippet(folder: Path) -> None:
     assert run(code, folder) == after(code)
 
 
-def test_c_program(folder: Path) -> None:
+def compiled(code: str, block: int, folder: Path) -> str:
+    """Compile a C program with the commands of a block of the page, run it, and return its output."""
     if not shutil.which("cc"):
         pytest.skip("no C compiler (cc) on PATH")
+    build, start = blocks(PAGE, "sh")[block].splitlines()
+    words = shlex.split(build)
+    (folder / next(w for w in words if w.endswith(".c"))).write_text(code, encoding="utf-8")
+    subprocess.run(words, cwd=folder, check=True)
+    return subprocess.run([folder / start], capture_output=True, text=True, check=True).stdout
+
+
+def test_c_program(folder: Path) -> None:
     code = blocks(PAGE, "c")[0]
-    (folder / "main.c").write_text(code, encoding="utf-8")
-    build, start = blocks(PAGE, "sh")[2].splitlines()
-    subprocess.run(shlex.split(build), cwd=folder, check=True)
-    done = subprocess.run([folder / start], capture_output=True, text=True, check=True)
-    assert done.stdout == after(code)
+    assert compiled(code, 2, folder) == after(code)
+
+
+@pytest.mark.parametrize("block", [2, 3], ids=["simulation", "controller"])
+def test_snippets_with_a_model_of_commands(block: int, command_folder: Path) -> None:
+    code = blocks(PAGE, "python")[block]
+    assert run(code, command_folder) == after(code)
+
+
+def test_c_program_with_a_model_of_commands(command_folder: Path) -> None:
+    code = blocks(PAGE, "c")[1]
+    assert compiled(code, 4, command_folder) == after(code)
 
 
 def test_ros_node_parameters(folder: Path) -> None:
