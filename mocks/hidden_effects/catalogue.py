@@ -39,7 +39,11 @@ EFFECTS: dict[str, Maker] = {name: _ALL[name] for name in _ORDER}
 OUTSIDE: dict[str, Maker] = outside.MAKERS  # effects that no analysis can be expected to list
 NOISE: dict[str, Maker] = disturbed.MAKERS  # noise that differs from the assumed noise, on a boat without an effect
 # Effects of place, mounting and telemetry, which an analysis can be expected to list as well.
-SITE: dict[str, Maker] = site.MAKERS | {"shaft-clip": sensing.MAKERS["shaft-clip"]}
+_SITE_ORDER = [
+    *("thrust-angle", "propeller-walk", "current-shear", "bank", "shallow-water", "payload-shift", "shaft-clip"),
+    "towed-line",
+]
+SITE: dict[str, Maker] = {name: (site.MAKERS | _ALL)[name] for name in _SITE_ORDER}
 EQUIPMENT: dict[str, Maker] = equipment.MAKERS  # late and rounded signals, for the realistic boat
 
 # Effects that `--effect draw` chooses from. Each can be detected in a mixed mission of five minutes, and no two of

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from seatrial.mocks.plant import HiddenEffect, Maker, Payload, ThrusterTruth, effect_size
+from seatrial.mocks.plant import HiddenEffect, Line, Maker, Payload, ThrusterTruth, effect_size
 from seatrial.mocks.plant import thrust as thrust_at_rest
 
 STERN_M = -0.55  # position of the propellers forward of the origin
@@ -128,6 +128,17 @@ def _payload_shift(rng: np.random.Generator, scale: float) -> HiddenEffect:
     return HiddenEffect("payload-shift", sentence, {"x_g": x_g, "at": at}, payload=Payload(at, x_g))
 
 
+def _towed_line(rng: np.random.Generator, scale: float) -> HiddenEffect:
+    """Return the hidden effect "towed-line": an umbilical trails behind the boat and is drawn through the water.
+
+    ``drag``, the tension over the squared speed of its end, is drawn within 15 % of ``9 scale`` [N s2/m2]. ``length``
+    is drawn within 15 % of 6 m.
+    """
+    drag, length = scale * effect_size(rng, 9.0), effect_size(rng, 6.0)  # N s2/m2, m
+    sentence = f"the boat tows {length:.1f} m of umbilical"
+    return HiddenEffect("towed-line", sentence, {"drag": drag, "length": length}, line=Line(length, drag, STERN_M))
+
+
 MAKERS: dict[str, Maker] = {
     "thrust-angle": _thrust_angle,
     "propeller-walk": _propeller_walk,
@@ -135,4 +146,5 @@ MAKERS: dict[str, Maker] = {
     "bank": _bank,
     "shallow-water": _shallow_water,
     "payload-shift": _payload_shift,
+    "towed-line": _towed_line,
 }

@@ -15,6 +15,7 @@ from .effect import Answer as Answer
 from .effect import Gust as Gust
 from .effect import HeadingFilter as HeadingFilter
 from .effect import HiddenEffect as HiddenEffect
+from .effect import Line as Line
 from .effect import Maker as Maker
 from .effect import Noise as Noise
 from .effect import Payload as Payload

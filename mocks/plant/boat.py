@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import NamedTuple
 
-from seatrial.mocks.plant.effect import ENERGY_UNIT, HiddenEffect, Payload
+from seatrial.mocks.plant.effect import ENERGY_UNIT, HiddenEffect, Line, Payload
 from seatrial.mocks.plant.hull import ARM, AT_REST, Hull, State, draw_current, draw_hull, make_rhs, rk4
 from seatrial.mocks.plant.thruster import Inflow, Shaft, ThrusterTruth, thrust
 from seatrial.mocks.plant.weather import Weather
@@ -180,6 +180,7 @@ class BoatPlant:
         self._drifts = [e.current for e in boat.effects if e.current is not None]
         self._streams = [e.stream for e in boat.effects if e.stream is not None]
         self._payloads = sorted((e.payload for e in boat.effects if e.payload is not None), key=lambda load: load.at)
+        self._lines = [TowedLine(e.line, DISTURBANCE_EVERY * step) for e in boat.effects if e.line is not None]
         self._slid: tuple[HiddenEffect, ...] = ()  # payloads that have slid
         self._weather = Weather(boat.effects, boat.seed, run, DISTURBANCE_EVERY * step)
         self.state = self._first_state(run) if state is None else state
@@ -259,6 +260,9 @@ class BoatPlant:
         if self._weather:
             weather = self._weather.forces(self.t, self.state[2])
             x, y, n = x + weather[0], y + weather[1], n + weather[2]
+        for line in self._lines:
+            pull = line.step(self.state, self._water)
+            x, y, n = x + pull[0], y + pull[1], n + pull[2]
         self._forces = (x, y, n)
         if self._payloads and self.t >= self._payloads[0].at:
             self._slide(self._payloads.pop(0))
@@ -292,6 +296,39 @@ class BoatPlant:
         Hidden effects and delays of the thrust are not included. The simulated motor current depends on this thrust.
         """
         return thrust(self.boat.thruster, self.shafts[thruster].n)
+
+
+class TowedLine:
+    """Line that the boat tows: a point at its end is dragged through the water and follows the tow point."""
+
+    def __init__(self, line: Line, step: float) -> None:
+        """Set up a line that is stretched behind the boat, with the time ``step`` [s] between two calls of `step`."""
+        self._line, self._step = line, step
+        self._end: tuple[float, float] | None = None
+
+    def step(self, state: State, current: Sequence[float]) -> tuple[float, float, float]:
+        """Move the end of the line to the next time, and return its force X, Y [N] and moment N [N m] on the boat.
+
+        ``state`` is the state of the boat. ``current`` is the velocity of the water [m/s], north and east, with which
+        the end drifts. A line that is not stretched exerts no force.
+        """
+        x, y, psi = state[:3]
+        c, s = math.cos(psi), math.sin(psi)
+        tow = (x + c * self._line.x, y + s * self._line.x)
+        if self._end is None:
+            self._end = (tow[0] - c * self._line.length, tow[1] - s * self._line.length)
+        north = tow[0] - self._end[0] - current[0] * self._step
+        east = tow[1] - self._end[1] - current[1] * self._step
+        distance = math.hypot(north, east)
+        drawn = max(distance - self._line.length, 0.0)
+        share = self._line.length / distance if drawn else 1.0
+        self._end = (tow[0] - share * north, tow[1] - share * east)
+        if not drawn:
+            return 0.0, 0.0, 0.0
+        tension = self._line.drag * (drawn / self._step) ** 2
+        pull_n, pull_e = -tension * north / distance, -tension * east / distance
+        sway = c * pull_e - s * pull_n
+        return c * pull_n + s * pull_e, sway, self._line.x * sway
 
 
 class Antenna:

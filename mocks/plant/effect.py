@@ -180,6 +180,25 @@ class Payload:
 
 
 @dataclass(frozen=True)
+class Line:
+    """Line that the boat tows through the water.
+
+    Attributes
+    ----------
+    length : float
+        Length of the line [m].
+    drag : float
+        Drag of the line over its squared speed through the water [N s2/m2].
+    x : float
+        Position of the tow point forward of the origin of the body frame [m].
+    """
+
+    length: float
+    drag: float
+    x: float
+
+
+@dataclass(frozen=True)
 class HiddenEffect:
     """Hidden effect of the mock boat: its name, its true parameters and its hooks.
 
@@ -210,6 +229,8 @@ class HiddenEffect:
         Returns the change of the ocean current [m/s], north and east, as a function of the position.
     shore : callable, optional
         Returns an additional force and moment (X, Y, N) [N, N, N m] as a function of position, heading and velocity.
+    line : Line, optional
+        Line that the boat tows.
     payload : Payload, optional
         Payload that slides at one time.
     wave : Wave, optional
@@ -260,6 +281,7 @@ class HiddenEffect:
     stream: Stream | None = None
     shore: Shore | None = None
     payload: Payload | None = None
+    line: Line | None = None
     wave: Wave | None = None
     gust: Gust | None = None
     x_g: float = 0.0

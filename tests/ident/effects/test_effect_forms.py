@@ -109,21 +109,42 @@ def test_current_and_drag_change_with_the_place() -> None:
     assert force("shallow-water", {"x": 10.0, "u": -2.0}, d_north=0.3) == pytest.approx(12.0)
 
 
-def test_payload_that_shifts_equals_a_boat_with_its_new_mass_and_centre_of_gravity() -> None:
+def test_towed_line_trails_behind_the_stern_and_has_no_tension_astern() -> None:
+    values = {"k_line": 6.0, "l_line": 5.0, "x_line": -0.6}
+    straight = rates(model_with("towed-line", **values), u=1.0)
+    plain = rates(model_with("towed-line"), u=1.0)
+    m = model_with("towed-line").values
+    assert straight["u"] - plain["u"] == pytest.approx(-6.0 / m["m_u"], rel=1e-4)
+    assert (straight["v"], straight["line"]) == pytest.approx((plain["v"], 0.0))
+    aside = rates(model_with("towed-line", **values), u=1.0, line=0.3)
+    across = 6.0 * np.cos(0.3) ** 2 * np.sin(0.3)
+    assert aside["v"] - plain["v"] == pytest.approx(-across / m["m_v"], rel=1e-4)
+    assert aside["r"] - plain["r"] == pytest.approx(0.6 * across / m["m_r"], rel=1e-4)
+    assert aside["line"] == pytest.approx(-np.sqrt(1.01) * np.sin(0.3) / 5.0)
+    back = rates(model_with("towed-line", **values), u=-1.0, line=0.3)
+    assert back["u"] == pytest.approx(rates(model_with("towed-line"), u=-1.0, line=0.3)["u"], abs=1e-4)
+    assert back["line"] < 0.0
+    turn = rates(model_with("towed-line", **values), u=1.0, r=0.2)
+    assert turn["line"] == pytest.approx(-0.6 * 0.2 / 5.0 - 0.2)
+
+
+def test_payload_that_shifts_equals_a_boat_with_each_centre_of_gravity() -> None:
     at = {"u": 1.0, "v": -0.2, "r": 0.3, "psi": 0.4}
-    shift = {"x_shift": 0.1, "y_shift": -0.03, "m_shift": 5.0, "t_shift": 100.0}
     nominal = horizontal_model()
-    heavy = nominal.with_values({n: nominal.values[n] + 5.0 for n in ("m_u", "m_v")}) + catalogue()["cg-offset"]
-    heavy = heavy.with_values({"x_g": 0.1, "y_g": -0.03})
-    model = (nominal + catalogue()["payload-shift"]).with_values(shift)
+    places = {"x_before": 0.02, "y_before": 0.01, "x_shift": 0.1, "y_shift": -0.03, "t_shift": 100.0}
+    model = (nominal + catalogue()["payload-shift"]).with_values(places)
+    before, after = (
+        (nominal + catalogue()["cg-offset"]).with_values({"x_g": x_g, "y_g": y_g})
+        for x_g, y_g in ((0.02, 0.01), (0.12, -0.02))
+    )
 
     def motion(model: Model, t: float) -> np.ndarray:
         x = np.array([[at.get(s.name, 0.0) for s in model.states]])
         u = np.array([[t if i.name == "t" else 0.5 for i in model.inputs]])
         return VectorisedModel(model)(x, u, np.array(list(model.values.values())))[0, : len(model.states)]
 
-    np.testing.assert_allclose(motion(model, 60.0), motion(nominal, 0.0), rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(motion(model, 130.0), motion(heavy, 0.0), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(motion(model, 60.0), motion(before, 0.0), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(motion(model, 130.0), motion(after, 0.0), rtol=1e-9, atol=1e-12)
 
 
 def test_accelerometer_scale_acts_on_the_specific_force() -> None:

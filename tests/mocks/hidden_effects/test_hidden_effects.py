@@ -328,6 +328,29 @@ def test_the_payload_slides_once_and_the_centre_of_gravity_stays_there() -> None
     assert plant.boat.effects == (effect,)
 
 
+def test_a_towed_line_drags_as_much_as_its_end_and_follows_a_turn_late() -> None:
+    effect = make_effect("towed-line", 1)
+    line = effect.line
+    assert line is not None
+    ahead = run((effect,), (0.6, 0.6), 60.0)
+    pull = ahead._forces
+    assert pull[0] == pytest.approx(-line.drag * ahead.state[3] ** 2, rel=0.02)
+    assert pull[1:] == pytest.approx((0.0, 0.0), abs=1e-3)
+    turning: list[tuple[float, float]] = []
+
+    def turn(plant: BoatPlant) -> None:
+        if plant.t > 60.0:
+            plant.command(1, plant.t, 0.2)
+        turning.append((plant.state[5], plant._forces[2]))
+
+    run((effect,), (0.6, 0.6), 90.0, each=turn)
+    late = turning[round(63.0 / PLANT_STEP_S)]
+    assert late[0] * late[1] < 0.0  # the line holds the stern back
+    astern: list[float] = []
+    run((effect,), (-0.5, -0.5), 3.0, each=lambda p: astern.append(p._forces[0]))
+    assert astern == [0.0] * len(astern)  # a line that is pushed has no tension
+
+
 def test_waves_have_the_specified_peak_and_size() -> None:
     wave = make_effect("waves", 1).wave
     assert wave is not None
