@@ -232,6 +232,8 @@ class Acquisition:
     def stream(self, take: Callable[[Sequence[StreamedSample], int], None]) -> None:
         """Pass all samples that are logged from now on to a function, up to twenty times a second.
 
+        Samples of transducers are left out. A second call replaces the function.
+
         Parameters
         ----------
         take : Callable

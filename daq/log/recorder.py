@@ -65,8 +65,8 @@ class Recorder:
         Further texts of the metadata, by name.
     patient
         Whether recording goes on after a full disk. A patient recorder ends its file if the disk is full. It keeps new
-        messages in memory, `paused` contains the reason, and a new segment begins when there is room. The caller should
-        write little while `paused` is not empty. If it is False, a full disk raises an error.
+        messages in memory, without limit, `paused` contains the reason, and a new segment begins when there is room.
+        The caller should write little while `paused` is not empty. If it is False, a full disk raises an error.
 
     Attributes
     ----------
