@@ -59,7 +59,10 @@ class ParameterMismatch(NamedTuple):
     fatal: bool
 
     def __str__(self) -> str:
-        """Return the wrong or unanswered parameter in one line for the user: name, value, required value, effect."""
+        """Return the wrong or unanswered parameter in one line for the user: name, value, required value, effect.
+
+        The line about an unanswered one has the name and advice on the link.
+        """
         if self.value is None:
             return (
                 f"{self.name} was not answered; the link may lose messages: repeat it closer to the boat, "
@@ -113,7 +116,7 @@ def check_parameters(
     -------
     tuple of ParameterMismatch
         The wrong parameters, and those that this version of Rover has but that were not answered. Those that forbid
-        thrust (`fatal`) are first.
+        thrust (`fatal`) are first. An unanswered one forbids it, except those of battery failsafe and fence.
     """
     mismatches = [*_check_failsafes(parameters, own_system), *_check_mixing(parameters)]
     for thruster in thrusters:
