@@ -445,7 +445,7 @@ class DeviceLoop(threading.Thread):
         return commanded and self._open and now - self._stepped > STUCK_S
 
     def link(self) -> LinkStatus | None:
-        """Return the state of the autopilot at the port; None if the device is no autopilot or gets no messages."""
+        """Return the state of the autopilot at the port, also if nothing is sent to it; None for other devices."""
         return None if self._driver is None else self._driver.link_at(time.monotonic())
 
     @property

@@ -150,7 +150,7 @@ def _check_failsafes(p: Mapping[str, float], own_system: int) -> list[ParameterM
 
     `p` are the values of the answered parameters by name, and `own_system` is the system id of our ground station. If
     they are not answered, RC_OVERRIDE_TIME, FS_GCS_ENABLE, FS_THR_ENABLE, FS_ACTION and the id of the ground station
-    count as wrong, the others as right.
+    count as wrong, the others as right. Each of them forbids thrust (`fatal`).
     """
     mismatches = []
     override = p.get("RC_OVERRIDE_TIME")
@@ -206,6 +206,7 @@ def _check_mixing(p: Mapping[str, float]) -> list[ParameterMismatch]:
     """Return the wrong parameters of mixing, ramps and curves between RC channels and servo outputs of an autopilot.
 
     `p` are the values of the answered parameters by name. Except for PILOT_STEER_TYPE, a missing one counts as right.
+    MOT_SLEWRATE and MOT_THR_MIN, which distort steps and small commands, do not forbid thrust (`fatal`); the others do.
     """
     mismatches = []
     steer = p.get("PILOT_STEER_TYPE")
@@ -235,7 +236,7 @@ def _check_thruster(p: Mapping[str, float], thruster: Thruster) -> list[Paramete
 
     The list is empty for a thruster without an output in the rig. `p` are the values of the answered parameters by
     name. Of the missing ones, those that must have the value of the rig (function, channel and pulse widths) count as
-    wrong, the others as right.
+    wrong, the others as right. FS_THR_VALUE and the dead zone (DZ) do not forbid thrust (`fatal`); the others do.
     """
     output = thruster.output
     if output is None:
