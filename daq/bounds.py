@@ -89,7 +89,8 @@ def require_files(path: Path) -> None:
     Raises
     ------
     SeatrialError
-        If a file is not regular or cannot be opened, or if the folder contains more than 10,000 files (MAX_FILES).
+        If a file is not regular or cannot be opened, or if the folder with its subfolders contains more than 10,000
+        files (MAX_FILES).
     """
     for file in _walk_files(path):
         require_file(file)
@@ -162,7 +163,9 @@ def continue_in_child(paths: Sequence[Path]) -> None:
     Parameters
     ----------
     paths
-        Files and folders that the command reads, at least one. The limits grow with their total size.
+        Files and folders that the command reads, at least one. The limits grow with their total size: 1.9 GB of memory
+        plus 64 times the size, at most the memory of the computer if it has more than 1.9 GB; 15 s of processor time
+        plus 20 us for each byte; 268 MB of disk plus 64 times the size.
 
     Raises
     ------
@@ -224,7 +227,8 @@ def _companion_files(path: Path) -> Iterator[Path]:
 def _become_child(bounds: Bounds, scratch: str, reports: int) -> None:
     """Make this process the limited child: set its resource limits, signal handlers and temporary folder.
 
-    On Linux it is also killed when its parent ends for any reason. It writes no core dump.
+    At the limit of processor time a SeatrialError is raised, and the child is killed after 2 s more (GRACE_S). On Linux
+    it is also killed when its parent ends for any reason. It writes no core dump.
 
     Parameters
     ----------
@@ -261,8 +265,8 @@ def _become_child(bounds: Bounds, scratch: str, reports: int) -> None:
 def _interrupt_once() -> Callable[[int, FrameType | None], None]:
     """Return a handler of SIGINT for the child process that ignores a second signal which follows at once.
 
-    A Ctrl-C reaches the child twice, from the terminal and from its parent. The second signal must not interrupt the
-    clean-up.
+    The first signal raises KeyboardInterrupt; others within 1 s (REPEAT_S) are ignored. A Ctrl-C reaches the child
+    twice, from the terminal and from its parent. The second signal must not interrupt the clean-up.
     """
     last = -REPEAT_S
 
@@ -326,7 +330,8 @@ def _wait_for_child(child: int, incoming: int, bounds: Bounds, scratch: Path) ->
     child
         Process id of the child.
     incoming
-        Pipe on which the child reports the names of its scratch files.
+        Pipe on which the child reports the names of its scratch files, each with a NUL at its end. It is closed when
+        the child has ended.
     bounds
         Limits of the child.
     scratch

@@ -39,7 +39,10 @@ class RunClock:
     """
 
     def __init__(self, speed: float = 1.0, origin: Origin | None = None) -> None:
-        """Start the clock at the present wall time, or at the instant `origin` of another process."""
+        """Start the clock at the present wall time, or at the instant `origin` of another process.
+
+        `speed` is the number of run seconds per wall second. Raise ValueError if it is not a positive number.
+        """
         if not (math.isfinite(speed) and speed > 0.0):
             raise ValueError(f"clock speed must be a positive number, not {speed}")
         self.speed = speed
@@ -143,8 +146,21 @@ class _Hull:
 class _SampleKindTimes:
     """Device times and delays of one kind of sample of a device, to detect that its clock was set or has stopped.
 
-    The delay of a sample is its receive time minus its device time, mapped to run time by the clock map. The comments
-    in `__init__` explain the fields.
+    The delay of a sample is its receive time minus its device time, mapped to run time by the clock map.
+
+    Attributes
+    ----------
+    newest, last
+        Device times [s]: the largest one, and that of the last sample.
+    least
+        Smallest delay [s].
+    since
+        Run time [s] since which all samples are late; infinite if the last one was not.
+    back, back_at
+        Delay [s] in excess of `least`, and run time [s], of a sample whose device time ran back; `back` is 0 without
+        one, and again after a sample with a much smaller delay.
+    after
+        Number of samples since then that are about as late.
     """
 
     __slots__ = ("after", "back", "back_at", "last", "least", "newest", "since")
@@ -164,7 +180,8 @@ class _SampleKindTimes:
 class ClockMap:
     """Online map from the clock of a device to run time, by the lower convex hull of (device time, delay).
 
-    If a device restarts or its clock jumps, a new map begins. `resets` counts these events.
+    If a device restarts or its clock jumps, a new map begins. `resets` counts these events. The skew of the map is
+    limited to 300 ppm (SKEW_MAX).
 
     Parameters
     ----------
@@ -297,9 +314,11 @@ class ClockMap:
     def _has_jumped(self, t_device: float, t_rx: float, unordered: bool, kind: object) -> bool:
         """Return whether the device clock has jumped or the device has restarted, by the times of a new sample.
 
-        The parameters are those of `estimate`. A jump is a device time more than 0.5 s ahead of the map (`JUMP`), a
-        device time that runs back (with `unordered` by more than 1 s), or samples of one kind that stay late for some
-        seconds. The stored times of this kind of sample (`_kinds`) are updated. There must be a map.
+        The parameters are those of `estimate`. A jump is a device time more than 0.5 s ahead of the map (`JUMP`), or a
+        device time that runs back (with `unordered` by more than 1 s). It is also a jump if all samples of a kind are
+        more than 0.5 s later than the quickest for 10 s (`LATER`), or, after a device time of the kind ran back, stay
+        as late for 1 s and 3 samples (`AGAIN`). The stored times of this kind of sample (`_kinds`) are updated. There
+        must be a map.
         """
         late = t_rx - self._to_run_time(t_device)
         if late < -self.JUMP or self._last_device - t_device > (self.LATE if unordered else 0.0):

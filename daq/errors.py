@@ -7,14 +7,14 @@ class SeatrialError(Exception):
     """Error whose cause the user can remove.
 
     The message is ONE clear line: what failed, where, and what to do about it. The command line prints it after
-    `seatrial: ` and exits with `exit_status`. A part that needs another exit status derives its own class.
+    `seatrial: ` and exits with `exit_status`, 1. A part that needs another exit status derives its own class.
     """
 
     exit_status = 1
 
 
 class SafetyStop(SeatrialError):
-    """Error of a run that was ended for safety. Zero was commanded, and the log so far is kept."""
+    """Error of a run that was ended for safety. Zero was commanded, and the log so far is kept. Exit status: 3."""
 
     exit_status = 3
 
@@ -40,7 +40,7 @@ class _EscapeTable(dict[int, str]):
     def __missing__(self, number: int) -> str:
         """Return the safe replacement of the character with the code point `number`; a safe character stays.
 
-        The replacement is stored in the table if the code point is below 65,536.
+        The replacement is stored in the table if the code point is below 65,536, so that the table stays small.
         """
         c = chr(number)
         replacement = c if c.isprintable() or c == "\n" else " " if c.isspace() else ascii(c)[1:-1]

@@ -24,7 +24,7 @@ _report_pipe = -1
 
 
 def require_file(path: Path) -> None:
-    """Check that a path is a regular file. No byte is read.
+    """Check that a path is a regular file, or a symbolic link to one. No byte is read.
 
     Raises
     ------
@@ -50,7 +50,9 @@ def require_file(path: Path) -> None:
 
 
 def require_new(path: Path, force: bool = False, option: str = "-o") -> None:
-    """Check that an output may be created at a path. A path that does not exist is accepted.
+    """Check that an output may be created at a path.
+
+    A path that does not exist, or cannot be examined, is accepted; the writer reports an error.
 
     Parameters
     ----------
@@ -84,8 +86,8 @@ def require_new(path: Path, force: bool = False, option: str = "-o") -> None:
 def new_file(path: Path, force: bool = True) -> Iterator[Path]:
     """Yield the path of a scratch file beside an output, for a `with` block that writes it.
 
-    At the end of the block the scratch file gets the name of the output. If the block raises an error, the scratch
-    file is deleted.
+    The block has to create the scratch file. At the end of the block the scratch file gets the name of the output. If
+    the block raises an error, the scratch file is deleted, and an existing output stays as it was.
 
     Parameters
     ----------
@@ -136,6 +138,8 @@ def _rename_to_new(scratch: Path, path: Path) -> None:
 
 def write_output(path: Path, content: str | bytes, force: bool = True) -> None:
     """Write a whole output. Text is encoded as UTF-8, and its line ends are not changed.
+
+    The output is never incomplete: after an error an existing file stays as it was.
 
     Parameters
     ----------

@@ -18,8 +18,8 @@ REAL_TIME = 2
 def set_realtime_priority(behind: int = 0) -> None:
     """Raise the priority of this thread and of threads that it starts, as far as the system allows.
 
-    On Linux the thread gets real-time scheduling. Without the right to do so, the priority stays, and no error is
-    raised.
+    On Linux the thread gets real-time scheduling (SCHED_RR); the niceness -10 is set on every system. Without the right
+    to do so, the priority stays, and no error is raised.
 
     Parameters
     ----------

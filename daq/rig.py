@@ -88,7 +88,10 @@ class LoadCellCalibration:
         return math.hypot(*parts) if parts else None
 
     def force(self, counts: Counts) -> Counts:
-        """Convert raw counts to the force at the thruster [N]. `counts` is a number or an array of any shape."""
+        """Convert raw counts to the force at the thruster [N]. `counts` is a number or an array of any shape.
+
+        The force is `(counts - zero_counts) * newton_per_count * lever_ratio`.
+        """
         return (counts - self.zero_counts) * (self.newton_per_count * self.lever_ratio)
 
 
@@ -153,9 +156,10 @@ class MavlinkSettings:
     def requested(self, rate_hz: float) -> dict[str, float]:
         """Return the message rates [Hz] to request from an autopilot, by name of the MAVLink message.
 
-        `rate_hz` is the rate of the device in the rig file [Hz], which applies to messages without a rate of their own.
-        Messages with rate 0 are left out. If `gnss` is "fused", the position estimate of the autopilot takes the place
-        of the fixes of its receiver.
+        They are the messages of RATES, with the rates there, and of `rates`, which take precedence. `rate_hz` is the
+        rate of the device in the rig file [Hz], which applies to messages whose rate in RATES is None. Messages with
+        rate 0 are left out. If `gnss` is "fused", the position estimate of the autopilot takes the place of the fixes
+        of its receiver.
         """
         rates = {name: rate_hz if rate is None else rate for name, rate in RATES.items()}
         if self.gnss == "fused":
@@ -184,9 +188,9 @@ class Device:
     lever_arm_m
         Position of its antenna or sensor in body axes [m]: forward, starboard, down.
     pattern
-        Regular expression of a line of a load cell.
+        Regular expression (RE2) of a line of a load cell; its group `counts` is the reading.
     saturation
-        Largest reading of a load cell's converter [counts].
+        Largest reading of a load cell's converter [counts]; None: saturation is not detected.
     calibration
         Calibration of a load cell; None: the force is unknown.
     mavlink
@@ -198,7 +202,7 @@ class Device:
     signals
         Signals of the DBC file to read.
     query
-        Request for each sample, for a device that sends only on request.
+        Text of the request for each sample, for a device that sends only on request (Mantracourt).
     own_node
         Our node on a DroneCAN bus.
     index_offset
@@ -282,7 +286,8 @@ class AutopilotOutput:
     def command(self, n: float) -> int:
         """Return the pulse width [us] on the command channel of the autopilot for a command, -1..1.
 
-        The width is neutral for NaN and for a command out of range.
+        It is linear from full reverse to neutral and from neutral to full forward (`rc_us`), and rounded. The width is
+        neutral for NaN and for a command out of range.
         """
         low, neutral, high = self.rc_us
         if not -1.0 <= n <= 1.0:
@@ -292,7 +297,8 @@ class AutopilotOutput:
     def applied(self, pwm: float) -> float:
         """Return the command, -1..1, that belongs to a pulse width [us] at the servo output of the autopilot.
 
-        The result is NaN without a pulse (0). It is out of -1..1 if the pulse is out of the range of the output.
+        It is linear between full reverse, neutral and full forward (`pwm_us`). It is NaN without a pulse (0), and out
+        of -1..1 if the pulse is out of the range of the output.
         """
         low, neutral, high = self.pwm_us
         if pwm <= 0.0:
@@ -469,7 +475,7 @@ class Rig:
     text
         Text of the file, which is attached to logs.
     speed
-        Run seconds per wall second.
+        Run seconds per wall second; above 1 only on simulated devices.
     log_directory
         Folder for new logs.
     devices

@@ -138,11 +138,13 @@ class Esc:
     node
         Controller id on the bus.
     rpm
-        Speed of the shaft, with sign [rev/min]: the electrical speed divided by the pole pairs.
+        Speed of the shaft [rev/min], positive forward: the electrical speed divided by the pole pairs. The sign of a
+        thruster with `reversed` in the rig is changed, except with the protocol dbc. Behind an autopilot, a speed
+        without a sign gets that of the command.
     current
         Current of the motor [A].
     duty
-        Duty cycle, -1..1.
+        Duty cycle, -1..1, positive forward; behind an autopilot the command of the output.
     voltage
         Voltage of the supply [V].
     temperature
@@ -322,7 +324,7 @@ class PortHealth:
     clock_bias
         Mean of receive time minus estimated sample time [s]; NaN for a device without a clock.
     clock_spread
-        Standard deviation of the same difference [s].
+        Standard deviation of the same difference [s]; NaN for a device without a clock.
     """
 
     port: str

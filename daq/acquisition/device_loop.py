@@ -53,9 +53,10 @@ def source_of(device: Device, sample: Sample) -> Source:
     -------
     Source
         Name, and node or None. The name is that of the device for its main kind of sample, and `DEVICE/KIND` for every
-        further kind, with KIND in lower case, such as `autopilot/gnss`. The main kind of an autopilot or an NMEA 2000
-        bus is its attitude; servo outputs of an autopilot also have the name of the device. The node is the number of
-        the speed controller or of the servo output, and None for other samples.
+        further kind, with KIND in lower case, such as `autopilot/gnss`. The main kind is `Gnss` for nmea and ubx,
+        `Ahrs` for vectornav and mip, and `Ahrs` with a heading for an autopilot or an NMEA 2000 bus; servo outputs of
+        an autopilot also have the name of the device. With any other protocol every kind is a main kind. The node is
+        the number of the speed controller or of the servo output, and None for other samples.
     """
     if not device.sends_many_kinds:
         if isinstance(sample, MAIN.get(device.protocol, Sample)):
@@ -184,7 +185,8 @@ class DeviceLoop(threading.Thread):
     def is_at_zero(self, now: float) -> bool:
         """Return whether all thrusters of the port are at zero: it was sent and repeated, and the port is open.
 
-        True also if the port has never sent a command. `now` is a monotonic time [s].
+        Repeated means: sent again for 0.5 s. True also if the port has never sent a command. `now` is a monotonic time
+        [s].
         """
         if self._setpoints is None or not self._setpoints.held:
             return True
@@ -248,9 +250,10 @@ class DeviceLoop(threading.Thread):
     def _check_pause(self, setpoints: Setpoints, waited: float = 0.0) -> None:
         """Command zero to the thrusters of `setpoints` if this thread was stopped for more than 0.25 s (STUCK_S, wall).
 
-        Otherwise it would repeat an old command. The pause is the time since the last check, minus the intended wait
-        `waited` [wall s]. It does not count if zero was already sent and repeated. The method is called at several
-        places, because a pause can occur at any line of the loop.
+        Otherwise it would repeat an old command. `on_lost` is then called too, so that the process stops all thrust.
+        The pause is the time since the last check, minus the intended wait `waited` [wall s]. It does not count if zero
+        was already sent and repeated. The method is called at several places, because a pause can occur at any line of
+        the loop.
         """
         now = time.monotonic()
         paused, self._checked = now - self._checked - waited, now
@@ -261,7 +264,8 @@ class DeviceLoop(threading.Thread):
     def _check_suspend(self, setpoints: Setpoints) -> None:
         """Command zero to the thrusters of `setpoints` if the computer was suspended since the last check.
 
-        Otherwise an old command would be repeated. Nothing is done if no command was ever sent.
+        Otherwise an old command would be repeated. `on_lost` is then called too, so that the process stops all thrust.
+        Nothing is done if no command was ever sent.
         """
         if (slept := self._suspended.slept()) and setpoints.held:
             setpoints.zero(time.monotonic())
@@ -283,9 +287,9 @@ class DeviceLoop(threading.Thread):
     def _queue_for_log(self, direction: str, raw: bytes, t: float, frames: list[tuple[Frame, float]]) -> None:
         """Put the bytes and samples of one read or write into the queue of the log.
 
-        If the queue is full, they are counted as dropped. `direction` is "rx" for received and "tx" for sent bytes, and
-        empty without bytes. `t` is the run time [s] of the read or write. `frames` are the decoded samples, each with
-        its estimated run time [s].
+        If the queue is full, each sample is counted as dropped; bytes without samples count as one. `direction` is "rx"
+        for received and "tx" for sent bytes, and empty without bytes. `t` is the run time [s] of the read or write.
+        `frames` are the decoded samples, each with its estimated run time [s].
         """
         if not self._sink.put(LogItem(self.device.name, direction, raw, t, frames)):
             self._dropped += max(len(frames), 1)
@@ -304,8 +308,9 @@ class DeviceLoop(threading.Thread):
     def _decode_received(self, data: bytes, t_rx: float) -> None:
         """Decode the bytes `data` that were received from the port at run time `t_rx` [s].
 
-        The newest samples, the counters and the checks of the sensor are updated. Bytes and samples are put into the
-        queue of the log.
+        The newest samples, the counters and the checks of the sensor are updated. Transducers and events are not
+        stored as newest samples, and do not count for rate and age. Bytes and samples are put into the queue of the
+        log.
         """
         frames_before = self._decoder.frames
         frames = [
@@ -390,7 +395,7 @@ class DeviceLoop(threading.Thread):
 
     @property
     def zeroed(self) -> float:
-        """Run time [s] at which zero was sent to every thruster of the port.
+        """Run time [s] at which zero was first sent to every thruster of the port after the last other command.
 
         It is NaN if no set-point was sent yet, or if another command than zero has followed.
         """
@@ -440,7 +445,7 @@ class DeviceLoop(threading.Thread):
         return commanded and self._open and now - self._stepped > STUCK_S
 
     def link(self) -> LinkStatus | None:
-        """Return the state of the autopilot at the port; None if the device is no autopilot or gets no messages."""
+        """Return the state of the autopilot at the port, also if nothing is sent to it; None for other devices."""
         return None if self._driver is None else self._driver.link_at(time.monotonic())
 
     @property
@@ -541,7 +546,8 @@ class RateMeter:
         -------
         float
             Rate [1/run s]. It is NaN if the counter is zero, at the first value above zero, and while the counter has
-            not grown since the oldest stored value and this value is less than a window old.
+            not grown since the oldest stored value and this value is less than a window old. After a window without
+            events it is 0.
         """
         if count == 0:
             return math.nan

@@ -55,7 +55,10 @@ class HardwareWatchdog:
                 os.write(self._file, b"\0")
 
     def close(self) -> None:
-        """Disarm the watchdog timer of the computer and close its device file."""
+        """Disarm the watchdog timer of the computer and close its device file.
+
+        A timer whose driver was loaded with `nowayout` stays armed. A failed write is ignored.
+        """
         with contextlib.suppress(OSError):
             os.write(self._file, DISARM)
         os.close(self._file)

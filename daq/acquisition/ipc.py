@@ -267,7 +267,10 @@ def encode_message(message: Message) -> bytes:
 
 
 def decode_message(line: bytes | bytearray) -> Message:
-    """Return the message between processes that `encode_message` has written as one line of JSON."""
+    """Return the message between processes that `encode_message` has written as one line of JSON.
+
+    Any other line raises an error (ValueError, KeyError, TypeError, ...), because both processes run the same program.
+    """
     name, values = json.loads(line)
     kind = _TYPES[name]
     if kind is Configuration:
@@ -299,7 +302,10 @@ class AcquisitionChannel:
         return self._socket.fileno()
 
     def send(self, message: Message) -> None:
-        """Send one message to the other process. Raise OSError if it has closed its end."""
+        """Send one message to the other process, and wait while the socket's buffer is full.
+
+        Raise OSError if the other process has closed its end.
+        """
         data = encode_message(message)
         with self._lock:
             self._socket.sendall(data)

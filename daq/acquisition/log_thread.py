@@ -73,7 +73,8 @@ class LogSink:
     def put(self, item: LogItem) -> bool:
         """Append the bytes and samples of one read or write, or an event, to the queue of the log.
 
-        Return True, or False without appending it if the queue is full.
+        Return True, or False without appending it if the queue is full: it has `limit` items, or for an item without
+        raw bytes, such as an event, twice as many.
         """
         if len(self._items) >= (self._limit if item.raw else 2 * self._limit):
             return False
@@ -156,7 +157,8 @@ class LogThread(threading.Thread):
     failure : str
         Error that has ended the log; empty without one.
     alarm : str
-        Why no data are written at present; the log may go on later. Empty while data are written.
+        Why data are not kept at present: the disk is full (the log may go on later), or the file of the log was
+        deleted. Empty otherwise.
     """
 
     def __init__(
@@ -179,8 +181,8 @@ class LogThread(threading.Thread):
     def run(self) -> None:
         """Write the queued data to the log until `end` is called, then close the log. This is the code of the thread.
 
-        Data are written every 10 ms, and the counters of the ports every second. An error of the log ends the thread
-        and is stored in `failure`.
+        Data are written every 10 ms, and the counters of the ports every second. While a full disk pauses the recorder,
+        data wait in the queue. An error of the log ends the thread and is stored in `failure`.
         """
         set_realtime_priority(behind=1)  # below the ports and set-points, because this thread compresses data
         health_at = time.monotonic() + HEALTH_S

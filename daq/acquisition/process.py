@@ -374,7 +374,7 @@ class Process:
         """Return whether the log may be closed, `since` wall seconds after the end of the run.
 
         Zero must have been repeated on every port of a thruster, or 3 s (`RETURN_S`) must have passed. After a stop
-        that the parent did not request, 1 s (`RECORD_ON_S`) must have passed too.
+        that the parent did not request, 1 s (`RECORD_ON_S`) must have passed too, unless the log has failed.
         """
         if self._unrequested and since < RECORD_ON_S and not self._writer.failure:
             return False

@@ -117,7 +117,10 @@ class SensorHealth:
 
     @property
     def stuck(self) -> tuple[type, ...]:
-        """Classes of samples of the device whose values do not change any more, as those of a dead sensor."""
+        """Classes of samples of the device whose values do not change any more, as those of a dead sensor.
+
+        The compared values and the limits are in STUCK_LIVE (daq/sensor_limits.py): 20 equal samples in 5 s or more.
+        """
         return tuple(dict.fromkeys(form[0] for form in self._same if self._is_stuck(form)))
 
     def _is_stuck(self, form: _SampleForm) -> bool:
@@ -134,7 +137,9 @@ class SensorHealth:
     def message(self) -> str:
         """Return the most severe present fault of the device's samples or counters in one line; empty without a fault.
 
-        The order is: wrong checksums, saturation, spikes, repeated values, a jump of the clock, a wrong GPS era.
+        The order is: wrong checksums (at least 10 in 5 s, and 1 for 20 valid frames), saturation of the last sample,
+        spikes (at least 2 in 10 s, and more than 1 in 100 samples), repeated values, a jump of the clock in the last 10
+        s, and a date that differs from the run clock by more than 0.9 GPS eras (of 1024 weeks).
         """
         if self._counters:
             (_, frames_0, errors_0), (_, frames, errors) = self._counters[0], self._counters[-1]

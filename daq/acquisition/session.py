@@ -222,15 +222,24 @@ class Acquisition:
         self._send_message(ScheduleSetpoints([(t, dict(row)) for t, row in rows]))
 
     def zero(self, reason: str) -> None:
-        """Discard all scheduled set-points and command zero to all thrusters at once; log `reason` as an event."""
+        """Discard all scheduled set-points and command zero to all thrusters at once; log `reason` as an event.
+
+        The call does not wait until zero was sent; `Status.zeroed` shows it. Set-points of later calls of
+        `schedule` are sent as usual. Raise SeatrialError if the acquisition process has ended.
+        """
         self._send_message(ZeroThrust(reason))
 
     def mark(self, kind: str, text: str) -> None:
-        """Write an event to the log: its kind, a word such as "segment", and a description in one line."""
+        """Write an event to the log: its kind, a word such as "segment", and a description in one line.
+
+        Raise SeatrialError if the acquisition process has ended.
+        """
         self._send_message(LogEvent(kind, text))
 
     def stream(self, take: Callable[[Sequence[StreamedSample], int], None]) -> None:
         """Pass all samples that are logged from now on to a function, up to twenty times a second.
+
+        Samples of transducers are left out. A second call replaces the function.
 
         Parameters
         ----------

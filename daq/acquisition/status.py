@@ -141,7 +141,7 @@ class Status:
     duration
         Run seconds since the start of the log.
     stopped
-        Why the acquisition process stopped thrust by itself; empty if it has not.
+        Why the acquisition process stopped thrust by itself, or ends without a request of its parent; empty otherwise.
     warnings
         Faults of ports, of the log and of the run, one line each.
     skipped
@@ -177,6 +177,9 @@ class Status:
 
 def count_senders(status: Status, device: str) -> tuple[int, int]:
     """Count the kinds of samples and the nodes of one device that have sent a sample so far.
+
+    They are for the decision whether a sample is too old: the nodes of a device share its expected rate, and a device
+    with several kinds of samples may send one kind more slowly.
 
     Parameters
     ----------

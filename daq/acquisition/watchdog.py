@@ -62,7 +62,7 @@ class Heartbeat:
     Attributes
     ----------
     trouble : str
-        Why the watchdog could not command zero in an emergency; empty while it works.
+        Why the watchdog could not command zero in an emergency; empty while it works. Later answers do not clear it.
     """
 
     def __init__(self, sock: socket.socket, rig: Rig, log: Path) -> None:
@@ -178,8 +178,8 @@ class HeartbeatMonitor:
         now : float
             Monotonic time [s].
         words : bytes or None
-            Heartbeats as bytes: `ACTIVE` (thrust is commanded), `IDLE` or `FINISHED`; empty if none has arrived. None
-            if the socket is closed.
+            Heartbeats as bytes: `ACTIVE` (thrust is commanded), `IDLE` or `FINISHED`; empty if none has arrived. Of
+            several, the last one counts, but a `FINISHED` anywhere ends the monitoring. None if the socket is closed.
 
         Returns
         -------
@@ -215,7 +215,8 @@ class FailsafeSender(threading.Thread):
     Attributes
     ----------
     outcome : str
-        Result in words: "not tried", "zero was sent", or the error of the port.
+        Result in words: "not tried", "zero was sent" with the device's confirmation (`DeviceDriver.confirmation`), or
+        the last error of the port.
     """
 
     def __init__(self, device: Device, rig: Rig) -> None:

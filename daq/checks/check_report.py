@@ -45,7 +45,7 @@ class DryRun:
     thrusters : tuple of str
         Names of the thrusters, in the order of the columns of `n`.
     t : Array (n_times,)
-        Times [s] from which the commands hold.
+        Times [s] from the start of the mission, ascending, from which the commands hold.
     n : Array (n_times, n_thrusters)
         Commands, -1 to 1. The last row holds until `end`.
     end : float

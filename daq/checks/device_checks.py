@@ -53,7 +53,12 @@ LEAST = 200  # smallest number of time stamps whose digits are checked
 
 
 def check_devices(log: Log) -> Iterator[Finding]:
-    """Check all devices in an open log, and the log itself for damage and clocks that ran back. Yield all findings."""
+    """Check all devices in an open log, and the log itself for damage and clocks that ran back. Yield all findings.
+
+    They are in the order of the checks, not of severity. Without a rig in the log, the checks against its values
+    (rates, voltage, charge, missing devices and thrusters) are left out, and times are checked as those of imported
+    signals.
+    """
     rig = log.rig
     for text in log.warnings:
         yield Finding(
@@ -135,7 +140,8 @@ def _check_rate(source: str, device: Device | None, log: Log, tables: Tables, ga
 
     A fault is a difference of more than 20 %, or fewer than three samples. Of an autopilot only attitudes count, after
     the first third of the log (at most 10 s), in which it still sends at its own rates. The rate of an autopilot in a
-    log imported from a tlog is reported and not compared. A device without tables has no finding, except an autopilot.
+    log imported from a tlog is reported and not compared. The samples of all controllers of a bus count together. A
+    device without tables has no finding, except an autopilot.
 
     Parameters
     ----------
@@ -148,7 +154,8 @@ def _check_rate(source: str, device: Device | None, log: Log, tables: Tables, ga
     tables : Tables
         Tables of samples of the device: kind of sample, name in findings, table.
     gaps_known : bool
-        Whether another finding reports missing sections. The sections are then left out of the rate.
+        Whether another finding reports missing sections. They are then left out of the rate if it is as expected
+        without them.
     """
     # In an imported tlog the ground station has set the rates, so that `rate_hz` does not apply.
     ours = device is not None and (device.protocol != "mavlink" or log.metadata.get("import") != "mavlink")
@@ -279,8 +286,9 @@ def _check_ahrs(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
 
     Faults are white noise above 2 deg in yaw or 0.05 rad/s in yaw rate; lower noise is reported. Warnings are a median
     specific force that differs from 9.81 m/s2 by more than 15 %, and a median roll or pitch beyond 20 deg. Samples in
-    fast turns do not count for the specific force if enough others remain. `table` has the samples of the AHRS, `name`
-    is the device in the findings, and `rig` is not used.
+    turns above 0.1 rad/s do not count for the specific force if more than 5 % others remain. Quantities that the AHRS
+    does not report, and noise of fewer than 23 values, are not checked. `table` has the samples of the AHRS, `name` is
+    the device in the findings, and `rig` is not used.
     """
     is_quiet, noises = True, dict[str, float]()
     for column, (limit, unit) in NOISE.items():
@@ -358,7 +366,8 @@ def _check_gnss(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
     """Check the fixes and satellites of a GNSS receiver in a log, and yield the findings.
 
     Warnings are positions at 0 N 0 E, more than 5 % of the samples without a position, and a median below 6 satellites.
-    It is a fault if no sample has a position. `table` has the samples of the receiver, `name` is the device in the
+    It is a fault if no sample has a position. A sample has one if its `fix` is 2 or more and it is not at 0 N 0 E.
+    Unreported satellites (-1) do not count. `table` has the samples of the receiver, `name` is the device in the
     findings, and `rig` is not used.
     """
     at_zero = (table["fix"] >= 2) & (table["lat"] == 0.0) & (table["lon"] == 0.0)
@@ -470,8 +479,9 @@ def _no_findings(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
 def _check_port_counters(source: str, log: Log) -> Iterator[Finding]:
     """Check the last counters of the port of the device `source` in a log, and yield the findings.
 
-    Warnings are checksum errors in more than 0.1 % of the frames, more than 1 % of unparsed bytes, any dropped sample
-    and any loss of the port. A log without counters of the port has no finding.
+    Warnings are checksum errors, more than one and more than 0.1 % of the frames; unparsed bytes, more than 200 plus
+    1 % of the received ones; any dropped sample; and any loss of the port. A log without counters of the port has no
+    finding.
     """
     if source not in log.sources(PortHealth) or not (rows := log.health(source)):
         return
@@ -507,8 +517,9 @@ def _check_port_counters(source: str, log: Log) -> Iterator[Finding]:
 def _check_shaft_speeds(log: Log) -> Iterator[Finding]:
     """Yield a fault for each speed controller whose shaft speed stays exactly equal while its command changes.
 
-    The speed must stay equal for more than 2 s, and the command must change by more than 0.1 of full command. Not
-    checked are a speed of zero, controllers without commands in the log, and those with fewer than 20 samples.
+    The speed must stay equal for more than 2 s, and the command must change by more than 0.1 of full command, at the
+    latest 1 s before the end of this time, because the shaft responds with a delay. Not checked are a speed of zero,
+    controllers without commands in the log, and those with fewer than 20 samples. A controller has at most one fault.
     """
     for source in log.sources(Esc):
         for node in log.nodes(Esc, source):
@@ -572,8 +583,10 @@ def _check_imported_signals(log: Log) -> Iterator[Finding]:
 def check_timestamps(name: str, table: Any, end: float | None, speed: float = 1.0) -> Iterator[Finding]:
     """Check the times of the samples of one device or signal, and yield the findings.
 
-    They are about times that do not increase, samples that arrive in bunches, gaps, an early end, and the device's
-    clock. Fewer than three samples are not checked.
+    Of an imported signal, times that do not increase for more than 2 % of the samples are a fault. Of a device, more
+    than 10 % such samples (at least 5), which have arrived in bunches, are a warning, and an end more than 5 s before
+    that of the log is a fault. Gaps (`_check_gaps`) and the device's clock (`_check_clock`) are checked too. Fewer than
+    three samples are not checked.
 
     Parameters
     ----------
@@ -660,10 +673,11 @@ def _check_gaps(name: str, t: FloatArray, pauses: FloatArray, speed: float, impo
 def _check_clock(name: str, table: Any, speed: float) -> Iterator[Finding]:
     """Check a device's clock for jumps, delays and drift against the run clock, and yield the findings.
 
-    A clock that ran back or jumps gives one fault, and nothing else is checked then. Late samples and drift above
-    500 ppm give warnings; a clock without them is reported as in order. `table` has the columns t_rx and t_device [s].
-    With fewer than 50 times of the device nothing is checked. `name` is the device in the findings, and `speed` the
-    number of run seconds per wall second.
+    A clock that ran back, or jumps by more than 0.1 s, gives one fault, and nothing else is checked then. Samples of
+    which 5 % are more than 0.1 s late, and a drift above 500 ppm over more than 60 s, give warnings; a clock without
+    them is reported as in order. On a run clock faster than wall time the limits are at least 0.1 s of wall time.
+    `table` has the columns t_rx and t_device [s]. With fewer than 50 times of the device nothing is checked. `name` is
+    the device in the findings, and `speed` the number of run seconds per wall second.
     """
     has_clock = np.isfinite(table["t_device"])
     if np.count_nonzero(has_clock) < 50:
@@ -742,7 +756,8 @@ def _earliest_arrivals(received: FloatArray, offset: FloatArray) -> tuple[FloatA
 def check_lost_zeros(name: str, t: FloatArray) -> Iterator[Finding]:
     """Yield a fault if a logger wrote the fractions of time stamps without leading zeros (12.5 for 12.005).
 
-    No such time stamp lies in the first tenth of its second. Fewer than 200 time stamps are not checked.
+    No such time stamp lies in the first tenth of its second: it is a fault if fewer than 0.2 % of all do, and more than
+    3 % lie in each other tenth. Fewer than 200 time stamps are not checked.
 
     Parameters
     ----------

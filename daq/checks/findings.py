@@ -60,7 +60,8 @@ def findings_lines(findings: Sequence[Finding]) -> list[str]:
 def findings_paragraphs(findings: Sequence[Finding], width: int) -> list[str]:
     """Return the findings of a check as wrapped lines for a terminal.
 
-    If severity, place and check of a finding need more than half of the width, its text begins on the next line.
+    If severity, device or file, and name of the check need more than half of the width, the text of each finding begins
+    on the next line.
 
     Parameters
     ----------

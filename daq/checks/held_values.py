@@ -58,6 +58,10 @@ class HeldValues(NamedTuple):
 def held_values(columns: Sequence[FloatArray]) -> HeldValues | None:
     """Decide whether a table repeats each measurement of a slow sensor in several rows, by the values of the sensor.
 
+    It does if at least 15 % of the rows repeat the row before, changes follow each other at a regular pace (80 % of the
+    distances), and the resolution of the sensor does not explain the repeats: at most half of the changes are by one
+    step of it.
+
     Parameters
     ----------
     columns
@@ -90,8 +94,10 @@ def held_values(columns: Sequence[FloatArray]) -> HeldValues | None:
 def held_signals(t: FloatArray, signals: Mapping[str, FloatArray]) -> dict[str, HeldValues]:
     """Find the signals of a table that are held: the table repeats each measurement in several rows.
 
-    Signals that one sensor measures at once, such as x and y (TOGETHER), are judged together. A signal that is measured
-    less often than every 5 s (SLOWEST_S) is taken for a set-point and left out.
+    Signals that one sensor measures at once, such as x and y (TOGETHER), are judged together. Signals are also of one
+    sensor if 80 % of the rows in which they change are common, and a signal too coarse to be judged alone if 95 % of
+    its changes are in rows of the sensor. A signal that is measured less often than every 5 s (SLOWEST_S) is taken for
+    a set-point and left out.
 
     Parameters
     ----------
@@ -135,7 +141,8 @@ def is_measured(levels: FloatArray, interval: float) -> bool:
     """Return whether a held input comes from a sensor or a joystick, and is not a sequence of commanded steps.
 
     It has at least 50 values, of which more than half are different, and at most 1.05 s between two of them. Equal
-    values that follow each other count once.
+    values that follow each other count once. Measurements may be interpolated; interpolation would turn commanded steps
+    into ramps.
 
     Parameters
     ----------
@@ -151,6 +158,8 @@ def is_measured(levels: FloatArray, interval: float) -> bool:
 
 def group_held_signals(found: Mapping[str, HeldValues]) -> list[tuple[str, HeldValues]]:
     """Group the held signals with equal numbers of measurements, which mostly come from one sensor.
+
+    The user then gets one message for each group.
 
     Parameters
     ----------

@@ -19,7 +19,9 @@ SHORTEST_GAP_S = 0.5  # s without a value of an input; in a shorter gap the last
 def check_rows_left_out(metadata: Mapping[str, str]) -> Iterator[Finding]:
     """Yield a finding for each group of rows that an import left out because of their times.
 
-    It is a fault if these are 5 rows or more, and more than 5 % of the rows of the source; otherwise it is a warning.
+    Their times ran back, repeated, are empty, or are far from the time of receipt. It is a fault if these are 5 rows or
+    more, and more than 5 % of the rows of the source; otherwise it is a warning, also in a log of an older version,
+    which did not note the number of all rows.
 
     Parameters
     ----------
@@ -77,7 +79,8 @@ def unknown_times(t: npt.NDArray[np.float64], values: npt.NDArray[np.float64]) -
     Returns
     -------
     list
-        Begin and end [s] of each gap longer than `SHORTEST_GAP_S`. A gap ends at the next value, or at the last sample.
+        Begin and end [s] of each gap longer than 0.5 s (SHORTEST_GAP_S), from its first NaN to the next value, or to
+        the last sample.
     """
     unknown = np.isnan(values).astype(np.int8)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], unknown, [0]])))

@@ -60,10 +60,10 @@ def check_thruster_coverage(log: Log) -> Iterator[Finding]:
     """Compare the speed controllers of each bus in a log with the thrusters of its rig, and yield the findings.
 
     A controller without a thruster in the rig, and a thruster without `rpm_max`, give a warning. A thruster whose
-    controller has no sample and got no command gives a fault. The rate of each controller is reported; it is a warning
-    if the controller has fewer than half of the samples of the most frequent one on its bus. Rates are not compared if
-    that one has fewer than 10 samples. Thrusters behind an autopilot are left out, and so are buses without any
-    telemetry. A log without a rig has no finding.
+    controller has no sample and got no command gives a fault. The rate of each controller is reported, without pauses
+    of 60 s or more; it is a warning if the controller has fewer than half of the samples of the most frequent one on
+    its bus. Rates are not reported if that one has fewer than 10 samples. Thrusters behind an autopilot are left out,
+    except for `rpm_max`, and so are buses without any telemetry. A log without a rig has no finding.
     """
     rig = log.rig
     if rig is None:

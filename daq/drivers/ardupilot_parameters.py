@@ -59,7 +59,10 @@ class ParameterMismatch(NamedTuple):
     fatal: bool
 
     def __str__(self) -> str:
-        """Return the wrong or unanswered parameter in one line for the user: name, value, required value, effect."""
+        """Return the wrong or unanswered parameter in one line for the user: name, value, required value, effect.
+
+        The line about an unanswered one has the name and advice on the link.
+        """
         if self.value is None:
             return (
                 f"{self.name} was not answered; the link may lose messages: repeat it closer to the boat, "
@@ -113,7 +116,7 @@ def check_parameters(
     -------
     tuple of ParameterMismatch
         The wrong parameters, and those that this version of Rover has but that were not answered. Those that forbid
-        thrust (`fatal`) are first.
+        thrust (`fatal`) are first. An unanswered one forbids it, except those of battery failsafe and fence.
     """
     mismatches = [*_check_failsafes(parameters, own_system), *_check_mixing(parameters)]
     for thruster in thrusters:
@@ -147,7 +150,7 @@ def _check_failsafes(p: Mapping[str, float], own_system: int) -> list[ParameterM
 
     `p` are the values of the answered parameters by name, and `own_system` is the system id of our ground station. If
     they are not answered, RC_OVERRIDE_TIME, FS_GCS_ENABLE, FS_THR_ENABLE, FS_ACTION and the id of the ground station
-    count as wrong, the others as right.
+    count as wrong, the others as right. Each of them forbids thrust (`fatal`).
     """
     mismatches = []
     override = p.get("RC_OVERRIDE_TIME")
@@ -203,6 +206,7 @@ def _check_mixing(p: Mapping[str, float]) -> list[ParameterMismatch]:
     """Return the wrong parameters of mixing, ramps and curves between RC channels and servo outputs of an autopilot.
 
     `p` are the values of the answered parameters by name. Except for PILOT_STEER_TYPE, a missing one counts as right.
+    MOT_SLEWRATE and MOT_THR_MIN, which distort steps and small commands, do not forbid thrust (`fatal`); the others do.
     """
     mismatches = []
     steer = p.get("PILOT_STEER_TYPE")
@@ -232,7 +236,7 @@ def _check_thruster(p: Mapping[str, float], thruster: Thruster) -> list[Paramete
 
     The list is empty for a thruster without an output in the rig. `p` are the values of the answered parameters by
     name. Of the missing ones, those that must have the value of the rig (function, channel and pulse widths) count as
-    wrong, the others as right.
+    wrong, the others as right. FS_THR_VALUE and the dead zone (DZ) do not forbid thrust (`fatal`); the others do.
     """
     output = thruster.output
     if output is None:

@@ -72,7 +72,7 @@ class LinkStatus:
         Answer to the last request, for example "arm: accepted" or "arm: failed (PreArm: ...)"; empty while it is
         awaited.
     alarm
-        Last text of severity critical or above; empty without one.
+        Last text of severity critical or above; empty without one, and again after an accepted arming.
     receiver
         Whether the autopilot has received a transmitter since its start; None: it has not reported this.
     other_station_frames
@@ -153,9 +153,10 @@ class DeviceDriver(ABC):
         Parameters
         ----------
         action
-            "arm" or "disarm" the motors, change the "mode", or "mute": send only zero commands for a time.
+            "arm" or "disarm" the motors, change the "mode", "mute": send only zero commands for a time, or "leave":
+            disarm if this program has armed the motors.
         value
-            Number of the mode, or time of the muting [s].
+            Number of the mode, or time of the muting [wall s]; unused for other requests.
         """
         return
 

@@ -16,6 +16,8 @@ SPARE_IDS = (254, 253, 252)
 def make_driver(device: Device, rig: Rig, decoder: Decoder, role: LinkRole) -> DeviceDriver | None:
     """Return the driver of a device, or None if nothing is ever sent to the device.
 
+    VESC buses, DroneCAN buses with a thruster, autopilots, and converters that are polled (Mantracourt) have a driver.
+
     Parameters
     ----------
     device

@@ -149,7 +149,8 @@ class MavlinkDriver(DeviceDriver):
     def opened(self, now: float) -> None:
         """Discard the state of the link to the autopilot, because the port was opened or the autopilot has restarted.
 
-        After the next heartbeat of the autopilot, rates and parameters are requested again. `now` is wall time [s].
+        Commands in the queue are dropped. After the next heartbeat of the autopilot, rates and parameters are requested
+        again. The reported state (`LinkStatus`) stays, except `receiver`. `now` is wall time [s].
         """
         self._beat = self._last_heartbeat = -math.inf  # wall s of our last heartbeat, and of the autopilot's
         self._commands: deque[_Command] = deque()
@@ -197,7 +198,8 @@ class MavlinkDriver(DeviceDriver):
         """Update mode and arming of the autopilot from its heartbeat `m`, received at wall time `now` [s].
 
         After the first heartbeat, the message rates and the parameters are requested. The rates are requested again if
-        fewer than half of the requested attitudes arrived during 3 heartbeats in a row (RATE_PART, RATE_BEATS).
+        fewer than half of the requested attitudes arrived during 3 heartbeats in a row (RATE_PART, RATE_BEATS). Once
+        the autopilot is disarmed, it no longer counts as armed by this program.
         """
         since, self._last_heartbeat = now - self._last_heartbeat, now
         mode, armed = mode_name(m.custom_mode, m.type, m.autopilot), bool(m.base_mode & ARMED)
@@ -247,9 +249,10 @@ class MavlinkDriver(DeviceDriver):
         """Process the autopilot's answer to a command (message COMMAND_ACK `m`).
 
         Only an answer to the first command of the queue counts, and not the answers to other ground stations. If the
-        command was temporarily rejected, it is sent again, up to 4 times (TRIES). Otherwise it is removed from the
-        queue. The answer to a request of the operator is then stored and logged. A denied message rate is requested
-        again at half the rate. In the role RESCUE, an accepted disarming is stored for `confirmation`.
+        command was temporarily rejected, it is sent again, up to 4 times in all (TRIES). "In progress" is ignored.
+        Otherwise the command is removed from the queue. The answer to a request of the operator is then stored and
+        logged. A message rate that is not accepted is logged, and requested again at half the rate if it was denied. In
+        the role RESCUE, an accepted disarming is stored for `confirmation`.
         """
         if m.target_system not in (0, self._codec.system):
             return  # this is the answer to another ground station
@@ -451,8 +454,9 @@ class MavlinkDriver(DeviceDriver):
     def _poll_parameters(self, now: float) -> bytes:
         """Return requests for all parameters that the autopilot has not yet sent, if requests are due.
 
-        They are due every 0.5 s (PARAMETER_S); `now` is wall time [s]. A parameter that stays unanswered is given up,
-        with an event. If no parameter is missing, one known parameter is requested again, to notice a change.
+        They are due every 0.5 s (PARAMETER_S); `now` is wall time [s]. A parameter that stays unanswered is given up
+        after 10 requests, with an event; after 5 if the autopilot may be a version that lacks it. If no parameter is
+        missing, one known parameter is requested again, to notice a change.
         """
         if not self._awaited:
             if self._status.parameters_pending:
@@ -471,8 +475,9 @@ class MavlinkDriver(DeviceDriver):
     def _poll_one_parameter(self, now: float) -> bytes:
         """Return the request to read one known parameter of the autopilot again, to notice a change; or no bytes.
 
-        One request is due every 0.2 s (REREAD_S), and only in the role DRIVE. Another ground station may change a
-        parameter, and the message about the change may be lost. `now` is wall time [s].
+        One request is due every 0.2 s (REREAD_S), and only in the role DRIVE. Every second one is for a parameter of
+        the reaction to a lost link. Another ground station may change a parameter, and the message about the change may
+        be lost. `now` is wall time [s].
         """
         if self._role is not LinkRole.DRIVE or now - self._reread_at < REREAD_S:
             return b""

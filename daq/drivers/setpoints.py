@@ -109,9 +109,9 @@ class Setpoints:
     def due(self, now_run: float, now_wall: float) -> list[Due]:
         """Return the set-points that the port has to send now, and remove them from the schedule.
 
-        Commands are repeated every 20 ms (REPEAT_S) while thrust is commanded, and for 0.5 s (ZERO_FOR_S) afterwards.
-        If several set-points of a node are due, only the newest one is returned; the others count as skipped. The list
-        is empty if nothing is due.
+        The present command of each node is repeated every 20 ms (REPEAT_S) while thrust is commanded or scheduled, and
+        for 0.5 s (ZERO_FOR_S) afterwards. If several set-points of a node are due, only the newest one is returned; the
+        others count as skipped, except one with the same time. The list is empty if nothing is due.
 
         Parameters
         ----------

@@ -93,8 +93,8 @@ def full_definition(type_name: str) -> str:
     Returns
     -------
     str
-        The text of the definition of the type, then of each type that it uses, after a line of 80 "=" and a line with
-        the name of that type.
+        The text of the definition of the type, then of each type that it uses, directly or by another type, after a
+        line of 80 "=" and a line "MSG: package/Name".
     """
     parts, pending, seen = [definition(type_name)], [type_name], {type_name}
     while pending:
@@ -245,6 +245,8 @@ def doubles(*values: float) -> bytes:
 @cache
 def cdr_layout(type_name: str, frame_id: bytes, lacking: tuple[str, ...] = ()) -> CdrLayout:
     """Return the byte layout of a message type in CDR for a `frame_id`. Each layout is computed once.
+
+    Raise ValueError if the type does not begin with a header, and FileNotFoundError if it has no definition in daq/msg.
 
     Parameters
     ----------

@@ -88,11 +88,12 @@ def chunk_at(head: bytes, start: int, stop: int, cut: bool = False) -> ChunkAt:
     start, stop
         Bytes of the file between which the content lies.
     cut
-        Whether the chunk may end after the end of the file. The length of the data is then not checked.
+        Whether the chunk may end after the end of the file. The length of the data is then not checked, and the result
+        has the position of the data up to `stop`.
 
     Raises
     ------
-    ValueError, or another error in DAMAGE
+    ValueError, or another error in DAMAGE (errors that damaged bytes cause)
         If the header is invalid, or if the chunk is larger than 64 MiB (MAX_CHUNK_BYTES).
     """
     _, _, size, checksum, n_name = _CHUNK.unpack_from(head)
@@ -119,7 +120,7 @@ def unpack_chunk(packed: bytes | memoryview, chunk: ChunkAt) -> Buffer:
 
     Raises
     ------
-    ValueError, or another error in DAMAGE
+    ValueError, or another error in DAMAGE (errors that damaged bytes cause)
         If size or checksum is wrong, or if the data cannot be decompressed.
     """
     data: bytes | memoryview = packed
@@ -146,7 +147,7 @@ def unpack_cut(packed: bytes, chunk: ChunkAt) -> Buffer:
 
     Raises
     ------
-    ValueError, or another error in DAMAGE
+    ValueError, or another error in DAMAGE (errors that damaged bytes cause)
         If the compression is lz4, or if the zstd data before the cut are damaged.
     """
     if chunk.compression == "lz4":
@@ -215,8 +216,8 @@ def scan(chunks: list[tuple[Buffer, bytes]], register: Callable[[int, bytes], No
 
     Notes
     -----
-    The index of a chunk is used if all its entries are valid. The bytes of a chunk that no entry covers are scanned
-    record by record. A scan ends at the first invalid record.
+    Index entries beyond the end of a chunk are ignored. If another entry is not the offset of a whole message, all
+    entries of its chunk are ignored. Bytes between used entries are scanned record by record, up to an invalid record.
     """
     buffer = chunks[0][0] if len(chunks) == 1 else np.concatenate([data for data, _ in chunks])
     bounds = np.cumsum([0, *(len(data) for data, _ in chunks)])
@@ -266,7 +267,8 @@ def _read_gap(view: memoryview, at: int, stop: int, register: Callable[[int, byt
     """Scan the MCAP records between the offsets `at` and `stop` of a byte buffer, which no message index covers.
 
     Return the offsets of the message records. Opcode and content of schemas and channels are passed to `register`. The
-    scan ends at the first invalid record, and after too many records that are not messages.
+    scan ends at the first invalid record, and after too many other records: 70,000 schemas and channels, or 65,536
+    records of further kinds plus 16 for each message. Millions of empty records would compress to a few bytes.
     """
     found: list[int] = []
     n_kinds = n_private = 0

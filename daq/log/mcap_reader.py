@@ -212,9 +212,10 @@ class RawLog:
     def read(
         self, channels: Collection[int] | None = None, begin_ns: int = 0, end_ns: int = LAST_NS
     ) -> Iterator[Messages]:
-        """Yield the messages of the MCAP file in file order, a few chunks (compressed groups of messages) at a time.
+        """Yield the messages of some channels and log times in file order, a few chunks (groups of messages) at a time.
 
-        Chunks without messages of these channels and times are not read. Damaged chunks are left out, with a warning.
+        A yielded batch may be empty. Chunks without such messages are not read. Damaged chunks are left out, with a
+        warning.
         If the file has far more messages than a real log of its size, the rest is left out, with a warning.
 
         Parameters
@@ -310,7 +311,7 @@ class RawLog:
 
         Raises
         ------
-        ValueError, or another error in DAMAGE
+        ValueError, or another error in DAMAGE (errors that damaged bytes cause)
             If the chunk is damaged or was left out. The first time a warning is added.
         """
         if number in self._cache:
@@ -550,7 +551,7 @@ class RawLog:
 
         Raises
         ------
-        ValueError, or another error in DAMAGE
+        ValueError, or another error in DAMAGE (errors that damaged bytes cause)
             If the record is damaged.
         """
         if opcode not in _KEPT:
@@ -662,7 +663,7 @@ class _FoundChunks:
 
         Raises
         ------
-        ValueError, or another error in DAMAGE
+        ValueError, or another error in DAMAGE (errors that damaged bytes cause)
             If the header of a chunk is invalid.
         """
         if opcode == Opcode.CHUNK:
@@ -710,7 +711,7 @@ class _Summary:
     records
         Position and length [bytes] of each attachment and metadata record in the file.
     statistics
-        Statistics record; None if there is none.
+        Statistics record: numbers of records, chunks and messages, and first and last log time; None if there is none.
     chunks
         Positions, sizes and log times of the chunks, with the columns of _CHUNK, shape (n,).
     chunk_channels
@@ -720,15 +721,15 @@ class _Summary:
 
     Raises
     ------
-    ValueError, or another error in DAMAGE
+    ValueError, or another error in DAMAGE (errors that damaged bytes cause)
         If a record of the summary is invalid.
     """
 
     def __init__(self, read: Callable[[int, int], bytes], start: int, stop: int) -> None:
         """Decode the summary of an MCAP file, at the bytes `start` to `stop` of the file.
 
-        `read` returns the bytes of the file between two positions. Raise ValueError, or another error in DAMAGE, if a
-        record is invalid.
+        `read` returns the bytes of the file between two positions. Raise ValueError, or another error in DAMAGE (errors
+        that damaged bytes cause), if a record is invalid.
         """
         self.start = start
         self.schemas: list[tuple[int, bytes]] = []

@@ -143,8 +143,9 @@ class Log:
     def part(self, begin: float, end: float) -> Log:
         """Return a view of the log with the messages of an interval of time only.
 
-        Messages outside the interval are not read. `counts`, `sources`, `nodes` and `sha256` remain those of the whole
-        log. The view uses the same open files as the log. A part of a view has only the overlap of both intervals.
+        Messages outside the interval are not read. `start` and `end` are the limits of the interval, cut to the log.
+        `counts`, `sources`, `nodes` and `sha256` remain those of the whole log. The view uses the same open files as
+        the log. A part of a view has only the overlap of both intervals.
 
         Parameters
         ----------
@@ -173,7 +174,7 @@ class Log:
     def warnings(self) -> list[str]:
         """Faults of the log, one line each, and the note of a watchdog that stopped the run.
 
-        The unread parts of the files are read first, to find all faults.
+        The unread parts of the files are read first, to find all faults; for a view (`part`), those of its interval.
         """
         self._file.verify(*self._span_ns)
         return [*self._file.warnings, *([self._note] if self._note else [])]
@@ -198,7 +199,7 @@ class Log:
 
     @cached_property
     def rig(self) -> Rig | None:
-        """Rig of the log, from the attached rig file. None for an imported log.
+        """Rig of the log, from the attached rig file. None without one, as in a log that was imported by a map.
 
         Relative paths in the rig are relative to the folder of the log.
 
@@ -253,6 +254,7 @@ class Log:
     def rate_and_gap(self, topic: str) -> tuple[float, float]:
         """Return mean rate [Hz] and longest gap [s] of the time stamps of a topic.
 
+        The mean rate is the number of messages minus one, divided by the time from the earliest to the latest stamp.
         Both are NaN if the topic has a single time, or no message in the interval of a view (`part`). Raise KeyError if
         the log has no messages of the topic.
         """
@@ -337,7 +339,7 @@ class Log:
         """Return the names of the devices in the log that have samples of a kind, for example `Gnss`.
 
         For `Scalar` they are the names of the signals. For `PortHealth` they are the devices with counters of their
-        port. The list is empty if there are none.
+        port. They are sorted by topic. The list is empty if there are none.
         """
         if kind is PortHealth:
             return [name.split("/")[2] for name in self.counts if name.startswith("/health/")]
@@ -388,7 +390,8 @@ class Log:
         -------
         Array (n,)
             Structured array with the columns t, t_rx, t_device and the fields of the sample. `t` is the estimated time
-            of the sample [s since 1970] and never decreases. The array is read-only within `keeping_tables`.
+            of the sample [s since 1970] and never decreases: a time before that of the previous sample is replaced by
+            it. The array is empty if all samples are outside the interval, and read-only within `keeping_tables`.
 
         Raises
         ------
@@ -963,7 +966,8 @@ class _StampStatistics:
     def rate_and_gap(self) -> tuple[float, float]:
         """Return mean rate [Hz] and longest gap [s] of all time stamps added.
 
-        Both are NaN with fewer than two stamps, or if all are equal.
+        The rate is the number of stamps minus one, divided by the time from the earliest to the latest one. Both are
+        NaN with fewer than two stamps, or if all are equal.
         """
         if self._n < 2 or self._first == self._last:
             return float("nan"), float("nan")

@@ -65,8 +65,8 @@ class Recorder:
         Further texts of the metadata, by name.
     patient
         Whether recording goes on after a full disk. A patient recorder ends its file if the disk is full. It keeps new
-        messages in memory, `paused` contains the reason, and a new segment begins when there is room. The caller should
-        write little while `paused` is not empty. If it is False, a full disk raises an error.
+        messages in memory, without limit, `paused` contains the reason, and a new segment begins when there is room.
+        The caller should write little while `paused` is not empty. If it is False, a full disk raises an error.
 
     Attributes
     ----------
@@ -188,8 +188,8 @@ class Recorder:
     def write_raw(self, device: str, direction: str, data: bytes, t: float) -> None:
         """Write bytes of a device's port to the log, with the time t [s since 1970].
 
-        The direction is "rx" for bytes read from the port, and "tx" for bytes written to it. SeatrialError is raised if
-        the file cannot be written.
+        The direction is "rx" for bytes read from the port, and "tx" for bytes written to it. If t is NaN, it becomes
+        the log time of the message before. SeatrialError is raised if the file cannot be written.
         """
         log_ns, stamp_ns = self._log_and_stamp_ns(t, t)
         message = cdr_layout(schema.RAW, device.encode()).pack(stamp_ns, _DIRECTIONS[direction], tail=(data,))
@@ -198,7 +198,8 @@ class Recorder:
     def event(self, t: float, kind: str, text: str) -> None:
         """Write an event to the log at time t [s since 1970]: its kind, such as "warning", and its description.
 
-        NUL characters in the texts are left out. SeatrialError is raised if the file cannot be written.
+        NUL characters in the texts are left out. If t is NaN, it becomes the log time of the message before.
+        SeatrialError is raised if the file cannot be written.
         """
         log_ns, stamp_ns = self._log_and_stamp_ns(t, t)
         message = cdr_layout(schema.EVENT, b"").pack(stamp_ns, tail=(_encode_text(kind), _encode_text(text)))

@@ -118,7 +118,8 @@ def topic(kind: type[Measured], source: str, node: int | None = None) -> str:
     source
         Name of the device, or of the signal for `Scalar`.
     node
-        Id of the controller or servo output, for `Esc`, `Command` and `Servo` (`NODE_TOPICS`); unused for other kinds.
+        Id of the controller or servo output, for `Esc`, `Command` and `Servo` (`NODE_TOPICS`), which need one; unused
+        for other kinds.
     """
     if kind is Scalar:
         return f"/signal/{source}"
@@ -196,8 +197,9 @@ def _ahrs_messages(device: str, s: Ahrs, times: tuple[float, float]) -> list[Mes
 def _gnss_messages(device: str, s: Gnss) -> list[Message]:
     """Return the standard ROS messages of a GNSS sample: NavSatFix, and TwistStamped for a known velocity.
 
-    TwistStamped needs a fix and a velocity north and east; an unknown velocity down becomes zero. The variances of the
-    position follow from `sigma_h`; without it they are marked as unknown.
+    TwistStamped needs a fix and a velocity north and east; an unknown velocity down becomes zero. The status of the fix
+    is -1 for `fix` below 2, 2 from 4 on, and else 0. The variance of the position is `sigma_h` squared, four times as
+    much vertically; without `sigma_h` the variances are marked as unknown.
     """
     # NavSatStatus: -1 no fix, 0 fix, 2 ground-based augmentation (differential and RTK); service 1 is GPS.
     status = -1 if s.fix < 2 else 2 if s.fix >= 4 else 0
@@ -237,8 +239,8 @@ def imu_columns(rows: NDArray[np.void]) -> Columns:
 def own_columns(kind: type[Measured], rows: NDArray[np.void]) -> Columns:
     """Convert decoded messages of a kind of samples, shape (n,), to the columns of its table, with t_rx and t_device.
 
-    The kind is any but `Ahrs`. The columns `speed` and `dimensions` (of the fix, 2 or 3) of `Gnss`, which older logs
-    lack, are computed from velocity and kind of fix.
+    The kind is any but `Ahrs`. Two columns of `Gnss` that older logs lack are computed: `speed` is the norm of the
+    horizontal velocity, and `dimensions` (of the fix) is `fix` if that is 0, 2 or 3, else -1.
     """
     columns: Columns = {name: rows[name] for name in rows.dtype.names or ()}
     if kind is Gnss and "speed" not in columns:  # a log of an older version: same rule as the defaults of `Gnss`

@@ -38,7 +38,10 @@ class Log(Protocol):
         """Return the names of the devices (signals, for `Scalar`) of the log that have samples of the class `kind`."""
 
     def nodes(self, kind: type[Any], source: str) -> list[int]:
-        """Return the ids of the motor controllers of the device `source` that have samples of the class `kind`."""
+        """Return the ids of the motor controllers (or servo outputs) of a device that have samples of the class `kind`.
+
+        `source` is the name of the device.
+        """
 
     def table(self, kind: type[Any], source: str, node: int | None = None) -> NDArray[np.void]:
         """Return the samples of a device or signal of the log as a structured array, shape (n,)."""
@@ -47,7 +50,11 @@ class Log(Protocol):
         """Return the unit of an imported signal of the log, for example "m/s"."""
 
     def hold(self, signal: str) -> str:
-        """Return the hold of an imported signal: "zero", "linear" or "sampled"."""
+        """Return the hold of an imported signal, which describes its values between two samples.
+
+        "zero": the last value stays constant. "linear": values are interpolated. "sampled": a held output that is
+        sampled at a rate.
+        """
 
 
 class LogTable(NamedTuple):
@@ -135,10 +142,10 @@ def resample(log: Log, rate: float) -> Resampled:
     Notes
     -----
     Held quantities keep the value of the last sample: commands, servo outputs, states of the autopilot, whole numbers,
-    and signals with hold "zero" or "sampled". Other quantities are averaged over the samples in the interval around
-    each time of the grid. Without a sample in this interval they are interpolated linearly, but not over a long gap (2
-    s and five usual intervals), in which they are NaN. Angles [rad] and longitudes are averaged and interpolated over
-    the shortest way.
+    and signals with hold "zero" or "sampled". Other quantities are averaged over the samples nearest to each time of
+    the grid. The averages, each at the mean time of its samples, are interpolated linearly to the grid. The result is
+    NaN in gaps between averages that are longer than 2 s and than five times their median distance. Angles [rad] and
+    longitudes are averaged and interpolated over the shortest way.
     """
     tables = [table for table in log_tables(log) if len(table.rows)]
     if not tables:
@@ -180,7 +187,9 @@ def _hold_last_value(grid: Array, t: Array, values: Array) -> Array:
 
 
 def _average_and_interpolate(grid: Array, t: Array, values: Array, step: float, period: float) -> Array:
-    """Average the samples around each time of the grid, and interpolate linearly where there is no sample.
+    """Average the samples nearest to each time of the grid, and interpolate the averages linearly to the grid.
+
+    An average stands at the mean time of its samples, which may differ from the time of the grid.
 
     Parameters
     ----------
@@ -198,8 +207,8 @@ def _average_and_interpolate(grid: Array, t: Array, values: Array, step: float, 
     Returns
     -------
     Array (n,)
-        NaN before the first sample, after the last one, and in gaps that are longer than 2 s (GAP_S) and than five
-        usual intervals.
+        NaN before the first sample, after the last one, and in gaps between averages that are longer than 2 s (GAP_S)
+        and than five times the median distance of two averages.
     """
     within = (-0.5 * period, 0.5 * period), (0.0, period)  # the possible ranges of a wrapped angle
     turn = next(((low, high) for low, high in within if low <= values.min() and values.max() <= high + 1e-9), None)

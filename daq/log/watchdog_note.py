@@ -53,8 +53,8 @@ def read_note(log: Path) -> str:
 def discard_note(log: Path) -> None:
     """Delete the watchdog's note (the file LOG.stop) beside an earlier log of the same name.
 
-    Otherwise the new log would show it. A file of the same name that is not the note of a watchdog stays. No error is
-    raised if the file cannot be deleted.
+    Otherwise the new log would show it. A file of the same name stays if its text does not begin as a note does, with
+    a time and "watchdog:". No error is raised if the file cannot be deleted.
     """
     if NOTE_BEGINNING.match(read_note(log)):
         with contextlib.suppress(OSError):

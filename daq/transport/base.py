@@ -69,7 +69,8 @@ class Port(ABC):
     def take_over(self) -> None:
         """Open the port in place of another process that hangs or dies, so that zero thrust can be commanded.
 
-        If the kind of port allows it, the port is opened before the other process has closed it.
+        A UDP port is opened although the other process still has it. Other ports are opened as by `open`, which fails
+        until that process has ended.
 
         Raises
         ------
@@ -94,7 +95,7 @@ class Port(ABC):
 
     @abstractmethod
     def write(self, data: bytes) -> None:
-        """Write all bytes.
+        """Write all bytes, with a wait of some 50 ms at most. A UDP port may lose them without an error.
 
         Raises
         ------
@@ -146,8 +147,9 @@ def _takes_datagrams(decoder: Decoder) -> TypeGuard[DatagramDecoder]:
 def decode_read(port: Port, decoder: Decoder, data: bytes, t_rx: float) -> list[Frame]:
     """Decode the bytes of one read from a port, and return the samples that they complete.
 
-    Datagrams of an unknown sender are decoded apart from others. If they contain a frame of the device, the port
-    accepts their sender as the device (`Port.confirm`).
+    Before a datagram of an unknown sender, the decoder discards the incomplete frame of earlier bytes. If the bytes
+    contain a frame of the device, the port accepts their sender as the device (`Port.confirm`). Both apply only to
+    decoders of datagrams (MAVLink).
 
     Parameters
     ----------

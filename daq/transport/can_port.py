@@ -17,9 +17,9 @@ REFUSED = 10  # refused frames in a row, after which the adapter is off the bus 
 class _OpeningAnswers:
     """Evaluation of the answers of an adapter to the commands that open its channel.
 
-    The commands are an empty line, C (close), the bit rate and O (open). Some adapters do not answer the empty line,
-    and C is refused if the channel is closed, so only the last two answers count. An adapter without any answer is
-    assumed to have accepted the commands.
+    The commands are an empty line, C (close), the bit rate and O (open). An answer is CR (accepted) or BELL (refused).
+    Some adapters do not answer the empty line, and C is refused if the channel is closed, so only the last two answers
+    count. An adapter without any answer is assumed to have accepted the commands.
     """
 
     def __init__(self) -> None:
@@ -148,7 +148,7 @@ class SlcanPort(Port):
         return b"".join(frames)
 
     def write(self, data: bytes) -> None:
-        """Send CAN frames, 16 bytes each (`struct can_frame`), with 29-bit identifiers.
+        """Send CAN frames, 16 bytes each (`struct can_frame`). Every frame is sent with a 29-bit identifier.
 
         PortError is raised if the serial port accepts no more bytes or was disconnected.
         """
@@ -213,7 +213,7 @@ class SocketCanPort(Port):
         return b"".join(frames)
 
     def write(self, data: bytes) -> None:
-        """Send CAN frames, 16 bytes each (`struct can_frame`), with 29-bit identifiers.
+        """Send CAN frames, 16 bytes each (`struct can_frame`). Every frame is sent with a 29-bit identifier.
 
         Raise PortError if this fails.
         """

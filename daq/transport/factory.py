@@ -23,6 +23,8 @@ def make_port(device: Device) -> Port:
 def make_net_port(port: str) -> Port:
     """Return the port of an address `udp:HOST:PORT`, `udpin:`, `udpout:` or `tcp:`. It is not opened.
 
+    `udp` and `udpin` listen at the address; `udpout` and `tcp` connect to it.
+
     Raise ValueError if the address has no host or no valid port number.
     """
     kind = port.partition(":")[0]

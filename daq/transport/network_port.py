@@ -28,8 +28,8 @@ def _resolve_address(
 ) -> tuple[socket.AddressFamily, Any]:
     """Return the address family and the socket address of a host name and port number.
 
-    `kind` is that of the socket (UDP or TCP). `passive` is true for a local address to listen at. PortError is raised
-    if there is no such address.
+    `kind` is that of the socket (UDP or TCP). `passive` is true for a local address to listen at. If the name has
+    several addresses, the first one is returned. PortError is raised if there is no such address.
     """
     flags = socket.AI_PASSIVE if passive else 0
     try:
@@ -104,7 +104,8 @@ class UdpPort(Port):
 
         The confirmed sender is the one in whose bytes a frame of the device was found. As long as there is none, or
         after 2 s without a frame of it (SILENT_S), return one datagram of any sender. Datagrams of other senders count
-        as unparsed.
+        as unparsed. A port that does not listen returns the datagrams of its remote address. At most 256 datagrams are
+        read in one call (MOST).
 
         Raises
         ------
@@ -150,8 +151,9 @@ class UdpPort(Port):
     def write(self, data: bytes) -> None:
         """Send bytes to the device as one datagram.
 
-        A port that listens has no address of the device before its first frame; until then nothing is sent. A datagram
-        that the network does not accept is lost without an error. Raise PortError if the socket fails.
+        A port that listens has no address of the device before its first frame; until then nothing is sent, and neither
+        by a closed port. A datagram that the network does not accept is lost without an error. Raise PortError if the
+        socket fails.
         """
         if self._socket is None or self._peer is None:
             return
