@@ -192,7 +192,8 @@ def _on_other_clock(t: Column, known: Column, delay: Column) -> Column:
     """Convert times `t` (n,) [s] to another clock by a straight line through the measured differences of both clocks.
 
     The differences `delay` (m,) [s], other clock minus clock of `t`, were measured at the times `known` (m,) of the
-    clock of `t`. Only their median is added if there are fewer than three of them, or all are of one time.
+    clock of `t`. The line is their least-squares fit; the caller has removed outliers. Only their median is added if
+    there are fewer than three of them, or all are of one time.
     """
     if len(known) < 3 or np.ptp(known) == 0.0:
         return np.asarray(t + np.median(delay))

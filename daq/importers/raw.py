@@ -48,7 +48,7 @@ def import_raw(
     Returns
     -------
     tuple
-        The path of the new log, and the numbers of samples and errors as a text.
+        The path of the new log, and the numbers of samples, checksum errors and unparsed bytes as a text.
 
     Raises
     ------
@@ -136,7 +136,8 @@ def _without_duplicate_quantities(frames: Sequence[Frame]) -> tuple[list[Frame],
     -------
     tuple
         The samples, and the number of samples left out. A sample without a time keeps only the quantities that no
-        sample with a time has; it is left out if none remains. The magnetic field does not count.
+        sample with a time has; it is left out if none remains. The magnetic field, which no model uses, is never
+        removed, and does not keep a sample by itself.
     """
     timed = [frame.sample for frame in frames if math.isfinite(frame.t_device)]
     names = [

@@ -301,7 +301,10 @@ class TextTable(Table):
         return found
 
     def _has_points(self) -> bool:
-        """Return whether any cell in the first 100 rows of the text table is a number with a decimal point."""
+        """Return whether any cell in the first 100 rows of the text table is a number with a decimal point.
+
+        A comma in a number such as 1,500 then separates thousands.
+        """
         return any(_POINT.fullmatch(cell.strip()) for cells in self._rows[:LOOKED_AT] for cell in cells)
 
     def _without_units(self, column: str, cells: list[str]) -> list[str]:
