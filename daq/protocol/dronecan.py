@@ -124,7 +124,8 @@ def unpack(payload: bytes, reversed_nodes: frozenset[int] = frozenset(), index_o
     Parameters
     ----------
     payload
-        The 14 bytes of the message. Its last fields are rpm (18 bits), power rating (7 bits) and index (5 bits).
+        The 14 bytes of the message; the number is not checked. Its last fields are rpm (18 bits), power rating (7 bits)
+        and index (5 bits).
     reversed_nodes
         Nodes whose rpm changes its sign, so that positive means forward.
     index_offset
@@ -173,7 +174,8 @@ def encode_command(commands: Mapping[int, float], source: int, number: int) -> l
     Parameters
     ----------
     commands
-        Command, -1..1, by index of the controller, 0..19. Missing indices below the largest get zero.
+        Command, -1..1, by index of the controller, 0..19; 1 is sent as 8191. Missing indices below the largest get
+        zero.
     source
         Our node, 1..127.
     number

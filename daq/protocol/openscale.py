@@ -23,8 +23,9 @@ class Decoder(LineDecoder):
     """Decoder of the text lines of a SparkFun OpenScale board to `LoadCell` samples.
 
     If the lines contain the raw reading of the HX711 converter, it becomes `counts` and is checked for saturation and
-    spikes. Otherwise `counts` is the scaled reading, which gets no flag. `t_device` is the time [s] since the start of
-    the board, NaN if the lines do not contain it. A line that is not a reading counts as unparsed bytes.
+    spikes. Otherwise, or if it is 0, `counts` is the scaled reading, which gets no flag. `t_device` is the time [s]
+    since the start of the board, NaN if the lines do not contain it. A line that is not a reading counts as unparsed
+    bytes.
 
     Parameters
     ----------

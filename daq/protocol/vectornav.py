@@ -87,7 +87,8 @@ def message_layout(header: bytes) -> MessageLayout | None:
     Returns
     -------
     MessageLayout or None
-        None if the header contains a field that does not exist, or no field.
+        None if the header contains a field that does not exist, or no field. If several fields contain a quantity, the
+        first in the order of `KEPT` is read.
     """
     places: dict[tuple[int, int], int] = {}
     offset = 1 + len(header)
