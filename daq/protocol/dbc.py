@@ -141,10 +141,10 @@ class Decoder(FrameDecoder):
 
     Each CAN frame that contains an rpm gives one sample for each node (speed controller) whose rpm it contains. If no
     signal is mapped to rpm, each frame of a configured message gives one sample for each of its nodes. A value that
-    the message reports as "error" or "not available" is NaN, also the rpm. Current,
-    voltage, temperature and duty from other messages of the same node are the newest received values, or NaN if they
-    are older than 2 s (`STALE`). Frames of other messages are ignored. A message of J1939 or NMEA 2000 is recognised by
-    its PGN, any other message by its whole CAN identifier. `t_device` of the samples is NaN.
+    the message reports as "error" or "not available" is NaN, also the rpm. Current, voltage, temperature and duty from
+    other messages of the same node are the newest received values, or NaN if they are older than 2 s (`STALE`). Frames
+    of other messages are ignored. A message of J1939 or NMEA 2000 is recognised by its PGN, any other message by its
+    whole CAN identifier. `t_device` of the samples is NaN.
 
     Parameters
     ----------

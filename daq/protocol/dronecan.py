@@ -150,8 +150,8 @@ def encode(esc: Esc, source: int, number: int) -> list[tuple[int, bytes]]:
     Parameters
     ----------
     esc
-        State. Its node, modulo 32, is the index in the message. NaN as rpm is sent as zero, other NaN as NaN. The duty
-        is not sent.
+        State. Its node, modulo 32, is the index in the message. The rpm is rounded and clipped to 18 bits with sign.
+        NaN as rpm is sent as zero, other NaN as NaN. The duty is not sent.
     source
         Node of the sender, 1..127.
     number
@@ -335,7 +335,8 @@ class Assembler:
         """Add a CAN frame with a 29-bit identifier to the transfer of its sender.
 
         A frame of another message type, of a service, or without data is ignored. A frame that does not continue the
-        transfer of its sender is discarded, together with this transfer, and counts as unparsed bytes.
+        transfer of its sender is discarded, together with this transfer, and counts as unparsed bytes. A first frame
+        begins a new transfer and discards an incomplete one, which has no time limit.
 
         Parameters
         ----------

@@ -813,8 +813,10 @@ class Headings:
         """Store pitch and roll of an NMEA sentence XDR for the next heading. Return the samples of other transducers.
 
         `words` are the fields of the sentence, with groups of kind, value, unit and name. Pitch and roll are in
-        degrees, positive with the bow up and with starboard down. A transducer without a name or without a number is
-        left out; all are if `signal_ending` is None. Return None if pitch or roll is not a number.
+        degrees, positive with the bow up and with starboard down. Other values of known kinds are converted to the unit
+        in the sample (bar to Pa, per cent to 1, angles to rad); those of unknown kinds are unchanged with the unit "1".
+        A transducer without a name or without a number is left out; all are if `signal_ending` is None. Return None if
+        pitch or roll is not a number.
         """
         frames = []
         for at in range(1, len(words) - 3, 4):
