@@ -132,9 +132,10 @@ def _read_clock_speed(root: TomlTable) -> float:
 def _read_log(root: TomlTable) -> tuple[str, Segments]:
     """Read the table [log] of a rig file: the folder of the logs, and the rules by which a log is split into files.
 
-    Without the table the folder is "logs" and the rules are the defaults. The folder is returned as written. If
-    `keep_gb`, the size at which old files are deleted, is given without `segment_mb` or `segment_s`, or is smaller than
-    three files of a log (LEAST_SEGMENTS), SeatrialError is raised.
+    The rules are `segment_mb` and `segment_s`, after which a new file begins; `free_mb`, the disk space that a new file
+    needs; and `keep_gb`, the size at which old files are deleted. Without the table the folder is "logs" and the log is
+    not split. The folder is returned as written. If `keep_gb` is given without `segment_mb` or `segment_s`, or is
+    smaller than three files of a log (LEAST_SEGMENTS), SeatrialError is raised.
     """
     log = root.table("log")
     if log is None:

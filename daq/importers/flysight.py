@@ -158,8 +158,9 @@ def _cell_number(cell: str) -> float:
 def _move_to_utc(sensors: list[_SensorRows]) -> None:
     """Convert the times since power-on of FlySight sensors to UTC, in place.
 
-    The TIME rows have both times and give the conversion. Without them the position fixes, which have UTC, and the rows
-    of the sensor before them give an offset, with a remark. Without fixes the times are not changed.
+    The TIME rows have both times and give the conversion; those far from their median (1 s plus drift) are not used.
+    Without them the position fixes, which have UTC, and the rows of the sensor before them give an offset, with a
+    remark. Without fixes the times are not changed.
     """
     clock = next(
         (sensor for sensor in sensors if sensor.table.topic == _CLOCK and {"tow", "week"} <= set(sensor.table.names)),

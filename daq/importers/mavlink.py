@@ -47,7 +47,8 @@ def import_mavlink(
     path
         A tlog or a DataFlash log.
     rig
-        The rig, which names and scales the thrusters. Its MAVLink device names the topics.
+        The rig, which names and scales the thrusters. Its MAVLink device names the topics. Without a rig (None) their
+        device is "autopilot".
     system
         MAVLink system number in a tlog; None for the first autopilot that sends a heartbeat. Not used for a DataFlash
         log, which is of one autopilot.

@@ -57,6 +57,9 @@ def import_raw(
 
     Notes
     -----
+    The first sample names the device in the topics, for example "gnss"; transducers (XDR) become signals with their own
+    names.
+
     A capture does not contain the times of receipt. With `rate`, the samples of the most frequent kind are 1/rate
     apart, beginning in 1970. Rarer samples (headings between fixes) get the time of the sample before them. NMEA
     samples before the first date get the date that follows, or 1970-01-01 if no date follows.

@@ -336,8 +336,8 @@ def _raw_values(table: Table, signal: Signal) -> Column:
     """Return the values of a signal (n,) before scale and sign, in the unit of its column.
 
     A signal with `make` is computed from its columns, in SI units. A position is in metres north or east of the first
-    fix; a fix at 0, 0 is NaN. A velocity is 0 at speed 0, also without a course. The angles of a quaternion of zeros
-    are NaN.
+    fix of the table; a fix at 0, 0 is NaN. A velocity is 0 at speed 0, also without a course. The angles of a
+    quaternion of zeros are NaN.
     """
     if not signal.make:
         return table.numbers(signal.columns[0])

@@ -190,7 +190,8 @@ class TextTable(Table):
         """Add a remark about the lines of the text table whose number of cells differs from the header, or raise.
 
         `ragged` has line and number of cells of each. Raise SeatrialError if the import map does not have nan = "drop",
-        or if these are more than 20 % of the lines. `is_cut` means that the last line of the file has no line end.
+        or if these are more than 20 % of the lines. `is_cut` means that the last line of the file has no line end; if
+        it is the only such line, the remark reports it as cut off.
         """
         line, n_cells = ragged[0]
         width, n = len(self._header), len(ragged)

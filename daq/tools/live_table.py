@@ -234,7 +234,8 @@ def _device_cells(port: PortStatus, speed: float, wide: bool) -> list[Text]:
     """Return the cells of a device's row in the live table, except its newest sample.
 
     `speed` is the number of run seconds per wall second. A `wide` table has a column for each error counter, a narrow
-    one has a single column for all that are not zero. Faults have a word or mark beside their colour.
+    one has a single column for all that are not zero. Faults have a word or mark beside their colour, except a rate
+    that differs by more than 10 % from the expected rate.
     """
     stale = _is_silent(port, speed)
     off = not abs(port.rate - port.expected) <= RATE_TOLERANCE * port.expected
