@@ -179,8 +179,9 @@ class Mission:
 def _limit_slew(t: FloatArray, n: FloatArray, end: float, slew: float) -> tuple[FloatArray, FloatArray]:
     """Return times and commands of a mission in which each step is replaced by a ramp of at most `slew` [1/s].
 
-    The first ramp starts from zero. The rows of a ramp are 40 ms apart (RAMP_DT). A ramp ends when it reaches its
-    command, or unfinished at the time of the next row.
+    The first ramp starts from zero. The rows of a ramp are 40 ms apart (RAMP_DT), and its first row, at the time of the
+    command, has the change of up to 40 ms. A ramp ends when it reaches its command, or unfinished at the time of
+    the next row. Each thruster has its own ramp.
 
     Parameters
     ----------

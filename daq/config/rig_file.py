@@ -132,9 +132,10 @@ def _read_clock_speed(root: TomlTable) -> float:
 def _read_log(root: TomlTable) -> tuple[str, Segments]:
     """Read the table [log] of a rig file: the folder of the logs, and the rules by which a log is split into files.
 
-    Without the table the folder is "logs" and the rules are the defaults. The folder is returned as written. If
-    `keep_gb`, the size at which old files are deleted, is given without `segment_mb` or `segment_s`, or is smaller than
-    three files of a log (LEAST_SEGMENTS), SeatrialError is raised.
+    The rules are `segment_mb` and `segment_s`, after which a new file begins; `free_mb`, the disk space that a new file
+    needs; and `keep_gb`, the size at which old files are deleted. Without the table the folder is "logs" and the log is
+    not split. The folder is returned as written. If `keep_gb` is given without `segment_mb` or `segment_s`, or is
+    smaller than three files of a log (LEAST_SEGMENTS), SeatrialError is raised.
     """
     log = root.table("log")
     if log is None:
@@ -158,7 +159,10 @@ def _read_log(root: TomlTable) -> tuple[str, Segments]:
 
 
 def _read_live(table: TomlTable | None) -> Live:
-    """Read the table [live] of a rig file: settings of the server for Foxglove. Return the defaults if it is None."""
+    """Read the table [live] of a rig file: settings of the server for Foxglove. Return the defaults if it is None.
+
+    They are its `host`, `port` (0: any free port) and `origins`, the sites whose web pages may connect.
+    """
     if table is None:
         return Live()
     port = table.integer("port", Live.port, low=0, high=65535)
@@ -197,7 +201,8 @@ def _check_ports_differ(root: TomlTable, devices: Sequence[Device]) -> None:
     """Raise SeatrialError if two devices of a rig file have the same port. `root` names the file in the message.
 
     Several devices may share a CAN interface of the kernel (socketcan:), and a connection to a remote address (udpout:,
-    tcp:). `udp:` and `udpin:` with the same address are the same port.
+    tcp:). `udp:` and `udpin:` with the same address are the same port. Other ports are the same if their texts are
+    equal; a link to a port, or "slcan:" before it, makes another text.
     """
     owner: dict[str, str] = {}
     for device in devices:
@@ -386,6 +391,7 @@ def _read_saturation(table: TomlTable, folder: Path) -> dict[str, Any]:
 def _read_calibration(table: TomlTable, folder: Path) -> dict[str, Any]:
     """Return {"calibration": LoadCellCalibration} from the table [device.calibration] of a load cell.
 
+    The force is (counts - zero_counts) * newton_per_count * lever_ratio; only the gain `newton_per_count` is required.
     The dictionary is empty if there is no such table. A gain of zero raises SeatrialError. `folder` is not used.
     """
     inner = table.table("calibration")
@@ -426,7 +432,8 @@ def _read_dbc(table: TomlTable, folder: Path) -> dict[str, Any]:
     """Return {"dbc": path of the DBC file, "signals": tuple of DbcSignal} from the keys `dbc` and `signal` of a device.
 
     A relative path counts from `folder`. A name without folder and suffix stands for a DBC file of this package. The
-    file must exist, and there must be at least one [[device.signal]]; otherwise SeatrialError is raised.
+    file must exist, also for the rig of a log, and there must be at least one [[device.signal]]; otherwise
+    SeatrialError is raised. The file is not read here.
     """
     name = table.text("dbc")
     rows = table.tables("signal")
@@ -443,7 +450,7 @@ def _read_dbc_signal(table: TomlTable) -> DbcSignal:
     """Read one [[device.signal]] table, which maps a signal of a DBC file to a field of a speed controller's sample.
 
     `node` is the number of the controller, 0 to 255, or the name of the signal that contains it (SOURCE: the address of
-    the sender).
+    the sender). `scale` (1 by default) and `offset` (0) convert the value of the DBC file to the unit of the field.
     """
     by_name = isinstance(table.values.get("node"), str)
     node: int | str = table.text("node") if by_name else table.integer("node", low=0, high=255)
@@ -516,8 +523,8 @@ _OPTION_READERS: dict[str, Callable[[TomlTable, Path], dict[str, Any]]] = {
 def _read_thruster(table: TomlTable, devices: Sequence[Device]) -> Thruster:
     """Read one [[thruster]], whose device must be one of `devices` and must have a protocol that drives thrusters.
 
-    Behind an autopilot `pole_pairs` is not read, and `rpm_max` may be missing; it is then NaN. On a DroneCAN bus
-    `pole_pairs` may be missing.
+    These protocols are vesc, dronecan and mavlink (an autopilot). Behind an autopilot `pole_pairs` is an unknown key,
+    and `rpm_max` may be missing; it is then NaN. On a DroneCAN bus `pole_pairs` may be missing. It is then 1.
     """
     name = _read_topic_name(table)
     device = table.text("device")
@@ -548,6 +555,9 @@ def _read_thruster(table: TomlTable, devices: Sequence[Device]) -> Thruster:
 def read_autopilot_output(table: TomlTable, node: int) -> AutopilotOutput:
     """Read the keys of a [[thruster]] behind an autopilot. `node` is the number of its servo output.
 
+    `rc_channel` is the channel that commands it. Without `rc_us` the pulses of the channel are 1000, 1500 and 2000 us,
+    and without `pwm_us` those of the output are 1100, 1500 and 1900 us (full reverse, neutral, full forward).
+
     Raises
     ------
     SeatrialError
@@ -576,8 +586,9 @@ def _read_pulse_widths(table: TomlTable, key: str, default: tuple[float, float, 
 def _read_limits(table: TomlTable | None) -> Limits:
     """Read the table [limits], the values at which a run ends. Return the defaults if there is no table.
 
-    The list `unwatched` may contain "telemetry", and limits that are in the table. `n_max` and `link_test_n` are not
-    monitored and must not be in it.
+    The list `unwatched` has limits that a run may have without a device that reports their quantity. It may contain
+    limits that are in the table, and "telemetry": reports of speed controllers are not compared with their commands.
+    `n_max` and `link_test_n` are not monitored and must not be in it.
     """
     if table is None:
         return Limits()

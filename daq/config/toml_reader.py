@@ -264,7 +264,10 @@ class TomlTable:
         return [TomlTable(item, self.source, f"{self._full_key(key)}[{i}]") for i, item in enumerate(value, start=1)]
 
     def done(self) -> None:
-        """Raise SeatrialError for the first key that was not read. The message lists the known keys."""
+        """Raise SeatrialError for the first key that was not read. The message lists the known keys.
+
+        The keys of a sub-table are not checked: each table from `table` or `tables` needs its own call.
+        """
         for key in self.values:
             if key not in self._taken:
                 known = ", ".join(dict.fromkeys(self._taken))

@@ -57,8 +57,8 @@ def bench_candidates(table: Table, t: Column | None) -> list[Candidate]:
         One candidate for each signal, with a caveat about what is assumed: ``force`` (the thrust; its sign is changed
         if it is never positive), ``n_cmd_thruster`` (the command, scaled to -1 to 1) and, if the table has a shaft
         speed, ``n_thruster`` (the speed divided by its largest magnitude). The map will not contain the shaft speed
-        (rank 5) if only the thrust changes its sign, or if the rows are more than 0.2 s apart. The list is empty for
-        any other table.
+        (its candidate has rank 5, which is never chosen) if only the thrust changes its sign, or if the rows are more
+        than 0.2 s apart; without times (`t` None) this distance is not checked. The list is empty for any other table.
     """
     numbers = dict(_number_columns(table))
     found = _stand_columns(table, numbers)
@@ -149,6 +149,8 @@ def _force_unit(table: Table, column: str) -> str:
 
 def _command_scale(command: Column, response: Column, is_reversed: bool) -> tuple[str, str]:
     """Return the keys of an import map that scale a command (n,) to -1 .. 1, as text, and the caveat about this scale.
+
+    The keys are "scale", "offset" and "role": signal = scale * command + offset. The caveat has rest and full command.
 
     Rest becomes 0, and the command farthest from rest becomes 1 or -1. Rest is the most frequent command at which the
     `response` (n,), a speed or a thrust, is at most 3 % of its largest magnitude. Without such a row, rest of a pulse

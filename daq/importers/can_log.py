@@ -224,6 +224,8 @@ def _samples_of_rig(frames: list[BusFrame], rig: Rig) -> Iterator[tuple[Device, 
 class _FixedClock(NamedTuple):
     """Clock for a recorder that converts an old log: its time is always that of the log's first frame.
 
+    The recorder reads it for the time at which the new log begins; each sample is written with the time of its frame.
+
     Attributes
     ----------
     t : float

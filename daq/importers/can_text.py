@@ -210,8 +210,9 @@ def read_text_frames(path: Path, dialect: str) -> list[BusFrame]:
 def _with_continuous_times(log: _LogState, dialect: str, frames: list[BusFrame]) -> list[BusFrame]:
     """Return CAN frames with continuous times: the start of the log (`log.start`) plus the time since then [s].
 
-    Times that count from the previous frame are summed. In formats with times of day ("BusMaster", "Yacht Devices",
-    "N2K"), 24 h are added at each midnight. The start is in s since 1970, or 0 if the log has no date.
+    Times that count from the previous frame are summed; for candump these are times below one day that ever fall. In
+    formats with times of day ("BusMaster", "Yacht Devices", "N2K"), 24 h are added from each frame on whose time is
+    more than 12 h before the previous one (midnight). The start is in s since 1970, or 0 if the log has no date.
     """
     t, total = [frame.t for frame in frames], 0.0
     is_delta = log.is_delta
@@ -388,9 +389,9 @@ def _canboat_frames(log: _LogState, parts: Fields) -> Iterator[BusFrame]:
 def _message_frames(log: _LogState, t: float, numbers: Sequence[int], data: bytes) -> Iterator[BusFrame]:
     """Yield the CAN frames of a complete NMEA 2000 message at the time `t` [s].
 
-    `numbers` are priority, PGN (number of the message), source and destination address. Data above 8 bytes become
-    several frames (a fast packet), which increases the sequence number in `log`. A PGN above 0x3FFFF or an address
-    above 255 yields no frame.
+    Decoders then read the message as from a bus. `numbers` are priority, PGN (number of the message), source and
+    destination address. Data above 8 bytes become several frames (a fast packet), which increases the sequence number
+    in `log`; up to 8 bytes are always a single frame. A PGN above 0x3FFFF or an address above 255 yields no frame.
     """
     priority, pgn, source, to = numbers
     if pgn > LARGEST_PGN or source > 255 or to > 255:

@@ -101,7 +101,9 @@ class Clock(NamedTuple):
 def clock_of(table: Table) -> Clock:
     """Find the column with the times of a table's rows, and their format, by the names and values of the columns.
 
-    If no column has the name of a time, one of the first two columns is taken if it contains dates or rises evenly.
+    The first column with a name of a time whose values may be times is taken. The order of the names is: exactly "t",
+    "time" or "timestamp"; seconds by the type in the source; times of a GPS week; names that contain such a word. If
+    there is none, one of the first two columns is taken if it contains dates or rises evenly.
 
     Parameters
     ----------
@@ -203,8 +205,8 @@ def _is_text(table: Table, name: str) -> bool:
 def row_seconds(table: Table, clock: Clock) -> Column | None:
     """Return the times of a table's rows [s], shape (n,), from the column in `clock`; None if they cannot be read.
 
-    A row without a time has NaN, and a remark of the table counts these rows. If `clock` names no column, return the
-    table's own times, which may be None.
+    A row without a time has NaN, and a remark of the table counts these rows. Stamps that several rows share are not
+    spread: `clock.rate` is not used. If `clock` names no column, return the table's own times, which may be None.
     """
     if not clock.column:
         return table.t
@@ -267,8 +269,9 @@ def _may_be_time(table: Table, name: str, rising: float = 0.5) -> bool:
 def _time_format(table: Table, column: str) -> tuple[str, str]:
     """Return the format of a column of times, for example "ms", "iso" or "%H:%M:%S", and the caveat about it.
 
-    The caveat is "" if the format is certain. A column that the file declares as seconds has the format "s". Texts that
-    are not recognised have the format "%d.%m.%Y %H:%M:%S" with a caveat.
+    The caveat is "" if the format is certain. A column that the file declares as seconds has the format "s". A unit in
+    the name counts, unless only steps in seconds fit a logger. Without a unit the size of the numbers decides. Texts
+    that are not recognised have the format "%d.%m.%Y %H:%M:%S" with a caveat.
     """
     if column in table.seconds:
         return "s", ""
@@ -305,6 +308,9 @@ def _time_format(table: Table, column: str) -> tuple[str, str]:
 
 def format_of_text(texts: Sequence[str]) -> tuple[str, str]:
     """Return the format of dates or times of day in text form, and the caveat about it.
+
+    If several patterns fit, as for 05/06/2024, the day comes first, or the month if the times have AM or PM; the caveat
+    reports it.
 
     Parameters
     ----------

@@ -230,12 +230,14 @@ def read_dataflash(path: Path, rig: Rig | None, device: Device | None) -> tuple[
     Returns
     -------
     tuple
-        The samples with their times, a summary in one line, and the parameters of the autopilot by name.
+        The samples in the order of the file, each with its time in UTC [s since 1970] (by the first fix of the log);
+        a summary in one line; and the parameters of the autopilot by name.
 
     Raises
     ------
     SeatrialError
-        If the log cannot be read or contains no samples.
+        If the log cannot be read or contains no samples. A log that is damaged at some place, with samples before it,
+        is read up to this place with a warning.
     """
     reader = _MessageConverter(rig, device)
     rows: list[Timed] = []

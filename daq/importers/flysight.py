@@ -158,8 +158,9 @@ def _cell_number(cell: str) -> float:
 def _move_to_utc(sensors: list[_SensorRows]) -> None:
     """Convert the times since power-on of FlySight sensors to UTC, in place.
 
-    The TIME rows have both times and give the conversion. Without them the position fixes, which have UTC, and the rows
-    of the sensor before them give an offset, with a remark. Without fixes the times are not changed.
+    The TIME rows have both times and give the conversion; those far from their median (1 s plus drift) are not used.
+    Without them the position fixes, which have UTC, and the rows of the sensor before them give an offset, with a
+    remark. Without fixes the times are not changed.
     """
     clock = next(
         (sensor for sensor in sensors if sensor.table.topic == _CLOCK and {"tow", "week"} <= set(sensor.table.names)),
@@ -192,7 +193,8 @@ def _on_other_clock(t: Column, known: Column, delay: Column) -> Column:
     """Convert times `t` (n,) [s] to another clock by a straight line through the measured differences of both clocks.
 
     The differences `delay` (m,) [s], other clock minus clock of `t`, were measured at the times `known` (m,) of the
-    clock of `t`. Only their median is added if there are fewer than three of them, or all are of one time.
+    clock of `t`. The line is their least-squares fit; the caller has removed outliers. Only their median is added if
+    there are fewer than three of them, or all are of one time.
     """
     if len(known) < 3 or np.ptp(known) == 0.0:
         return np.asarray(t + np.median(delay))

@@ -228,8 +228,9 @@ def _time_lines(tables: Sequence[Table], candidates: Sequence[Candidate], clocks
 def _held_signal_comments(candidates: Sequence[Candidate], taken: Sequence[MapSignal], clocks: Clocks) -> Iterator[str]:
     """Yield a comment for each group of signals whose values the source repeats in each row until the next measurement.
 
-    Only signals in `taken`, those chosen for the import map, are tested. Inputs without a hold in the map are not
-    tested, since their last value holds anyway. `clocks` has the time column of each table, by the id of the table.
+    The comment has the names and the time between measurements. Only signals in `taken`, those chosen for the import
+    map, are tested. Inputs without a hold in the map are not tested, since their last value holds anyway.
+    `clocks` has the time column of each table, by the id of the table.
     """
     tables: dict[tuple[int, bytes], tuple[Column, dict[str, Column]]] = {}
     for candidate in candidates:
@@ -347,8 +348,10 @@ def _position_axis(letter: str, letters: Collection[str], stated: str) -> str:
 def _with_frame_key(candidate: Candidate) -> Candidate:
     """Return a candidate from a ROS bag, with the key frame = "NED" in its signals if their topic is in NED.
 
-    The guessed map of a bag has frame = "ENU" for all signals without this key. A topic with a single number, whose
-    axes are unknown, gets a caveat.
+    The guessed map of a bag has frame = "ENU" for all signals without this key. A topic is in NED if its name, type or
+    frame_id contains "ned" or "frd" as a word or is a message of PX4 or seatrial. So is a heading that is a single
+    number, if the topic is named compass or heading. For other topics with a single number, a heading or yaw rate gets
+    a caveat about its axes. Candidates for thrusters never get the key.
     """
     table, caveat = candidate.table, candidate.caveat
     is_ned = bool(_NED.search(f"{table.topic} {table.kind} {table.frame_id}"))
@@ -408,7 +411,9 @@ def _motion_candidates(
     Notes
     -----
     A position comes from x and y or from latitude and longitude, and a velocity from north and east components or from
-    speed and course. A latitude above 90 degrees gets a rank with which it is not chosen.
+    speed and course. If the table has both, both are yielded, and x and y, and the components, have the better rank. A
+    speed without course is a signal of its own, unless there is a surge velocity. A latitude above 90 degrees gets a
+    rank with which it is not chosen.
     """
 
     def pair(group: str, rank: int, a: str, b: str, unit: str, caveat: str = "") -> Iterator[Candidate]:
@@ -481,8 +486,9 @@ def _motion_candidates(
 def _angle_unit(name: Name, values: Column) -> tuple[str, str]:
     """Return the unit of a heading or course (n,), "rad", "deg" or "cdeg", and the caveat about it.
 
-    The unit in the name of the column has priority. Otherwise the size of the values and their jumps by a whole turn
-    decide. Without a finite value it is "rad".
+    The unit in the name of the column has priority. Otherwise it is "rad" for values up to 6.6, or the unit in which
+    the values jump by a whole turn (360 or 36000). Without such a jump it is "cdeg" if the first value is above 720, or
+    else "deg". Without a finite value it is "rad".
     """
     # Unwrapped radians can be as large as degrees. Only a jump by a whole turn, or a first value above one, is clear.
     good = values[np.isfinite(values)]
@@ -507,9 +513,9 @@ def _rate_unit(
     """Return the unit of a yaw rate, "rad/s" or "deg/s", and the caveat about it.
 
     `column` is the column of the yaw rate, `numbers` has the values (n,) by column, and `names` the column and parsed
-    name by meaning ("psi" is the heading). `t` (n,) are the times of the rows [s]. The derivative of the heading shows
-    the unit. The size of the yaw rate decides if there is no heading, no times, or no correlation between the two
-    rates.
+    name by meaning ("psi" is the heading). `t` (n,) are the times of the rows [s]. The unit is the one in which the yaw
+    rate has about the size of the heading's derivative; an opposite sign of the two is a caveat. If there is no
+    heading, no times, or no correlation of the two above 0.5, a yaw rate above 6 is in deg/s.
     """
     rate = numbers[column]
     if "psi" in names and t is not None:
@@ -599,6 +605,8 @@ def _controller_sort_key(table: Table) -> tuple[int, str]:
 def _pulse_scale(p: Mapping[str, float], node: int) -> tuple[str, str]:
     """Return the keys of an import map that scale the pulses of an autopilot's output to -1 .. 1, and the caveat.
 
+    The keys are TOML text: scale, offset, role and hold, and that a pulse of 0 (no pulse) means the command 0.
+
     The parameters `p` of the autopilot give the scale: SERVOn_MIN, SERVOn_TRIM, SERVOn_MAX and SERVOn_REVERSED of the
     output `node`. The default scale (1100, 1500, 1900 us) is used, with a caveat, if MIN is not below MAX. Another
     caveat is returned if TRIM is not in the middle. Otherwise the caveat is "".
@@ -622,10 +630,11 @@ def _chosen_signals(candidates: Sequence[Candidate], clocks: Clocks, main: Clock
     """Choose the signals of a guessed import map. Return them, and the lines of the map.
 
     The lines are one for each chosen signal, then the other candidates as comments. Candidates are tried in the order
-    of their rank, then of the number of their rows, the largest first. A candidate is chosen if its rank is below
-    `UNCHOSEN_RANK` (5), none of its signals has been chosen before, it has times, and its thrusters have the same
-    quantity as those chosen before. `main` is the time column in [time] of
-    the map, and `clocks` has that of each table, by the id of the table.
+    of their rank, then of the number of their rows, the largest first. A thruster of one side alone ranks 2 lower. A
+    candidate is chosen if its rank is below `UNCHOSEN_RANK` (5), none of its signals has been chosen before, it has
+    times (or no table has), and its thrusters have the same quantity as those chosen before. Commands and shaft speeds
+    are not chosen if the source has forces of a left or right thruster, or if the vehicle is no boat. `main` is the
+    time column in [time] of the map, and `clocks` has that of each table, by the id of the table.
     """
 
     sides: dict[frozenset[str], set[str]] = {}

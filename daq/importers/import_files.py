@@ -52,8 +52,9 @@ def import_files(
     Raises
     ------
     SeatrialError
-        If a file cannot be read by the map, or a log cannot be written. Also, after the logs are written, if too many
-        rows of a source are out of order or have wrong stamps: 5 or more, and more than 5 %.
+        If a file cannot be read by the map, a log cannot be written, two logs would have the same path, or `out` is
+        given for several logs; logs written before stay. Also, after all logs are written, if too many rows of a source
+        are out of order or have wrong stamps: 5 or more, and more than 5 %.
     """
     import_map = load_import_map(map_path)
     groups = _files_of_logs(import_map, files)
@@ -239,7 +240,8 @@ def _write_piece(
 ) -> None:
     """Write one log, `target`: the signals and events of the source files within one interval of time (`piece`).
 
-    The metadata contain the digests of the import map and the files, and the numbers of rows left out. An existing log
+    The signals are shifted by the origin of their file to s since 1970. The metadata contain the digests of the import
+    map and the files, and the numbers of rows left out. The map is attached. An existing log
     is replaced only with `force`; the files `reads` (map and sources) are never replaced.
     """
     signals: list[SignalData] = []

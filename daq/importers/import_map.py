@@ -100,8 +100,8 @@ class Signal:
     hold : str
         Value between two samples: "zero" (the last value), "linear" or "sampled" (a held output, sampled at a rate).
     nan : str
-        Treatment of a cell without a number: "error", "drop", "keep" or "zero" (the cell means zero, in `unit`); "" for
-        the default of the source.
+        Treatment of a cell without a number: "error", "drop" (no sample), "keep" (a sample NaN) or "zero" (the cell
+        means zero, in `unit`); "" for `TextStyle.nan` of the source, by default "error" for text and "drop" otherwise.
     timeout : float
         Time after which an input that is not repeated becomes zero [s]; 0 for never.
     missing : float or None
@@ -119,7 +119,7 @@ class Signal:
     units : tuple of str
         Units of the columns with `make`.
     repeats : str
-        "keep" or "drop" values that repeat the previous one; "" for the default of the source.
+        "keep" or "drop" values that repeat the previous one; "" for `TextStyle.repeats` of the source.
     """
 
     name: str
@@ -267,7 +267,10 @@ def load_import_map(path: Path) -> ImportMap:
 
 
 def _keeping_repeats(source: Source) -> Source:
-    """Return a source of an import map with the default `repeats` = "keep", as in the older format of maps."""
+    """Return a source of an import map with the default `repeats` = "keep", as in the older format of maps.
+
+    That format is "seatrial-import-csv 1", whose maps did not look for held values. A key `repeats` in the map stays.
+    """
     style = source.options.style
     return replace(source, options=replace(source.options, style=replace(style, repeats=style.repeats or "keep")))
 
@@ -275,7 +278,8 @@ def _keeping_repeats(source: Source) -> Source:
 def _boat_numbers(table: TomlTable | None, names: Sequence[str]) -> dict[str, float]:
     """Return the numbers of the boat in the table [geometry] or [scale] of an import map, by name.
 
-    `names` are the keys that the table may have. Standard uncertainties ``NAME_sd`` are included if the table has them.
+    `names` are the keys that the table may have. Standard uncertainties ``NAME_sd`` are included if the table has them;
+    without the key NAME they are unknown keys.
     The result is empty if `table` is None. Raise SeatrialError if a number is impossible or a key is unknown: c1,
     length and standard uncertainties must be positive, y_left less than y_right, and both at most `length` from the
     middle.

@@ -113,6 +113,8 @@ def _header_seconds(head: Mapping[str, Sequence[str]], decimal: str) -> float:
 class _SegmentRows:
     """Collector of the rows of all segments of one LabVIEW file, which become one table.
 
+    A segment is a part of the file with a header and names of columns of its own.
+
     Parameters
     ----------
     path
@@ -186,8 +188,9 @@ class _SegmentRows:
     def _times(self, rows: Sequence[Sequence[str]], place: int | None) -> Column:
         """Return the times (n,) of the rows of a LabVIEW segment [s since 1970, or since the start without a date].
 
-        `place` is the index of the column X, which has the times; None if the rows have no X and are Delta_X apart.
-        Raise SeatrialError if they have neither.
+        `place` is the index of the column X, which has the times; None if the rows have no X and are Delta_X apart. X
+        counts from the start in the header of the segment, at which it is X0; from the start of the file if its first
+        value is not X0; or from 1904 if it is so large. Raise SeatrialError if the rows have neither X nor Delta_X.
         """
         x0 = self._cell_number(_first_filled_cell(self._segment, "X0", "0"))
         dx = self._cell_number(_first_filled_cell(self._segment, "Delta_X", "nan"))

@@ -47,9 +47,11 @@ def import_mavlink(
     path
         A tlog or a DataFlash log.
     rig
-        The rig, which names and scales the thrusters. Its MAVLink device names the topics.
+        The rig, which names and scales the thrusters. Its MAVLink device names the topics. Without a rig (None) their
+        device is "autopilot".
     system
-        MAVLink system number; None for the first autopilot that sends a heartbeat.
+        MAVLink system number in a tlog; None for the first autopilot that sends a heartbeat. Not used for a DataFlash
+        log, which is of one autopilot.
     out
         The log to write; by default it is named after `path`, in the current folder.
     force
@@ -89,7 +91,8 @@ def read_autopilot(path: Path, rig: Rig | None, system: int | None) -> tuple[lis
     rig
         The rig, which names and scales the thrusters; None without one.
     system
-        MAVLink system number; None for the first autopilot that sends a heartbeat.
+        MAVLink system number in a tlog; None for the first autopilot that sends a heartbeat. Not used for a DataFlash
+        log.
 
     Returns
     -------
@@ -154,8 +157,9 @@ def read_tlog(
     Returns
     -------
     tuple
-        The samples with their times, a summary in one line, and the autopilot's parameters by name. Device times are
-        mapped onto the times at which the ground station received the frames.
+        The samples in the order of the file with their times [s since 1970], a summary in one line, and the autopilot's
+        parameters by name. Device times are mapped onto the clock of the ground station by the shortest delay between
+        measurement and receipt; a sample without a device time has its time of receipt.
 
     Raises
     ------
@@ -223,6 +227,8 @@ def _refuse_two_autopilots(path: Path, rows: Sequence[Timed], system: int) -> No
 
 def mismatches(p: Mapping[str, float], rig: Rig | None) -> list[ParameterMismatch]:
     """Compare the autopilot's parameters of pulse widths and directions with the rig, and return those that differ.
+
+    Only the parameters SERVOn_... of the outputs that drive thrusters of the rig are compared.
 
     Parameters
     ----------

@@ -48,7 +48,7 @@ def import_raw(
     Returns
     -------
     tuple
-        The path of the new log, and the numbers of samples and errors as a text.
+        The path of the new log, and the numbers of samples, checksum errors and unparsed bytes as a text.
 
     Raises
     ------
@@ -57,6 +57,9 @@ def import_raw(
 
     Notes
     -----
+    The first sample names the device in the topics, for example "gnss"; transducers (XDR) become signals with their own
+    names.
+
     A capture does not contain the times of receipt. With `rate`, the samples of the most frequent kind are 1/rate
     apart, beginning in 1970. Rarer samples (headings between fixes) get the time of the sample before them. NMEA
     samples before the first date get the date that follows, or 1970-01-01 if no date follows.
@@ -136,7 +139,8 @@ def _without_duplicate_quantities(frames: Sequence[Frame]) -> tuple[list[Frame],
     -------
     tuple
         The samples, and the number of samples left out. A sample without a time keeps only the quantities that no
-        sample with a time has; it is left out if none remains. The magnetic field does not count.
+        sample with a time has; it is left out if none remains. The magnetic field, which no model uses, is never
+        removed, and does not keep a sample by itself.
     """
     timed = [frame.sample for frame in frames if math.isfinite(frame.t_device)]
     names = [

@@ -21,11 +21,11 @@ class Candidate(NamedTuple):
     Attributes
     ----------
     group : str
-        Quantity: position, velocity, body, heading, rate, acceleration, drive, force, ... Only the best candidate of a
-        group is chosen for each signal.
+        Quantity: position, velocity, body, heading, rate, acceleration, drive, force, ... Of the candidates with the
+        same signal the one with the lowest rank is chosen.
     rank : int
-        Preference, the lowest first: a sensor, then an estimate, then the truth of a simulator (`UNCHOSEN_RANK` or
-        more, which is never chosen).
+        Preference, the lowest first: 0 a sensor, then an estimate. A rank of 5 (`UNCHOSEN_RANK`) or more is never
+        chosen: set-points and the truth of a simulator.
     table : Table
         Table of the columns.
     signals : tuple of MapSignal
@@ -442,8 +442,9 @@ def drive(words: frozenset[str], values: Column, unit: str) -> tuple[str, MapSig
     -------
     tuple or None
         Group ("force" or "drive"), signal without its columns, and caveat. The signal of a force is f_left, f_right or
-        X. That of a command or shaft speed is n, n_left or n_right, with a scale to -1 .. 1. The result is None if the
-        column does not belong to a thruster.
+        X. That of a command or shaft speed is n, n_left or n_right, with a scale to -1 .. 1: per cent, pulses with rest
+        at 1500 us and full forward at 1900 us, or else the largest magnitude as 1. The result is None if the column
+        does not belong to a thruster.
     """
     drive_words = words & DRIVES
     if not drive_words or words & _NOT_DRIVES:

@@ -56,8 +56,8 @@ def read_bag(path: Path, options: SourceOptions) -> list[Table]:
     -------
     list of Table
         One table for each topic with numbers. The time of a message is the stamp of its header, or else its receipt;
-        wrong stamps are left out (`seatrial.daq.importers.stamps`). Each pair of frames in a TFMessage has its own
-        topic: /tf:odom:base_link. Messages of an unknown type are left out.
+        messages with a wrong stamp are left out (`seatrial.daq.importers.stamps`). Each pair of frames in a TFMessage
+        has its own topic: /tf:odom:base_link. Messages of an unknown type are left out.
 
     Raises
     ------

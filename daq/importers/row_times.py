@@ -32,7 +32,8 @@ def row_times(table: Table, time: TimeColumn | None, *, lenient: bool = False) -
     table
         The rows. Its remark gets a text about rows without a time and about changes of daylight saving time.
     time
-        Source of the times; None if the table has its own times.
+        Source of the times; None if the table has its own times. A table with its own times keeps them unless `time`
+        has a rate or names one of its columns.
     lenient
         Whether a row with a cell that is not a time gets NaN. Otherwise it is an error.
 
@@ -266,7 +267,7 @@ def _cell_parser(time: TimeColumn) -> Callable[[str], float]:
     """Return a function that converts a text cell of a time column to s. The function raises ValueError.
 
     `time` has the format, and how digits behind the last point are read. ValueError means a text of another format. A
-    date without a zone is UTC.
+    date without a zone is UTC, one without a year is in 1970, and a time of day is on 1970-01-01.
     """
 
     def whole(text: str) -> float:

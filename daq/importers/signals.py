@@ -285,9 +285,10 @@ def _is_of_two_sources(t: Column) -> bool:
 def _without_held(table: Sequence[SignalData], places: Sequence[int]) -> Iterator[tuple[int, SignalData, Held]]:
     """Remove the repeats of signals whose source repeats each measurement in all rows until the next one.
 
-    Yield for each of these signals its index, the signal without repeats, and the number of repeats. Other signals are
-    not yielded, nor inputs whose values look like commands instead of measurements. `table` has signals with the same
-    times, and `places` the index of each in the list of all signals.
+    Yield for each of these signals its index, the signal without repeats, and the number of repeats. Signals are found
+    by changes at regular intervals of at most 5 s (`held_signals`), those of one sensor, as x and y, together. Other
+    signals are not yielded, nor inputs whose values look like commands instead of measurements. `table` has signals
+    with the same times, and `places` the index of each in the list of all signals.
     """
     t = table[0].t
     found = held_signals(t, {data.signal.name: data.values for data in table})
@@ -335,8 +336,8 @@ def _raw_values(table: Table, signal: Signal) -> Column:
     """Return the values of a signal (n,) before scale and sign, in the unit of its column.
 
     A signal with `make` is computed from its columns, in SI units. A position is in metres north or east of the first
-    fix; a fix at 0, 0 is NaN. A velocity is 0 at speed 0, also without a course. The angles of a quaternion of zeros
-    are NaN.
+    fix of the table; a fix at 0, 0 is NaN. A velocity is 0 at speed 0, also without a course. The angles of a
+    quaternion of zeros are NaN.
     """
     if not signal.make:
         return table.numbers(signal.columns[0])
@@ -360,8 +361,8 @@ def _raw_values(table: Table, signal: Signal) -> Column:
 def _in_ned(signal: Signal, values: Column) -> tuple[Signal, Column]:
     """Convert a signal and its values (n,) from ENU (east, north, up; forward, left, up) to NED axes.
 
-    A signal of frame "NED" is unchanged. x and y exchange their names, psi becomes pi/2 - psi, and the sign of v, r and
-    other components changes.
+    A signal of frame "NED" is unchanged. x and y exchange their names (`Signal.log_name`), psi becomes pi/2 - psi, and
+    the sign of v, w, q, r, ay, az, theta, N and Y changes. All other signals keep their values.
     """
     if signal.frame == "NED":
         return signal, values

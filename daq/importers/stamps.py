@@ -67,7 +67,7 @@ class EstimatedTimes(NamedTuple):
     remark : str
         What is unusual about the times, for the user; "" if nothing is.
     mixed : bool
-        Whether the receipts are out of order, but the times are not.
+        Whether the receipts are out of order, but the times are not. Times that run back in the file are then no fault.
     """
 
     t: Column  # s since 1970, (n,); NaN for a message without a reliable time
@@ -206,8 +206,8 @@ class _ReferenceClock:
 
         The level is the receipt minus `rate` times the stamp [s]. After a step back the same receipt may occur again
         with another level, so each interval (a branch) is interpolated on its own. `receipt` and `level` (n,) are in
-        the order of the stamps. `shift` is that of the first branch near the recorder's clock, or else of the first
-        branch.
+        the order of the stamps; a fall of the level by more than 0.25 s is a step. `shift` is that of the first branch
+        with a level below 1 s (near the recorder's clock), or else of the first branch.
         """
         steps = np.flatnonzero(np.diff(level) < -STEP_S) + 1
         edges = [0, *steps.tolist(), len(level)]
@@ -237,9 +237,10 @@ class _ReferenceClock:
         """Return the flags (n,) of messages with wrong stamps, found by the steps of the level (receipt minus stamp).
 
         The messages of all topics are in the order of receipt; `topic` (n,) has the number of the topic of each.
-        Between two steps the level is about constant (a plateau). Steps of the stamps, not those of the receipts,
-        change the offset of their clock. The offset with the most messages is right, and messages with another offset
-        are wrong. Plateaus near the recorder's clock count three times. Without steps all flags are False.
+        Between two steps (changes above 0.25 s plus half the time between the messages) the level is about constant (a
+        plateau). Steps of the stamps, not those of the receipts, change the offset of their clock. The offset with the
+        most messages is right, and messages with another offset are wrong. If the reference is the recorder's clock,
+        plateaus within 1 s of it count three times. Without steps all flags are False.
         """
         allowed = STEP_S + STEP_RATE * np.diff(receipt)
         steps = np.flatnonzero(np.abs(np.diff(level)) > allowed) + 1
@@ -295,12 +296,13 @@ class _ReferenceClock:
         topic_times
             Receipts and stamps of the topic.
         is_stamped
-            Whether the topic has stamps.
+            Whether the topic has at least two stamps.
 
         Returns
         -------
         EstimatedTimes
-            The times, with a remark if they differ from the stamps.
+            The times, with a remark if they differ from the stamps. Messages with a wrong or empty stamp have NaN. If
+            fewer than 20 % of the stamps agree with the reference, they are taken as those of another clock.
         """
         if not is_stamped:
             return self._times_of_receipts(topic_times)
@@ -405,8 +407,9 @@ def _wrong_stamps(times: MessageTimes, misfit: Column, rate: float) -> Mask:
     """Return the flags (n,) of wrong stamps of a topic; a stamp of a message that is only late is not wrong.
 
     `misfit` (n,) is the delay from stamp to receipt beyond the usual delay [s], NaN if unknown, and `rate` the rate of
-    the receipts by the stamps [s/s]. A stamp is wrong if its misfit is large and the interval of the stamps before it
-    is more unusual than that of the receipts. With fewer than 3 known misfits no stamp is wrong.
+    the receipts by the stamps [s/s]. A stamp is wrong if its misfit exceeds 0.25 s plus half the usual interval of the
+    receipts, and the interval of the stamps before it is more unusual than that of the receipts. Successive stamps with
+    about the same misfit are judged together. With fewer than 3 known misfits no stamp is wrong.
     """
     known = np.isfinite(misfit)
     receipt, stamp, late = times.receipt[known], rate * times.stamp[known], misfit[known]

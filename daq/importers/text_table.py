@@ -190,7 +190,8 @@ class TextTable(Table):
         """Add a remark about the lines of the text table whose number of cells differs from the header, or raise.
 
         `ragged` has line and number of cells of each. Raise SeatrialError if the import map does not have nan = "drop",
-        or if these are more than 20 % of the lines. `is_cut` means that the last line of the file has no line end.
+        or if these are more than 20 % of the lines. `is_cut` means that the last line of the file has no line end; if
+        it is the only such line, the remark reports it as cut off.
         """
         line, n_cells = ragged[0]
         width, n = len(self._header), len(ragged)
@@ -301,7 +302,10 @@ class TextTable(Table):
         return found
 
     def _has_points(self) -> bool:
-        """Return whether any cell in the first 100 rows of the text table is a number with a decimal point."""
+        """Return whether any cell in the first 100 rows of the text table is a number with a decimal point.
+
+        A comma in a number such as 1,500 then separates thousands.
+        """
         return any(_POINT.fullmatch(cell.strip()) for cells in self._rows[:LOOKED_AT] for cell in cells)
 
     def _without_units(self, column: str, cells: list[str]) -> list[str]:

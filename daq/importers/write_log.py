@@ -32,7 +32,7 @@ class SignalRow(NamedTuple):
     Attributes
     ----------
     t : float
-        Time [s since 1970].
+        Time of the sample in the log [s since 1970].
     device : str
         Name of the device, or of the signal.
     frame : Frame
@@ -352,6 +352,8 @@ def replacing(out: Path, force: bool, reads: Sequence[Path]) -> Iterator[Path]:
 
 def sha256_of(path: Path) -> str:
     """Return the SHA-256 of a source file of an import, or of the files of a folder in the order of their names.
+
+    Of a folder, with its subfolders, the contents of the files enter the digest, not their names.
 
     Parameters
     ----------

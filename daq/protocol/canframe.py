@@ -25,7 +25,7 @@ def pack_can(arbitration_id: int, data: bytes) -> bytes:
     arbitration_id
         CAN identifier, below 2^29. This is not checked.
     data
-        At most 8 bytes. This is not checked.
+        At most 8 bytes. This is not checked. Fewer bytes are filled up with zeros behind them.
     """
     return CAN_FRAME.pack(arbitration_id | EXTENDED, len(data), data)
 
@@ -33,7 +33,8 @@ def pack_can(arbitration_id: int, data: bytes) -> bytes:
 def unpack_can(frame: bytes) -> tuple[int, bytes] | None:
     """Return identifier and data of a CAN frame, given as the 16 bytes of the `struct can_frame` of Linux.
 
-    Return None for a remote frame, for an error frame, and for a frame with an 11-bit identifier.
+    Return None for a remote frame, for an error frame, and for a frame with an 11-bit identifier. A length above 8 in
+    the frame counts as 8.
 
     Raises
     ------

@@ -173,7 +173,8 @@ def _make_dbc(device: Device, rig: Rig) -> Decoder:
 def _make_dronecan(device: Device, rig: Rig) -> Decoder:
     """Return a new decoder of the DroneCAN controllers of the thrusters that a device drives.
 
-    The sign of the rpm of reversed thrusters is changed. `index_offset` of the device is used.
+    The sign of the rpm of reversed thrusters is changed. The key `index_offset` of the device is the index of a
+    controller in its telemetry minus its index in the commands. Samples of other controllers are not left out.
     """
     from seatrial.daq.protocol import dronecan
 

@@ -74,7 +74,8 @@ def load_dbc(path: str) -> Any:
 def is_j1939(message: Any) -> bool:
     """Return whether a message of a DBC file belongs to J1939 or NMEA 2000.
 
-    Such a message is identified by its PGN alone, not by the whole CAN identifier.
+    The file states this by its attributes (VFrameFormat). Such a message is identified by its PGN alone, not by the
+    whole CAN identifier.
     """
     return bool(message.protocol == "j1939")
 
@@ -139,10 +140,11 @@ class Decoder(FrameDecoder):
     """Decoder of CAN frames to `Esc` samples, by a DBC database and the signals to read from it.
 
     Each CAN frame that contains an rpm gives one sample for each node (speed controller) whose rpm it contains. If no
-    signal is mapped to rpm, each frame of a configured message gives one sample for each of its nodes. Current,
-    voltage, temperature and duty from other messages of the same node are the newest received values, or NaN if they
-    are older than 2 s (`STALE`). Frames of other messages are ignored. A message of J1939 or NMEA 2000 is recognised by
-    its PGN, any other message by its whole CAN identifier. `t_device` of the samples is NaN.
+    signal is mapped to rpm, each frame of a configured message gives one sample for each of its nodes. A value that
+    the message reports as "error" or "not available" is NaN, also the rpm. Current, voltage, temperature and duty from
+    other messages of the same node are the newest received values, or NaN if they are older than 2 s (`STALE`). Frames
+    of other messages are ignored. A message of J1939 or NMEA 2000 is recognised by its PGN, any other message by its
+    whole CAN identifier. `t_device` of the samples is NaN.
 
     Parameters
     ----------
@@ -210,8 +212,9 @@ class Decoder(FrameDecoder):
     def _scaled_value(self, message: Any, signal: DbcSignal, raw: dict[str, Any]) -> float | None:
         """Return the value of a signal, times the scale and plus the offset that the rig gives for this signal.
 
-        Return None if the frame lacks the signal, and NaN if the signal reports "not available". `message` is the
-        message of cantools, and `raw` are the raw numbers of the frame's signals by name.
+        Scale and offset convert the unit of the DBC file to the unit of the field of `Esc`; there is no other
+        conversion. Return None if the frame lacks the signal, and NaN if the signal reports "not available". `message`
+        is the message of cantools, and `raw` are the raw numbers of the frame's signals by name.
         """
         if signal.signal not in raw:  # the signal belongs to another multiplexer value
             return None

@@ -62,7 +62,7 @@ class DatagramDecoder(Decoder, Protocol):
     ----------
     accepted
         Number of received frames that the device itself sent. If the decoder has a signing key, only frames with a
-        correct signature count.
+        correct signature count. The reader of the port confirms the sender of a datagram that increases it.
     """
 
     accepted: int  # frames of the device itself; if a key is given, only frames with a correct signature

@@ -124,7 +124,8 @@ def unpack(payload: bytes, reversed_nodes: frozenset[int] = frozenset(), index_o
     Parameters
     ----------
     payload
-        The 14 bytes of the message. Its last fields are rpm (18 bits), power rating (7 bits) and index (5 bits).
+        The 14 bytes of the message; the number is not checked. Its last fields are rpm (18 bits), power rating (7 bits)
+        and index (5 bits).
     reversed_nodes
         Nodes whose rpm changes its sign, so that positive means forward.
     index_offset
@@ -149,8 +150,8 @@ def encode(esc: Esc, source: int, number: int) -> list[tuple[int, bytes]]:
     Parameters
     ----------
     esc
-        State. Its node, modulo 32, is the index in the message. NaN as rpm is sent as zero, other NaN as NaN. The duty
-        is not sent.
+        State. Its node, modulo 32, is the index in the message. The rpm is rounded and clipped to 18 bits with sign.
+        NaN as rpm is sent as zero, other NaN as NaN. The duty is not sent.
     source
         Node of the sender, 1..127.
     number
@@ -173,7 +174,8 @@ def encode_command(commands: Mapping[int, float], source: int, number: int) -> l
     Parameters
     ----------
     commands
-        Command, -1..1, by index of the controller, 0..19. Missing indices below the largest get zero.
+        Command, -1..1, by index of the controller, 0..19; 1 is sent as 8191. Missing indices below the largest get
+        zero.
     source
         Our node, 1..127.
     number
@@ -333,7 +335,8 @@ class Assembler:
         """Add a CAN frame with a 29-bit identifier to the transfer of its sender.
 
         A frame of another message type, of a service, or without data is ignored. A frame that does not continue the
-        transfer of its sender is discarded, together with this transfer, and counts as unparsed bytes.
+        transfer of its sender is discarded, together with this transfer, and counts as unparsed bytes. A first frame
+        begins a new transfer and discards an incomplete one, which has no time limit.
 
         Parameters
         ----------

@@ -102,7 +102,8 @@ class StreamDecoder(ABC, Generic[T]):
 
         The function of a subclass also counts the frame or its checksum error. `t_rx` is the run time of receipt [s].
         Return the length of the frame in bytes, 0 if more bytes are needed, or -1 if no valid frame begins at `start`.
-        The result must not depend on the number of bytes received after the frame.
+        After -1 the caller counts one byte as unparsed and searches from the next one. The result must not depend on
+        the number of bytes received after the frame.
         """
 
 

@@ -196,8 +196,8 @@ class MavlinkDecoder(StreamDecoder[Frame]):
     def _decode(self, frame: bytes, t_rx: float) -> None:
         """Decode a frame of the autopilot, append its samples to `self._out`, and pass its message to the listener.
 
-        If the codec has a signing key and the signature is missing or wrong, the frame is counted in `unsigned` and
-        ignored. `t_rx` is the run time of receipt [s].
+        If the codec has a signing key and the signature is missing or wrong, or if pymavlink cannot decode the frame,
+        it is counted in `unsigned` and ignored. `t_rx` is the run time of receipt [s].
         """
         message = self._codec.decode(frame)
         if message is None:
@@ -535,8 +535,9 @@ class SampleConverter:
     def _esc_telemetry(self, m: Any) -> TimedSamples:
         """Return an `Esc` sample for each speed controller with new values in an ESC_TELEMETRY message.
 
-        The rpm in the message has no sign; it gets the sign of the output's newest command, if there is one. This
-        command becomes the duty. The samples have no time.
+        A controller has new values if its counter in the message has changed. The rpm in the message has no sign; it
+        gets the sign of the output's newest command (positive is forward, also for a reversed thruster), and stays
+        positive if this is zero or unknown. The command becomes the duty. The samples have no time.
         """
         first = int(m.get_type().split("_")[2])
         samples: TimedSamples = []
@@ -570,7 +571,8 @@ class SampleConverter:
     def _battery(self, m: Any) -> TimedSamples:
         """Return a `Battery` sample, without a time, from a BATTERY_STATUS message.
 
-        The list is empty for any battery but the first (id 0), and for a message without a cell voltage.
+        The voltage is the sum of the cell voltages. The list is empty for any battery but the first (id 0), and for a
+        message without a cell voltage.
         """
         cells = [v for v in (*m.voltages, *m.voltages_ext) if v not in (0, 0xFFFF)]
         if m.id != 0 or not cells:
@@ -591,7 +593,8 @@ class SampleConverter:
     def _status_text(self, m: Any) -> TimedSamples:
         """Return a text message of the autopilot (STATUSTEXT) as an event "statustext" with the text "SEVERITY: TEXT".
 
-        A long text arrives in parts of 50 characters. The list is empty until its last part has been received.
+        A long text arrives in parts of 50 characters. The list is empty until its last part has been received. A lost
+        part is missing in the text; if the last part is lost, there is no event.
         """
         number, received = self._chunks
         chunk = printable(m.text)

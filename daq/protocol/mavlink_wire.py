@@ -202,7 +202,8 @@ class Codec:
         key
             Signing key, 32 bytes; None for unsigned frames.
         now_unix
-            Present time [s since 1970], from which the time stamps of signatures start.
+            Present time [s since 1970], from which the time stamps of signatures start. Receivers reject a frame
+            with an older stamp than the last one of the link.
         link
             Link id of the signatures. Time stamps of one link must never decrease.
         """

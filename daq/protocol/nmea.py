@@ -271,7 +271,7 @@ class _Epoch:
 class Epochs:
     """Collector of position sentences: it joins the NMEA sentences of one epoch (one time) to one `Gnss` sample.
 
-    An epoch is complete when all kinds of sentence of the last few epochs have been received, or when the next epoch
+    An epoch is complete when all kinds of sentence of the last 10 epochs have been received, or when the next epoch
     begins. `t_rx` of a sample is the time of receipt of the epoch's first sentence, which is nearest to the
     measurement.
 
@@ -522,7 +522,8 @@ def _gnss_sample(epoch: _Epoch, utc: float, mode_gsa: int) -> Gnss:
     """Return the `Gnss` sample of an epoch of NMEA sentences.
 
     `utc` is its UTC [s since 1970], and `mode_gsa` the dimension of the fix by GSA: 2 or 3, 1 without a fix, 0 without
-    GSA. Missing values are NaN. Without a position, `fix` is 0. The position is from GGA, or else GNS, RMC, GLL.
+    GSA. It gives `dimensions`, and makes a fix of kind 3 one of kind 2. The kind of fix is that of GGA, or else of RMC,
+    GNS or GLL. Missing values are NaN. Without a position, `fix` is 0. The position is from GGA, or else GNS, RMC, GLL.
     """
     value = epoch.values
     fix = int(value.get("quality", value.get("mode", 0)))
@@ -579,6 +580,7 @@ def _time_of_day(words: list[bytes], index: int) -> float:
 def _read_gga(epoch: _Epoch, message: Message) -> None:
     """Store fix and satellites of an NMEA sentence GGA in the epoch; position, height and HDOP only with a fix.
 
+    The quality indicator is converted to a kind of fix as in `Gnss.fix`; estimated, manual and simulated become 1.
     `message` has the fields by name. Empty fields are not stored.
     """
     fix = _QUALITY.get(_to_integer(message.get("quality"), 0), 0)
@@ -605,8 +607,8 @@ def _read_gns(epoch: _Epoch, message: Message) -> None:
 def _read_rmc(epoch: _Epoch, message: Message) -> None:
     """Store date, fix, position, speed and course of an NMEA sentence RMC in the epoch.
 
-    If the sentence is flagged as invalid, only the date and the kind of fix (0) are stored. `message` has the fields by
-    name.
+    The kind of fix, as in `Gnss.fix`, follows from the mode letter; a sentence without it has 3. If the sentence is
+    flagged as invalid, only the date and the kind of fix (0) are stored. `message` has the fields by name.
     """
     if isinstance(date := message.get("date"), datetime.date):
         # RMC has two digits of the year. Before its first fix a receiver may send a year from 1980 on.
@@ -630,7 +632,7 @@ def _read_gll(epoch: _Epoch, message: Message) -> None:
 
 
 def _read_vtg(epoch: _Epoch, message: Message) -> None:
-    """Store speed and course of an NMEA sentence VTG in the epoch, unless the epoch has an RMC with the same values.
+    """Store speed and course of an NMEA sentence VTG in the epoch, unless the epoch has an RMC, which contains them.
 
     `message` has the fields by name.
     """
@@ -712,8 +714,9 @@ _READERS = {
 class Headings:
     """Converter of heading sentences of NMEA 0183 to `Ahrs` samples, and of XDR to `Transducer` samples.
 
-    The best kind of sentence received so far gives the yaw; other kinds give no sample. Pitch and roll are from the
-    same sentence or from XDR before it. The yaw rate is from ROT before it. Missing values are NaN.
+    The best kind of sentence received so far gives the yaw: PASHR or PSTI, then HDT, THS, HDG, HDM. Other kinds give no
+    sample, even if the best kind is no longer sent. Pitch and roll are from the same sentence or from XDR before it.
+    The yaw rate is from ROT before it. Missing values are NaN.
 
     Parameters
     ----------
@@ -810,8 +813,10 @@ class Headings:
         """Store pitch and roll of an NMEA sentence XDR for the next heading. Return the samples of other transducers.
 
         `words` are the fields of the sentence, with groups of kind, value, unit and name. Pitch and roll are in
-        degrees, positive with the bow up and with starboard down. A transducer without a name or without a number is
-        left out; all are if `signal_ending` is None. Return None if pitch or roll is not a number.
+        degrees, positive with the bow up and with starboard down. Other values of known kinds are converted to the unit
+        in the sample (bar to Pa, per cent to 1, angles to rad); those of unknown kinds are unchanged with the unit "1".
+        A transducer without a name or without a number is left out; all are if `signal_ending` is None. Return None if
+        pitch or roll is not a number.
         """
         frames = []
         for at in range(1, len(words) - 3, 4):

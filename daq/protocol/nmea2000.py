@@ -381,8 +381,8 @@ def encode(sample: Ahrs | Gnss, sid: int = 0, source: int = 35) -> list[tuple[in
     Parameters
     ----------
     sample
-        Sample. Of an `Ahrs`, the messages rate of turn, attitude and heading are sent if their values are not NaN. Of a
-        `Gnss`, the fix is sent, and course and speed if the speed is not NaN; its UTC has to be a number.
+        Sample. Of an `Ahrs`, the messages rate of turn, attitude and true heading are sent if their values are not NaN.
+        Of a `Gnss`, the fix is sent, and course and speed if the speed is not NaN; its UTC has to be a number.
     sid
         Sequence id that joins the messages of one measurement, 0 to 252.
     source

@@ -23,8 +23,9 @@ class Decoder(LineDecoder):
     """Decoder of the text lines of a SparkFun OpenScale board to `LoadCell` samples.
 
     If the lines contain the raw reading of the HX711 converter, it becomes `counts` and is checked for saturation and
-    spikes. Otherwise `counts` is the scaled reading, which gets no flag. `t_device` is the time [s] since the start of
-    the board, NaN if the lines do not contain it. A line that is not a reading counts as unparsed bytes.
+    spikes. Otherwise, or if it is 0, `counts` is the scaled reading, which gets no flag. `t_device` is the time [s]
+    since the start of the board, NaN if the lines do not contain it. A line that is not a reading counts as unparsed
+    bytes.
 
     Parameters
     ----------
@@ -73,9 +74,9 @@ class Decoder(LineDecoder):
     def _device_time(self, words: list[bytes], unit: int) -> float:
         """Return the time since the start of the OpenScale board [s]; NaN if the line does not contain it.
 
-        The time is the first of the `words` of a line, if it is a whole number and not the reading. `unit` is the index
-        of the unit; the reading is before it. The board's counter of milliseconds wraps after 49.7 days; the result
-        does not.
+        The time is the first of the `words` of a line, if it is a whole number, not 0, and not the reading. `unit` is
+        the index of the unit; the reading is before it. The board's counter of milliseconds wraps after 49.7 days: a
+        number that falls by more than half of this counts as a wrap, which is added.
         """
         if unit < 2 or not _INTEGER.match(words[0]) or words[0] == b"0":
             return NAN

@@ -25,7 +25,7 @@ class LineDecoder(ABC):
     Attributes
     ----------
     end : bytes
-        Line end.
+        Line end, LF unless a subclass defines another one.
     frames : int
         Number of lines that contained a reading.
     checksum_errors : int

@@ -259,7 +259,7 @@ class _Epoch:
 class Epochs:
     """Collector of UBX navigation messages: it joins the messages of one epoch (one time of week) to one `Gnss` sample.
 
-    An epoch is complete when all kinds of message of the last few epochs have been received, or when the next epoch
+    An epoch is complete when all kinds of message of the last 10 epochs have been received, or when the next epoch
     begins. Position and velocity without a valid fix (gnssFixOK not set) are kept with `fix` 0. While the receiver
     sends HNR-PVT (solutions at the rate of its inertial sensors), each of these messages gives a sample, and the epochs
     give none.
@@ -410,7 +410,8 @@ def _attitude_sample(payload: bytes, t_rx: float) -> list[Frame]:
 def _read_pvt(v: dict[str, float], payload: bytes) -> None:
     """Store time, fix, satellites, position and velocity of the UBX message NAV-PVT in `v`.
 
-    `v` are the values of its epoch by name. The fix is 0 unless the receiver marks it as valid.
+    `v` are the values of its epoch by name. The fix, as in `Gnss.fix`, is 5 or 6 with a fixed or floating carrier phase
+    solution and 4 with differential corrections; it is 0 unless the receiver marks it as valid.
     """
     (
         _, year, month, day, hour, minute, second, valid, t_acc, nano, fix, flags, _, n_sat, lon, lat, _, h_msl, h_acc,

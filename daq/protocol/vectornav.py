@@ -87,7 +87,8 @@ def message_layout(header: bytes) -> MessageLayout | None:
     Returns
     -------
     MessageLayout or None
-        None if the header contains a field that does not exist, or no field.
+        None if the header contains a field that does not exist, or no field. If several fields contain a quantity, the
+        first in the order of `KEPT` is read.
     """
     places: dict[tuple[int, int], int] = {}
     offset = 1 + len(header)
@@ -206,8 +207,8 @@ _NAN3 = (NAN, NAN, NAN)
 def _ahrs_sample(values: Values) -> Ahrs:
     """Return the `Ahrs` sample of one VectorNav message in SI units.
 
-    `values` are the numbers by quantity: "ypr" [deg] or "quaternion" for the attitude, "rate" [rad/s], "accel" [m/s2],
-    "mag" [gauss]. Missing ones become NaN.
+    `values` are the numbers by quantity: "ypr" [deg], or else "quaternion", for the attitude, "rate" [rad/s], "accel"
+    [m/s2], "mag" [gauss]. Missing ones become NaN.
     """
     if "ypr" in values:
         yaw, pitch, roll = (angle * DEG for angle in values["ypr"])

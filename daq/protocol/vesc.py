@@ -141,7 +141,7 @@ def encode_status(esc: Esc, pole_pairs: int) -> list[tuple[int, bytes]]:
     esc
         State of the controller.
     pole_pairs
-        Number of pole pairs, by which the rpm is multiplied.
+        Number of pole pairs, by which the rpm is multiplied. No sign is changed for a reversed thruster.
 
     Returns
     -------
@@ -184,7 +184,8 @@ def encode_duty(node: int, n: float) -> tuple[int, bytes]:
 def decode_command(arbitration_id: int, data: bytes) -> tuple[int, float] | None:
     """Return controller id and duty, -1..1, of a CAN frame that commands a VESC controller.
 
-    Return None for other frames, and for one with fewer than 4 bytes of data.
+    Only commands of duty (SET_DUTY) count. The duty is not clipped to -1..1. Return None for other frames, and for one
+    with fewer than 4 bytes of data.
     """
     if arbitration_id >> 8 != SET_DUTY or len(data) < 4:
         return None

@@ -39,7 +39,8 @@ class DiscoveredAutopilot(DiscoveredDevice):
     Attributes
     ----------
     vehicle : str
-        Name of the firmware and vehicle, for example "ArduPilot Rover"; other classes of vehicles are only logged.
+        Name of the firmware and vehicle, for example "ArduPilot Rover". Thrusters are driven only behind this one; the
+        telemetry of the others can be logged.
     system_id : int
         MAVLink system id.
     signed : bool
@@ -56,8 +57,9 @@ class DiscoveredAutopilot(DiscoveredDevice):
     def toml(self, name: str, alone: bool = True) -> str:
         """Return the tables of the autopilot for a rig file, as text: a [[device]], and a [[thruster]] for each side.
 
-        Caveats, for example of outputs that cannot be driven, become comments. There are no [[thruster]] tables if the
-        vehicle is not an ArduPilot Rover, or if it reported no parameters.
+        Caveats, for example of outputs that cannot be driven or of parameters that forbid a run, become comments. The
+        rate of the samples is 25 Hz, or 80 % of the autopilot's loop rate if this is less. There are no [[thruster]]
+        tables if the vehicle is not an ArduPilot Rover, or if it reported no parameters.
 
         Parameters
         ----------
@@ -101,7 +103,7 @@ class DiscoveredAutopilot(DiscoveredDevice):
 
         Such a channel is a left or right throttle. The thruster is named "left" or "right". Its node is the first
         output that the channel drives. Its position is assumed (0.3 m to the side), and its pulse widths come from the
-        parameters. The list is empty without such outputs.
+        parameters. A reversed output is not taken into account. The list is empty without such outputs.
 
         Parameters
         ----------
@@ -280,7 +282,8 @@ def identify_autopilot(port: str, baud: int, ask: bool) -> DiscoveredDevice:
     Returns
     -------
     DiscoveredDevice
-        `DiscoveredAutopilot` if an autopilot was found. Otherwise `says` has the reason, such as an error of the port.
+        `DiscoveredAutopilot` if an autopilot was found; its `rate` is that of its attitudes, NaN if two of them did not
+        arrive within 1 s. Otherwise `says` has the reason, such as an error of the port.
 
     Raises
     ------

@@ -104,6 +104,7 @@ class _ProtocolCandidate:
     def feed(self, data: bytes, t: float) -> None:
         """Decode bytes of the port by this protocol, and count bytes, samples and GNSS fixes.
 
+        Samples of transducers do not count, because they would change the rate of the receiver that sends them.
         The bytes were read at time t [s of a monotonic clock].
         """
         frames = self.decoder.feed(data, t)
@@ -143,9 +144,10 @@ class _ProtocolCandidate:
     def score(self) -> tuple[float, int]:
         """Return how well the bytes of a port fit this protocol: (share of the bytes in frames, number of frames).
 
-        A larger result is better. It is (0, 0), which excludes the protocol, without samples, with fewer than 5 samples
-        without checksums, or if the share is below 0.2 (0.8 without checksums). Bytes before the first sample do not
-        count if 20 bytes follow it.
+        A larger result is better; a share with checksums counts 0.01 more, so that such a protocol wins ties. The
+        result is (0, 0), which excludes the protocol, without samples, with fewer than 5 samples without checksums, or
+        if the share is below 0.2 (0.8 without checksums). Bytes before the first sample do not count if 20 bytes follow
+        it.
         """
         if self.samples == 0 or (not self.checked and self.samples < MIN_LINES):
             return 0.0, 0
@@ -231,7 +233,8 @@ def identify_protocol(
 ) -> DiscoveredDevice:
     """Identify the device at a serial port by listening at one baud rate after the other.
 
-    No byte is sent, because the device is unknown and may react to it.
+    The search ends at the first baud rate at which a protocol fits; the best one there is returned. It also ends if no
+    byte arrives at the first baud rate. No byte is sent, because the device is unknown and may react to it.
 
     Parameters
     ----------
@@ -290,8 +293,8 @@ def _feed_candidates(port: SerialPort, candidates: Sequence[_ProtocolCandidate],
     """Listen at a serial port and pass its bytes to each candidate protocol. Return the number of bytes.
 
     Listening ends `silent` seconds after its start if no byte has come, otherwise `seconds` after the first byte, or
-    earlier if a protocol with checksums has samples from three reads. The port is opened and closed by this function.
-    Raise PortError if it cannot be opened or read.
+    earlier, but not before 0.3 `seconds`, if a protocol with checksums has samples from three reads.
+    This function opens and closes the port. Raise PortError if it cannot be opened or read.
     """
     n_bytes, start = 0, time.monotonic()
     end = start + silent

@@ -29,7 +29,7 @@ def export_log(log: Log, form: str, folder: Path, force: bool = False) -> list[P
     log
         The log.
     form
-        "csv" or "parquet". For other formats of `export_resampled` one resampled table is written.
+        "csv" or "parquet". For other formats of `export_resampled` one table, resampled at 10 Hz, is written.
     folder
         Folder of the files.
     force
@@ -70,6 +70,9 @@ def export_log(log: Log, form: str, folder: Path, force: bool = False) -> list[P
 
 def export_resampled(log: Log, form: str, folder: Path, rate: float, force: bool = False) -> Path:
     """Write the whole log as one resampled table, and return the file.
+
+    Commands, states and other held values keep the last sample. Other quantities are averaged over the samples around
+    each time, or interpolated linearly if there is none; they are NaN in long gaps (`resample`).
 
     Times are seconds since 1970: ``t`` in CSV, Parquet and MATLAB, the coordinate ``time`` in NetCDF. The units are in
     the column heads of CSV, the metadata of the columns of Parquet, the struct ``units`` of MATLAB, and the attributes

@@ -221,6 +221,7 @@ class OriginGate:
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Check the origin of a client; forward all bytes between client and server until both end, or reply 403.
 
+        Only the head of the first request of a connection is checked.
         `reader` and `writer` are the ends of the connection with the client. It is closed without a reply if the head
         of the request is larger than 16 kB or takes longer than 5 s.
         """

@@ -59,6 +59,8 @@ def watch(
 ) -> None:
     """Show the status of an acquisition until a deadline: a table on a terminal, a line every 5 s otherwise.
 
+    It raises SeatrialError if the acquisition process fails or ends by itself meanwhile.
+
     Parameters
     ----------
     acquisition
@@ -102,8 +104,8 @@ def _update_ages(status: Status, rig: Rig, now: float) -> tuple[Status, bool]:
     """Bring the ages and rates in a status of the acquisition to the run time `now` [s since 1970].
 
     An age is the time since the last sample of a device. Return the new status, and whether the acquisition still
-    answers, which means that its status is recent; if not, the rates are NaN. Without this update a hanging acquisition
-    would seem to work, because it computes the ages in its status itself.
+    answers, which means that its status is at most 1 s of wall time old; if not, the rates are NaN. Without this update
+    a hanging acquisition would seem to work, because it computes the ages in its status itself.
     """
     late = max(now - status.t, 0.0)
     answers = late <= NO_STATUS_S * rig.speed
@@ -176,8 +178,9 @@ def table(status: Status, rig: Rig, width: int, now: float) -> Group:
 def _newest_text(source: Source, port: PortStatus, status: Status, rig: Rig) -> Text:
     """Return the newest sample of a device or speed controller (`source`) as text for the live table.
 
-    For a sample that is too old for its rate the text begins with STALE and its age [s], in the colour of a fault. A
-    GNSS receiver without a fix is not marked while its device sends.
+    For a sample that is too old for its rate (`_stale_after`) the text begins with STALE and its age [s], in the colour
+    of a fault. The expected rate of a device is shared by its speed controllers. The limit is three times as long if
+    the device sends several kinds of samples. A GNSS receiver without a fix is not marked while its device sends.
     """
     latest = status.latest[source]
     text, age = describe(latest.sample, rig, port.name), status.t - latest.t
@@ -231,7 +234,8 @@ def _device_cells(port: PortStatus, speed: float, wide: bool) -> list[Text]:
     """Return the cells of a device's row in the live table, except its newest sample.
 
     `speed` is the number of run seconds per wall second. A `wide` table has a column for each error counter, a narrow
-    one has a single column for all that are not zero. Faults have a word or mark beside their colour.
+    one has a single column for all that are not zero. Faults have a word or mark beside their colour, except a rate
+    that differs by more than 10 % from the expected rate.
     """
     stale = _is_silent(port, speed)
     off = not abs(port.rate - port.expected) <= RATE_TOLERANCE * port.expected
@@ -260,7 +264,7 @@ def describe(sample: Sample, rig: Rig, device: str) -> str:
     Parameters
     ----------
     sample
-        The sample.
+        The sample. One of a kind without a format here is shown by its `str`.
     rig
         Rig with the names of the thrusters. A controller without a thruster is named by its number.
     device

@@ -46,7 +46,8 @@ def replay_log(
 ) -> int:
     """Replay the raw bytes of a log on the ports FOLDER/DEVICE, beside a rig file for these ports.
 
-    The replay begins when a program has opened each port. Without a usable rig in the log, no rig file is written.
+    The replay begins when a program has opened each port; it waits for this without a time limit. Only received bytes
+    are sent, at the times of their receipt. Without a usable rig in the log, no rig file is written.
 
     Parameters
     ----------
@@ -215,8 +216,9 @@ def recorded(log: Log, devices: Sequence[str] = ()) -> list[str]:
 def chunks(log: Log, devices: Sequence[str]) -> Iterator[Chunk]:
     """Yield the bytes that the devices of a log sent, as (time of receipt [s since 1970], device, bytes).
 
-    The order is that of time, over all devices. CAN frames become lines of an slcan adapter. Bytes that were sent to
-    the devices are left out.
+    The order is that of time, over all devices. CAN frames become lines of an slcan adapter; the rig of the log shows
+    which devices have CAN ports, so without a rig they stay as they are. Bytes that were sent to the devices are left
+    out.
     """
     rig = log.rig
     can = {device.name for device in rig.devices if device.port.startswith(("slcan:", "socketcan:"))} if rig else set()
@@ -305,7 +307,8 @@ class ReplayPort:
     def has_host(self) -> bool:
         """Return whether a program, the host, has opened the port of the replay.
 
-        After the first time this process keeps the host's end open, too, so the result stays true.
+        The first time, the method waits 0.1 s, in which the host configures the port. Then this process keeps the
+        host's end open, too, so the result stays true.
         """
         if self._slave >= 0:
             return True

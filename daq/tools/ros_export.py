@@ -180,7 +180,8 @@ def _odometry_messages(log: Log, ahrs_of: Mapping[str, NDArray[np.void]], types:
 
     Position and velocity are interpolated linearly between the fixes before and after each time. Times outside the
     fixes, and between fixes more than 2 s apart, are left out. Nothing is yielded without a heading or without two
-    fixes of one receiver. The lever arm of the receiver in the rig is corrected. `ahrs_of` has the table of samples of
+    fixes of one receiver. The lever arm of the receiver in the rig is corrected. An unknown pitch, roll, height, rate
+    or velocity becomes 0; rates and velocities are then marked by their variance. `ahrs_of` has the table of samples of
     each AHRS, and `types` are the message classes of rosbags by name.
     """
     headed = [rows for rows in ahrs_of.values() if np.isfinite(rows["yaw"]).any()]
@@ -230,7 +231,8 @@ def _pose_messages(
     twist
         Velocity forward, starboard, down [m/s] and angular velocity about these axes [rad/s], shape (6,).
     known
-        Whether each item of the twist is measured, shape (6,).
+        Whether each item of the twist is measured, shape (6,). Its variance is 0 (unknown) if it is, and 1e6 if not.
+        The covariance of the pose is always 0 (unknown).
     types
         Message classes of rosbags by name.
     """
