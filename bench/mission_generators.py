@@ -50,7 +50,8 @@ class SegmentBuilder:
         durations : list of float
             Time [s] for which each row of commands holds. Times of changes are rounded to ms.
         rows : list of list of float
-            Rows of commands: one command for each thruster in each row. If it is empty, no segment is appended.
+            Rows of commands: one command for each thruster in each row, which is rounded to 1e-6. If it is empty, no
+        segment is appended.
         """
         if not rows:
             return

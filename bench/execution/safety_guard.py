@@ -664,8 +664,8 @@ class ControllerCheck:
 
         ``esc`` is the newest sample of the speed controller, and ``t`` its run time [s]. The duty must be within 0.1 of
         the range from zero to the commands of the last second; a deviation ends the run after 0.3 s. Both times are
-        longer by the delay of the link. Zero belongs to the range, because a controller that limits its current puts
-        out less duty. A duty of NaN is not checked.
+        longer by the delay of the link (0.25 s and 0.1 s of wall time). Zero belongs to the range, because a controller
+        that limits its current puts out less duty. A duty of NaN is not checked.
         """
         recent = [0.0, *self._commands.since(t - self._window_s)]
         if not math.isfinite(esc.duty) or min(recent) - DUTY_TOLERANCE <= esc.duty <= max(recent) + DUTY_TOLERANCE:
@@ -885,8 +885,8 @@ class SafetyGuard:
     def _all_stops(self, now: float, status: Status) -> Iterator[Stop]:
         """Yield all reasons to end the run at this status of the acquisition, at run time ``now`` [s].
 
-        They are a stop or a silence of the acquisition process, then autopilots and the response of thrusters (only in
-        the state RUNNING), then devices and limits.
+        They are a stop or a silence of the acquisition process (1 s of wall time), then autopilots and the response of
+        thrusters (only in the state RUNNING), then devices and limits.
         """
         if status.stopped:
             yield Stop(StopCode.ACQUISITION, status.stopped)

@@ -55,6 +55,7 @@ class AutopilotEmulator(DeviceEmulator):
     ) -> None:
         """Set up an emulated autopilot.
 
+        Its parameter RC_OVERRIDE_TIME is the shortest time-out of its thrusters in the rig.
         Parameters
         ----------
         rig : Rig

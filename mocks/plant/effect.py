@@ -75,7 +75,8 @@ class Gust:
     tau : float
         Correlation time of the forces [s].
     period : float
-        Time from the start of one strong phase to the start of the next [s]. Half of it is strong, half weak.
+        Time from the start of one strong phase to the start of the next [s]. The first half of it is strong, the second
+        half a fifth as strong. A run starts with a strong phase.
     """
 
     sigma: tuple[float, float, float]
