@@ -62,7 +62,8 @@ def _add_bench_command(kind: str, text: str) -> None:
     """Define the command `seatrial bench KIND` and add it to the group `bench`.
 
     ``kind`` is a key of `mission_generators.BENCH_KINDS`, and ``text`` is the help of the command. All kinds have the
-    same options; `steps` also has `--hold`.
+    options `--out`, `--thruster`, `--n-max`, `--arm` and `--retry`; `steps` also has `--hold`. Without `--n-max` the
+    largest command is 0.9, or `limits.n_max` of the rig if that is smaller.
     """
 
     @bench.command(kind, help=text, epilog=f"Example: seatrial bench {kind} bench-rig.toml -o {kind}.mcap")

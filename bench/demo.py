@@ -115,6 +115,8 @@ def fresh_folder(out: Path | None, seed: int) -> Path:
 def write_demo_rig(name: str, folder: Path, speed: float) -> None:
     """Copy a rig file of the mocks to NAME-rig.toml in the folder of the demo, and set its clock speed.
 
+    An existing copy is replaced.
+
     Parameters
     ----------
     name : str
@@ -213,7 +215,8 @@ def _record_with_mock(steps: DemoSteps, rig: str, mock: tuple[str, ...], name: s
     """Record a log from a mock. While this machine is too slow for the clock speed of the rig, repeat at half of it.
 
     The machine is too slow if the mock sent samples more than 45 ms (wall) late, or if the run skipped more than 100
-    set-points. An attempt at 8 or fewer run seconds per wall second is not repeated.
+    set-points (a later one replaced them before they were sent). An attempt at 8 or fewer run seconds per wall second
+    is not repeated, so that its log is used even if the machine was too slow.
 
     Parameters
     ----------
@@ -264,8 +267,8 @@ def _record_with_mock(steps: DemoSteps, rig: str, mock: tuple[str, ...], name: s
 def n_skipped(path: Path) -> int:
     """Return the number of set-points that a run skipped, from the events "invalid" in its log, the file ``path``.
 
-    A set-point is skipped if a later one of the same thruster replaces it before it could be sent. If the log does not
-    exist or cannot be read, return 0.
+    Such an event names the losses in one segment of the mission. A set-point is skipped if a later one of the same
+    thruster replaces it before it could be sent. If the log does not exist or cannot be read, return 0.
     """
     try:
         with open_log(path) as log:
@@ -317,9 +320,10 @@ def _run_ident(steps: DemoSteps, missing: list[str], name: str, *words: str) -> 
 def print_outcome(folder: Path) -> None:
     """Print the outcome of the demo: what the diagnosis found, and which effect the mock boat really had.
 
-    The lines are the answer of the diagnosis with its caveat, the prediction errors before and after the diagnosis, the
-    path of the report, the found effects and whether the hidden effect is among them, and the ground truth. For a
-    realistic boat, the names of its small imperfections are printed before the hidden effect.
+    The lines are the conclusion of the diagnosis (`answer` in its result) with its caveat, the prediction errors before
+    and after the diagnosis, the path of the report, the found effects and whether they match the hidden effect, and the
+    ground truth. They match if the hidden effect is among them, or if there is neither a hidden nor a found effect. For
+    a realistic boat, the names of its small imperfections are printed before the hidden effect.
 
     Parameters
     ----------
@@ -499,7 +503,7 @@ class DemoSteps:
         """Run a mock in the background while the context lasts. The context begins when the mock prints `ready`.
 
         At the end of the context the mock is ended and its standard error is printed. `late_ms` is then the largest
-        delay that the mock reports, or 0 if it reports none.
+        delay that the mock reports, or 0 if it reports none. A mock that ends before gives no error here.
 
         Parameters
         ----------
@@ -566,6 +570,7 @@ class DemoSteps:
     def _await_ready(self, process: subprocess.Popen[bytes], deadline: float) -> None:
         """Wait until a mock prints the line "ready" to its standard output, which must be a pipe.
 
+        Earlier lines are discarded.
         Raises StepFailed at the monotonic time ``deadline`` [s] or if the mock ends, and DemoInterrupted if a signal
         arrives.
         """
@@ -618,6 +623,7 @@ class DemoSteps:
     def signals(self) -> Iterator[None]:
         """Handle SIGINT, SIGTERM and SIGHUP while the context lasts: a signal ends the demo by DemoInterrupted.
 
+        The error is raised by the present or the next wait for a command or a mock, not by the handler.
         At the end of the context all commands that still run are ended, the newest first, and the earlier signal
         handlers are restored.
         """

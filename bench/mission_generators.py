@@ -50,7 +50,8 @@ class SegmentBuilder:
         durations : list of float
             Time [s] for which each row of commands holds. Times of changes are rounded to ms.
         rows : list of list of float
-            Rows of commands: one command for each thruster in each row. If it is empty, no segment is appended.
+            Rows of commands: one command for each thruster in each row, which is rounded to 1e-6. If it is empty, no
+        segment is appended.
         """
         if not rows:
             return
@@ -83,8 +84,8 @@ def step_levels(n_max: float, count: int) -> list[float]:
     Returns
     -------
     list of float
-        ``2 count + 3`` commands. The first step is divided into three smaller ones, because the edge of the thruster's
-        dead zone lies there. ``n_max`` occurs once.
+        ``2 count + 3`` commands. The first step is divided into three equal smaller ones, going up and going down,
+        because the edge of the thruster's dead zone lies there. ``n_max`` occurs once.
     """
     first = n_max / count
     up = [first / 3, 2 * first / 3, *(first * k for k in range(1, count + 1))]
@@ -127,8 +128,8 @@ def chirp_rows(sign: float, n_max: float, seconds: float, f0: float = 0.05, f1: 
     Returns
     -------
     Array (n_samples, 1)
-        Commands between 0 and ``sign * n_max``. The sweep starts at zero, and crosses the thruster's dead zone slowly
-        at first.
+        Commands ``sign * n_max * (1 - cos(phase)) / 2``, whose frequency rises linearly with time. The sweep starts at
+        zero, and crosses the thruster's dead zone slowly at first.
     """
     _, phase = sweep_phase(seconds, f0, f1)
     return (sign * n_max * (0.5 - 0.5 * np.cos(phase)))[:, None]
@@ -138,6 +139,8 @@ def bench_plan(
     kind: str, thruster: str, n_max: float = 0.9, hold_s: float = HOLD_S, chirp_s: float = 20.0, count: int = 6
 ) -> Mission:
     """Return the plan of a bench run with one thruster, which starts and ends with 10 s at rest.
+
+    After each staircase and each chirp the command is zero for 3 s.
 
     Parameters
     ----------
@@ -198,7 +201,7 @@ def make_mission(
         "steps" (surge steps, then random steps of both thrusters), "zigzag", "chirp", or "mixed" (four equal parts:
         surge steps, zigzag, random steps, chirps).
     seconds : float
-        Duration [s]. It includes 5 s of zero thrust at the start and 5 s at the end.
+        Duration [s], more than 10 s. It includes 5 s of zero thrust at the start and 5 s at the end.
     seed : int
         Seed of the random generator.
     thrusters : tuple of str

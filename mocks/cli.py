@@ -49,6 +49,7 @@ def _open_unless_link(path: str, flags: int) -> int:
 def _shared_options(effects: Sequence[str]) -> Callable[[Command], Command]:
     """Return a decorator that adds the argument RIG and the common options to `mock boat` or `mock bench`.
 
+    They are --seed, --run, --effect, --truth-file, --trace, --fault (several times) and --ascii.
     ``effects`` are the names of hidden effects that --effect accepts besides "none" and "draw".
     """
     choice = click.Choice(["none", "draw", *effects])

@@ -65,7 +65,8 @@ def simulate(
     boat : Boat
         Parameters and hidden effects of the boat.
     t : Array (n_commands,)
-        Times of the commands [s]. Each command holds until the next one.
+        Times of the commands [s]. Each command holds until the next one; before the first one it is zero. Commands
+        after the end of the simulation are left out.
     n : Array (n_commands, 2)
         Commands of the left and the right thruster (-1 to 1).
     duration : float
@@ -108,7 +109,8 @@ def simulate_bench(
     bench : Bench
         Parameters and hidden effect of the bench.
     t : Array (n_commands,)
-        Times of the commands [s]. Each command holds until the next one.
+        Times of the commands [s]. Each command holds until the next one; before the first one it is zero. Commands
+        after the end of the simulation are left out.
     n : Array (n_commands,) or (n_commands, 1)
         Commands (-1 to 1, positive forward).
     duration : float
@@ -150,7 +152,8 @@ def _simulate(
     world : World
         The simulated boat or bench with its devices, at time 0. It is advanced to the end of the simulation.
     t : array_like (n_commands,)
-        Times of the commands [s], which must not decrease. Each command holds until the next one.
+        Times of the commands [s], which must not decrease. Each command holds until the next one; before the first one
+        it is zero. Commands after the end of the simulation are left out.
     n : array_like (n_commands, n_thrusters)
         Commands of the thrusters (-1 to 1); for one thruster also (n_commands,).
     duration : float

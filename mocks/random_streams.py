@@ -36,7 +36,10 @@ def random_stream(seed: int, name: int, run: int | None = None, index: int = 0) 
 
 
 def normals(rng: np.random.Generator) -> Draw:
-    """Return a function without arguments that returns a new standard normal number at each call, drawn by ``rng``."""
+    """Return a function without arguments that returns a new standard normal number at each call, drawn by ``rng``.
+
+    The numbers are drawn ahead in blocks of 1024, so ``rng`` should not be used elsewhere.
+    """
 
     # Numbers are drawn in blocks, since single draws are slow.
     def blocks() -> Iterator[float]:

@@ -116,7 +116,8 @@ class AhrsErrors:
     def __init__(self, effects: Sequence[HiddenEffect], dt: float) -> None:
         """Take from the hidden ``effects`` those errors that concern an AHRS. Other effects are ignored.
 
-        ``dt`` is the time between two samples [s].
+        Errors of compass, gyro and mounting of several effects add up. Accelerometer errors are applied one after the
+        other, before the rotation of the mounting. ``dt`` is the time between two samples [s].
         """
         self._compasses = [e.compass for e in effects if e.compass is not None]
         self._gyros = [e.gyro for e in effects if e.gyro is not None]
@@ -280,6 +281,7 @@ class GnssErrors:
     def __init__(self, effects: Sequence[HiddenEffect], seed: int, run: int, dt: float, index: int) -> None:
         """Set up the position errors of one GNSS receiver in one run, from the noise of the hidden ``effects``.
 
+        The errors of several effects add up.
         ``seed``, ``run`` and ``index`` (the number of the receiver on the boat) select the random numbers. ``dt`` is
         the time between two samples [s].
         """
@@ -310,8 +312,9 @@ class GnssErrors:
 class EscSensor:
     """Model of the telemetry of a speed controller: shaft speed, current, duty, voltage and temperature.
 
-    The noise of the shaft speed is 5 rev/min. Current and temperature depend on the thrust. The voltage depends on
-    the current and on the used energy.
+    The noise of the shaft speed is 5 rev/min. The current depends on thrust and shaft speed, and is positive in both
+    directions. The temperature follows the squared current with a time constant of 60 s. The voltage falls with the
+    current and with the used energy.
     """
 
     def __init__(self, seed: int, run: int, node: int, rpm_max: float, telemetry: Telemetry | None = None) -> None:
@@ -388,7 +391,10 @@ class CellSpec:
 
 
 class LoadCellSensor:
-    """Model of a load cell with white noise, a slow drift and an error of its zero (standard deviation 0.3 N)."""
+    """Model of a load cell with white noise (0.1 N), a random-walk drift (0.001 N/sqrt(s)) and an error of its zero.
+
+    The error of the zero is drawn for each run with a standard deviation of 0.3 N.
+    """
 
     def __init__(self, seed: int, run: int, spec: CellSpec, index: int = 0) -> None:
         """Set up a simulated load cell.

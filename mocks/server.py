@@ -121,8 +121,8 @@ class Server:
     def _apply_faults(self, t: float) -> None:
         """Start and end the faults of ports and speed controllers that are due at run time ``t`` [s].
 
-        They are "pull" (the port is closed), "esc-dead" and "esc-stuck". If `triggered` is set, all faults whose start
-        on the command line is `usr1` start.
+        They are "pull" (the port is closed), "esc-dead" and "esc-stuck". A controller obeys commands again when its
+        fault ends. If `triggered` is set, all faults whose start on the command line is `usr1` start.
         """
         if self.triggered:
             self.triggered = False
@@ -157,8 +157,8 @@ class Server:
     def _advance_world(self, t: float) -> None:
         """Advance the simulated boat or bench to run time ``t`` [s], and send the samples that become due.
 
-        At most STEPS_MAX steps are made, so that the ports are served even if the simulation is late. Then the bytes
-        that wait at the ports are sent.
+        At most STEPS_MAX steps are made, so that the ports are served even if the simulation is late; later calls make
+        up for the rest. Then the bytes that wait at the ports are sent.
         """
         world = self._world
         for _ in range(STEPS_MAX):

@@ -163,7 +163,8 @@ class EscController:
     def command(self, t: float, duty: float) -> None:
         """Obey a duty command (-1 to 1, with its sign on the bus) that arrives at time ``t`` [s].
 
-        The time-out starts again. A dead or stuck controller ignores the command.
+        The time-out starts again. A dead or stuck controller ignores the command. The command is not clipped here; the
+        simulated thruster clips it.
         """
         if self.dead or self.stuck:
             return
@@ -174,14 +175,18 @@ class EscController:
     def check(self, t: float) -> None:
         """Stop the motor if no command has arrived within the controller's time-out before ``t`` [s].
 
-        The stop gets the time at which the time-out ended. A controller with the fault "stuck" does not stop.
+        The stop gets the time at which the time-out ended. A controller whose attribute `stuck` is true does not stop.
+        Before the first command there is no time-out.
         """
         if t > self.deadline and not self.stuck:
             t_end, self.deadline = self.deadline, math.inf
             self._set_effective_command(t_end, 0.0, "timeout")
 
     def die(self, t: float) -> None:
-        """Let the speed controller fail at ``t`` [s]: from then on it gives no thrust and sends no telemetry."""
+        """Let the speed controller fail at ``t`` [s]: from then on it gives no thrust and sends no telemetry.
+
+        The caller may set `dead` to False later; the controller then obeys the next command.
+        """
         self.dead, self.deadline = True, math.inf
         self._set_effective_command(t, 0.0, "dead")
 

@@ -19,9 +19,9 @@ STAIRS, STAIR_S = 6, 0.8  # number of levels of the staircase, and s of each; it
 def actuator_plan(rig: Rig, n: float = N_ACTUATOR_TEST) -> Mission:
     """Return the mission of an actuator test for all thrusters of a rig.
 
-    The thrusters run one after the other: forward for 3 s, in reverse for 3 s, and forward in a staircase of six levels
-    up to ``n``. Then all thrusters run together, forward for 3 s and in reverse for 3 s. The commands are zero for
-    1.5 s between these, and for 4 s at the start and at the end.
+    The thrusters run one after the other: at ``n`` for 3 s, at ``-n`` for 3 s, and forward in a staircase of six equal
+    steps up to ``n``, each for 0.8 s. Then all thrusters run together, at ``n`` for 3 s and at ``-n`` for 3 s. The
+    commands are zero for 1.5 s between these, and for 4 s at the start and at the end.
 
     Parameters
     ----------

@@ -39,7 +39,8 @@ class Autopilots:
     """Autopilots that pass the commands of a mission on to thrusters: checked before a run, armed and disarmed.
 
     Thrusters on a CAN bus have no autopilot. A mission with only such thrusters has no autopilots, and the methods then
-    do nothing.
+    do nothing. A link test is an earlier measurement of the time in which an autopilot ends thrust after our frames
+    stop; its result is stored beside the rig file.
 
     Attributes
     ----------
@@ -324,7 +325,8 @@ class Autopilots:
         """Return the names of autopilots that this run has armed and whose disarming is not confirmed.
 
         The confirmation is a heartbeat with the state "disarmed" that was sent after the request and is at most 3 s
-        (wall) old. If the acquisition has failed, the note counts that its watchdog process has written beside the log.
+        (wall) old. If the acquisition has failed, its watchdog process has tried to disarm them. Then an autopilot
+        counts as disarmed only if the note that the watchdog has written beside the log reports this.
         """
         try:
             links = [self._link_status(self._rig.device(name)) for name in self._armed]

@@ -18,7 +18,7 @@ POLL_S = 0.02  # wall seconds between two checks
 
 
 def silent_devices(rig: Rig, status: Status, thrusters: Sequence[str]) -> list[str]:
-    """Return the devices of a rig, and those of the named thrusters, that have not sent any sample yet.
+    """Return the devices of a rig, and which of the named thrusters, have not sent any sample yet.
 
     A thruster sends a sample when its speed controller, or the autopilot for its output, reports.
 
@@ -90,7 +90,7 @@ def await_limits(rig: Rig, acquisition: Acquisition, guard: SafetyGuard, wait: C
     """Wait until thrust may be commanded: every limit has a source, every device has its rate, and no thruster turns.
 
     A source of a limit is a device that reports the limited quantity. A device has its rate if it sends samples at
-    `rate_hz` of the rig, within a factor of 3.
+    `rate_hz` of the rig, within a factor of 3; a device whose rate is not measured yet is not waited for.
 
     Parameters
     ----------

@@ -246,8 +246,8 @@ def measure_link_loss(log: Log, device: Device, link: LinkStatus, n: float) -> L
     Raises
     ------
     SeatrialError
-        If the log contains no link test. Also if an output did not reach half of ``n`` before frames stopped: its
-        neutral value afterwards then proves nothing.
+        If the log lacks the event at which the runner stopped frames, or frames to this autopilot. Also if the last
+        output before frames stopped was below half of ``n``: its neutral value afterwards then proves nothing.
     """
     rig = log.rig
     assert rig is not None

@@ -54,7 +54,7 @@ class MissionStatus:
     speed : float or None
         Speed over ground [m/s]; None if no device measures it.
     warning : str
-        Last one of the present warnings of the acquisition; empty without one.
+        Last one of the present warnings of the acquisition process, for example on a silent device; empty without one.
     """
 
     segment: str

@@ -86,7 +86,7 @@ def run_mission(
     path : Path
         Path of the new log.
     display : Display
-        Display that shows the state of the run to the operator.
+        Display that shows the state of the run to the operator. It is started and ended here.
     metadata : dict, optional
         Metadata of the log: texts by name.
     arm : bool
@@ -134,7 +134,7 @@ def run_link_test(rig: Rig, path: Path, display: Display, metadata: dict[str, st
     path : Path
         Path of the new log.
     display : Display
-        Display that shows messages to the operator.
+        Display that shows messages to the operator. It is started and ended here.
     metadata : dict
         Metadata of the log: texts by name.
     arm : bool
@@ -175,8 +175,9 @@ def _prepared_runner(
     """Check a mission against the limits of its rig, start the acquisition, and yield the runner of the mission.
 
     Handlers of signals and ``keys`` (the context that reads keys of the operator) are started too. The other parameters
-    are those of `run_mission`. At the end of the context the acquisition is stopped and the signal handlers are
-    restored. Raises SeatrialError if the mission is beyond the limits, the log exists, or the acquisition cannot start.
+    are those of `run_mission`; ``display`` is not started here. At the end of the context the acquisition is stopped
+    and the signal handlers are restored. Raises SeatrialError if the mission is beyond the limits, the log exists, or
+    the acquisition cannot start.
     """
     dry_run(mission, rig)
     new_log_file(path)
@@ -423,7 +424,7 @@ class _Runner:
         """Send set-points to the acquisition if the guard allows them.
 
         ``rows`` are pairs of run time [s] and n_cmd by thruster. Raises SafetyStop if a set-point is not allowed, for
-        example beyond `limits.n_max`. Before the guard is started no set-point is sent.
+        example beyond `limits.n_max`. Before the guard is started, and after a stop, set-points are discarded.
         """
         allowed = self._guard.allow(rows)
         self._moved = self._moved or any(n != 0.0 for _, row in allowed for n in row.values())
@@ -496,7 +497,7 @@ class _Runner:
         """Wait for ``wall_s`` seconds (wall).
 
         Raises RunInterrupted as soon as a signal arrives. Raises SafetyStop, before the wait, if the computer was
-        suspended since the last call.
+        suspended (for more than 0.1 s) since the last call.
         """
         if slept := self._suspended.slept():
             raise SafetyStop(f"the computer was suspended for {slept:.1f} s")

@@ -315,9 +315,10 @@ class MovementWatch:
     def is_frozen(self) -> bool:
         """Whether the device is frozen: its value should have changed by now because of the commands.
 
-        A position must change after the equivalent of 3 s of full thrust forward or in reverse (and at least 5 s), or
-        after 5 m by the reported speed. Any other value must change within 2 s after a change of a command by 0.3. All
-        of this counts from the last change of the value, in run time. At least 5 samples must have repeated the value.
+        A position must change after an integral of 3 s of the absolute mean command of all thrusters (and at least
+        5 s), or after 5 m by the reported speed. Any other value must change within 2 s after a change of a command by
+        0.3. All of this counts from the last change of the value, in run time. At least 5 samples must have repeated
+        the value.
         """
         if self.is_position:
             driven = self._impulse >= IMPULSE_S and self.unchanged_s >= AT_REST_S
@@ -663,8 +664,8 @@ class ControllerCheck:
 
         ``esc`` is the newest sample of the speed controller, and ``t`` its run time [s]. The duty must be within 0.1 of
         the range from zero to the commands of the last second; a deviation ends the run after 0.3 s. Both times are
-        longer by the delay of the link. Zero belongs to the range, because a controller that limits its current puts
-        out less duty. A duty of NaN is not checked.
+        longer by the delay of the link (0.25 s and 0.1 s of wall time). Zero belongs to the range, because a controller
+        that limits its current puts out less duty. A duty of NaN is not checked.
         """
         recent = [0.0, *self._commands.since(t - self._window_s)]
         if not math.isfinite(esc.duty) or min(recent) - DUTY_TOLERANCE <= esc.duty <= max(recent) + DUTY_TOLERANCE:
@@ -696,7 +697,9 @@ class ControllerCheck:
     def _motion(self, esc: Esc, t: float) -> _Motion:
         """Return the motion of the motor, under the condition that zero is commanded to it.
 
-        ``esc`` is the newest sample of its speed controller, and ``t`` the run time of this sample [s].
+        ``esc`` is the newest sample of its speed controller, and ``t`` the run time of this sample [s]. A duty above
+        0.05 means driven. Below it, the motor coasts if its current is at most 5 % of the largest so far (which must
+        have reached 1 A). Otherwise it is driven if its speed is above 92 % of the largest in the last 3 s.
         """
         has_duty = math.isfinite(esc.duty)
         if has_duty and abs(esc.duty) > FREE_DUTY:
@@ -716,7 +719,8 @@ class ControllerCheck:
         """Return why the run has to end if the motor does not turn after 3 s of commands of 0.3 or more; else empty.
 
         ``esc`` is the newest sample of the speed controller, and ``t`` its run time [s]. The commands must have one
-        sign. A motor that draws more than 0.5 A, or that reports neither shaft speed nor duty, gives no reason.
+        sign. A motor does not turn if its reported shaft speed is below 10 rev/min and its reported duty at most 0.05.
+        A motor that draws more than 0.5 A, or that reports neither of these, gives no reason.
         """
         begin = t - self._coast_s
         recent = self._commands.since(begin)
@@ -881,8 +885,8 @@ class SafetyGuard:
     def _all_stops(self, now: float, status: Status) -> Iterator[Stop]:
         """Yield all reasons to end the run at this status of the acquisition, at run time ``now`` [s].
 
-        They are a stop or a silence of the acquisition process, then autopilots and the response of thrusters (only in
-        the state RUNNING), then devices and limits.
+        They are a stop or a silence of the acquisition process (1 s of wall time), then autopilots and the response of
+        thrusters (only in the state RUNNING), then devices and limits.
         """
         if status.stopped:
             yield Stop(StopCode.ACQUISITION, status.stopped)
@@ -950,8 +954,9 @@ class SafetyGuard:
     def unwatched(self, status: Status) -> list[LimitSource]:
         """Update the sources of all limits, and return the limits that have no source at this status.
 
-        A source is a device that has reported the limited quantity recently and is not frozen. A run may start only if
-        the returned list is empty. Samples of a kind that a device repeats, as a dead sensor does, are ignored.
+        A source is a device that has reported the limited quantity recently (`_limit_patience`) and is not frozen. A
+        run may start only if the returned list is empty. If the status reports that a device sends the same values of a
+        kind of sample again and again, as a dead sensor does, these samples are ignored.
         """
         commands = {thruster.name: status.commanded.get(thruster.name, 0.0) for thruster in self._thrusters}
         # A dead source does not count, whatever its value is.
@@ -969,7 +974,9 @@ class SafetyGuard:
     def _limit_patience(self, limit: LimitSource) -> float:
         """Return how long [run s] the quantity of ``limit`` may be missing before the limit has no source.
 
-        The time is that of its device, made longer by a factor. It is minus infinity before the first report.
+        It is the time for which the device may be silent (`patience`, by the rate of one thruster if it has several),
+        times 1.5, or times 3 for a quantity that is sent less often. It is at most 6 s, or on fast mocks 1.5 s (3 s) of
+        wall time if that is longer. It is minus infinity before the first report: the limit has no source then.
         """
         if not limit.source:
             return -math.inf
@@ -1031,7 +1038,8 @@ class SafetyGuard:
     def _silent_devices(self, status: Status) -> Iterator[Stop]:
         """Yield a reason to end the run for each lost port, each silent device, and each silent thruster.
 
-        A device or thruster is silent if it has sent no sample for longer than its rate permits (`patience`).
+        A device or thruster is silent if it has sent no sample for longer than its rate permits (`patience`), or none
+        at all. A port is lost if it is closed after its device has sent samples.
         """
         for device in self._rig.devices:
             port = status.ports.get(device.name)
@@ -1182,10 +1190,11 @@ class SafetyGuard:
             yield f"battery of {name} has {100 * battery.remaining:.0f} % left, least {100 * limits.battery_min:g} %"
 
     def _passed_force_limit(self, name: str, cell: LoadCell, t: float) -> Iterator[str]:
-        """Yield a line of text if the force passes its limit, or if the load cell is saturated for a second sample.
+        """Yield a line of text if the force passes its limit, or if two successive samples are saturated.
 
         ``name`` is the load cell, ``cell`` its sample, and ``t`` the run time of the sample [s]. A sample with the flag
-        of a spike, a force of NaN, or a limit that is not set, gives nothing.
+        of a spike, a force of NaN, or a limit that is not set, gives nothing. The force at rest is named in the text if
+        it is more than 5 % of the limit.
         """
         limit = self._rig.limits.force_n
         if limit is None:
@@ -1291,7 +1300,7 @@ class Fence:
     """Geofence: a circle around the first position of the boat, inside which the boat must be able to stop.
 
     A GNSS receiver may report a single wrong position. A position that the boat cannot have reached counts only if a
-    second one confirms it.
+    second one confirms it. All receivers share the centre, and each is checked alone.
     """
 
     def __init__(self, radius_m: float, vehicle: Mapping[str, float]) -> None:
@@ -1337,8 +1346,9 @@ class Fence:
         """Return whether the position ``here`` of the receiver ``name`` is doubtful and not confirmed.
 
         A position is doubtful if the boat cannot have reached it: more than 20 m plus 15 m/s times the time from the
-        receiver's last accepted position, or a speed above 15 m/s. It is stored. The next newer position confirms it if
-        it is doubtful too; then return False.
+        receiver's last accepted position, or a speed above 15 m/s. The first one is stored. If the next newer position
+        is doubtful by the same rule, return False for it: the jump is confirmed, whether or not both are close to each
+        other.
         """
         last = self._last.get(name)
         if last is not None:
@@ -1358,8 +1368,8 @@ class Fence:
         """Return why the run has to end, if the boat is outside the fence or cannot stop inside it; else empty.
 
         ``here`` is the position relative to the start, and ``fix`` the sample of the receiver ``name`` with the
-        velocity. Only the outward part of the velocity counts for the stopping distance. Without a course the whole
-        speed is taken as outward; without a speed only the position counts.
+        velocity. The boat stops after 0.1 s at its outward velocity and the `stopping_distance` from it. Without a
+        course the whole speed is taken as outward; without a speed only the position counts.
         """
         length = math.hypot(here.north, here.east)
         distance = EARTH_RADIUS_M * length

@@ -332,8 +332,9 @@ class CommandFollower(MissionSequencer):
     If one thruster gets no new command for a time-out, zero is commanded to all thrusters. At the start, and after each
     such silence or pause, commands are followed only after zero was commanded to every thruster, as with a transmitter.
 
-    The run ends after an invalid command, a command beyond `n_max`, a command without a complete attachment, a repeated
-    command or one out of order, a second sender, and too many commands at once.
+    The run ends after an invalid command, a command beyond `n_max`, a command without a complete attachment (the
+    metadata with sequence number, time and id of its publisher), a repeated command or one out of order, a second
+    sender, and too many commands at once.
     """
 
     def __init__(
@@ -383,7 +384,7 @@ class CommandFollower(MissionSequencer):
         """Take the new external commands, check them, and schedule the resulting set-points within the slew limit.
 
         If a thruster has had no command for the time-out, zero is scheduled on all thrusters. Nothing is scheduled
-        during a pause, and before every thruster was commanded zero.
+        during a pause, and before the newest commands of all thrusters are zero (at most 0.02).
 
         Parameters
         ----------
@@ -439,7 +440,8 @@ class CommandFollower(MissionSequencer):
         """Check an external command for the thruster ``name``, and store it as the newest, with run time ``now`` [s].
 
         Another sender may take over only after the time-out without a command. Raises SafetyStop if the command is NaN,
-        beyond the mission's `n_max`, without an id of its sender, of a second sender, repeated, or out of order.
+        beyond the mission's `n_max`, without an id of its sender, of a second sender, repeated, or out of order (its
+        sequence number is not above that of the sender's command before).
         """
         if not abs(command.n) <= self._mission.n_max:  # written with `not`, so that NaN is refused too
             limit = f"{self._mission.n_max:g}"
@@ -588,7 +590,8 @@ class Schedule:
     def static_windows(self) -> list[tuple[str, float, float]]:
         """Return the intervals at rest at the start and at the end of the mission, by their executed run times.
 
-        Each is ("start" or "end", begin, end), with run times [s]. An interval is missing if the mission does not rest
-        there. The last one begins 3 s after zero thrust, when the water has calmed.
+        Load cells are tared in them. Each is ("start" or "end", begin, end), with run times [s]. An interval is missing
+        if the mission does not rest there. The last one begins 3 s after zero thrust, when the water has calmed, or in
+        the middle of a last segment of less than 6 s.
         """
         return windows_of([(span.begin, span.end, span.name) for span in [*self._executed, *self._planned]])

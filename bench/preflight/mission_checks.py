@@ -122,7 +122,7 @@ def track(mission: Mission, rig: Rig) -> tuple[FloatArray, FloatArray, FloatArra
     Notes
     -----
     Model of surge, sway and yaw (Fossen 2011, 6.5) with linear and quadratic damping. The thrust is c1 n|n| + c2 n^2,
-    without lag or delay.
+    forward along the boat, without lag or delay.
     """
     p = {"c2": 0.0, "d_uu": 0.0, "d_vv": 0.0, "d_rr": 0.0, **rig.vehicle}
     y_thruster = [rig.thruster(name).position_m[1] for name in mission.thrusters]

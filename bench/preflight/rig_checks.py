@@ -56,9 +56,9 @@ def listen(rig: Rig, wall_s: float, path: Path, guard: SafetyGuard) -> Status:
 def check_ports(rig: Rig, status: Status) -> Iterator[Finding]:
     """Yield the findings on the ports of a rig after a recording at rest.
 
-    They are devices without a sample, ports with an error or a remark, devices that have fallen silent, autopilots, and
-    thrusters that are not reported. The latter are left out if no device at all has sent a sample. ``status`` is the
-    last status of the recording.
+    They are devices without a sample, ports with an error (fault) or a remark of the decoder on the received data
+    (warning), devices that have fallen silent, autopilots, and thrusters that are not reported. The latter are left out
+    if no device at all has sent a sample. ``status`` is the last status of the recording.
     """
     for device in rig.devices:
         port = status.ports.get(device.name)

@@ -34,7 +34,7 @@ class Layout:
         Names of the results that are summed over all rows, such as the log-likelihood.
     grams : frozenset[str]
         Names of the results that are matrices of inner products between all lanes (`loop_plan.GramStage`), in blocks
-        of (width, width).
+        of (width, width). Only blocks on and above the diagonal are written.
     width : int
         Number of lanes in one group: the number of doubles in a vector register (2, 4 or 8).
     """

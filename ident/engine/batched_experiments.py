@@ -37,7 +37,8 @@ _lock = threading.RLock()  # CasADi and LLVM build one kernel at a time
 def batch_for(model: Model, free: Sequence[str], *, covariance: bool) -> ExperimentBatch:
     """Return the kernels (compiled programs) that compute the Fisher information of many experiments with one model.
 
-    A repeated call returns the same object. Models that differ only in parameter values share it.
+    A repeated call returns the same object, which is kept until the process ends. Models that differ only in parameter
+    values share it.
 
     Parameters
     ----------
@@ -70,7 +71,8 @@ def discrimination_batch_for(
 
     T-optimal discrimination of two models uses it.
 
-    A repeated call returns the same object. Models that differ only in parameter values share it.
+    A repeated call returns the same object, which is kept until the process ends. Models that differ only in parameter
+    values share it.
 
     Parameters
     ----------
@@ -232,7 +234,8 @@ class FilterSymbols:
         """Return the stage (step of a kernel in each row) that updates the arrays ``low`` and ``high``.
 
         These pass from row to row, and hold the least and the largest value so far of the quantities that the function
-        `extremes` lists: the states and the squared speed.
+        `extremes` lists: the states and the squared speed. Their values before the first row count too, so that the
+        caller starts them from plus and minus infinity. The end of the last interval does not count.
         """
         model, mean = self.graphs.model, self.graphs.mean
         names = [v.name for v in model.states]
@@ -284,7 +287,8 @@ class ExperimentBatch:
         The results for each experiment (lane) are ``fisher``, ``low`` and ``high``. ``fisher`` is the upper triangle of
         the information matrix of the free parameters, by matrix rows (q (q + 1) / 2 entries), summed over the rows of
         the record. ``low`` and ``high`` are the least and largest values of the quantities that the function `extremes`
-        lists: the states and the squared speed.
+        lists: the states and the squared speed. The caller passes initial values of the filter state ``s``, of the
+        sensitivities ``X``, and of ``low`` and ``high`` (plus and minus infinity).
         """
         with _lock:
             f = FilterSymbols(self.model, self.free, self.covariance)
@@ -300,7 +304,8 @@ class ExperimentBatch:
         """Pair of kernels that simulate the model without process noise: with common inputs, and with separate inputs.
 
         The results for each experiment (lane) are ``low`` and ``high``, the least and largest values of the quantities
-        that the function `extremes` lists: the states and the squared speed.
+        that the function `extremes` lists: the states and the squared speed. The caller passes their initial values,
+        plus and minus infinity, and the initial states ``s``.
         """
         with _lock:
             f = FilterSymbols(self.model, (), covariance=False)
@@ -388,8 +393,9 @@ class DiscriminationBatch:
         e are the innovations, S their variances and de their derivatives by the q free parameters. The results for each
         experiment (lane) are sums over the rows of the record: ``ee`` of ``e' S^-1 e``, ``score`` (q,) of
         ``de' S^-1 e``, and ``fisher`` of ``de' S^-1 de``, its upper triangle by matrix rows. Further results are
-        ``low`` and ``high``, the least and largest values of the states (and squared speed) of the filter. The names of
-        the arrays of the model ``truth`` end in ``_true``.
+        ``low`` and ``high``, the least and largest values of the states (and squared speed) of the filter; the caller
+        starts them from plus and minus infinity. The names of the arrays of the model ``truth`` end in ``_true``. Both
+        models have separate inputs for each experiment.
         """
         with _lock:
             f, true = (

@@ -342,7 +342,7 @@ class EkfGraphs:
     def residual(self) -> Any:
         """Measured minus predicted value of all outputs (n_outputs, 1), before any update of the row by a sensor.
 
-        Angles are wrapped to -pi to pi.
+        Angles are wrapped to [-pi, pi).
         """
         e = self.y - self.output(self.mean, self.u, self.p)
         return ca.vertcat(*[_wrap_angle(e[i]) if o.angle else e[i] for i, o in enumerate(self.model.outputs)])
@@ -442,7 +442,7 @@ class EkfGraphs:
         S : SX
             Variance of the innovation.
         inverse_variance : SX
-            1 / S for normal noise; less if the density of the noise includes outliers.
+            1 / S for normal noise; less, even negative, if the density of the noise includes outliers.
         """
         if not self.joseph:
             return P - (PH * inverse_variance) @ PH.T
@@ -453,7 +453,7 @@ class EkfGraphs:
 
 
 def _wrap_angle(angle: Any) -> Any:
-    """Return the expression of an angle [rad] wrapped to -pi to pi."""
+    """Return the expression of an angle [rad] wrapped to [-pi, pi)."""
     return angle - 2 * math.pi * ca.floor(angle / (2 * math.pi) + 0.5)
 
 

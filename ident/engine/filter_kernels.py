@@ -30,7 +30,7 @@ def filter_kernels_for(model: Model, *, covariance: bool = True, joseph: bool = 
     """Return the kernels of a model's filter. Models that differ only in parameter values share them.
 
     Kernels are compiled programs that run over all rows of a record. Those of the 12 models that were requested last
-    stay in memory, so that a repeated call returns the same object.
+    stay in memory, and others as long as the caller refers to them, so that a repeated call returns the same object.
 
     Parameters
     ----------
@@ -131,7 +131,8 @@ class FilterKernels:
     def filter(self) -> Kernel:
         """Kernel (program over all rows of a record) that returns the output of the filter for each row.
 
-        The output has predicted and filtered states, covariances and innovations. The filter must have a covariance.
+        The output has predicted and filtered states, covariances and innovations. The filter must have a covariance;
+        without one the kernel cannot be built.
         """
         return self._kernel("filter")
 
@@ -139,7 +140,7 @@ class FilterKernels:
     def simulate(self) -> Kernel:
         """Kernel (program over all rows of a record) of a simulation without process noise.
 
-        It is valid only for a filter without a covariance.
+        It is valid only for a filter without a covariance; this is not checked.
         """
         return self._kernel("simulate")
 

@@ -69,7 +69,7 @@ class Plans:
 
         It runs from the last row to the first, and through the stages (updates and prediction) of a row in reverse
         order. Results: ``g``, the derivatives by the parameters, summed over the rows, and ``bar``, the derivatives by
-        the initial filter state.
+        the initial filter state. ``bar`` starts from zero at the last row.
         """
         stages: list[ExpressionStage | GramStage | ProductStage] = []
         for (_, _, bit), adjoint in zip(self._forward_steps(), self._adjoints, strict=True):
@@ -91,7 +91,8 @@ class Plans:
         A lane is one element of the processor's vector registers. Arrays in lanes: ``ds`` (carried), the derivatives of
         the filter state, which start from those of the initial state; ``dp`` (constant), the unit vector of the chosen
         parameter; ``dll`` (summed over the rows), the derivative of the log-likelihood. ``fisher`` (summed) is the
-        expected Fisher information between all lanes. ``ll`` and ``s`` are those of ``value``.
+        expected Fisher information between all lanes, of which only blocks on and above the diagonal are written.
+        ``ll`` and ``s`` are those of ``value``.
 
         Notes
         -----

@@ -38,7 +38,8 @@ def interpret(
         Contiguous arrays of all arguments and results by name, with the number of items of ``plan.shape``. Results are
         written in place: sums are added to the present values, other results are overwritten.
     per_row : Set[str]
-        Names of summed results of which the contribution of each row is wanted instead of the sum.
+        Names of summed results of which the contribution of each row is wanted instead of the sum. Their arrays have
+        entries for each row, to which the contributions are added.
     """
     shaped = {name: a.reshape(plan.shape(name, n_rows, groups, name in per_row)) for name, a in arrays.items()}
     order = range(n_rows - 1, -1, -1) if plan.backward else range(n_rows)

@@ -76,7 +76,9 @@ _quick_contexts: list[object] = []
 
 @contextmanager
 def quick_compilation(n_rows: int) -> Iterator[None]:
-    """Context in which kernels are compiled quickly, with less optimisation. The setting applies to all threads.
+    """Context in which kernels are compiled quickly, with less optimisation.
+
+    The setting applies to all threads, as long as one of them is in such a context.
 
     It is meant for models that are fitted only once. Above 10 000 rows (`QUICK_ROWS`), it has no effect, because the
     slower code would cost more time than the compilation saves.
@@ -172,8 +174,8 @@ def load_cached_machine_code(key: str, symbol: str) -> tuple[Any, int] | None:
     Returns
     -------
     tuple[object, int] or None
-        Linked library and address of the function, as from `load_machine_code`. None if the machine code is not in the
-        cache, or if llvmlite is not installed.
+        Linked library, which the caller keeps as long as the code is used, and address of the function. None if the
+        machine code is not in the cache, or if llvmlite is not installed.
     """
     machine_code = read_cache(f"{key}.o") if AVAILABLE else None
     return None if machine_code is None else _link_object_file(machine_code, key, symbol)
@@ -182,7 +184,8 @@ def load_cached_machine_code(key: str, symbol: str) -> tuple[Any, int] | None:
 def _link_object_file(machine_code: bytes, key: str, symbol: str) -> tuple[Any, int]:
     """Link machine code, the content of an object file, under the name ``key``.
 
-    Return the linked library, and the address of its function ``symbol``.
+    Return the linked library, and the address of its function ``symbol``. The address is valid as long as the library
+    is referenced. ``key`` need not be unique, because each call links separately.
     """
     builder = llvm.JITLibraryBuilder().add_object_img(machine_code).add_current_process().export_symbol(symbol)
     library = builder.link(llvm.create_lljit_compiler(_target_machine(KERNEL[1])), key)
@@ -225,8 +228,9 @@ def read_cache(name: str) -> bytes | None:
     Returns
     -------
     bytes or None
-        None if the file is missing or damaged, or if another user may write to it or to its folder. Errors of the
-        operating system are not raised.
+        Content as given to `write_cache`. None if the file is missing or damaged (the SHA-256 that `write_cache` put
+        before the content differs), or if another user may write to it or to its folder. Errors of the operating system
+        are not raised.
 
     Notes
     -----
@@ -257,6 +261,8 @@ def _only_we_can_write(path: Path) -> bool:
 def write_cache(name: str, content: bytes) -> None:
     """Store a file with this name and content in the cache on disk, for later processes.
 
+    The SHA-256 of the content is put before it. A file of the same name is replaced as a whole, so that other processes
+    never read a part of it.
     If the cache exceeds 400 MB, its least recently used files are deleted. The size is checked at the first file of a
     process and then after every 4 MB. A cache that cannot be written is not an error.
     """

@@ -85,7 +85,10 @@ class ArenaPool:
 
     @contextmanager
     def borrow(self) -> Iterator[Arena]:
-        """Context that lends an arena (memory for arrays) which no other caller has. Create one if all are lent."""
+        """Context that lends an arena (memory for arrays) which no other caller has. Create one if all are lent.
+
+        At the end of the context the arena returns to the pool. Arrays in it must not be used any more.
+        """
         with self._lock:
             arena = self._free.pop() if self._free else Arena()
         try:
@@ -107,7 +110,8 @@ class Kernel:
     plan : Plan
         Description of the computation in each row, and of the arrays that it reads and writes.
     compiled : bool, optional
-        False: interpret the plan, which is slow (reference of the tests). None: compile if llvmlite is installed.
+        False: interpret the plan, which is slow (reference of the tests). None: compile if llvmlite is installed, else
+        interpret. True: compile; RuntimeError is raised without llvmlite.
 
     Attributes
     ----------

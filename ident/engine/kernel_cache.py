@@ -223,7 +223,7 @@ def load_kernel(key: str, name: str) -> tuple[Layout, str] | None:
     -------
     tuple[Layout, str] or None
         Names, sizes and kinds of the arrays, and key for `jit.load_cached_machine_code`. None if the cache lacks the
-        kernel.
+        kernel, or if its file is damaged or may have been written by another user.
     """
     content = jit.read_cache(f"{key}.{name}.json")
     if content is None:

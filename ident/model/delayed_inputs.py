@@ -44,7 +44,8 @@ def tap_name(name: str, tap: int, step: float | None = None) -> str:
     name : str
         Name of the input.
     tap : int
-        Delay of the copy in steps; negative for a copy of later values. 0: the result is ``name`` itself.
+        Delay of the copy in steps; negative (``n_left~-1``) for a copy of later values. 0: the result is ``name``
+        itself.
     step : float or None
         Length of a step [s], if it is to be part of the name. None: the name contains only ``tap``.
     """
@@ -60,7 +61,8 @@ def delay_weights(position: Any, n: int) -> list[Any]:
     ----------
     position : float or symbol
         Position of the interpolated value in sample intervals, from 0 (first sample) to n - 1 (last sample). Beyond the
-        ends, the samples are extrapolated linearly for at most one interval.
+        ends, the samples are extrapolated linearly for at most one interval. Weights farther outside are wrong, without
+        an error.
     n : int
         Number of samples, at least two.
 

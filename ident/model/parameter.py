@@ -32,11 +32,22 @@ class ParameterRole(StrEnum):
 
     A model declares ``DYNAMICS`` or ``DISTURBANCE`` for each parameter. The roles ``NOISE`` and ``INITIAL_STATE``
     follow from the use of the parameter (`Model.role`).
+
+    Attributes
+    ----------
+    DYNAMICS
+        Rates and outputs depend on the parameter.
+    NOISE
+        The parameter is a standard deviation or a diffusion.
+    DISTURBANCE
+        The parameter is a property of a zero-mean disturbance, such as its correlation time.
+    INITIAL_STATE
+        The parameter is the initial mean of a state.
     """
 
-    DYNAMICS = "dynamics"  # rates and outputs depend on it
-    NOISE = "noise"  # a standard deviation or a diffusion
-    DISTURBANCE = "disturbance"  # a property of a zero-mean disturbance, such as its correlation time
+    DYNAMICS = "dynamics"
+    NOISE = "noise"
+    DISTURBANCE = "disturbance"
     INITIAL_STATE = "initial-state"
 
 
@@ -44,12 +55,25 @@ class ParameterOrigin(StrEnum):
     """Origin of a parameter's value, or of its prior, for reports.
 
     A free parameter without a prior is estimated from the logs.
+
+    Attributes
+    ----------
+    BUILT_IN
+        Default of the model structure, not specific to this boat.
+    GIVEN
+        From the user: rig file, import map, --fix, or a user-defined model.
+    MEASURED
+        From a bench test.
+    PRIOR
+        Mean and standard deviation from the user.
+    ESTIMATED
+        From a fit to the logs (`Parameter.provenance`).
     """
 
-    BUILT_IN = "built-in"  # default of the model structure, not specific to this boat
-    GIVEN = "given"  # from the user: rig file, import map, --fix, a user-defined model
-    MEASURED = "measured"  # from a bench test
-    PRIOR = "prior"  # mean and standard deviation from the user
+    BUILT_IN = "built-in"
+    GIVEN = "given"
+    MEASURED = "measured"
+    PRIOR = "prior"
     ESTIMATED = "estimated"
 
 
@@ -67,10 +91,10 @@ class Parameter:
         "log": the search for the estimate uses the logarithm of the parameter, which must be positive.
     prior : tuple[float, float] or None
         Mean and standard deviation in `unit`. The prior is normal. With the transform "log", the logarithm of the
-        parameter is normal, with the relative standard deviation. None: no prior.
+        parameter is normal, with the mean log(mean) and the standard deviation sd / mean. None: no prior.
     bounds : tuple[float, float]
-        Lower and upper bound in `unit`. A value that is outside by at most 1e-9 of the bound, because of rounding, is
-        moved onto the bound.
+        Lower and upper bound in `unit`. A value that is outside by at most 1e-9 times the absolute bound, because of
+        rounding, is moved onto the bound; with a bound of zero, no value is.
     free : bool
         Whether the parameter is estimated.
     considered : bool
@@ -80,7 +104,8 @@ class Parameter:
     per_record : bool
         Whether the parameter has a separate value in each record, such as a current or a bias.
     step : float
-        Characteristic step: the smallest change that matters, in `unit`. 0: a hundredth of the value.
+        Characteristic step: the smallest change that matters, in `unit`. 0: a hundredth of the value, or 1 if the value
+        is 0 too.
     role : ParameterRole
         Declared role: dynamics, or a property of a zero-mean disturbance.
     segment : int or None
@@ -189,8 +214,8 @@ class Parameter:
     def free_prior(self) -> tuple[float, float] | None:
         """Return the mean and standard deviation of the prior in the coordinate of the search (`to_free`).
 
-        With the transform "log", they are the logarithm of the mean and the relative standard deviation. None without a
-        prior.
+        With the transform "log", they are the logarithm of the mean, and the standard deviation divided by the mean.
+        None without a prior.
         """
         if self.prior is None:
             return None
@@ -232,8 +257,8 @@ class Parameter:
         value : float
             Known value, in the unit of the parameter. With ``sd`` > 0 it is also the mean of the prior.
         sd : float
-            Standard deviation of the prior, in the unit of the parameter. The parameter is then estimated, unless it
-            was considered, and stays so. 0: the parameter is fixed at the value, without the uncertainty of a prior.
+            Standard deviation of the prior, in the unit of the parameter. The parameter is then estimated; but one that
+            was considered and not free stays considered. 0: the parameter is fixed at the value, and is not considered.
         origin : ParameterOrigin
             Origin of the value.
 
@@ -248,7 +273,7 @@ class Parameter:
         return replace(self, value=float(value), prior=prior, free=self.considered_sd is None, origin=origin)
 
     def freed(self) -> Parameter:
-        """Return the parameter as one that is estimated, even if it was a considered parameter."""
+        """Return the parameter as one that is estimated. If it was a considered parameter, it is none any more."""
         return replace(self, free=True, considered=False)
 
 

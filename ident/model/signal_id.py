@@ -47,7 +47,8 @@ class SignalId(NamedTuple):
         SignalId
             Components; ``str`` of them is the name again. A name that does not begin with a quantity of
             `THRUSTER_QUANTITIES` and ``_`` has an empty source and is itself the quantity: ``psi``, ``X``, ``X_n``,
-            ``n``. The name ``n_cmd`` without a thruster becomes the shaft speed of a thruster ``cmd``.
+            ``n``. The name ``n_cmd`` without a thruster becomes the shaft speed of a thruster ``cmd``. Only ``~`` and a
+            positive integer at the end is a tap; anything else, also ``~-1``, stays part of the source or quantity.
         """
         stem, mark, steps = name.rpartition("~")
         tapped = bool(mark) and steps.isdecimal() and str(int(steps)) == steps != "0"
@@ -82,13 +83,16 @@ def thrust_of(thruster: str) -> str:
 def is_of_thruster(name: str, *quantities: str) -> bool:
     """Return whether the signal ``name`` belongs to a thruster and has one of ``quantities``.
 
-    The quantities are entries of `THRUSTER_QUANTITIES`. For example, ``n_left`` has the quantity ``n``, and ``n`` has
-    no thruster.
+    The quantities are entries of `THRUSTER_QUANTITIES`. For example, ``n_left`` and its delayed copy ``n_left~3`` have
+    the quantity ``n``, and ``n`` has no thruster.
     """
     signal = SignalId.parse(name)
     return bool(signal.source) and signal.quantity in quantities
 
 
 def commanded_thrusters(names: Iterable[str]) -> list[str]:
-    """Return the names of the thrusters whose commands are among the signals ``names``, in the order of the signals."""
+    """Return the names of the thrusters whose commands are among the signals ``names``, in the order of the signals.
+
+    Delayed copies of a command (``n_cmd_left~3``) count too, so that the name of a thruster may occur several times.
+    """
     return [signal.source for signal in map(SignalId.parse, names) if signal.source and signal.quantity == COMMAND]

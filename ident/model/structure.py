@@ -61,7 +61,8 @@ class Signals(Named):
         Time derivatives of the states per second, and outputs, by name.
     again : Callable
         ``again(x, u, p)`` runs the model again up to the time derivatives, with other values of some states, inputs and
-        parameters (dicts by name). It returns new signals. It is for effects that depend on earlier derivatives.
+        parameters (dicts by name). It returns new signals, without outputs; effects that change parameters do not
+        change them again. It is for effects that depend on earlier derivatives.
 
     Each model adds signals of its own. Vehicle models add shaft speeds ``n`` and thrusts ``f`` [N] by thruster, and the
     forces ``X``, ``Y`` [N] and the moment ``N`` [N m].
@@ -93,11 +94,20 @@ class ModelKind(StrEnum):
     """Kind of the modelled object: a vehicle, a thruster on a bench, or a sensor at rest.
 
     It decides how logs are read.
+
+    Attributes
+    ----------
+    VEHICLE
+        A vehicle in motion.
+    BENCH
+        A thruster on a test bench, from a log of this thruster alone.
+    NOISE
+        A sensor at rest, for its noise.
     """
 
     VEHICLE = "vehicle"
-    BENCH = "bench"  # a thruster on a test bench, from a log of this thruster alone
-    NOISE = "noise"  # a sensor at rest, for its noise
+    BENCH = "bench"
+    NOISE = "noise"
 
 
 Place = Literal["actuator", "hull", "environment", "sensor", "bench"]
@@ -116,7 +126,8 @@ class State:
     x0, sd0 : float or str
         Mean and standard deviation in `unit` at the start of a record: a number, or the name of a parameter.
     from_output : str
-        Output whose first measurement is the initial mean; empty: `x0` is the initial mean.
+        Output whose first measurement in a record is the initial mean. If it is empty, or if the record has no such
+        measurement, the initial mean is that in ``Record.start``, or else `x0`.
     nuisance : bool
         Whether the state is a disturbance or a sensor offset, which a model for control does not need.
     """
@@ -226,7 +237,7 @@ class Output:
     noise : str
         Name of the parameter with the standard deviation of the white measurement noise.
     angle : bool
-        Whether the output is an angle [rad]. Its innovations are wrapped to (-pi, pi].
+        Whether the output is an angle [rad]. Its innovations are wrapped to [-pi, pi).
     robust : bool
         Whether outliers are part of the density of its innovations (`seatrial.ident.model.outlier_density`).
     """
@@ -283,15 +294,33 @@ class ForceCurve:
 
 
 class EffectKind(StrEnum):
-    """Kind of an effect. The diagnosis finds, names and reports each kind differently."""
+    """Kind of an effect. The diagnosis finds, names and reports each kind differently.
 
-    CATALOGUE = "catalogue"  # a named physical effect
-    BETWEEN_RUNS = "between-runs"  # a parameter that differs between runs
-    NONPARAMETRIC = "nonparametric"  # a force as a fitted function of a variable
-    LAGGED = "lagged"  # a force that follows an input by a first-order lag
-    RESONANT = "resonant"  # a force that follows an input by a second-order, oscillating response
-    DISTURBANCE = "disturbance"  # a disturbance force, for the filter
-    SENSOR_OFFSET = "sensor-offset"  # a random-walk offset or a latency of a sensor, for the filter
+    Attributes
+    ----------
+    CATALOGUE
+        A named physical effect.
+    BETWEEN_RUNS
+        A parameter that differs between runs.
+    NONPARAMETRIC
+        A force as a fitted function of a variable.
+    LAGGED
+        A force that follows an input by a first-order lag.
+    RESONANT
+        A force that follows an input by a second-order, oscillating response.
+    DISTURBANCE
+        A disturbance force, for the filter.
+    SENSOR_OFFSET
+        A random-walk offset or a latency of a sensor, for the filter.
+    """
+
+    CATALOGUE = "catalogue"
+    BETWEEN_RUNS = "between-runs"
+    NONPARAMETRIC = "nonparametric"
+    LAGGED = "lagged"
+    RESONANT = "resonant"
+    DISTURBANCE = "disturbance"
+    SENSOR_OFFSET = "sensor-offset"
 
     @property
     def nonparametric(self) -> bool:
@@ -333,8 +362,9 @@ class Effect:
     name, title : str
         Identifier, and name in reports.
     hooks : Mapping[str, ModelFunction]
-        Functions that change the signals, by the stage or the ``LATER`` place after which they run. With the key
-        ``PARAMETERS``, the function runs before all stages.
+        Functions that change the signals, by the stage or the ``LATER`` place after which they run. The ``LATER``
+        places of a stage, such as ``thrust_loss``, come in a fixed order after all functions at the stage itself. With
+        the key ``PARAMETERS``, the function runs before all stages.
     parameters, states, inputs : tuple
         Components that the effect adds to the model. Inputs that the model already has are not added again.
     place : str
@@ -405,7 +435,8 @@ class Effect:
 class StartGrid:
     """Alternative initial values of parameters, for a likelihood with several maxima.
 
-    Every combination of the values is evaluated, and the best ones are fitted.
+    The log-likelihood is computed for every combination of the values. Fits start from at most two of the most likely
+    ones, besides the initial values of the model.
 
     Attributes
     ----------
@@ -414,7 +445,8 @@ class StartGrid:
     values : tuple[tuple[float, ...], ...]
         Values to try for each parameter, in its unit.
     apart : float
-        Distance in the first parameter, in its unit. Fits start from values that differ by more than 1.5 times as much.
+        Distance in the first parameter, in its unit. Fits start from values of this parameter that differ from each
+        other, and from the initial value of the model, by more than 1.5 times as much.
     gaining : bool
         Whether to fit only starts that are more likely than the current fit, with all other parameters as fitted.
     """
@@ -443,7 +475,8 @@ class DisturbanceChannel:
         ``add(signals, extra)`` adds ``extra``, in `unit`, to the quantity. For a `relative` quantity it multiplies it
         by ``1 + extra``.
     stage : str
-        Stage or ``LATER`` place of the model after which `add` is called, for example ``force``.
+        Stage of the model after which `add` is called, for example ``force``; or a ``LATER`` place of a stage, which
+        comes after all effects at the stage itself.
     of : tuple[str, ...]
         Names of the variables on which the unexplained part may depend. Empty: all variables of the model.
     place, requires
@@ -683,6 +716,7 @@ class Model:
     def _run_stage(self, label: str, stage: ModelFunction, s: Signals) -> None:
         """Run one stage, then the hooks of all effects after this stage and at its ``LATER`` places.
 
+        At each of these places, the hooks run in the order in which the effects were added.
         ``label`` is the name of the stage, by which effects refer to it. ``stage`` is its function. The signals ``s``
         are changed in place.
         """
@@ -727,7 +761,7 @@ class Model:
     def with_free(self, names: Iterable[str]) -> Model:
         """Return the model in which exactly the parameters ``names`` are estimated.
 
-        All others are fixed at their values.
+        All others are fixed at their values; a considered parameter among them still counts as considered.
 
         Raises
         ------
@@ -801,6 +835,8 @@ class Model:
     def __add__(self, effect: Effect) -> Model:
         """Return the model with the effect added: its hooks, states, parameters, and the inputs that the model lacks.
 
+        A delayed copy among these inputs gets the hold and the averaging of the model's input that it copies. The name
+        of the effect is not checked: `refusal` reports an effect that was added already.
         Raises
         ------
         ValueError
@@ -877,6 +913,7 @@ def plain_model(
 ) -> Model:
     """Return a model without stages, from a function of the time derivatives and a function of the outputs.
 
+    Only effects that require no signal can be added to it.
     Parameters
     ----------
     name : str

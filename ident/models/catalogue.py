@@ -172,7 +172,8 @@ def _horizontal_by_options(source: str, options: Sequence[str], sensors: Sequenc
         Whole name, for messages, and source of a model with a random-walk current.
     options : Sequence[str]
         Options behind the name, in any order: ``shaft`` (default), ``command``, ``force`` or ``general``;
-        ``no-current``, ``random-walk-current``; ``symmetric-arms``. Of several inputs, the first is used.
+        ``no-current``, ``random-walk-current``; ``symmetric-arms``. Of several inputs, the first is used. With both
+        options of the current, it is a random walk from zero, without a constant part.
     sensors : Sequence[str], optional
         Names of the sensors that the log contains. Other sensors are left out. None, or no sensor of the model: the
         standard sensors.
@@ -236,7 +237,8 @@ def _kinematic_by_options(source: str, options: Sequence[str], sensors: Sequence
         Whole name, for messages, and source of a model with a random-walk current.
     options : Sequence[str]
         Options behind the name. The first is ``shaft`` or ``force``; without options, ``shaft`` is used. The others are
-        ``yaw``, ``no-current``, ``random-walk-current`` and ``symmetric-arms``, in any order.
+        ``yaw``, ``no-current``, ``random-walk-current`` and ``symmetric-arms``, in any order. With both options of the
+        current, it is a random walk from zero, without a constant part.
     sensors : Sequence[str], optional
         Names of the sensors that the log contains. Other sensors are left out. None, or no sensor of the model: all
         sensors of the model.

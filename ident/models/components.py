@@ -204,9 +204,10 @@ def telemetry_age() -> Effect:
     Returns
     -------
     Effect
-        Effect with the parameter ``tau_age`` [s], -0.03 to 0.4. It computes the thrust from the shaft speed that is
-        stamped ``tau_age`` later. For this it adds copies of each shaft speed to the inputs, from 0.1 s earlier to 0.5
-        s later. A record of a finished run contains these later samples.
+        Effect with the parameter ``tau_age`` [s], -0.03 to 0.4, initially 0.02, whose prior has the mean 0 and the
+        standard deviation 0.1. It computes the thrust from the shaft speed that is stamped ``tau_age`` later. For this
+        it adds copies of each shaft speed to the inputs, from 0.1 s earlier to 0.5 s later. A record of a finished run
+        contains these later samples.
     """
 
     def earlier(s: Signals) -> None:
@@ -241,8 +242,8 @@ def telemetry_age() -> Effect:
 def thrust_calibration(model: Model, sd: float = 0.05) -> Effect:
     """Return the effect of a common factor ``k_thrust`` on all thrusts, for a thrust curve from a load cell.
 
-    The data cannot distinguish this factor from masses and damping. The factor therefore has a prior with the mean 1,
-    and all standard errors include the uncertainty of this prior.
+    The data cannot distinguish this factor from masses and damping. The factor is therefore estimated with a prior of
+    the mean 1, and all standard errors include the uncertainty of this prior.
 
     Parameters
     ----------
@@ -311,7 +312,8 @@ def estimator_error(sensors: Sequence[str]) -> Effect:
     -------
     Effect
         Effect with one state for each axis of each error, and two parameters for each error: ``A_...`` (standard
-        deviation) and ``tau_...`` (correlation time [s]).
+        deviation) and ``tau_...`` (correlation time [s]). It has none of these if no sensor has such an error. At the
+        start of a record, an error has twice its typical standard deviation.
 
     Notes
     -----

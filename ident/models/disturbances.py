@@ -168,8 +168,9 @@ def disturbance(forces: Sequence[str] = ("X", "Y", "N")) -> Effect:
     -------
     Effect
         Effect with a state ``b_NAME`` and a diffusion ``q_NAME`` for each signal, and a common correlation time
-        ``tau_b`` of 1.5 s. The diffusion is such that the stationary standard deviation is that of `SIZES`. These
-        values are the initial values and means of the priors.
+        ``tau_b`` of 1.5 s (0.2 to 10 s). The diffusion is such that the stationary standard deviation is that of
+        `SIZES` (1 N, 0.15 N m, 0.05 rad/s). These values are the initial values and means of the priors, whose standard
+        deviations are three times (``q_NAME``) and once (``tau_b``) the mean.
 
     Raises
     ------
@@ -321,8 +322,9 @@ def sensor_bias(sensors: Sequence[str]) -> Effect:
     Returns
     -------
     Effect
-        Effect with a state ``bias_OUTPUT`` for each output. Its initial standard deviation and its diffusion are fixed
-        numbers. The white noise of the outputs is not part of the effect.
+        Effect with a state ``bias_OUTPUT`` for each output; without states if no sensor has a bias. The initial
+        standard deviation and the diffusion of a state are fixed numbers. The white noise of the outputs is not part of
+        the effect.
     """
     table: dict[str, tuple[tuple[str, str, float, float], ...]] = {
         "attitude": (("psi", "rad", 0.005, 1.7e-4),),

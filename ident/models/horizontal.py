@@ -295,7 +295,7 @@ def shift_in_time(s: Signals, quantity: str) -> None:
     s : Signals
         Signals of the model. The inputs are taken ``tau_delay - tau_age`` [s] before the present. Both are parameters
         of the model (a delay, and the age of telemetry at its time stamp); a parameter that the model lacks counts as
-        zero.
+        zero. The model must have shifted copies of the inputs on both sides of this time; this is not checked.
     quantity : "n" or "f"
         Whether to replace the shaft speeds ``s.n`` or the thrusts ``s.f`` [N], for each side.
 
@@ -327,7 +327,7 @@ def available_taps(s: Signals, name: str) -> list[int]:
     -------
     list[int]
         Shifts in ascending order, positive for earlier and negative for later values. The input itself has the shift
-        zero. Shifts below -20 and above 19 are not searched.
+        zero. Shifts below -20 and above 19 are not searched. The list is empty for an unknown input.
     """
     inputs = vars(s.u)
     return [k for k in range(-MAX_COPY_SHIFT, MAX_COPY_SHIFT) if tap_name(name, k) in inputs]

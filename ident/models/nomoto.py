@@ -293,7 +293,7 @@ def _damping_force(s: Signals, u: Any) -> Any:
 def _inputs_at(s: Signals, ago: Any) -> list[Any]:
     """Return the inputs (left, right) that acted on the vehicle ``ago`` [s] before now.
 
-    They are those of ``ago`` plus the delay ``tau_n`` before now.
+    They are those of ``ago`` plus the delay ``tau_n`` (and its error ``dt_n``) before now.
 
     The inputs are interpolated between their shifted copies by cubic convolution. If the model has states for the
     errors of the time stamps, the inputs are corrected to first order by these errors, which decay with their
@@ -431,9 +431,10 @@ def _integrate_backwards(s: Signals, since: tuple[Any, ...], ago: Any, span: Any
 def output(s: Signals) -> None:
     """Set the outputs ``s.y``: heading, yaw rate after the gyro's filter, and position and velocity of the GNSS fix.
 
-    The fix is the mean of the motion at two times: ``tau_gnss`` before now, less and plus ``sigma_gnss``. The motion at
-    these times follows by backward integration. Further velocities over ground that effects add, such as a random-walk
-    current, are treated as constant over the age of the fix.
+    The yaw rate includes the scale error ``k_r`` of the gyro. The fix is the mean of the motion at two times:
+    ``tau_gnss`` (plus its error ``dt_gnss``) before now, less and plus ``sigma_gnss``. The motion at these times
+    follows by backward integration. Further velocities over ground that effects add, such as a random-walk current, are
+    treated as constant over the age of the fix.
     """
     x, y, p = s.x, s.y, s.p
     v = _sideslip(s, x.u, s.r)

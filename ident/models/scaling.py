@@ -142,8 +142,8 @@ def size_of(model: Model) -> VesselScale:
     Returns
     -------
     VesselScale
-        Without a moment of inertia ``m_r``, the length ratio is the cube root of the mass ratio. Without ``m_u``, both
-        ratios are 1.
+        Size, from the present values of the parameters. Without a moment of inertia ``m_r``, the length ratio is the
+        cube root of the mass ratio. Without ``m_u``, both ratios are 1.
     """
     values = model.values
     if "m_u" not in values:

@@ -151,8 +151,9 @@ def pace_with_copy_at(tau: float, step: float) -> str:
     Returns
     -------
     str
-        Delay between copies [s] as text, near ``step``, of which ``tau`` is a multiple. It is the option ``pace`` of
-        `thruster_model`. Empty if ``tau`` is at most half of ``step``.
+        Delay between copies [s] as text, near ``step``, of which ``tau`` is a multiple (with six digits). It is the
+        option ``pace`` of `thruster_model`. Empty if ``tau`` is at most half of ``step``, so that the model uses its
+        own step.
 
     Notes
     -----
@@ -171,8 +172,8 @@ def thruster_model(
     Parameters
     ----------
     pace : str
-        Delay [s] between copies of the command as text (``pace_with_copy_at``), or ``slow`` for 0.1 s, which allows
-        delays up to 4.8 s. Empty: ``step`` is used. Otherwise ``step`` is ignored.
+        Delay [s] between copies of the command as text (``pace_with_copy_at``), above zero, or ``slow`` for 0.1 s,
+        which allows delays up to 4.8 s. Empty: ``step`` is used. Otherwise ``step`` is ignored.
     force : bool
         Whether the bench has a load cell. Without one, the model has no thrust coefficients and no output ``force``.
     swing : bool
@@ -243,7 +244,8 @@ def thruster_model(
 def _start_grid(longest: float) -> StartGrid:
     """Return the initial values with which the search for the delay ``tau`` [s] and the pole ``a`` [1/s] is repeated.
 
-    The delays run from 0 to below ``longest`` [s] in steps of 0.2 s, and are combined with each pole of `START_POLES`.
+    The delays run from 0 to below ``longest`` [s] in steps of 0.2 s, and are combined with each pole of `START_POLES`
+    (14 values, 0.2 to 20).
     They are needed because the likelihood has several maxima with low-rate telemetry.
     """
     delays = np.arange(0.0, longest, START_DELAY_SPACING_S)

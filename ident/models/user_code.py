@@ -197,7 +197,8 @@ def load_object(source: str) -> Any:
 def load_effects(path: Path) -> dict[str, Effect]:
     """Run a Python file and return its effects by name.
 
-    The effects are the entries of its variable ``EFFECTS``, or, if this is absent or empty, its variable ``EFFECT``.
+    The effects are the entries of its variable ``EFFECTS``, or, if this is absent or empty, its variable ``EFFECT``. Of
+    several effects with one name, only the last is returned.
 
     Raises
     ------

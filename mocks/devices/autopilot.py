@@ -55,6 +55,7 @@ class AutopilotEmulator(DeviceEmulator):
     ) -> None:
         """Set up an emulated autopilot.
 
+        Its parameter RC_OVERRIDE_TIME is the shortest time-out of its thrusters in the rig.
         Parameters
         ----------
         rig : Rig
@@ -144,9 +145,11 @@ class AutopilotEmulator(DeviceEmulator):
     def _check_failsafes(self) -> None:
         """Act on missing messages of the ground station, like ArduPilot Rover 4.7. It is called in each loop.
 
-        If the last RC override has timed out, the thrusters are stopped; otherwise they get its command again. In AUTO
-        and RTL the autopilot drives by itself. If heartbeats are missing for too long, the failsafe disarms the
-        autopilot or changes its mode, as its parameter FS_ACTION demands.
+        While it is armed and in MANUAL, the thrusters get the command of the last RC override again, or zero if this is
+        older than RC_OVERRIDE_TIME (without an RC receiver: than RADIO_S if FS_THR_ENABLE is set, else the command
+        stays). In AUTO and RTL an armed autopilot drives by itself. If in MANUAL the heartbeats, after a first one, are
+        missing for longer than FS_GCS_TIMEOUT plus FS_TIMEOUT, the autopilot is disarmed or changes to RTL or HOLD, as
+        FS_ACTION demands; with FS_GCS_ENABLE or FS_ACTION 0 it does nothing. These times are wall seconds.
         """
         own, p = self.vehicle, self.vehicle.parameters
         silence = (self._now - own.overridden) / self._speed
@@ -214,7 +217,9 @@ class AutopilotEmulator(DeviceEmulator):
     def _handle_message(self, m: Any) -> None:
         """Process one decoded MAVLink message ``m``: act on it, and queue the answer.
 
-        Heartbeats and overrides of other ground stations, messages for other systems, and unknown messages are ignored.
+        The messages are HEARTBEAT, TIMESYNC, RC_CHANNELS_OVERRIDE, COMMAND_LONG, PARAM_REQUEST_READ, PARAM_REQUEST_LIST
+        and PARAM_SET. Heartbeats and overrides of other ground stations, messages for other systems, unknown parameters
+        and other messages are ignored.
         """
         name = m.get_type()
         if name in ("HEARTBEAT", "RC_CHANNELS_OVERRIDE") and m.get_srcSystem() != self._ground:
@@ -249,7 +254,9 @@ class AutopilotEmulator(DeviceEmulator):
         """Apply the decoded message RC_CHANNELS_OVERRIDE: store its pulses as commands of the thrusters' RC channels.
 
         If the autopilot is armed and in MANUAL, the thrusters get these commands at once. The message is ignored if the
-        parameter MAV_GCS_SYSID is not the id of the ground station, or if RC_OPTIONS forbids overrides.
+        parameter MAV_GCS_SYSID is not the id of the ground station, or if RC_OPTIONS forbids overrides. A pulse of
+        65535 changes nothing. A pulse of 0 gives the channel back to the receiver, which is neutral; without a
+        receiver, and for channels above 8, it changes nothing.
         """
         own = self.vehicle
         if own.parameters.get("MAV_GCS_SYSID") != self._ground or int(own.parameters["RC_OPTIONS"]) & IGNORES_OVERRIDES:
@@ -273,8 +280,8 @@ class AutopilotEmulator(DeviceEmulator):
     def _execute_command(self, m: Any) -> int:
         """Execute the decoded message COMMAND_LONG, and return the result code (MAV_RESULT) for the host.
 
-        The commands are to set a message interval, to set the mode, and to arm or disarm. A command to set a servo is
-        denied. Other commands give UNSUPPORTED.
+        The commands are to set a message interval, to set the mode (FAILED for an unknown mode), and to arm or disarm.
+        A command to set a servo is denied. Other commands give UNSUPPORTED.
         """
         if m.command == 511:  # SET_MESSAGE_INTERVAL
             return self._set_message_interval(int(m.param1), m.param2)

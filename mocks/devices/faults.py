@@ -168,6 +168,9 @@ class Faults:
     def reading(self, device: str, sample: Sample, t: float) -> Sample | None:
         """Return the sample that a device really sends while faults are active, or None if it sends no sample.
 
+        It sends none during a fault "silence", and every second one not during "slow". Of "silence", "stuck" and "hold"
+        (for a GNSS receiver), the first active one excludes all other faults; these are otherwise applied together.
+
         Parameters
         ----------
         device : str
@@ -214,7 +217,8 @@ class Faults:
     def clock_error(self, device: str, t: float) -> float:
         """Return the time [s] by which the clock of a device is fast at run time ``t`` [s]; negative if it is slow.
 
-        The errors of all active faults "clock-back" and "clock-skew" add up.
+        An active fault "clock-back" gives -0.6 s, and "clock-skew" 1e-4 times the time since its start. The errors of
+        all active faults add up.
         """
         starts = [(f.kind, f.start) for f in self._faults if f.start is not None and f.hits(device) and f.active(t)]
         return sum(
@@ -230,7 +234,10 @@ class Faults:
         return self._rng.bytes(len(data)) if self._faults and self.active("garbage", device, t) else data
 
     def _with_noise(self, sample: Sample) -> Sample:
-        """Return an AHRS sample with noise added to heading, yaw rate and acceleration; other samples unchanged."""
+        """Return an AHRS sample with noise added to heading, yaw rate, and acceleration along x and y.
+
+        The standard deviations are 5 degrees, 0.1 rad/s and 1 m/s2. Other samples are returned unchanged.
+        """
         if not isinstance(sample, Ahrs):
             return sample
         yaw, r, ax, ay = self._rng.normal(0.0, NOISE_SIGMAS).tolist()

@@ -111,8 +111,9 @@ def _thruster_interaction(rng: np.random.Generator, scale: float) -> HiddenEffec
 def _battery_sag(rng: np.random.Generator, scale: float) -> HiddenEffect:
     """Return the hidden effect "battery-sag": the loss of thrust with a falling battery voltage.
 
-    The thrust is multiplied by ``1 - beta (1 - exp(-1.6 energy))``, with the used energy in units of ENERGY_UNIT.
-    ``beta`` is drawn within 15 % of ``0.2 scale``.
+    The thrust is multiplied by ``1 - beta (1 - exp(-1.6 energy))``. ``energy`` is the used energy: the integral of
+    ``|n|^3`` over time, summed over both thrusters, divided by ENERGY_UNIT (150 s). ``beta`` is drawn within 15 % of
+    ``0.2 scale``.
     """
     beta = scale * effect_size(rng, 0.20)  # after a mission of ten minutes the loss is 0.16 of the thrust
 

@@ -16,7 +16,8 @@ def _thrust_angle(rng: np.random.Generator, scale: float) -> HiddenEffect:
     """Return the hidden effect "thrust-angle": one thruster is turned in its mount.
 
     The thrust ``f`` of the left or the right thruster, drawn at random, gets the side force ``f sin(angle)`` at the
-    stern. ``angle`` is drawn within 15 % of ``0.1 scale`` [rad] with a random sign, positive to starboard.
+    stern, which gives a yaw moment too. ``f`` is the nominal static thrust at the shaft speed, and its forward part is
+    not reduced. ``angle`` is drawn within 15 % of ``0.1 scale`` [rad] with a random sign, positive to starboard.
     """
     angle = scale * effect_size(rng, 0.10, signed=True)  # rad
     side = int(rng.integers(2))
@@ -34,8 +35,9 @@ def _thrust_angle(rng: np.random.Generator, scale: float) -> HiddenEffect:
 def _propeller_walk(rng: np.random.Generator, scale: float) -> HiddenEffect:
     """Return the hidden effect "propeller-walk": both propellers turn the same way and push the stern sideways.
 
-    Each propeller with the shaft speed ``n`` pushes with ``walk 41 N n^2``, to port astern, and to starboard ahead with
-    a third of that. ``walk`` is drawn within 15 % of ``0.2 scale`` with a random sign.
+    Each propeller with the shaft speed ``n`` has the sway force ``Y = -walk (41 N) n^2`` in reverse, and
+    ``walk (41 N) n^2 / 3`` forward. The force acts at the stern, and so gives a yaw moment too. ``walk`` is drawn
+    within 15 % of ``0.2 scale`` with a random sign.
     """
     walk = scale * effect_size(rng, 0.2, signed=True)
 

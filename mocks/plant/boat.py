@@ -33,7 +33,8 @@ class Boat:
     current : tuple of two floats
         Constant velocity of the ocean current [m/s], north and east.
     effects : tuple of HiddenEffect
-        Hidden effects; empty if the nominal model is complete.
+        Hidden effects; empty if the nominal model is complete. The hooks of several effects act together, but only the
+        first lever arm and the first swinging payload are used.
     seed : int
         Seed of the random numbers of the plant and the sensors.
     """
@@ -272,7 +273,11 @@ class BoatPlant:
             self._water[:] = (v + sum(c[k] for c in changes) for k, v in enumerate(self.boat.current))
 
     def _slide(self, load: Payload) -> None:
-        """Move the centre of gravity of the boat by the slide of a payload."""
+        """Move the centre of gravity of the boat forward by ``load.x_g`` [m], for good, when the payload slides.
+
+        It is called once for each payload. The equations of motion are replaced; position and velocity of the boat's
+        origin do not jump.
+        """
         self._slid = (*self._slid, HiddenEffect("payload in its new place", "", x_g=load.x_g))
         effects = (*self.boat.effects, *self._slid)
         self._rhs = make_rhs(self.boat.hull, self.boat.thruster, self._water, effects)

@@ -75,7 +75,8 @@ class Gust:
     tau : float
         Correlation time of the forces [s].
     period : float
-        Time from the start of one strong phase to the start of the next [s]. Half of it is strong, half weak.
+        Time from the start of one strong phase to the start of the next [s]. The first half of it is strong, the second
+        half a fifth as strong. A run starts with a strong phase.
     """
 
     sigma: tuple[float, float, float]
@@ -214,23 +215,32 @@ class HiddenEffect:
     parameters : dict of str to float
         True values of the parameters (SI), for the ground-truth file.
     thrust : callable, optional
-        Replaces the thrust of both thrusters [N].
+        Function of the shaft speeds, inflow velocities and previous thrusts of both thrusters and the used energy. It
+        returns the thrusts that replace the previous ones [N].
     inflow : tuple of two floats
         Delay and time constant of a first-order lag from shaft speed to thrust [s].
     force : callable, optional
-        Returns an additional force and moment (X, Y, N) [N, N, N m] as a function of the motion.
+        Returns an additional force and moment (X, Y, N) [N, N, N m], given heading, velocity through the water, yaw
+        rate and velocity over ground.
     jet : callable, optional
         Returns an additional sway force [N] and yaw moment [N m] as a function of both shaft speeds.
     tether : callable, optional
-        Returns an additional force [N], north and east, as a function of the position.
+        Returns an additional force [N], north and east, as a function of position and velocity over ground.
     current : callable, optional
-        Returns the change of the ocean current [m/s], north and east, as a function of time.
+        Returns the difference of the ocean current from the boat's constant one [m/s], north and east, as a function of
+        time.
     stream : callable, optional
-        Returns the change of the ocean current [m/s], north and east, as a function of the position.
+        Returns the difference of the ocean current from the boat's constant one [m/s], north and east, as a function of
+        the position.
     shore : callable, optional
+<<<<<<< HEAD
         Returns an additional force and moment (X, Y, N) [N, N, N m] as a function of position, heading and velocity.
     line : Line, optional
         Line that the boat tows.
+=======
+        Returns an additional force and moment (X, Y, N) [N, N, N m], given position, heading and velocity through the
+        water.
+>>>>>>> read3
     payload : Payload, optional
         Payload that slides at one time.
     wave : Wave, optional
@@ -248,7 +258,8 @@ class HiddenEffect:
     gyro : callable, optional
         Returns the error of the yaw gyro [rad/s] as a function of the true yaw rate [rad/s].
     accelerometer : callable, optional
-        Returns the measured acceleration [m/s2], forward and to starboard.
+        Returns the measured acceleration [m/s2], forward and to starboard, given the true one, the thrust, the surge
+        over ground and the yaw rate.
     lever_arm : tuple of two floats, optional
         True position of the GNSS antenna from the origin [m], forward and to starboard.
     latency : float

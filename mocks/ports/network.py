@@ -24,7 +24,8 @@ class NetPort:
     path : str
         Address as in the rig file.
     dropped : int
-        Number of bytes that were lost because no host received them.
+        Number of bytes that were lost because no host received them. Bytes are not counted while the port is not
+        plugged, and with `udpout:` before the host has sent a datagram.
     """
 
     def __init__(self, port: str) -> None:

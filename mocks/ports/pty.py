@@ -26,8 +26,8 @@ class PtyPort:
     This process holds the host's end open as well. Otherwise the line discipline would return to echo when the last
     reader leaves.
 
-    Bytes wait for a slow reader. Without a reader at most one write is kept, the newest in each interval of CHECK. A
-    reader that comes late therefore gets no old bytes, as on a UART.
+    Bytes wait for a slow reader. Without a reader at most one write is kept, the first in each interval of 20 ms
+    (CHECK), until the next interval. A reader that comes late therefore gets no old bytes, as on a UART.
 
     Attributes
     ----------
@@ -87,7 +87,7 @@ class PtyPort:
         link.replace(self.path)  # a reader finds the old link or the new link at any time
 
     def unplug(self) -> None:
-        """Remove the link and close the pty, as if the cable were pulled; waiting bytes are dropped.
+        """Remove the link and close the pty, as if the cable were pulled; waiting bytes are dropped, but not counted.
 
         A host that has the port open gets a hang-up. `plug` opens the port again.
         """
