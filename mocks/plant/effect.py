@@ -233,14 +233,10 @@ class HiddenEffect:
         Returns the difference of the ocean current from the boat's constant one [m/s], north and east, as a function of
         the position.
     shore : callable, optional
-<<<<<<< HEAD
-        Returns an additional force and moment (X, Y, N) [N, N, N m] as a function of position, heading and velocity.
-    line : Line, optional
-        Line that the boat tows.
-=======
         Returns an additional force and moment (X, Y, N) [N, N, N m], given position, heading and velocity through the
         water.
->>>>>>> read3
+    line : Line, optional
+        Line that the boat tows.
     payload : Payload, optional
         Payload that slides at one time.
     wave : Wave, optional
