@@ -526,8 +526,9 @@ def _reversed_column(target: Complex, block: NDArray[np.intp], columns: tuple[Co
 
     The factor of that column must be -2 to -0.5 and significantly negative (t below -6, with a standard error that is
     robust to correlation within blocks). The result is ``the first sign is reversed`` or ``the second sign is
-    reversed``. It is None if neither factor is so, or if the values are too large for a regression. The columns have
-    the shape (n,). ``block`` (n,): number of the block of time of each sample, from 0.
+    reversed``. If both factors are so, it is the first sign. It is None if neither factor is so, or if the values are
+    too large for a regression. The columns have the shape (n,). ``block`` (n,): number of the block of time of each
+    sample, from 0.
     """
     X = np.column_stack([np.concatenate([z.real, z.imag]) for z in columns])
     y = np.concatenate([target.real, target.imag])
@@ -582,7 +583,8 @@ def preferred_hypothesis(found: Mapping[str, HypothesisFit]) -> str | None:
     Returns
     -------
     str or None
-        None if no other hypothesis fits significantly better than "".
+        None if the hypothesis with the least misfit is "", or is not significantly better than ""
+        (`_is_significantly_better`).
     """
     best = min(found, key=lambda name: found[name].misfit)
     return best if best and _is_significantly_better(found[""].blocks, found[best].blocks) else None

@@ -439,7 +439,10 @@ def invalidates_fit(finding: Finding) -> bool:
 
 
 def check_log(path: Path | str) -> list[Finding]:
-    """Return the findings of one log on its signals. A log whose signals cannot be read gives a warning, not an error.
+    """Return the findings of one log on its signals, and on speed controllers that sent no telemetry.
+
+    The checks of the devices are not included (`device_faults`). A log whose signals cannot be read gives a warning,
+    not an error.
 
     Parameters
     ----------
@@ -470,7 +473,7 @@ def _check_segments(c: Channels, sides: Mapping[str, float], start: float) -> li
     -------
     list
         For each pair of check and signal the worst finding; of equal ones that of the longest segment. Segments shorter
-        than 10 s are not checked.
+        than 10 s are not checked. For a log without gaps, all findings are returned as they are.
     """
     gaps = silent_times(c)
     if not gaps:
@@ -609,8 +612,9 @@ def check_copies(logs: Sequence[tuple[str, Channels]]) -> list[Finding]:
     Notes
     -----
     Measurement noise never repeats. Equal sequences of samples therefore come from the same run. A log is a copy if,
-    for the median signal, more than half of the triples of neighbouring values also occur in the other log. Signals
-    with 50 triples or fewer are not compared.
+    for the median signal (of r, psi, x, y, vx, ax, u and force), more than half of the triples of neighbouring values
+    also occur in the other log. The share refers to the log with fewer triples. Signals with 50 triples or fewer are
+    not compared.
     """
     earlier: list[tuple[str, dict[str, NDArray[np.uint64]]]] = []
     found = []

@@ -54,11 +54,12 @@ class Response(NamedTuple):
     scale
         Shaft speed over command; negative if the shaft turns against its command.
     r2
-        Coefficient of determination of the shaft speed, 0 to 1.
+        Coefficient of determination of the shaft speed, 0 to 1: explained share of its mean square, without subtraction
+        of the mean.
     band_gain
         Part of the squared error without a dead band that the dead band removes, 0 to 1.
     delay_known
-        False if a delay on the other side of 0.6 s fits nearly as well.
+        False if a delay on the other side of 0.6 s fits nearly as well, or if the command does not change.
     """
 
     delay: float

@@ -457,12 +457,12 @@ def smoothed(c: Channels) -> tuple[str, ...]:
 
 
 def estimated(c: Channels) -> bool:
-    """Return whether the position has so little white noise (less than 3 cm) that it comes from an estimator.
+    """Return whether x or y has so little white noise (less than 3 cm) that the position comes from an estimator.
 
     Parameters
     ----------
     c
-        Channels (signals) of a log by name. False without ``x`` and ``y``.
+        Channels (signals) of a log by name. False without ``x`` and ``y``, or with fewer than 200 samples.
 
     Notes
     -----
@@ -483,7 +483,7 @@ def noise_floor(channel: Channel) -> float:
     Returns
     -------
     float
-        Standard deviation, in the unit of the channel. inf for fewer than 200 different samples.
+        Standard deviation, in the unit of the channel. inf for fewer than 200 samples that differ from the one before.
 
     Notes
     -----
