@@ -287,7 +287,7 @@ def _intervals_of_samples(source: str, t: Array, start: float, expected: float |
 def _shaft_responses(c: Channels) -> list[ShaftResponse]:
     """Return command and shaft speed of each thruster that has both, by name.
 
-    A shaft speed that is a copy of the command (the same clock) is left out.
+    A shaft speed that is a copy of the command is left out: its array of times is the same object.
     """
     names = sorted(commanded_thrusters(c))
     both = [(n, c[command_of(n)], c[shaft_speed_of(n)]) for n in names if shaft_speed_of(n) in c]
@@ -311,8 +311,8 @@ def thrust_response_curves(c: Channels, sides: Mapping[str, float]) -> list[Thru
     Returns
     -------
     list
-        Empty if the log has no thrust, no motion or is too short. There is no curve of the yaw rate if all thrusters
-        are in the middle of the boat.
+        Empty if the log has no thrust or no motion, or if these overlap for less than 15 s. There is no curve of the
+        yaw rate if all thrusters are in the middle of the boat.
     """
     forces = thruster_forces(c, sides)
     if forces is None:
@@ -591,7 +591,8 @@ def device_faults(log: Log) -> list[Finding]:
     Returns
     -------
     list
-        Faults of devices, commanded thrusters without telemetry, and warnings on missing inputs.
+        Faults of devices, commanded thrusters without telemetry, and the warnings ``input-missing`` and
+        ``rpm-max-missing``.
     """
     return [f for f in (*check_devices(log), *_silent_controllers(log)) if f.level == FAULT or f.code in INPUT_WARNINGS]
 

@@ -161,7 +161,8 @@ class Match(NamedTuple):
 class Matches(NamedTuple):
     """Relations of three measured signals to the integrals of their measured rates.
 
-    A relation is None if a signal is missing, the common time is too short, or the boat hardly moves.
+    A relation is None if a signal is missing, the common time is too short (10 s for the heading, 20 s for the others),
+    or the boat hardly moves (`heading_match`, `position_match`, `velocity_match`).
 
     Attributes
     ----------
@@ -190,7 +191,8 @@ def sensor_matches(c: Channels) -> Matches:
     -------
     Matches
         Relations of heading and yaw rate, position and velocity over ground, velocity and specific force. A relation is
-        None if a signal is missing, the common time is too short, or the boat hardly moves.
+        None if a signal is missing, the common time is too short, or the boat hardly moves, by the limits of
+        `heading_match`, `position_match` and `velocity_match`.
     """
     return Matches(heading_match(c), position_match(c), velocity_match(c))
 
@@ -293,7 +295,8 @@ def heading_match(c: Channels) -> Match | None:
     Returns
     -------
     Match or None
-        None if heading or yaw rate is missing, if both overlap for less than 10 s, or if the boat has hardly turned.
+        None if heading or yaw rate is missing, if both overlap for less than 10 s, or if the boat has hardly turned
+        (standard deviation of the increments of both below 0.02 rad, or of one about zero).
     """
     if not {"psi", "r"} <= set(c):
         return None
@@ -321,7 +324,8 @@ def velocity_match(c: Channels) -> Match | None:
     Returns
     -------
     Match or None
-        None if a signal is missing, if all signals overlap for less than 20 s, or if the boat hardly moves.
+        None if a signal is missing, if all signals overlap for less than 20 s, if the velocity has fewer than 50
+        samples, or if the boat hardly moves (standard deviation of the velocity below 0.1 m/s).
 
     Notes
     -----

@@ -322,7 +322,7 @@ def _constant_motion_confirmed(c: Channels, group: Sequence[str], begin: float, 
     """Return whether another sensor confirms that the signals of ``group`` were constant from ``begin`` to ``end`` [s].
 
     Positions confirm a velocity over ground. Velocities over ground confirm an acceleration in the boat's frame. The
-    result is false for other groups, and if the other sensor is missing or has too few samples.
+    result is false for other groups, and if the other sensor is missing, or a velocity has fewer than 4 samples.
     """
     if group == ("vx", "vy") and {*group, "x", "y"} <= set(c):
         misfits = []
