@@ -325,7 +325,8 @@ def _motionless_axis(c: Channels, w: Windows) -> str | None:
     """Return the axis, ``north`` or ``east``, along which a track does not move although the boat heads there.
 
     ``c`` has the heading ``psi``. The result is None if the track moves along both axes, if the boat is slower than 0.1
-    m/s (rms), if its headings vary too little, or if heading and track overlap too little.
+    m/s (rms), if its headings vary too little (a mean of cos^2 or sin^2 of the heading below 0.2), or if the heading
+    covers fewer than 18 windows of the track.
     """
     psi = c["psi"]
     inside = (w.t > psi.t[0]) & (w.t < psi.t[-1])
@@ -356,7 +357,7 @@ def _axes_error(tracks: Mapping[str, Windows]) -> str | None:
 
     ``tracks``: displacements by ``position`` and by ``velocity``. The error is an exchange or reversal of the axes of
     the velocity (`AXES`), or one axis that is another column. The result is None if both agree or no error explains
-    them, if the boat is slower than 0.1 m/s (rms), or if the overlap is too short.
+    them, if the boat is slower than 0.1 m/s (rms), or if fewer than 18 windows overlap.
     """
     p, v = tracks["position"], tracks["velocity"]
     inside = (p.t > v.t[0]) & (p.t < v.t[-1])
@@ -382,7 +383,8 @@ def _body_velocity_fault(c: Channels, tracks: Mapping[str, Windows]) -> Iterator
     """Yield at most one fault if u and v are not forward and to starboard, by comparison with track and heading.
 
     The track is that of the velocities over ground, else of the positions. There is no finding if u, v, heading or
-    track is missing or their overlap is too short, or if the boat is slower than 0.1 m/s (rms).
+    track is missing, if they overlap for less than 20 s or 18 windows of the track, or if the boat is slower than 0.1
+    m/s (rms).
     """
     track = tracks.get("velocity") or tracks.get("position")
     if not {"u", "v", "psi"} <= set(c) or track is None:
@@ -526,8 +528,9 @@ def _reversed_column(target: Complex, block: NDArray[np.intp], columns: tuple[Co
 
     The factor of that column must be -2 to -0.5 and significantly negative (t below -6, with a standard error that is
     robust to correlation within blocks). The result is ``the first sign is reversed`` or ``the second sign is
-    reversed``. It is None if neither factor is so, or if the values are too large for a regression. The columns have
-    the shape (n,). ``block`` (n,): number of the block of time of each sample, from 0.
+    reversed``. If both factors are so, it is the first sign. It is None if neither factor is so, or if the values are
+    too large for a regression. The columns have the shape (n,). ``block`` (n,): number of the block of time of each
+    sample, from 0.
     """
     X = np.column_stack([np.concatenate([z.real, z.imag]) for z in columns])
     y = np.concatenate([target.real, target.imag])
@@ -582,7 +585,8 @@ def preferred_hypothesis(found: Mapping[str, HypothesisFit]) -> str | None:
     Returns
     -------
     str or None
-        None if no other hypothesis fits significantly better than "".
+        None if the hypothesis with the least misfit is "", or is not significantly better than ""
+        (`_is_significantly_better`).
     """
     best = min(found, key=lambda name: found[name].misfit)
     return best if best and _is_significantly_better(found[""].blocks, found[best].blocks) else None

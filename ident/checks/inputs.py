@@ -232,6 +232,8 @@ def check_exchanged_telemetry(c: Channels) -> Iterator[Finding]:
     ----------
     c
         Channels (signals) of a log by name. At least two thrusters with command and measured shaft speed are needed.
+        Each speed must be explained by the command of the other thruster with an R2 above 0.9, by its own command with
+        an R2 below 0.8, and with less than a fifth of the error by its own command.
     """
     names = [n for n in sorted(commanded_thrusters(c)) if shaft_speed_of(n) in c]
     names = [n for n in names if c[shaft_speed_of(n)].t is not c[command_of(n)].t]

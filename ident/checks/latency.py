@@ -148,9 +148,10 @@ def _motion_thrust_delay(
     """Yield one finding on the delay of the motion behind the thrust.
 
     The motion cannot come before the thrust (``thrust-late``), and cannot come long after a measured thrust
-    (``motion-late``). Otherwise the finding is ``thrust-in-time`` (ok). ``attitude``, ``velocity``: delays of yaw rate
-    and surge speed, None if unknown. The one of smaller size is judged. If their signs differ, the finding is ok. If
-    none is well estimated, it is ``delay-unknown`` (ok).
+    (``motion-late``). Otherwise the finding is ``thrust-in-time`` (ok). Severities are those of `_level_of_delay`. The
+    delay behind commands is a fault 0.2 s earlier, since the lag of the shafts hides a part of it. ``attitude``,
+    ``velocity``: delays of yaw rate and surge speed, None if unknown. The one of smaller size is judged. If their signs
+    differ, the finding is ok. If none is well estimated, it is ``delay-unknown`` (ok).
     """
     found = [estimate for estimate in (attitude, velocity) if estimate is not None and _is_well_estimated(estimate)]
     if not found:
@@ -192,8 +193,8 @@ def _level_of_delay(lag: float, half: float, fault_from: float = DELAY_FAULT) ->
     Returns
     -------
     str
-        ``ok`` if the delay is below the limit of a warning, or if its interval comes near zero. Else ``fault`` or
-        ``warning`` by `delay_level`.
+        ``ok`` if the delay is below the limit of a warning (0.3 s), or if the lower end of its interval is below 0.18
+        s. Else ``fault`` or ``warning`` by `delay_level`.
     """
     if lag < DELAY_WARNING - SENSOR_GRID_S / 2 or lag - half < MIN_DISTANCE:
         return OK

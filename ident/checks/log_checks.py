@@ -287,7 +287,7 @@ def _intervals_of_samples(source: str, t: Array, start: float, expected: float |
 def _shaft_responses(c: Channels) -> list[ShaftResponse]:
     """Return command and shaft speed of each thruster that has both, by name.
 
-    A shaft speed that is a copy of the command (the same clock) is left out.
+    A shaft speed that is a copy of the command is left out: its array of times is the same object.
     """
     names = sorted(commanded_thrusters(c))
     both = [(n, c[command_of(n)], c[shaft_speed_of(n)]) for n in names if shaft_speed_of(n) in c]
@@ -311,8 +311,8 @@ def thrust_response_curves(c: Channels, sides: Mapping[str, float]) -> list[Thru
     Returns
     -------
     list
-        Empty if the log has no thrust, no motion or is too short. There is no curve of the yaw rate if all thrusters
-        are in the middle of the boat.
+        Empty if the log has no thrust or no motion, or if these overlap for less than 15 s. There is no curve of the
+        yaw rate if all thrusters are in the middle of the boat.
     """
     forces = thruster_forces(c, sides)
     if forces is None:
@@ -439,7 +439,10 @@ def invalidates_fit(finding: Finding) -> bool:
 
 
 def check_log(path: Path | str) -> list[Finding]:
-    """Return the findings of one log on its signals. A log whose signals cannot be read gives a warning, not an error.
+    """Return the findings of one log on its signals, and on speed controllers that sent no telemetry.
+
+    The checks of the devices are not included (`device_faults`). A log whose signals cannot be read gives a warning,
+    not an error.
 
     Parameters
     ----------
@@ -470,7 +473,7 @@ def _check_segments(c: Channels, sides: Mapping[str, float], start: float) -> li
     -------
     list
         For each pair of check and signal the worst finding; of equal ones that of the longest segment. Segments shorter
-        than 10 s are not checked.
+        than 10 s are not checked. For a log without gaps, all findings are returned as they are.
     """
     gaps = silent_times(c)
     if not gaps:
@@ -588,7 +591,8 @@ def device_faults(log: Log) -> list[Finding]:
     Returns
     -------
     list
-        Faults of devices, commanded thrusters without telemetry, and warnings on missing inputs.
+        Faults of devices, commanded thrusters without telemetry, and the warnings ``input-missing`` and
+        ``rpm-max-missing``.
     """
     return [f for f in (*check_devices(log), *_silent_controllers(log)) if f.level == FAULT or f.code in INPUT_WARNINGS]
 
@@ -609,8 +613,9 @@ def check_copies(logs: Sequence[tuple[str, Channels]]) -> list[Finding]:
     Notes
     -----
     Measurement noise never repeats. Equal sequences of samples therefore come from the same run. A log is a copy if,
-    for the median signal, more than half of the triples of neighbouring values also occur in the other log. Signals
-    with 50 triples or fewer are not compared.
+    for the median signal (of r, psi, x, y, vx, ax, u and force), more than half of the triples of neighbouring values
+    also occur in the other log. The share refers to the log with fewer triples. Signals with 50 triples or fewer are
+    not compared.
     """
     earlier: list[tuple[str, dict[str, NDArray[np.uint64]]]] = []
     found = []

@@ -126,8 +126,8 @@ def check_motion(c: Channels, sides: Mapping[str, float], dead: Collection[str] 
     Yields
     ------
     Finding
-        Faults; without faults ``thruster-sides-agree`` (ok) if the log shows the sides. Nothing if the log is too
-        short, or has no thrust or no sensor of the yaw rate.
+        Faults; without faults ``thruster-sides-agree`` (ok) if the log shows the sides. Nothing if the log is shorter
+        than 15 s, or has no thrust or no sensor of the yaw rate.
     """
     found = thrust_responses(c, sides)
     if found is None:
@@ -255,7 +255,8 @@ def turning_signs(c: Channels, sides: Mapping[str, float]) -> dict[str, int]:
     -------
     dict
         By ``gyro`` and ``heading``, without a heading also by the course of the ``position``: +1 as expected, -1 if the
-        boat turns against the moment, 0 if it is not significant. Empty if the log has no thrust or is too short.
+        boat turns against the moment, 0 if it is not significant. Empty if the log has no thrust, or is shorter than 15
+        s.
     """
     forces = thruster_forces(c, sides)
     if forces is None:

@@ -41,7 +41,8 @@ class LagEstimate(NamedTuple):
     se
         Standard error [s] of the lag, by the jackknife over 10 blocks of time.
     r2
-        Coefficient of determination of the regression at this lag.
+        Coefficient of determination of the regression at this lag: explained share of the sum of squares, without
+        subtraction of a mean.
     """
 
     lag: float
@@ -142,7 +143,8 @@ class Match(NamedTuple):
     lag
         Delay [s] of the first signal behind the second, with the largest R2. Negative: the second one is late.
     r2
-        Coefficient of determination at this lag.
+        Coefficient of determination at this lag: explained share of the sum of squares of the increments, without
+        subtraction of their mean.
     gain
         Part of the squared error without a lag that the lag removes, 0 to 1.
     half
@@ -159,7 +161,8 @@ class Match(NamedTuple):
 class Matches(NamedTuple):
     """Relations of three measured signals to the integrals of their measured rates.
 
-    A relation is None if a signal is missing, the common time is too short, or the boat hardly moves.
+    A relation is None if a signal is missing, the common time is too short (10 s for the heading, 20 s for the others),
+    or the boat hardly moves (`heading_match`, `position_match`, `velocity_match`).
 
     Attributes
     ----------
@@ -188,7 +191,8 @@ def sensor_matches(c: Channels) -> Matches:
     -------
     Matches
         Relations of heading and yaw rate, position and velocity over ground, velocity and specific force. A relation is
-        None if a signal is missing, the common time is too short, or the boat hardly moves.
+        None if a signal is missing, the common time is too short, or the boat hardly moves, by the limits of
+        `heading_match`, `position_match` and `velocity_match`.
     """
     return Matches(heading_match(c), position_match(c), velocity_match(c))
 
@@ -224,7 +228,10 @@ def check_time_scale(found: Matches) -> Finding | None:
 def gyro_and_heading(c: Channels, found: Match | None) -> Iterator[Finding]:
     """Yield findings on scale and delay between heading and yaw rate.
 
-    The sign is the task of `seatrial.ident.checks.frames`.
+    The sign is the task of `seatrial.ident.checks.frames`. With an R2 below 0.6 the only finding is
+    ``heading-and-gyro-disagree`` (warning). Otherwise the factor (yaw rate over change of heading, or its inverse)
+    gives ``angle-in-degrees`` (fault, 30 to 120), ``gyro-scale`` (warning outside 0.7 to 1.4, fault outside 0.6 to
+    1.67) or ``gyro-as-expected`` (ok); the delay follows (`sensor_delay`).
 
     Parameters
     ----------
@@ -288,7 +295,8 @@ def heading_match(c: Channels) -> Match | None:
     Returns
     -------
     Match or None
-        None if heading or yaw rate is missing, if both overlap for less than 10 s, or if the boat has hardly turned.
+        None if heading or yaw rate is missing, if both overlap for less than 10 s, or if the boat has hardly turned
+        (standard deviation of the increments of both below 0.02 rad, or of one about zero).
     """
     if not {"psi", "r"} <= set(c):
         return None
@@ -316,7 +324,8 @@ def velocity_match(c: Channels) -> Match | None:
     Returns
     -------
     Match or None
-        None if a signal is missing, if all signals overlap for less than 20 s, or if the boat hardly moves.
+        None if a signal is missing, if all signals overlap for less than 20 s, if the velocity has fewer than 50
+        samples, or if the boat hardly moves (standard deviation of the velocity below 0.1 m/s).
 
     Notes
     -----
@@ -383,6 +392,9 @@ def position_match(c: Channels) -> Match | None:
 
 def position_and_velocity(c: Channels, found: Match | None) -> Iterator[Finding]:
     """Yield findings on scale and delay between position and velocity over ground.
+
+    With an R2 below 0.6 the only finding is ``position-and-velocity-disagree`` (warning). Otherwise a factor outside
+    0.75 to 1.33 gives ``velocity-unit`` (fault), and the delay follows (`sensor_delay`).
 
     Parameters
     ----------
@@ -539,8 +551,8 @@ def common_grid(*channels: Channel) -> Array:
 def _full_turn(psi: Array) -> float:
     """Return a whole turn in the unit of a heading (n,): 360 for degrees, 2 pi for radians, or 2 pi / 57.3.
 
-    The last one is the turn of radians that were converted by mistake as if they were degrees. The unit is guessed from
-    the size and the range of the values.
+    The last one is the turn of radians that were converted by mistake as if they were degrees. The heading is in
+    degrees if a value exceeds 7, and was converted by mistake if the values span at most 0.11.
     """
     if np.abs(psi).max() > 7.0:
         return 360.0

@@ -100,7 +100,8 @@ def check_wrapped(c: Channels) -> Iterator[Finding]:
 def _one_sided_fault(name: str, command: Channel, shaft: Channel) -> Finding | None:
     """Return a fault if the shaft speed of a thruster is zero in one direction only, or positive in both; else None.
 
-    The result is None also if the command was not steady for long enough in each direction.
+    Zero is a speed below 0.05 of the command, and positive is 0.3 to 3 times the command. The result is None also if
+    the command was not steady for long enough in each direction (`_speed_over_command`).
     """
     forward, reverse = (_speed_over_command(command, shaft, sign) for sign in (1.0, -1.0))
     if forward is None or reverse is None:

@@ -54,11 +54,12 @@ class Response(NamedTuple):
     scale
         Shaft speed over command; negative if the shaft turns against its command.
     r2
-        Coefficient of determination of the shaft speed, 0 to 1.
+        Coefficient of determination of the shaft speed, 0 to 1: explained share of its mean square, without subtraction
+        of the mean.
     band_gain
         Part of the squared error without a dead band that the dead band removes, 0 to 1.
     delay_known
-        False if a delay on the other side of 0.6 s fits nearly as well.
+        False if a delay on the other side of 0.6 s fits nearly as well, or if the command does not change.
     """
 
     delay: float
@@ -76,7 +77,8 @@ class NoResponse(Enum):
     Attributes
     ----------
     TOO_SHORT
-        Command and shaft speed overlap for too short a time, or the shaft was hardly commanded.
+        Command and shaft speed overlap for less than 5 s, or the shaft did not turn and was commanded for less than 1
+        s.
     STILL
         The shaft does not turn although it is commanded.
     """
@@ -109,7 +111,7 @@ def _shaft_findings(name: str, command: Channel, shaft: Channel) -> Iterator[Fin
     """Yield the findings on the shaft of one thruster.
 
     A shaft whose telemetry ended, that does not turn, or that was recorded for too short a time gets only that finding.
-    A shaft that was never commanded gets none.
+    A shaft that was never commanded above 0.1 of full command gets none.
     """
     silent = shaft.t[-1] + 3.0
     commanded = (np.abs(command.value) > MIN_COMMAND) & (command.t > silent)
@@ -171,7 +173,12 @@ def _shaft_findings(name: str, command: Channel, shaft: Channel) -> Iterator[Fin
 
 
 def _scale_findings(name: str, found: Response) -> Iterator[Finding]:
-    """Yield at most one finding: the shaft hardly follows its command, or follows it in another unit or direction."""
+    """Yield at most one finding: the shaft hardly follows its command, or follows it in another unit or direction.
+
+    The first of these: ``shaft-does-not-follow`` (warning) for an R2 below 0.5, ``shaft-speed-in-rad-per-s`` (fault)
+    for a factor of rad/s per rev/min or its inverse, ``shaft-speed-scale`` (fault) outside 0.4 to 2.5,
+    ``shaft-sign-reversed`` (fault) for a negative factor.
+    """
     size = abs(found.scale)
     if found.r2 < 0.5:
         yield Finding(
@@ -400,7 +407,9 @@ def _step_findings(name: str, command: Channel, shaft: Channel) -> Iterator[Find
 
 
 def _count_drop_outs(held: HeldCommand) -> int:
-    """Count how often the shaft speed falls to zero, during one held command, after it has come near its settled value.
+    """Count how often the shaft speed falls to zero during one held command.
+
+    It counts from the time at which the speed has reached 80 % of its settled value.
 
     Zero crossings of a reversal do not count: the shaft turns the other way before or after them. ``held.settled`` must
     not be zero.

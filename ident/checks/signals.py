@@ -322,7 +322,7 @@ def _constant_motion_confirmed(c: Channels, group: Sequence[str], begin: float, 
     """Return whether another sensor confirms that the signals of ``group`` were constant from ``begin`` to ``end`` [s].
 
     Positions confirm a velocity over ground. Velocities over ground confirm an acceleration in the boat's frame. The
-    result is false for other groups, and if the other sensor is missing or has too few samples.
+    result is false for other groups, and if the other sensor is missing, or a velocity has fewer than 4 samples.
     """
     if group == ("vx", "vy") and {*group, "x", "y"} <= set(c):
         misfits = []
@@ -457,12 +457,12 @@ def smoothed(c: Channels) -> tuple[str, ...]:
 
 
 def estimated(c: Channels) -> bool:
-    """Return whether the position has so little white noise (less than 3 cm) that it comes from an estimator.
+    """Return whether x or y has so little white noise (less than 3 cm) that the position comes from an estimator.
 
     Parameters
     ----------
     c
-        Channels (signals) of a log by name. False without ``x`` and ``y``.
+        Channels (signals) of a log by name. False without ``x`` and ``y``, or with fewer than 200 samples.
 
     Notes
     -----
@@ -483,7 +483,7 @@ def noise_floor(channel: Channel) -> float:
     Returns
     -------
     float
-        Standard deviation, in the unit of the channel. inf for fewer than 200 different samples.
+        Standard deviation, in the unit of the channel. inf for fewer than 200 samples that differ from the one before.
 
     Notes
     -----

@@ -54,8 +54,8 @@ def silent_times(channels: Mapping[str, Channel]) -> list[tuple[float, float]]:
     Notes
     -----
     Commands, shaft speeds, servo outputs and voltages of thrusters, transducers (NMEA XDR), and imported inputs do not
-    count as sensors. In a log without other sensors, for example of a bench, those that are not held count. Commands
-    never count, since inputs without measurements give no information.
+    count as sensors. In a log without other signals, for example of a bench, these count after all, except commands and
+    other inputs that are held between their samples (`is_held`), since inputs without measurements give no information.
     """
     outputs = {name: c for name, c in channels.items() if not is_held(name, c)}
     sensors = {
@@ -90,8 +90,9 @@ def parts_between(channels: Mapping[str, Channel], gaps: Sequence[tuple[float, f
 
     Notes
     -----
-    A command that is logged only when it changes holds across the gap. Its last value is the first sample of the next
-    part, at the end of the gap. Any other signal is unknown until its first sample after the gap.
+    A sample inside a gap is left out. A held input (`is_held`) whose mean sample interval outside the gaps exceeds 1 s
+    is logged only when it changes, and holds across the gap. Its last value is the first sample of the next part, at
+    the end of the gap. Any other signal is unknown until its first sample after the gap.
     """
     edges = [-np.inf, *(t for gap in gaps for t in gap), np.inf]
     silent = sum(end - begin for begin, end in gaps)
@@ -162,7 +163,7 @@ def clock_of(t: Array, step: float, before: float = 0.0) -> Array:
         Interval of the returned times [s].
     before
         Time [s] by which the returned times begin before the first sample, and before the first sample after each gap.
-        A gap must be longer than 60 s by this time.
+        Only gaps longer than 60 s plus this time are then left out.
 
     Returns
     -------

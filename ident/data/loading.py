@@ -70,7 +70,12 @@ NEAR_TIME_CONSTANTS = np.array([0.7, 0.8, 0.9, 1.0, 1.1, 1.25, 1.4])
 
 
 class PropulsionInput(StrEnum):
-    """Kind of the thruster signals of a log that drive a model of the boat, best first."""
+    """Kind of the thruster signals of a log that drive a model of the boat, best first.
+
+    ``MEASURED``: shaft speeds with their sign and the time of their measurement. ``TELEMETRY``: shaft speeds that an
+    autopilot relays with an unknown delay and without a sign. ``COMMAND``: commands, because shaft speeds are missing
+    or too rare.
+    """
 
     MEASURED = "measured"  # shaft speeds with their sign and the time of measurement
     TELEMETRY = "telemetry"  # shaft speeds relayed by an autopilot, with an unknown delay and without a sign
@@ -117,8 +122,9 @@ def propulsion_input(log: Log, found: Mapping[str, Channel], holds: Mapping[str,
     -------
     PropulsionInput or None
         None if the log has neither shaft speeds nor commands of both thrusters left and right. ``COMMAND`` if it has no
-        shaft speeds, if these are held or sampled, or if they come less often than every `SLOWEST_TELEMETRY` (0.15)
-        seconds beside commands. Otherwise ``TELEMETRY`` behind an autopilot, else ``MEASURED``.
+        shaft speeds of both, if one of these has the hold ``zero`` or is a sampled output (`Channel.sampled`), or if
+        the log also has both commands and a median interval of the shaft speeds exceeds `SLOWEST_TELEMETRY` (0.15 s).
+        Otherwise ``TELEMETRY`` behind an autopilot, else ``MEASURED``.
 
     Notes
     -----
@@ -235,7 +241,8 @@ def _rows_with_position(table: Table) -> Table:
 def _origin_row(table: Table) -> int:
     """Return the index of the fix that is the origin of x and y: the first one after the receiver has settled.
 
-    ``table`` (n,) has the fixes of the receiver, at least one.
+    ``table`` (n,) has the fixes of the receiver, at least one. It is the first fix that is not in a short section at
+    another place (`sections_elsewhere`).
     """
     x, y = local_ned(table["lat"], table["lon"])
     return int(np.argmin(sections_elsewhere(table["t"], x, y, np.ones(x.size, bool))))
@@ -269,7 +276,9 @@ def _add_thruster(log: Log, thruster: Thruster, found: dict[str, Channel]) -> No
 
     The names are ``n_NAME``, ``voltage_NAME`` and ``n_cmd_NAME``, with the name of the thruster in the rig file. The
     shaft speed is divided by the ``rpm_max`` of the rig file, and is left out without it. If its telemetry has no sign
-    of its own, the sign is restored (`shaft_speed`). Signals that the log does not contain are not added.
+    of its own, the sign is restored (`shaft_speed`). The command is the output of the autopilot if the log has it,
+    otherwise the logged command. A signal of the same name in ``found`` is replaced. Signals that the log does not
+    contain are not added.
     """
     device, node = thruster.device, thruster.node
     shaft = None
@@ -404,8 +413,9 @@ def shaft_speed(t: Array, speed: Array, t_command: Array, command: Array) -> tup
 
     Notes
     -----
-    The result is the response of the command through the delay and first-order lag that fit best, plus the interpolated
-    residuals, which are small and smooth. Interpolation of slow telemetry alone would smooth each step.
+    The result is the response of the command through the delay (0 to about 1 s) and first-order lag (time constant up
+    to about 0.9 s) that fit the magnitude best, plus the interpolated residuals, which are small and smooth.
+    Interpolation of slow telemetry alone would smooth each step.
     """
     speed = np.abs(speed)
     clock = clock_of(t, GRID_STEP, before=DELAYS[-1])
@@ -761,7 +771,7 @@ def _named_part(
 
 
 def _samples_within(channel: Channel, begin: float, end: float) -> Channel:
-    """Return a signal from ``begin`` to ``end`` [s], and its last sample before ``begin``.
+    """Return a signal from ``begin`` to ``end`` [s], and its last sample at or before ``begin``.
 
     The value of a command before ``begin`` still holds then.
     """
@@ -865,7 +875,7 @@ def load_run(path: Path, role: str, window: TimeWindow = WHOLE, device_faults: D
         ``estimation`` or ``validation``, for reports.
     window
         Interval of time of the log to load. The rest of the log is not read (except one minute on both sides), so that
-        the result has no ``sha256``.
+        ``about["sha256"]`` is empty.
     device_faults
         Function that returns the findings on the devices of an open log. It uses the tables that are read here. None:
         the devices are not checked.

@@ -73,9 +73,9 @@ def without_outliers(found: Mapping[str, Channel]) -> dict[str, Channel]:
 
     Notes
     -----
-    Commands are not tested, since a command may have any value at any time. If x and y have the same sample times, an
-    outlier of one coordinate removes the fix from both, and short sections of fixes at another place are removed as
-    well.
+    Commands and signals with the hold ``zero`` are not tested, since they may have any value at any time. If x and y
+    have the same sample times, an outlier of one coordinate removes the fix from both, and short sections of fixes at
+    another place are removed as well.
     """
     masks = {name: outliers(name, c, found) for name, c in found.items() if c.hold != "zero"}
     pair = [found[n] for n in ("x", "y") if n in found]
@@ -114,7 +114,8 @@ def outliers(name: str, c: Channel, found: Mapping[str, Channel]) -> Mask:
     -------
     Array (n,)
         True for an outlier. All False for a command, for a signal that is stepped like a command, and for a signal with
-        fewer than 12 samples.
+        fewer than 12 samples. NaN, and values of `IMPOSSIBLE` (1e6) or more, are outliers of shaft speeds and of
+        signals in `LEAST`, unless they are more than 5 % of the samples (a wrong unit).
     """
     none = np.zeros(c.t.size, bool)
     least, span = _outlier_limits(name, c)

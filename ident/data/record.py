@@ -61,8 +61,9 @@ class Channel:
     source : str
         Name of the device or of the imported column.
     hold : str
-        Value of an input between its samples: ``zero`` (constant until the next sample), ``average`` (the same, but a
-        change starts no new row of a record) or ``linear`` (linear interpolation). Empty if it is unknown, as for a
+        Value of an input between its samples: ``zero`` (constant until the next sample), ``average`` (constant too, but
+        a change starts no new row of a record: between two rows the record has the straight line of least squares
+        through the held values, `held_lines`) or ``linear`` (linear interpolation). Empty if it is unknown, as for a
         sensor.
     sampled : float
         Original sample interval [s] of a signal that was resampled to a finer grid of times. Zero for all other
@@ -186,7 +187,8 @@ class Record:
     name : str
         Name of the segment, for messages and results.
     t : Array (n_rows,)
-        Times of the rows [s], increasing.
+        Times of the rows [s] since the start of the record (``meta["t0"]`` in the log), increasing. A part keeps the
+        times of its record.
     u : Array (n_rows, n_inputs)
         Inputs at each row.
     u_next : Array (n_rows, n_inputs)
@@ -331,7 +333,7 @@ def build_record(
     ------
     ValueError
         If an input or all sensors are missing, if the signals do not overlap for two intervals of 1/rate, or if a gap
-        is too long.
+        needs more than `MAX_GAP_ROWS` (100 000) additional rows.
 
     Notes
     -----
@@ -594,7 +596,7 @@ def _row_times(
     Raises
     ------
     ValueError
-        If a gap needs more than `MAX_GAP_ROWS` rows, or the record more than `MAX_ROWS`.
+        If a gap needs more than `MAX_GAP_ROWS` (100 000) rows, or the record more than `MAX_ROWS` (20 million).
     """
     t: Array = np.sort(np.concatenate([*measured, *[s[(s > start) & (s < end)] for s in switches], [start, end]]))
     t = t[np.append(True, np.diff(t) > SAME_TIME)]
@@ -627,7 +629,9 @@ def _input_rows(
 ) -> tuple[Array, Array]:
     """Return the inputs of a record at its rows, and those at the ends of the intervals after the rows.
 
-    Both arrays are (n_rows, n_inputs).
+    Both arrays are (n_rows, n_inputs). An input that may be averaged (`Input.prefilter`) is the moving average over
+    ``window`` if this is not zero, and a straight line between rows. Otherwise the input follows its `Input.hold`:
+    ``zero`` keeps the last sample, ``linear`` is interpolated, and ``average`` is the line of `held_lines`.
 
     Parameters
     ----------

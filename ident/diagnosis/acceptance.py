@@ -306,14 +306,14 @@ def refit_outcome(refit: Refit, added: Sequence[Refit], policy: SearchPolicy = D
     Outcome
         The first of these that holds: ``NOT_SUPPORTED`` if the criterion is not positive, ``NOT_VALIDATED`` if the
         validation data do not support the effect, ``WORSE_PREDICTION`` or ``NO_BETTER_PREDICTION`` if the refit is not
-        accepted (`is_accepted`), ``SMALL`` if its criterion is small compared with the largest of the effects added
-        before, otherwise ``ADDED``.
+        accepted (`is_accepted`), ``SMALL`` if its criterion is at most ``policy.min_gain_ratio`` (2 %) of the largest
+        of the effects added before, otherwise ``ADDED``.
 
     Notes
     -----
     A small effect is ``ADDED`` in two exceptional cases: the prediction errors with it are significantly and clearly
-    smaller (``policy.max_small_error_ratio``), or the effect and an effect added before are declared alternatives. In
-    the latter case the effect added before may not explain all.
+    smaller (``policy.max_small_error_ratio``), or the effect and an effect added before are declared alternatives (one
+    lists the other in `Effect.alternatives`). In the latter case the effect added before may not explain all.
     """
     if not is_validated(refit, policy):
         return Outcome.NOT_SUPPORTED if refit.criterion <= 0 else Outcome.NOT_VALIDATED
@@ -370,7 +370,9 @@ def is_worth_its_parameters(importance: EffectImportance, policy: SearchPolicy =
     Three conditions have to hold. The validation data support the effect: the gain is positive and t exceeds
     ``policy.min_t``, or ``policy.min_t_if_predicting`` if the effect improves the prediction. The prediction over the
     horizon is not significantly worse with the effect. The prediction errors are smaller with it by an amount that
-    matters. False if the importance is unknown (NaN).
+    matters: it improves the prediction (`improves_prediction`), or the errors over the horizon fall by an amount that
+    matters (`falls_materially`), or the error ratio by inputs alone exceeds ``policy.material_error_ratio``. False if
+    the importance is unknown (NaN).
 
     Parameters
     ----------
@@ -396,8 +398,8 @@ def should_be_removed(
     """Return whether backward elimination should remove an effect.
 
     An effect should be removed if it does not justify its parameters (`is_worth_its_parameters`). A nonparametric
-    effect should also be removed if the prediction errors with it are neither significantly smaller nor, by their point
-    estimate, smaller by an amount that matters.
+    effect should also be removed if it does not improve the prediction (`improves_prediction`), and the errors over the
+    horizon do not fall by an amount that matters (`falls_materially`).
 
     Parameters
     ----------

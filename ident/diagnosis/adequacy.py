@@ -51,7 +51,9 @@ class AttributionEvidence:
     after
         Last fitted model, whose estimates are judged. None: the estimates of an effect are those of its own refit.
     nominal
-        Scores on the model without effects, which show the effects that the estimated parameters explain.
+        Scores on the model without effects. An effect with a ``Score.tolerance`` below ``policy.min_tolerance`` is
+        explained by the estimated parameters: a change of them has nearly the same influence on the outputs, so that
+        its score test has no power.
     unaffected, beside
         Names of the effects that keep their size if the strongest remaining candidates are fitted with them, and names
         of these candidates.
@@ -148,8 +150,10 @@ def assess_alternatives(
 def _strong_remaining_test_reasons(strong: Sequence[Score], n: int) -> list[str]:
     """Return the reason for ambiguity that the score tests still find a large effect; empty if ``strong`` is empty.
 
-    ``strong`` are the scores on the last model that pass and exceed the limit of the criterion. The one with the
-    largest criterion is named. ``n`` is the number of rows of the estimation data.
+    ``strong`` are the scores on the last model that pass and exceed the limit of the criterion. The limit is the larger
+    of ``policy.max_remaining_criterion`` and the share ``policy.max_remaining_share`` of the summed criteria of all
+    effects, but not above the effect's own criterion. The one with the largest criterion is named. ``n`` is the number
+    of rows of the estimation data.
     """
     if not strong:
         return []
@@ -176,8 +180,9 @@ def _many_remaining_tests_reasons(remaining: Sequence[Score], policy: SearchPoli
 def _remaining_alternative_reasons(effect: Effect, remaining: Sequence[Score], n_added: int) -> list[str]:
     """Return the reason for ambiguity that a declared alternative of the effect still passes its score test, else [].
 
-    The size of its score does not matter. The rule applies only if several effects were added (``n_added`` > 1): they
-    may then together take the place of that alternative. ``remaining`` are the scores that pass on the last model.
+    A declared alternative is an effect that `Effect.alternatives` lists. The size of its score does not matter. The
+    rule applies only if several effects were added (``n_added`` > 1): they may then together take the place of that
+    alternative. ``remaining`` are the scores that pass on the last model.
     """
     alternatives = [s.name for s in remaining if s.name in effect.alternatives] if n_added > 1 else []
     return [f"with this effect the score tests still find its alternative {alternatives[0]}"] if alternatives else []
@@ -287,9 +292,9 @@ def _nonparametric_curve_reasons(
     """Return the reasons for ambiguity of the effect of a round that nonparametric effects give; [] if there are none.
 
     There is one reason for each nonparametric effect in ``chosen`` (refits of all chosen effects). Two kinds are no
-    reason: the curve of which the effect is one form, and a small one if the effect keeps its size beside the remaining
-    candidates (``unaffected``). One more reason is an accepted nonparametric refit of the same round with a larger
-    criterion.
+    reason: the curve of which the effect is one form, and, if the effect keeps its size beside the remaining candidates
+    (``unaffected``), a curve with a criterion below the share ``policy.max_curve_share`` of that of the effect. One
+    more reason is an accepted nonparametric refit of the same round with a larger criterion.
     """
     assert search_round.chosen is not None
     curve, own = search_round.chosen.effect.nonparametric_of, search_round.chosen.criterion
@@ -356,7 +361,8 @@ def _comparison_in_words(competitor: Refit, behind: float, policy: SearchPolicy)
 def _untested_alternative_reasons(effect: Effect, untested: Collection[str]) -> list[str]:
     """Return a reason for ambiguity for each declared alternative of the effect that was not tested on these data.
 
-    ``untested`` are the names of all effects that were not tested. The list is empty if no alternative is among them.
+    A declared alternative is an effect that `Effect.alternatives` lists. ``untested`` are the names of all effects that
+    were not tested. The list is empty if no alternative is among them.
     """
     lost = [name for name in effect.alternatives if name in untested]
     return [f"its alternative {name} could not be tested on these data" for name in lost]
@@ -365,9 +371,10 @@ def _untested_alternative_reasons(effect: Effect, untested: Collection[str]) -> 
 def _explained_by_parameters_reasons(effect: Effect, explained: Collection[str]) -> list[str]:
     """Return the reasons for ambiguity that the estimated parameters of the model explain the effect or alternatives.
 
-    ``explained`` are the names of the effects that the parameters explain nearly completely. If the effect is one of
-    them, there is one reason; otherwise there is one for each of its alternatives among them. The unexplained rest of
-    such an alternative is only a difference of form, which looks like the effect.
+    ``explained`` are the names of the effects that the parameters explain nearly completely: a change of the parameters
+    has the same influence on the outputs, so that the score test of the effect has no power (`Score.tolerance`). If the
+    effect is one of them, there is one reason; otherwise there is one for each of its alternatives among them. The
+    unexplained rest of such an alternative is only a difference of form, which looks like the effect.
     """
     if effect.name in explained:
         return ["the model's estimated parameters explain nearly all of this effect"]

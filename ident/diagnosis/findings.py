@@ -203,7 +203,11 @@ class Round:
 
     @property
     def outcome(self) -> Outcome:
-        """Outcome of the refit that came closest to being added, ``UNTESTED`` if there is no refit."""
+        """Outcome of the refit that came closest to being added, ``UNTESTED`` if there is no refit.
+
+        Refits come closer in the order ``NOT_SUPPORTED``, ``NOT_VALIDATED``, ``NO_BETTER_PREDICTION``,
+        ``WORSE_PREDICTION``, ``SMALL``.
+        """
         if self.chosen is not None:
             return Outcome.ADDED
         found = {r.outcome for r in self.refits}
@@ -276,8 +280,9 @@ class EffectAttribution:
     reasons
         Reasons for an ambiguous attribution, as clauses for reports; empty for the other attributions.
     not_excluded
-        Names of the competing models that the data do not exclude, closest first. Declared alternatives follow that
-        could not be tested, or that the estimated parameters of the model explain.
+        Names of the competing models that the data do not exclude, closest first. Declared alternatives
+        (`Effect.alternatives`) follow that could not be tested, or that the estimated parameters of the model explain,
+        so that their score tests have no power.
     """
 
     effect: str

@@ -110,8 +110,8 @@ def _importance(
 def left_out_with(effect: Effect, chosen: Sequence[Refit]) -> set[str]:
     """Return the names of the effects that are left out of the model to measure the importance of one effect.
 
-    They are the effect itself, and a chosen nonparametric curve of the same force and variable. The curve would take
-    the place of the effect.
+    They are the effect itself, and a chosen nonparametric curve of which the catalogue declares the effect to be one
+    form (`Effect.nonparametric_of` or `Effect.parametric_form_of`). The curve would take the place of the effect.
 
     Parameters
     ----------

@@ -104,8 +104,9 @@ class SearchPolicy:
         are one block of the gain; with fewer, t > 2 is often chance.
     max_remaining_criterion, max_remaining_share
         Largest criterion of a score test that may still pass beside an identified effect: the larger of an absolute
-        value and a share of the sum of the criteria of all added effects. The true form of an effect is not exactly
-        that of the catalogue (tests/recovery: leave-one-out against the full catalogue).
+        value and a share of the sum of the criteria of all added effects, but (above the absolute value) not more than
+        the criterion of the effect itself. The true form of an effect is not exactly that of the catalogue
+        (tests/recovery: leave-one-out against the full catalogue).
     max_remaining_tests
         Largest number of score tests that may still pass beside an identified effect. A small difference of form makes
         a few of them pass.

@@ -569,7 +569,9 @@ def _candidate_score(
     -------
     Score or None
         If the fitted parameters explain every column of the candidate: zero statistics for a catalogue effect that acts
-        on the data, None otherwise. The statistics are also zero if a one-sided candidate has a negative estimate.
+        on the data, None otherwise. The statistics are also zero if a one-sided candidate has a negative estimate of
+        its first parameter. A column that is explained to 1e-8 is left out; so are combinations of columns that depend
+        on others.
     """
     candidate, names, index = placed.columns, np.array(placed.names), np.asarray(placed.at)
     # a column that the fitted parameters explain to 1e-8 cannot be tested

@@ -563,7 +563,7 @@ def score_all(
     -------
     scores
         One score for each candidate, the largest criterion first, with its threshold. For an effect with scanned
-        parameters it is the best score of the scan.
+        parameters it is the best score of the scan; all values of the scan count as tests in the threshold.
     passing
         The scores that pass, in the same order.
     """
@@ -681,8 +681,10 @@ class _Search:
         """Add effects one after the other; return the last model and the scores that pass on it.
 
         The search ends after ``max_effects`` rounds, after a round without an added effect, or if no score passes.
-        After a nonparametric effect, only parametric effects with a large score are tried. The common errors are added
-        before a round if they explain more than any single effect. The attributes of the search are updated.
+        After a nonparametric effect, only parametric effects are tried, with a criterion of the score above
+        ``policy.min_gain_ratio_after_curve`` of the largest criterion of an added effect. With the common errors, the
+        criterion must also exceed ``policy.max_remaining_criterion``. The common errors are added before a round if
+        they explain more than any single effect. The attributes of the search are updated.
 
         Parameters
         ----------
@@ -725,9 +727,10 @@ class _Search:
 
         Two effects can hide each other: each alone explains much of the estimation data, but the validation data
         support neither, because the errors by the other effect dominate some of their blocks. So the best parametric
-        refit that only lacks this support is added for a trial, and a further round searches for a second effect. Both
-        effects are kept if that round adds an effect and the validation data support the pair. The backward elimination
-        later tests each of them beside the other.
+        refit that only lacks this support (a positive but not significant gain, and a criterion above
+        ``policy.min_trial_criterion``) is added for a trial, and a further round searches for a second effect. Both
+        effects are kept if that round adds an effect and the validation data support the pair: their gain by both is
+        positive, with t above ``policy.min_t``. The backward elimination later tests each of them beside the other.
 
         Parameters
         ----------
@@ -832,6 +835,8 @@ class _Search:
     def unaffected_by(self, current: FittedModel, remaining: Sequence[Score]) -> tuple[frozenset[str], frozenset[str]]:
         """Fit the last model with the strongest remaining candidates, and find the effects that they do not change.
 
+        These are up to ``policy.n_beside`` parametric candidates. Without any, all added effects keep their size.
+
         A score test that still passes has two possible reasons: a further effect, beside those found, or an effect that
         was found in place of the right one. In the first case the effects found keep their size beside it, in the
         second they lose it.
@@ -909,6 +914,8 @@ class _Search:
     ) -> tuple[FittedModel, tuple[EffectImportance, ...], list[RemovedEffect]]:
         """Leave each effect out in turn and remove the least supported effect, until all effects are supported.
 
+        The least supported effect is the one with the smallest t among those of `should_be_removed`.
+
         If the remaining effects predict worse than the nominal model after a removal, the last effect is removed too.
         An effect is kept if the model without it cannot be fitted, because its importance is then unknown. A removed
         parametric effect becomes a candidate again.
@@ -973,7 +980,8 @@ class _Search:
         """Refit the best candidates that passed, and choose the refit to add.
 
         Parametric candidates are refitted in batches until a batch has an accepted refit. Then follow the nonparametric
-        candidates whose score is high enough.
+        candidates whose score is high enough compared with the best accepted refit
+        (``policy.nonparametric_score_share`` and ``policy.nonparametric_score_distance``).
 
         Parameters
         ----------

@@ -195,6 +195,8 @@ def _term_meanings(of: Sequence[Variable]) -> list[str]:
 def nonparametric_effect(model: Model, curve: ForceCurve, span: tuple[float, float]) -> Effect:
     """Return the nonparametric effect ``force += sum_k t_k basis_k(variable)``. The t_k are its parameters.
 
+    Each t_k has a prior with the mean 0 and the typical size of the residual quantity as standard deviation.
+
     Parameters
     ----------
     model : Model

@@ -87,7 +87,7 @@ def _effects_of_plugin(loaded: object, place: str) -> tuple[Effect, ...]:
 def _register_module(module: ModuleType, effects: dict[str, Effect]) -> None:
     """Add the effects of a module (``EFFECTS``, otherwise ``EFFECT``) to the mapping ``effects`` by name, in place.
 
-    Their parameter values are marked as built-in.
+    The origin of their parameter values is set to built-in: reports then do not count them as given by the user.
 
     Raises
     ------

@@ -51,7 +51,7 @@ def time_blocks(
     """Cut each record into blocks of consecutive rows, for cross-validation.
 
     A record gets five to eight blocks of equal duration. The number is the duration of the record divided by twelve
-    times ``block``, within these limits.
+    times ``block``, rounded down, within these limits.
 
     Parameters
     ----------
@@ -77,9 +77,10 @@ def leave_one_block_out(
 ) -> list[Array]:
     """Return parameter values for each block in time that do not depend on the data of this block.
 
-    They are used for cross-validation. The values come from one Newton step from the fit to all blocks, with the
-    block's contribution subtracted (approximate leave-one-out). Only the nominal model's per-record parameters (the
-    current) are estimated from the block itself.
+    They are used for cross-validation. The values come from one Newton step inside the bounds from the fit to all
+    blocks, with the block's contribution subtracted (approximate leave-one-out). A step that should gain more than 10
+    in log-posterior is halved, at most six times, until the log-posterior of the other blocks rises. Only the nominal
+    model's per-record parameters (the current) are estimated from the block itself.
 
     Parameters
     ----------
@@ -156,8 +157,9 @@ def leave_one_block_out(
 def _with_per_record_values_of_block(model: Model, block: Record, values: Array) -> Array:
     """Estimate the nominal model's per-record parameters, such as the current, from a block; keep all other values.
 
-    Return the values (n_parameters,). Per-record parameters of effects are kept, too: they must not come from the data
-    on which the effect is judged.
+    Return the values (n_parameters,), unchanged if the model has no such parameter. ValueError is raised if the fit
+    fails. Per-record parameters of effects are kept, too: they must not come from the data on which the effect is
+    judged.
 
     Parameters
     ----------

@@ -46,7 +46,8 @@ class UnexcitedMotion:
 def unexcited_motion(fit: Fit, records: Sequence[Record]) -> UnexcitedMotion | None:
     """Find the masses and the inertia that the data do not determine, because the commands did not excite the motion.
 
-    The data do not determine one if its standard error exceeds half of its estimate, or if it has no standard error.
+    The data do not determine one if its standard error exceeds half of its estimate, or if it has no standard error. If
+    the thrust was not given, both are those of the ratio to the thrust.
 
     Parameters
     ----------

@@ -121,8 +121,8 @@ class Bounds:
     def reached(self, z: Array) -> tuple[Flags, Flags]:
         """Return whether each coordinate of z (n,) is at its lower bound, and at its upper bound: two arrays (n,).
 
-        A coordinate counts as at a bound if it is beyond the bound or nearer than 1e-12 of the bound's value, for
-        rounding.
+        A coordinate counts as at a bound if it is on the bound or beyond it, or nearer to it than 1e-12 times the size
+        of the bound, for rounding. For a bound of zero this tolerance is zero.
         """
         near = [ROUNDING * np.where(np.isfinite(bound), np.abs(bound), 0.0) for bound in (self.low, self.high)]
         return np.asarray(z <= self.low + near[0]), np.asarray(z >= self.high - near[1])
@@ -213,8 +213,9 @@ class BfgsCorrection:
     def hessian(self, at: Evaluation) -> Array:
         """Return the negative Hessian (n, n) of the objective at a point, corrected by the stored steps of the search.
 
-        A step is skipped if the curvature along it, measured by the gradient, differs from that of the matrix by a
-        factor of 20 or more.
+        The corrections start from information plus curvature (`Evaluation.hessian`). A step is skipped if the curvature
+        along it, measured by the gradient, is zero or negative, or differs from that of the matrix by a factor of 20 or
+        more. The result therefore stays positive semidefinite.
         """
         H = at.hessian
         for s, y in self.pairs:
@@ -229,16 +230,16 @@ def solve_step(at: Evaluation, H: Array, z: Array, bounds: Bounds, damping: floa
     """Return the damped Newton step of a maximisation, which ends on the bounds if it would cross them.
 
     Coordinates without any information do not move. No logarithm moves by more than 1.5 (a factor 4.5 of the
-    parameter); otherwise the whole step is shortened. A logarithm that hardly changes the objective is an exception: it
-    alone is limited, and the step of the others is solved with it. Otherwise a noise parameter that the data do not
-    inform would ask for a very long step and shorten those of all others to almost zero.
+    parameter); otherwise the whole step is shortened. A logarithm that changes the objective by less than 0.5 over this
+    distance is an exception: it alone is limited, and the step of the others is solved with it. Otherwise a noise
+    parameter that the data do not inform would ask for a very long step and shorten those of all others to almost zero.
 
     Parameters
     ----------
     at
         Objective and derivatives at ``z``.
     H : Array (n, n)
-        Negative Hessian.
+        Negative Hessian. If it is singular, the step is the least-squares solution of least length.
     z : Array (n,)
         Coordinates at the start of the step.
     bounds
@@ -526,7 +527,7 @@ class Problem:
     def prior(self) -> tuple[Array, Array]:
         """Mean (n,) and information (n,) of each coordinate's prior; both are zero without a prior.
 
-        The information is 1 / variance.
+        The information is 1 / variance. For a coordinate that is a logarithm, both are those of the logarithm.
         """
         given = [p.free_prior() for p in self.parameters]
         mean = np.array([g[0] if g else 0.0 for g in given])
@@ -563,7 +564,7 @@ class Problem:
         """Return log-posterior, gradient and expected information at the coordinates z (n,), summed over the records.
 
         The derivatives come from forward sensitivities. The information includes that of the priors. The value includes
-        all constants of the likelihood, but not those of the priors.
+        all constants of the likelihood, but not those of the priors. It is NaN if the filter diverges in a record.
         """
         mean, weight = self.prior
         value = 0.0
@@ -613,8 +614,8 @@ class Problem:
     def value(self, z: Array) -> float:
         """Return the log-posterior at the coordinates z (n,), without the constants of the priors.
 
-        A record whose values are the same as in the last call is not evaluated again. If only a per-record parameter
-        changes, a single record is evaluated.
+        The result is NaN if the filter diverges in a record. A record whose values are the same as in the last call is
+        not evaluated again. If only a per-record parameter changes, a single record is evaluated.
         """
 
         def work(i: int, v: Array) -> float:

@@ -161,7 +161,8 @@ def fit_nominal_model(
     Returns
     -------
     FittedModel
-        Fit with its evaluation. Validation logs that cannot be converted or evaluated are in ``failed``.
+        Fit with its evaluation. Validation logs that cannot be converted or evaluated are in ``failed``. Without
+        validation logs, ``validation`` is empty: there is no cross-validation.
 
     Raises
     ------
@@ -204,16 +205,17 @@ def fit_with_rescaling(
 ) -> FittedModel:
     """Fit a model with disturbance forces and sensor offsets, and fit it again if its priors turn out to be wrong.
 
-    A second fit follows if the boat's estimated force or moment scale differs from the assumed one by a factor of two
-    or more, or if the innovations contradict the declared noise of the sensors. If the second fit fails, does not
-    converge or is much less likely than the first, it is repeated from the shared estimates of the first fit.
+    A second fit follows if the boat's force or moment scale by the estimated masses (`size_of`) differs from that by
+    the initial ones by a factor of two or more, or if the innovations contradict the declared noise of the sensors. If
+    the second fit fails, does not converge or is much less likely than the first, it is repeated from the shared
+    estimates of the first fit.
 
     Parameters
     ----------
     full
         Model with disturbance forces and sensor offsets as states, a result of `nominal_model`.
     records, validation_data
-        Estimation and validation data.
+        Estimation records; and validation records, or blocks in time of the estimation records for cross-validation.
     options
         Method, outliers and noise. None: prediction error, without outliers and REML.
     settings
@@ -301,10 +303,12 @@ def fit_and_evaluate(
     Parameters
     ----------
     model
-        Model with its initial values. Other initial values of its start grid are tried, except in a rough search
-        (without robust errors).
+        Model with its initial values. Free measurement noise near zero gets a new initial value
+        (`reset_collapsed_noise`). Other initial values of its start grid are tried, except in a rough search (without
+        robust errors).
     records, validation_data
-        Estimation and validation data. A validation record that cannot be evaluated is named in ``failed``.
+        Estimation records; and validation records, or blocks in time of the estimation records. A validation record
+        that cannot be evaluated is named in ``failed``.
     options
         Method, outliers and noise. None: prediction error, without outliers and REML.
     settings
@@ -491,7 +495,9 @@ def nominal_model(model: Model) -> Model:
 def with_all_candidates(
     nominal_model: Model, candidates: Mapping[str, Effect], runs: Sequence[LogSegment]
 ) -> tuple[Model, dict[str, Effect]]:
-    """Add all candidate effects to a model whose inputs exist in all runs. Return the model, and these effects by name.
+    """Add the candidate effects whose inputs exist in all runs to a model. Return the model, and these effects by name.
+
+    The other candidates are left out.
 
     A record of this model contains all inputs that the candidates need, so that it is made only once.
 
@@ -514,8 +520,9 @@ def with_all_candidates(
 def missing_inputs(nominal_model: Model, effect: Effect, run: LogSegment) -> set[str]:
     """Return the names of those inputs of an effect that a run does not contain and that cannot be derived from it.
 
-    The time ``t`` can always be derived. The input ``work``, the integral of the cubed shaft speeds, can be derived if
-    the model has the shaft speed ``n``.
+    A delayed copy (``NAME~k``) can be derived from its source ``NAME``; if that is missing, the result has the name of
+    the source. The time ``t`` can always be derived. The input ``work``, the integral of the cubed shaft speeds, can be
+    derived if the model has the shaft speed ``n``.
     """
     derived = {"t", "work"} if nominal_model.provides and "n" in nominal_model.provides else {"t"}
     return {i.tap_of or i.name for i in effect.inputs} - derived - set(run.channels)

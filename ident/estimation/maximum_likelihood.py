@@ -292,6 +292,7 @@ def fit(
         Accuracy and effort of the search. None: the defaults of `SearchSettings`.
     start
         Initial values by parameter, which replace those of the model. ``V_x@0`` is the value of V_x in record 0 only.
+        KeyError is raised for a name that is no parameter.
     progress
         Called in each iteration with its number and the log-posterior.
 

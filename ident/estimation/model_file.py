@@ -468,7 +468,8 @@ def _with_bounds_around_values(effect: Effect, rows: Sequence[Mapping[str, Any]]
     """Widen the bounds of an effect's scaled parameters so that they include the values in the file. Return the effect.
 
     Bounds are scaled with the size of the boat. The fit that wrote the file may have assumed another size, so that a
-    value at its bound may lie outside the bounds of today. ``rows`` are the tables of the parameters in the file.
+    value at its bound may lie outside the bounds of today. A bound of zero does not depend on the size and stays.
+    ``rows`` are the tables of the parameters in the file.
     """
     values = {row["name"]: float(row["value"]) for row in rows}
 

@@ -53,9 +53,9 @@ def output_error(model: Model) -> Likelihood:
 def with_initial_state(model: Model, names: Sequence[str] | None = None, *, per_record: bool = True) -> Model:
     """Return the model with the initial values of states as free parameters ``x0_NAME``, for output error.
 
-    The parameters start at the initial value ``x0`` of the state. The standard deviation ``sd0`` of the initial state
-    becomes zero, and the state does not start from a measurement any more. A state whose ``x0`` is already a parameter
-    is not changed.
+    The parameters start at the initial value ``x0`` of the state, and have neither a prior nor bounds. The standard
+    deviation ``sd0`` of the initial state becomes zero, and the state does not start from a measurement any more. A
+    state whose ``x0`` is already a parameter is not changed.
 
     Parameters
     ----------
@@ -152,7 +152,8 @@ def simulate(
     Returns
     -------
     Simulation
-        States and outputs in all rows of the record.
+        States and outputs in all rows of the record. They are not finite from the row on in which the simulation
+        diverges.
     """
     values = _values_or_default(model, values)
     data = (preparer or Preparer(model))(record)
@@ -185,7 +186,8 @@ def predict_ahead(
     Returns
     -------
     Simulation
-        Predictions at the n end rows, in the order of ``end``.
+        Predictions at the n end rows, in the order of ``end``; not finite if a prediction diverges. For ``start ==
+        end`` they are the given state and its outputs.
     """
     data, kernel = Preparer(model)(record), _simulation_kernel(model)
     arrays = {n: data.rows[n] for n in INPUTS} | {"p": _values_or_default(model, values)}

@@ -181,9 +181,9 @@ def principal_directions(model: Model, values: Array, known: ParameterCovariance
     Returns
     -------
     list of Array (n_parameters,)
-        One vector for each direction. In it, each moved parameter has the value of the model plus the step; the other
-        entries are those of ``values``. The list is empty if the covariance is unknown or contains no parameter of the
-        model except noise.
+        One vector for each direction. In it, each moved parameter has the value of the model plus the step, in one
+        direction only and not clipped to its bounds; the other entries are those of ``values``. The list is empty if
+        the covariance is unknown or contains no parameter of the model except noise.
     """
     if known is None or known.covariance is None:
         return []

@@ -31,9 +31,10 @@ def apply_rig_geometry(
     """Return the model with the dimensions of the boat from its rig file.
 
     The dimensions are the values of the table ``vehicle``, the lateral positions of the thrusters (parameters
-    ``y_left`` and ``y_right``) and the lever arm of the antenna. A value with a standard uncertainty becomes the mean
-    of a prior. A value without one is the initial value of a parameter that the model estimates, and fixes any other
-    parameter. Values that are no parameter of the model are ignored.
+    ``y_left`` and ``y_right``) and the lever arm of the antenna. A value in ``vehicle`` takes precedence over the
+    position of the thruster. A value with a standard uncertainty becomes the mean of a prior. A value without one is
+    the initial value of a parameter that the model estimates, and fixes any other parameter. Values that are no
+    parameter of the model are ignored.
 
     Parameters
     ----------
@@ -69,7 +70,8 @@ def _with_antenna(model: Model, rig: Rig) -> tuple[Model, list[str]]:
 
     The lever arm is the position of the antenna from the centre of gravity. The first device of the rig with a lever
     arm counts as the antenna of all GNSS outputs. The model is unchanged, and there is no note, if no device has a
-    lever arm or the model has no GNSS output.
+    lever arm other than zero or the model has no GNSS output. The height of an antenna does not count for a model
+    without roll and pitch.
     """
     sensitive = slice(2 if "hull" in model.provides else 3)  # without roll and pitch the height has no effect
     arms = [d.lever_arm_m for d in rig.devices if any(tuple(d.lever_arm_m)[sensitive])]

@@ -218,9 +218,9 @@ def trace_profile(objective: ConstrainedObjective, sign: int) -> ProfileBranch:
     """Find the end of a parameter's 95 % likelihood interval on one side of the estimate, point by point.
 
     At each point the parameter is held and all others are fitted again. The search ends when the distance at which the
-    log-likelihood has dropped by 1.92 is known to one per cent, when a bound is reached, or when the allowed number of
-    points is used. It also ends if a better optimum than the estimate is found. This optimum is then in
-    ``objective.best_found``, and the caller starts again from there.
+    log-likelihood has dropped by 1.92 is known to one per cent, when a bound is reached, or when 12 points outwards and
+    14 between the last point inside and the first outside are used. It also ends if a better optimum than the estimate
+    is found. This optimum is then in ``objective.best_found``, and the caller starts again from there.
 
     Parameters
     ----------
@@ -432,9 +432,11 @@ class ProfileBranch:
         """Return the distance at which the log-likelihood has dropped by 1.92; and whether it is exact to 1 %.
 
         The distance is the end of the 95 % interval. The square root of the drop is nearly a straight line in the
-        distance, so that it is interpolated. The distance is the middle between the last point inside and the first
-        point outside if these are within one per cent, or if the drop of the outer one is infinite. AssertionError is
-        raised if no point outside exists.
+        distance, so that it is interpolated. The result counts as exact if both points are within one per cent, or if
+        their drops are between 0.96 and 3.84 and two interpolations agree: by a straight line, and by a monotone cubic
+        through all points. The distance is the middle between the last point inside and the first point outside if
+        these are within one per cent, or if the drop of the outer one is infinite. AssertionError is raised if no point
+        outside exists.
         """
         inner, outer = self.last_inside, self.first_outside
         assert outer is not None
@@ -455,9 +457,10 @@ class ProfileBranch:
         """Return the distance of the next point: between the last one inside the 95 % interval and the first outside.
 
         A straight line through the square roots of the drops at both points reaches the root of 1.92 at this distance.
-        If that line is a poor guess, the middle is taken (the geometric middle if the distances differ by more than a
-        factor of four). With only the estimate inside, the distance is at most half of the outer one. The width between
-        both points is appended to ``bracket_widths``. AssertionError is raised if no point outside exists.
+        If that line is a poor guess (the outer drop exceeds four times 1.92, or two points have not halved the
+        bracket), the middle is taken (the geometric middle if the distances differ by more than a factor of four). With
+        only the estimate inside, the distance is at most half of the outer one. The width between both points is
+        appended to ``bracket_widths``. AssertionError is raised if no point outside exists.
         """
         inner, outer = self.last_inside, self.first_outside
         assert outer is not None

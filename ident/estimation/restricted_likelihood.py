@@ -36,8 +36,9 @@ def apply_reml(problem: Problem, maximum: Optimum) -> Optimum:
 
     Maximum likelihood underestimates the noise, because the fitted dynamics reduce the innovations; the step corrects
     this. It moves noise parameters and dynamic parameters. A noise parameter keeps its value if it is not estimated as
-    a logarithm, is at a bound, or if the data do not determine its order of magnitude. A dynamic parameter that all
-    records share and that is known mainly from its prior also keeps its value.
+    a logarithm, is at a bound, or if the data do not determine its order of magnitude (an information of at most 1 on
+    its logarithm). A dynamic parameter that all records share and of which the prior has more than half of the
+    information also keeps its value.
 
     Parameters
     ----------

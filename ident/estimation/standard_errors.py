@@ -240,8 +240,8 @@ def _unidentified_parameters(
 ) -> tuple[NDArray[np.bool_], list[tuple[str, str]]]:
     """Find the parameters that take part in a combination of parameters that the data do not identify.
 
-    Such a combination is an eigenvector of the scaled information with an eigenvalue near zero: the likelihood does not
-    change along it.
+    Such a combination is an eigenvector of the information, scaled to unit diagonal, with an eigenvalue below 1e-10:
+    the likelihood does not change along it.
 
     Parameters
     ----------
@@ -253,7 +253,8 @@ def _unidentified_parameters(
     Returns
     -------
     unseen : Array (n,) of bool
-        Whether the parameter takes part in such a combination, or the data do not depend on it at all.
+        Whether the parameter takes part in such a combination (with an entry above 0.1 in the unit vector), or the data
+        do not depend on it at all.
     flags : list of (name, remark)
         One remark or more for each of these parameters, with the combination.
     """
@@ -390,7 +391,8 @@ def widened(known: Uncertainty, robust: Array) -> Uncertainty:
 def _variance_from_block_sums(parts: Sequence[Array], n_parameters: int) -> tuple[float, float, bool]:
     """Return the variance of the sum of an autocorrelated quantity over all rows, from its sums over blocks of rows.
 
-    A block is several times longer than the autocorrelation. The variance is corrected for the covariance between
+    A block is as long as nine correlation lengths (`correlation_length`), or longer if there would be more than 40
+    blocks in all (or four for each parameter, if that is more). The variance is corrected for the covariance between
     neighbouring blocks, and for the degrees of freedom that the fitted parameters take.
 
     Parameters

@@ -111,7 +111,8 @@ class ThrustScale:
         """Return the name under which a parameter is reported; for a ratio, for example ``m_u/T`` or ``m_r/(T y_arm)``.
 
         T is the thrust of one thruster at full forward command. ``name`` and ``unit`` are those of the parameter in the
-        model. A number that is not reported as a ratio keeps its name.
+        model. A number that is multiplied instead, for example one in 1/N, gets ``T`` before its name. A number that is
+        not reported as a ratio keeps its name.
         """
         thrust, arm = self.powers(unit)
         parts = ["T"] * (thrust > 0) + ["y_arm"] * (arm > 0)
@@ -267,7 +268,10 @@ class ReportedEstimates:
 
     @cached_property
     def correlation(self) -> Array:
-        """Correlation of the reported estimates (n, n), in the order of ``fit.parameters``."""
+        """Correlation of the reported estimates (n, n), in the order of ``fit.parameters``.
+
+        It is NaN for parameters without a standard error.
+        """
         if not (self.scale.relative or self.scale.relative_yaw):
             return self.fit.correlation
         root = np.sqrt(np.diag(self._covariance))

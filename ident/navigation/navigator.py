@@ -160,7 +160,7 @@ class Navigation:
         return [names.index(n) for n in POSITION]
 
     def current(self) -> Array | None:
-        """Return the estimated current (n_rows, 4) [m/s], None if the model has no current as states.
+        """Return the current of the estimate ``best`` (n_rows, 4) [m/s], None if the model has no current as states.
 
         The columns are the means to the north and east, then the standard deviations to the north and east.
         """
@@ -176,9 +176,9 @@ def navigator(model: Model) -> Model:
     """Return the model with the ocean current as states, in place of its per-record parameters.
 
     A filter can then estimate the current along a record. The initial standard deviation of a state is that of the
-    parameter's prior. Each parameter is fixed at the mean of its prior, and the state is the deviation from it. The
-    states are constant unless the model has the effect of a random-walk current. A model without per-record current is
-    returned unchanged.
+    parameter's prior; without a prior it is 0.5 m/s, with the mean 0. Each parameter is fixed at the mean of its prior,
+    and the state is the deviation from it. The states are constant unless the model has the effect of a random-walk
+    current. A model without per-record parameters for both components of the current is returned unchanged.
     """
     currents = {p.name: p for p in model.parameters if p.name in CURRENT and p.per_record}
     if set(currents) != set(CURRENT):
@@ -208,7 +208,8 @@ def navigate(
     model : Model
         Fitted model, as ``seatrial.ident.estimation.load_model`` returns it.
     record : Record
-        Outputs and inputs of one log.
+        Outputs and inputs of one log. It must have all inputs of the model; an output that it lacks counts as not
+        measured.
     smoothed : bool
         Whether ``Navigation.best`` uses all samples; otherwise it uses the samples up to each row.
     without_gnss : sequence of (float, float)
@@ -225,7 +226,8 @@ def navigate(
     Raises
     ------
     ValueError
-        If the model has no position, an interval contains no fix, no fix is left, or the filter diverges.
+        If the model has no position, the record lacks an input, an interval contains no fix, no fix is left, or the
+        filter diverges.
     """
     missing = [
         n for n in POSITION if n not in {o.name for o in model.outputs} or n not in {s.name for s in model.states}
@@ -330,8 +332,9 @@ def _consider_covariance(
     """Return what parameter errors add to the covariances of one-step prediction and best estimate.
 
     Both results (consider covariances) are (n_rows, n_states, n_states). The filter, and the smoother if ``smoothed``,
-    run again with parameters that are moved along each principal direction of their covariance. A direction for which
-    the filter diverges is left out.
+    run again with parameters that are moved by 0.05 standard deviations to one side along each principal direction of
+    their covariance. The change of the states, scaled to one standard deviation, enters the covariance. A direction for
+    which the filter diverges is left out.
 
     Parameters
     ----------

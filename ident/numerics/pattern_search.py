@@ -49,7 +49,10 @@ def penalised_objective(value: Array, violation: Array) -> Array:
 
 
 def violates_constraint(merit: float) -> bool:
-    """Return whether a merit of `penalised_objective` is that of a point that violates a constraint."""
+    """Return whether a merit of `penalised_objective` is that of a point that violates a constraint.
+
+    Such a merit is at most ``-VIOLATION_PENALTY`` (-1e12), so the objective of other points must be larger.
+    """
     return merit <= -VIOLATION_PENALTY
 
 
@@ -164,10 +167,10 @@ class PatternSearch:
         ----------
         starts : Array (m, size)
             The starts inside the bounds, at least one. Each gets an equal part of half of the evaluations; the best
-            gets the rest. A single start gets all.
+            gets the rest, and its mesh is widened to at least 1/16 of the range. A single start gets all.
         evaluations
-            Total number of evaluations. The last batch of each search may exceed it. A search ends earlier if its mesh
-            becomes finer than 0.001 of the range of a coordinate.
+            Total number of evaluations, without those of the starts and of the result. The last batch of each search
+            may exceed it. A search ends earlier if its mesh becomes finer than 0.001 of the range of a coordinate.
         progress
             Function that is called after each batch with the number of evaluations and the best merit of the current
             search.
@@ -209,8 +212,9 @@ class PatternSearch:
     def _evaluate_batch(self, search: SearchState) -> None:
         """Evaluate one batch of points and move to its best point if that is an improvement; else count an idle batch.
 
-        It changes ``search`` in place. It halves the mesh first if all coordinates have been polled and at least six
-        batches in sequence were idle (more for many coordinates).
+        It changes ``search`` in place. Points outside the bounds are moved onto them before the evaluation. It halves
+        the mesh first if all coordinates have been polled and at least six batches in sequence were idle (more for many
+        coordinates).
         """
         if not search.order:
             if search.idle >= max(PATIENCE, -(-self.low.size // (BATCH // 4))):
@@ -237,7 +241,7 @@ class PatternSearch:
     def _poll_points(self, search: SearchState, chosen: list[int]) -> Array:
         """Return points (2 k, size) with each of the k ``chosen`` coordinates moved up and down by the mesh size.
 
-        The points may be outside the bounds.
+        The points may be outside the bounds; `_evaluate_batch` moves them onto the bounds.
         """
         step = search.mesh * (self.high - self.low)[chosen]
         trials = np.repeat(search.z[None], 2 * len(chosen), axis=0)

@@ -25,7 +25,7 @@ def first_order_lag(f: Array, tau: float, dt: float, *, hold: Hold = "forward", 
     f : Array (n, ...)
         Input, time along the first axis.
     tau
-        Time constant [s], zero or more.
+        Time constant [s], zero or more. For zero, x[k] is the input that is held over the step before row k.
     dt
         Step [s].
     hold
@@ -57,7 +57,8 @@ class LagData(NamedTuple):
     f : Array (n,)
         Input, evenly sampled.
     misfit
-        Function of the lagged input (n,) and a delay [s]; returns the misfit of the recording.
+        Function of the lagged input (n,), which is not delayed yet, and a delay [s]. It delays the input and returns
+        its misfit to the recording, for example the sum of squared errors.
     """
 
     f: Array

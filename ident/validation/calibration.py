@@ -130,7 +130,7 @@ def _independent_errors(z: Array) -> float:
 def one_step_calibration(model: Model, run: FilterResult) -> dict[str, Array]:
     """Return the standardised innovations (n_rows,) of a filter run of a model, by channel.
 
-    They are one-step prediction errors over their standard deviations; NaN in rows without a sample.
+    They are one-step prediction errors over their standard deviations; NaN in rows without a sample, and for outliers.
     """
     return {o.name: run.standardised[:, j] for j, o in enumerate(model.outputs)}
 

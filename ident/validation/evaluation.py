@@ -144,7 +144,8 @@ class SetEvaluation:
     errors
         Prediction errors of all records together, by channel.
     explained
-        Prediction errors over the horizon, compared with those of a prediction by the mean of each measured channel.
+        Prediction errors over the horizon, compared with those of a prediction by the mean of each measured channel:
+        the ratio is that of the model's errors over these, below 1 if the model is better.
     calibration
         Calibration of the prediction intervals of all records together, by channel.
     """
@@ -231,7 +232,8 @@ def _evaluate_set(
     views
         Records of the set with their parameter values and filter runs.
     is_estimation
-        Whether the model was fitted to these records. Their per-record parameters then have the uncertainty of the fit.
+        Whether the model was fitted to these records. Their per-record parameters then have the uncertainty of the fit;
+        otherwise these count as exact in the simulation.
     seconds
         Prediction horizon [s].
     likelihood

@@ -244,7 +244,7 @@ class ErrorRatio:
     ratio
         The ratio.
     low, high
-        Its 95 % interval, NaN if the data are too short for an interval.
+        Its 95 % interval, NaN with fewer than four blocks of time with errors (`prediction_change`).
     """
 
     ratio: float

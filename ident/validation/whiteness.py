@@ -211,7 +211,8 @@ def cross_correlation(
     t, e : Array (n,)
         Times [s] and standardised innovations of the channel.
     t_u, u : Array (n_rows,)
-        Times [s] and values of the input.
+        Times [s] and values of the input. In between it is interpolated linearly; before the first time it keeps the
+        first value.
     coefficients : Array (order,)
         Autoregression of the innovations, by default that of `autoregression`.
 
@@ -581,6 +582,8 @@ def _regression(e: Array, most_lags: int) -> _Regression:
 
 def highest_line(e: Array) -> SpectralLine:
     """Find the highest spectral line in the periodogram of innovations e (n,), with Fisher's test (1929).
+
+    The mean and the frequency of half the sampling rate are left out.
 
     The p value is the leading term of Fisher's series, which is accurate if it is small.
     """

@@ -10,8 +10,9 @@ from seatrial.ident.model import Effect, Parameter, Signals
 def draw(s: Signals) -> None:
     """Add a sideways force [N] and a yaw moment [N m] that grow with the squared speed and towards the bank.
 
-    Both are largest if the boat moves along the bank. They change linearly with the distance from the origin in the
-    direction of the bank.
+    The force to starboard is ``(Y_bank + Y_slope d) u^2 sin(psi_bank - psi)``, and the moment ``-(N_bank + N_slope d)
+    u^2 sin(psi_bank - psi)``. They are added to ``s.Y`` and ``s.N``, in place. psi_bank is the bearing of the bank, and
+    d [m] the distance of the boat from the origin in this direction. Both are largest if the boat moves along the bank.
     """
     p, x = s.p, s.x
     towards = x.x * np.cos(p.psi_bank) + x.y * np.sin(p.psi_bank)  # distance from the origin, in m

@@ -6,7 +6,11 @@ from seatrial.ident.model import Effect, Parameter, Signals
 
 
 def shear(s: Signals) -> None:
-    """Add the change of the current from the origin to the place of the boat to the rates of position [m/s]."""
+    """Add the change of the current from the origin to the place of the boat to the rates of position [m/s].
+
+    The rates of x and y are increased by ``V_xx x + V_xy y`` and ``V_yx x + V_yy y``, in place. The coefficients [1/s]
+    are parameters; x and y [m] are north and east of the origin.
+    """
     p, x = s.p, s.x
     s.rate["x"] = s.rate["x"] + p.V_xx * x.x + p.V_xy * x.y
     s.rate["y"] = s.rate["y"] + p.V_yx * x.x + p.V_yy * x.y

@@ -6,7 +6,11 @@ from seatrial.ident.model import Effect, Parameter, Signals
 
 
 def drag(s: Signals) -> None:
-    """Add a quadratic drag [N] whose coefficient is in proportion to the distance from the origin, north and east."""
+    """Subtract a quadratic drag [N] that changes with the place from the surge force ``s.X``, in place.
+
+    The drag is ``(d_north x + d_east y) u |u|`` at the place x, y [m] north and east of the origin, with the surge
+    speed u.
+    """
     p, x = s.p, s.x
     s.X = s.X - (p.d_north * x.x + p.d_east * x.y) * x.u * abs(x.u)
 

@@ -11,7 +11,9 @@ def blow(s: Signals) -> None:
     """Add the force and moment of a steady wind to ``s.X``, ``s.Y`` [N] and ``s.N`` [N m], in place.
 
     The parameters ``F_wx``, ``F_wy`` are the wind force in NED on a boat at rest with the wind on the broadside. The
-    wind velocity follows from this force and ``k_air``, the force per squared wind velocity.
+    wind velocity follows from this force and ``k_air``, the force per squared wind velocity. The surge force is ``w_x``
+    times the component of the force along the boat. The yaw moment is ``w_n`` times the component across it, plus a
+    term with the lever arm ``w_nn`` in oblique wind.
 
     The velocity of the boat over ground changes the relative wind. This change has no derivative at zero wind, because
     the wind velocity is the square root of the force. It is therefore faded out for winds weaker than about 1 m/s, and

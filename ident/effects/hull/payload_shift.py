@@ -11,7 +11,11 @@ WIDTH_S = 1.0  # time in which the payload moves [s]; the likelihood needs a der
 
 
 def shift(s: Signals) -> None:
-    """Set the centre of gravity to its place at the time of the row."""
+    """Set the centre of gravity to its place at the time t since the start of the record, in place.
+
+    The parameter ``x_g`` becomes ``x_g + x_before``, and after ``t_shift`` also ``+ x_shift``; ``y_g`` likewise. An
+    ``x_g`` that the model lacks counts as zero. The shift takes about 2 s around ``t_shift`` (a tanh).
+    """
     p = s.p
     moved = (1 + np.tanh((s.u.t - p.t_shift) / WIDTH_S)) / 2
     p.x_g = getattr(p, "x_g", 0.0) + p.x_before + moved * p.x_shift

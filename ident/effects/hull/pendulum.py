@@ -20,7 +20,8 @@ LARGEST_MASS_KG = 30.0
 def _moving_mass_hooks(force: str, of: str) -> dict[str, ModelFunction]:
     """Return the two hooks of a sprung mass that moves along one axis of the boat, by the stage of the model.
 
-    The first adds the force of the mass; the second sets the rates of its displacement and velocity.
+    A hook is a function of the model's signals, which it changes in place at its stage. The first adds the force of the
+    mass; the second sets the rates of its displacement and velocity.
 
     Parameters
     ----------

@@ -6,9 +6,11 @@ from seatrial.ident.model import Effect, Parameter, Signals
 
 
 def walk(s: Signals) -> None:
-    """Add the sideways force [N] of both propellers, and its yaw moment [N m].
+    """Add the sideways force of both propellers to ``s.Y`` [N], and its yaw moment to ``s.N`` [N m], in place.
 
-    The force is in proportion to the thrust, with one coefficient for thrust ahead and one for thrust astern.
+    The force is ``k_ahead`` times the sum of the forward thrusts plus ``k_astern`` times the (negative) sum of the
+    reverse thrusts, positive to starboard. The moment is the force times ``x_walk`` [m], the position of the propellers
+    forward of the origin.
     """
     ahead = sum((f + abs(f)) / 2 for f in s.f.values())
     astern = sum((f - abs(f)) / 2 for f in s.f.values())

@@ -9,14 +9,23 @@ from seatrial.ident.model import Effect, Parameter, Signals
 
 
 def turn(s: Signals) -> None:
-    """Add the sideways force [N] of both thrusters, and its yaw moment [N m], for small angles of the thrust lines."""
+    """Add the sideways force of both thrusters to ``s.Y`` [N], and its yaw moment to ``s.N`` [N m], in place.
+
+    The force is ``delta_L f_left + delta_R f_right``, with the angles [rad] of the thrust lines, positive to starboard.
+    They are small: the forward thrust is not changed. The moment is the force times ``x_delta`` [m], the position of
+    the thrusters forward of the origin.
+    """
     sideways = s.p.delta_L * s.f["left"] + s.p.delta_R * s.f["right"]
     s.Y = s.Y + sideways
     s.N = s.N + s.p.x_delta * sideways
 
 
 def angles(estimates: Mapping[str, tuple[float, float]]) -> str:
-    """Return the angles of both thrust lines in degrees, with their standard errors, as a clause."""
+    """Return a clause for reports: "the left thruster pushes 2.0 ± 0.3 deg to starboard and the right ...".
+
+    ``estimates`` has estimate and standard error [rad] by parameter. Only ``delta_L`` and ``delta_R`` are used,
+    positive to starboard. A standard error that is not finite is left out.
+    """
     parts = []
     for name, side in (("delta_L", "left"), ("delta_R", "right")):
         angle, se = (math.degrees(z) for z in estimates[name])

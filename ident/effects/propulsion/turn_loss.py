@@ -16,7 +16,7 @@ from seatrial.ident.model import (
 
 
 def _thrust_reducer(parameter: str, variable: str) -> ModelFunction:
-    """Return the hook that divides the thrust of each thruster by ``1 + p |variable|``.
+    """Return the hook (function of the model's signals) that divides each thrust in ``s.f`` by ``1 + p |variable|``.
 
     ``parameter`` is the name of the parameter p, and ``variable`` that of the state: ``r`` (yaw rate) or ``v`` (sway).
     The modulus is smoothed at zero.

@@ -15,7 +15,8 @@ from seatrial.ident.numerics import Matrix, rotation_matrix
 def turn(s: Signals) -> None:
     """Rotate the measured heading, body velocity and accelerations by the yaw misalignment of the AHRS, in place.
 
-    The misalignment is ``psi_mount`` [rad], clockwise. This is for models without roll and pitch.
+    The misalignment is ``psi_mount`` [rad], clockwise: the measured heading is the true one plus ``psi_mount``. This is
+    for models without roll and pitch.
     """
     cos, sin = np.cos(s.p.psi_mount), np.sin(s.p.psi_mount)
     s.y["psi"] = s.y["psi"] + s.p.psi_mount
@@ -40,7 +41,10 @@ def correct_attitude(s: Signals) -> None:
 
 
 def rotate_inertial(s: Signals) -> None:
-    """Convert the accelerations and yaw rate of the boat to the outputs of an AHRS with misaligned axes, in place."""
+    """Convert the accelerations and yaw rate of the boat to the outputs of an AHRS with misaligned axes, in place.
+
+    The misalignment in roll, pitch and yaw is given by the parameters ``phi_mount``, ``theta_mount`` and ``psi_mount``.
+    """
     rotations.add_misalignment(s, _mounting_rotation(s))
 
 
