@@ -67,7 +67,7 @@ class ZeroDrift(NamedTuple):
 def zero_drift(command: Channel, force: Channel, settle: float) -> ZeroDrift | None:
     """Find the drift of a load cell's zero between the rests of a bench run.
 
-    A rest is an interval of time in which the size of the command is below 0.001.
+    A rest is an interval of time in which the command is constant and its size is below 0.001.
 
     Parameters
     ----------

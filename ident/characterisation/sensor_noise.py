@@ -125,7 +125,7 @@ class NoiseFit:
 
     @property
     def heavy_tailed(self) -> bool:
-        """Return whether the innovations have heavy tails: their kurtosis is above 4, and significantly above 3."""
+        """Return whether the innovations have heavy tails: kurtosis above 4, and above 3 by six standard errors."""
         return _heavy_tailed(self.innovations)
 
     @property
@@ -140,7 +140,8 @@ class NoiseFit:
     def rejected(self) -> bool:
         """Return whether the model white noise plus random walk is rejected, because the innovations are not white.
 
-        A departure from whiteness must be significant (p below 0.001) and large enough to matter.
+        One departure from whiteness is enough, if it is significant (p below 0.001) and large: a predictable share or a
+        spectral line with more than 5 % of the variance, or a density in an octave that is wrong by a factor of 2.
         """
         return self.departures.matter
 
@@ -400,7 +401,7 @@ def welch(channel: Channel, n_segments: int = N_SEGMENTS) -> tuple[Array, Array]
         Samples of the channel. Only the longest part between gaps (`silent_times`) is used.
     n_segments
         Number of half-overlapping segments. A straight line is subtracted from each. With few samples there are fewer
-        segments, because a segment has at least 16 samples.
+        segments, because a segment has at least 16 samples; fewer than 16 samples are one segment.
 
     Returns
     -------

@@ -247,7 +247,7 @@ def _without_offset(levels: Levels) -> Levels:
 
 @dataclass(frozen=True)
 class Curve:
-    """Monotone curve of the force against the command, constant beyond its ends.
+    """Monotone curve of the force against the command, never falling, and constant beyond its ends.
 
     It is a monotone cubic (Fritsch and Carlson) through given points, its knots.
 
@@ -285,8 +285,9 @@ class Curve:
 def fit_curve(levels: Levels) -> Curve:
     """Fit a monotone curve to the levels by isotonic regression (pool adjacent violators).
 
-    The levels are weighted by their inverse variance. If there is a level at rest, the curve is zero there. The
-    standard error of a knot includes the change of the level's force by the regression.
+    The force of the curve never falls with the command: neighbouring levels that fall get their weighted mean. The
+    levels are weighted by their inverse variance. If there is a level at rest, the curve is zero there. The standard
+    error of a knot includes the change of the level's force by the regression.
 
     Parameters
     ----------
@@ -428,7 +429,8 @@ def _left_out_error(levels: Levels, predict: Callable[[Array, Array, Array], Arr
 def _monotone_curve(n: Array, force: Array) -> Any:
     """Return the monotone cubic (Fritsch and Carlson) through the isotonic regression of forces [N] at commands n.
 
-    The result is SciPy's interpolator, a function of commands. The forces have equal weights.
+    The curve never falls with the command. The result is SciPy's interpolator, a function of commands. The forces have
+    equal weights.
     """
     from scipy import optimize
 
@@ -453,7 +455,7 @@ class ThrustCurve:
     curve
         Force [N] of all thrusters together.
     thrusters
-        Number of thrusters, which all had the same command.
+        Number of thrusters, which all had the same command; at least 1.
     calibration
         Relative standard uncertainty of the load cell's force; None if it is unknown.
     """
@@ -511,7 +513,8 @@ def thrust_channels(channels: Mapping[str, Channel], curve: ThrustCurve) -> dict
 def sum_of_held(left: Channel, right: Channel) -> Channel:
     """Return the sum of two channels, ``left`` and ``right``, whose values are constant until the next sample.
 
-    The sum has the times of both channels. Its unit and its source are those of ``left``.
+    The sum has the times of both channels. Before the first sample of a channel, its value is that of this sample. Its
+    unit and its source are those of ``left``.
     """
     t = np.union1d(left.t, right.t)
     return Channel(t, sample_and_hold(left, t) + sample_and_hold(right, t), left.unit, left.source)
@@ -525,7 +528,7 @@ def save_curve(
     Parameters
     ----------
     path
-        File to write. Its format is in docs/formats/curve.md.
+        File to write; an existing file is replaced. Its format is in docs/formats/curve.md.
     curve
         The curve.
     levels

@@ -104,7 +104,7 @@ def fit_thruster(model: Model, records: Sequence[Record], options: EstimationOpt
     records
         Records of the bench runs.
     options
-        Options of the first fit. Later fits have default options.
+        Options of the first fit. Later fits, after a grid search, have default options (no REML).
 
     Returns
     -------
@@ -213,8 +213,9 @@ def shaft_guess(records: Sequence[Record]) -> tuple[float, float]:
 def _lag_data(r: Record) -> LagData:
     """Return the data of the record ``r`` for a search of delay and lag: the command every 0.05 s, and a function.
 
-    The function takes the command after a first-order lag and a delay [s]. It returns the sum of absolute differences
-    from the measured shaft speeds. The shaft is assumed to be at rest before the start of the record.
+    The function takes the command after a first-order lag, every 0.05 s, and a delay [s]. It returns the sum of
+    absolute differences from the measured shaft speeds. The shaft is assumed to be at rest before the start of the
+    record.
     """
     t = np.arange(r.t[0], r.t[-1], GRID_STEP)
     command = r.u[np.clip(np.searchsorted(r.t, t, side="right") - 1, 0, None), r.inputs.index("n_cmd_0")]
@@ -255,7 +256,7 @@ def check_signs(loaded: LoadedLog, name: str) -> None:
     """Check signs and units of a bench log before a fit: shaft speed against command, and force against shaft speed.
 
     ``loaded`` is the log, and ``name`` is the name of the thruster in the rig. Channels that the log lacks are not
-    checked.
+    checked. Only findings that make a fit meaningless count, and a force that clearly falls as the shaft speed rises.
 
     Raises
     ------

@@ -214,8 +214,8 @@ def check_output(context: click.Context, _parameter: click.Parameter, out: Path 
     Raises
     ------
     SeatrialError
-        If it is a file, or a folder with a result.json, and ``--force`` is not given. Also if it, or a result file in
-        it, is a symbolic link to a file or to nothing.
+        If it is a file, or a folder with a result.json, and ``--force`` is not given. Also if it, or a model.toml,
+        result.json or report.html in it, is a symbolic link to a file or to nothing.
     """
     if out is not None:
         for path in (out, *(out / name for name in ("model.toml", "result.json", "report.html"))):
@@ -286,7 +286,8 @@ def rate_option(f: Callable[..., Any]) -> Callable[..., Any]:
 def horizon_option(f: Callable[..., Any]) -> Callable[..., Any]:
     """Decorate a command with the option ``--horizon``: the prediction horizon [s], 0.02 to 3600 s.
 
-    If the option is not given, the command receives None, and uses the horizon of the model.
+    If the option is not given, the command receives None, and uses the usual horizon of the kind of model: 10 s, or 1 s
+    on the bench.
     """
     return click.option(
         "--horizon",
@@ -424,8 +425,8 @@ class LiveLine:
 def run_workflow(work: Callable[[Reporter], Result], out: Path) -> None:
     """Run the computation of a command with a display of its progress, then print its result.
 
-    The progress is a live line on a terminal, and otherwise one printed line per step. The path of the report is
-    printed after the result.
+    The progress is a live line on a terminal, and otherwise one line per step on standard output. The path of the
+    report is printed after the result.
 
     Parameters
     ----------
@@ -462,5 +463,8 @@ def run_workflow(work: Callable[[Reporter], Result], out: Path) -> None:
 
 
 def command_line() -> str:
-    """Return the command line of this process as text that begins with ``seatrial``, for the provenance of a result."""
+    """Return the command line of this process as text that begins with ``seatrial``, for the provenance of a result.
+
+    The arguments are joined by spaces, without quotes.
+    """
     return " ".join(["seatrial", *sys.argv[1:]])

@@ -23,10 +23,11 @@ SINGULAR = -1e9  # criterion of an information matrix that is singular or not fi
 class Criterion:
     """Optimality criterion of chosen parameters. The other parameters are nuisance parameters.
 
-    A call returns the criterion of information matrices. All parameters are divided by their characteristic steps.
-    D is the log determinant of the information about the chosen parameters, with nuisance parameters projected out. Ds
-    is computed as D; its name says that the chosen parameters are a subset. A is minus the logarithm of the mean
-    variance of the chosen parameters. E is minus the logarithm of the largest eigenvalue of their covariance.
+    A call returns the criterion of information matrices; a larger value is better. All parameters are divided by their
+    characteristic steps. D is the log determinant of the information about the chosen parameters, with nuisance
+    parameters projected out. Ds is computed as D; its name says that the chosen parameters are a subset. A is minus the
+    logarithm of the mean variance of the chosen parameters. E is minus the logarithm of the largest eigenvalue of their
+    covariance.
 
     Attributes
     ----------

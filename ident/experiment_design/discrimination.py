@@ -174,8 +174,9 @@ class HypothesisPair:
 def _gauss_newton_step(F: Array, g: Array) -> Array:
     """Return the Gauss-Newton step F^-1 g (n, q) of each of n experiments.
 
-    Each information matrix of F (n, q, q) is scaled to a unit diagonal and slightly regularised. The step is zero for
-    an experiment whose F or gradient g (n, q) is not finite.
+    The step is added to the parameters: g (n, q) is minus half of the gradient of the sum of squares. Each information
+    matrix of F (n, q, q) is scaled to a unit diagonal and slightly regularised. The step is zero for an experiment
+    whose F or g is not finite.
     """
     good = np.asarray(np.isfinite(F).all(axis=(1, 2)) & np.isfinite(g).all(axis=1))
     F, g = F.copy(), g.copy()
@@ -284,7 +285,7 @@ def discriminate(
     problem
         Design problem with input class, sensor rates and limits. Its model is used for the limits only.
     evaluations
-        Number of evaluations of T.
+        Number of evaluations of T, without those of 128 random start points.
     progress
         Function of the number of evaluations and the best logarithm of T, called during the search.
 

@@ -142,7 +142,8 @@ class DesignEvaluator:
     def track_extent(self) -> TrackExtent:
         """Simulator of the extent of tracks: the nominal boat, and 24 sampled boats with process noise.
 
-        All boats start at the same place.
+        All boats start at the same place. The nominal boat has the current of the model, each sampled boat its own
+        random current as in ``boats``.
         """
         boats = np.vstack([self.experiments.values, self.boats(N_TRACKS, 2)])
         return TrackExtent(self.problem.model, self.problem.t_whole, boats, [self.problem.seed, 30])
@@ -246,8 +247,9 @@ class DesignEvaluator:
     def violation(self, command: Array) -> Array:
         """Return the violation of the limits by commands (n_rows, n_channels, n).
 
-        The violation (n,) is the sum of the relative excesses over area, speed and energy: 0.1 means 10 % too much of
-        one of them. It is 0 if all limits are kept, and 1e6 (``DIVERGED``) or more if a simulation diverges.
+        The violation (n,) is the sum of the relative excesses over both sides of the area, speed and energy: 0.1 means
+        10 % too much of one of them. It is 0 if all limits are kept, and 1e6 (``DIVERGED``) or more if a simulation
+        diverges.
         """
         broken = np.zeros(command.shape[2])
         if self.problem.limits.energy is not None:

@@ -330,7 +330,8 @@ class StepInput:
     def unpack(self, z: Array) -> tuple[Array, Array]:
         """Return levels (n_steps, n_channels, n) and durations (n_steps, n) [s] of search points z (n, size).
 
-        The durations are rounded to whole rows, and their sum is the total duration.
+        The durations are rounded to whole rows, and their sum is the total duration. No step is shorter than the least
+        duration.
         """
         n_levels = self.n_steps * self.n_channels
         levels = z[:, :n_levels].reshape(-1, self.n_steps, self.n_channels).transpose(1, 2, 0)
@@ -366,7 +367,7 @@ def prbs(t: Array, clock: float, n_channels: int, amplitude: float, rng: np.rand
     t
         Times (n_rows,) [s].
     clock
-        Interval [s] after which a new sign is drawn.
+        Interval [s] after which a new sign is drawn, from time 0 on. It may be the same sign.
     n_channels
         Number of channels.
     amplitude
@@ -395,7 +396,7 @@ def rgs(t: Array, corner: float, n_channels: int, sd: float, n_max: float, rng: 
     n_channels
         Number of channels.
     sd
-        Standard deviation after the filter, before clipping.
+        Standard deviation of each sequence over the times ``t``, after the filter and before clipping.
     n_max
         Largest size; larger values are clipped.
     rng

@@ -401,8 +401,8 @@ def symmetric_matrices(triangle: Array, q: int) -> Array:
 def parallel(work: Callable[[slice], T], chunks: Sequence[slice], threads: int) -> list[T]:
     """Return the results of ``work`` for each of the slices ``chunks``, in their order, computed on several threads.
 
-    With fewer than two threads or slices it runs in the calling thread. Threads are useful here because the kernels
-    release the global interpreter lock.
+    With fewer than two threads or slices it runs in the calling thread. An exception in ``work`` is raised here.
+    Threads are useful here because the kernels release the global interpreter lock.
     """
     if threads < 2 or len(chunks) < 2:
         return [work(c) for c in chunks]
@@ -581,7 +581,7 @@ def segment_information(
     records
         The records.
     names
-        Names of the q parameters of the result.
+        Names of the q parameters of the result, each with one value for all records.
     seconds
         Length of a segment [s]. The last segment of a record has 0.5 to 1.5 times this length. A record of up to 1.5
         times this length is one segment.
@@ -645,5 +645,8 @@ def _increments(
 def _record_information(
     model: Model, records: Sequence[Record], values: Array | None, free: Sequence[str], selected: slice
 ) -> Array:
-    """Return the information (q, q) about the parameters ``free`` in the first record of the slice ``selected``."""
+    """Return the information (q, q) about the parameters ``free`` in one of the records.
+
+    It is the record with the first index of the slice ``selected``: `parallel` calls with a slice for each record.
+    """
     return prediction_information(model, records[selected.start], values, free)

@@ -343,7 +343,8 @@ def search_design(
     seed
         Seed of the search.
     warm
-        Search points (n, size) to start from. None: the best four of ``n_start`` random points.
+        Search points (n, size) to start from. None: the best four of ``n_start`` random points, those without violation
+        first.
     progress
         Function of the number of evaluations and the best value, called during the search.
     n_start
@@ -428,6 +429,10 @@ class BaselineSignal:
 def baseline_signals(problem: DesignProblem, n: int = 20, seed: int = 1) -> dict[str, BaselineSignal]:
     """Return the best of n random sequences of each kind, each at its best bandwidth and amplitude.
 
+    These are chosen from fixed values: clock periods of 1 to 30 s, corner frequencies of 0.004 to 0.3 Hz, and
+    amplitudes or standard deviations of 0.35, 0.6 and 1 of the largest command. The parameters have their nominal
+    values, unless the design is robust.
+
     Parameters
     ----------
     problem
@@ -506,7 +511,7 @@ class Robustness:
     Attributes
     ----------
     values
-        Optimality criterion (n_samples,) of each command, by its name.
+        Optimality criterion (n_samples,) of each command, by its name, with the prior information.
     """
 
     values: Mapping[str, Array]
@@ -537,7 +542,8 @@ def monte_carlo(problem: DesignProblem, commands: Mapping[str, Array], n: int = 
     Returns
     -------
     Robustness
-        Criterion of each command at each sample. It is ``SINGULAR`` (-1e9) for a singular information matrix.
+        Criterion of each command at each sample, with the prior information. It is ``SINGULAR`` (-1e9) for a singular
+        information matrix.
     """
     evaluator = DesignEvaluator(problem)
     values = evaluator.prior.sample(evaluator.experiments.model, n, np.random.default_rng([seed, 17]))

@@ -132,8 +132,9 @@ def prior_from_fit(saved: SavedModel) -> ParameterPrior:
     Returns
     -------
     ParameterPrior
-        Normal prior with the covariance of the shared dynamic parameters that have a standard error. Its information is
-        the pseudo-inverse of the covariance. Its inflation is that of the fit.
+        Normal prior with the covariance of the shared dynamic parameters that have a standard error; it has no
+        parameters if none has one. Its information is the pseudo-inverse of the covariance. Its inflation is that of
+        the fit.
     """
     fitted = saved.covariance(dynamic_parameters(saved.model))
     information = None if fitted.covariance is None else scaled_pseudo_inverse(fitted.covariance)

@@ -80,7 +80,8 @@ class DesignProblem:
     slew
         Largest rate of change of a command [1/s].
     prior
-        Prior of the parameters. None: uniform within 0.75 to 1.25 of the nominal values, without earlier logs.
+        Prior of the parameters. None: uniform within 0.75 to 1.25 of the nominal values, without earlier logs; given
+        values (such as a thrust from the bench) stay fixed.
     validity
         Range (minimum, maximum) of each input and state in the logs to which the model was fitted, by name; empty if
         unknown.
@@ -214,8 +215,9 @@ class DesignProblem:
     def _observed_among(self, names: Sequence[str]) -> tuple[str, ...]:
         """Return those of the parameters on which at least one output depends.
 
-        Four random step sequences are simulated without process noise. A parameter is observed if its information is
-        not zero in at least one of them. Information that is NaN, because a simulation diverges, counts as not zero.
+        Four random step sequences, always the same, are simulated without process noise. A parameter is observed if its
+        information is not zero in at least one of them. Information that is NaN, because a simulation diverges, counts
+        as not zero.
         """
         if not names:
             return ()

@@ -65,6 +65,8 @@ def divided_spacing(spacing: float, most: float) -> float:
 def fastest_pole(model: Model, boats: Array, n_max: float) -> float:
     """Return the fastest pole of a model along simulations of 4 s with random steps of thrust.
 
+    The steps and the process noise are the same in every call.
+
     Parameters
     ----------
     model

@@ -36,7 +36,10 @@ static inline void NAME_step(const double x[], const double u[], const double p[
 
 
 def write(content: Content) -> str:
-    """Return the text of the C99 header file of a model, from its collected content."""
+    """Return the text of the C99 header file of a model, from its collected content.
+
+    Raise ValueError if the model uses an operation that C lacks.
+    """
     guard = f"{content.name.upper()}_MODEL_H"
     head = [*header(content, "C99"), "", f"{content.name}_advance has one value for each physical input."]
     head = [line.replace("*/", "* /").replace("/*", "/ *") for line in head]

@@ -96,7 +96,10 @@ if __name__ == "__main__":
 
 
 def write(content: Content) -> str:
-    """Return the text of the Python file that builds the CasADi functions of a model, from its collected content."""
+    """Return the text of the Python file that builds the CasADi functions of a model, from its collected content.
+
+    Raise ValueError if the model uses an operation that the export lacks.
+    """
     head = header(content, "CasADi")
     head += [
         "",

@@ -174,6 +174,7 @@ def identifiers(names: Iterable[str]) -> tuple[str, ...]:
 
     ``~`` becomes ``_ago_`` (``n_left~3`` becomes ``n_left_ago_3``), and other invalid characters become ``_``. A name
     that is empty or starts with a digit gets ``_`` in front. Repeated names get ``_2``, ``_3``, ... at the end.
+    Reserved words of a language are not changed: in the code, names have a prefix such as ``x_``.
     """
     found: list[str] = []
     for name in names:
@@ -189,8 +190,8 @@ def identifiers(names: Iterable[str]) -> tuple[str, ...]:
 def prefix(name: str) -> str:
     """Return a valid prefix of functions and files.
 
-    Invalid characters become underscores. The prefix starts with a letter (``model_`` is put in front if needed) and
-    has no two underscores in a row, as CasADi requires.
+    Invalid characters become underscores. The prefix starts with a letter (``model_`` is put in front if needed; an
+    empty name becomes ``model``) and has no two underscores in a row, as CasADi requires.
     """
     valid = re.sub(r"_+", "_", re.sub(r"[^A-Za-z0-9]", "_", name)).strip("_")
     return valid if valid[:1].isalpha() else f"model_{valid}".rstrip("_")
@@ -406,7 +407,8 @@ def _unit_text(unit: str) -> str:
 def comment(content: Content, i: int) -> str:
     """Return the comment beside the exported parameter with index ``i``: unit, standard error and meaning, in one line.
 
-    A parameter with an assumed standard deviation shows this. A fixed parameter shows the origin of its value instead.
+    A considered parameter (not estimated, with an uncertain prior) shows the standard deviation of its prior as the
+    error. A fixed parameter shows the origin of its value instead.
     """
     p = content.exported_parameters[i]
     error = content.errors[i] if p.considered_sd is None else p.considered_sd

@@ -25,7 +25,7 @@ class History:
         Physical inputs: one for each signal that a user of the model provides. The input ``t`` is not among them. The
         input ``work`` is among them only if the model has no thruster from which it can be computed.
     sources : tuple of int
-        Index in ``inputs`` for each input of the model; `TIME` or `WORK` for an input that is computed.
+        Index in ``inputs`` for each input of the model; `TIME` (-1) or `WORK` (-2) for an input that is computed.
     delays : tuple of float
         Delay of each input of the model behind its source [s]; negative for a later value.
     shafts : tuple of int

@@ -178,7 +178,10 @@ class _Rates:
         return found[self._at]
 
     def slope(self, x: Array, u: Array, state: int | None, entry: int | None) -> Array:
-        """Return the derivatives (n,) of the rates by the state or the input with this index (central difference)."""
+        """Return the derivatives (n,) of the rates by the state or the input with this index (central difference).
+
+        One of ``state`` and ``entry`` (index of an input) is None.
+        """
         dx, du = np.zeros(x.size), np.zeros(u.size)
         if state is not None:
             dx[state] = STEP
@@ -190,10 +193,13 @@ class _Rates:
 def _operating_point(rates: _Rates, speed: float) -> tuple[Array, Array]:
     """Return the states (n,) and inputs (m,) that keep straight motion at a forward speed [m/s] through the water.
 
+    The surge speed has this value and the yaw rate is zero; the other states and the inputs are found by least squares
+    of the rates. The limits of the inputs are not checked. If there are several such points, it is one of them.
+
     Raises
     ------
     SeatrialError
-        If there is no such point.
+        If a rate above 1e-6 (in the unit of its state per second) remains.
     """
     from scipy.optimize import least_squares  # imported here, as it takes half a second
 

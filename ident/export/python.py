@@ -26,7 +26,10 @@ def step(x, u, dt, p=P):
 
 
 def write(content: Content) -> str:
-    """Return the text of the Python file of a model, from its collected content. The file imports only ``math``."""
+    """Return the text of the Python file of a model, from its collected content. The file imports only ``math``.
+
+    Raise ValueError if the model uses an operation that the export lacks.
+    """
     body = "\n".join(
         [
             _function(

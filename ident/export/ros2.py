@@ -89,7 +89,7 @@ def _mapping_lines(name: str, values: Mapping[str, float], remark: str = "") -> 
 def _number_text(value: float) -> str:
     """Return a number as YAML text with a decimal point.
 
-    YAML reads ``1e-05`` as a text, and ROS 2 reads ``35`` as an integer.
+    YAML reads ``1e-05`` as a text, and ROS 2 reads ``35`` as an integer. The value must be finite.
     """
     mantissa, e, exponent = repr(float(value)).partition("e")
     return (mantissa if "." in mantissa else f"{mantissa}.0") + e + exponent
@@ -101,7 +101,7 @@ def _yaml_key(name: str) -> str:
 
 
 def _quoted(words: str) -> str:
-    """Return a text in double quotes, as YAML reads it."""
+    """Return a text in double quotes, as YAML reads it; quotes and control characters are escaped as in JSON."""
     return json.dumps(words, ensure_ascii=False)
 
 

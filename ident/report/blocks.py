@@ -214,7 +214,7 @@ class Dumbbell:
     """Prediction error of one channel before and after an effect was added, drawn as two dots on a horizontal track.
 
     Positions are in per cent of the track's width, 0 to 100. They are proportional to the ratio of the error to the
-    error before.
+    error before; a position beyond the track is 100.
 
     Attributes
     ----------
@@ -229,7 +229,8 @@ class Dumbbell:
     low, high
         Positions of the ends of the 95 % interval, None if it is unknown.
     verdict
-        ``better``, ``worse``, or ``same`` if the interval contains an unchanged error.
+        ``better`` or ``worse`` if the 95 % interval excludes an unchanged error. Otherwise, and without an interval,
+        ``same``.
     """
 
     label: str
@@ -307,7 +308,7 @@ class Bar:
     numbers
         Statistic, degrees of freedom and p values as a text.
     width
-        Length of the bar.
+        Length of the bar: position of the statistic on a logarithmic axis.
     threshold
         Position of the critical value of the statistic.
     generic

@@ -111,7 +111,10 @@ def _finding_phrase(finding: Finding) -> str:
 
 
 def _with_full_stop(phrase: str) -> str:
-    """Return a sentence with a full stop added, or unchanged if it ends with a question mark."""
+    """Return a sentence with a full stop added, or unchanged if it ends with a question mark.
+
+    ``phrase`` must not end with a full stop itself.
+    """
     return phrase if phrase.endswith("?") else f"{phrase}."
 
 
@@ -256,6 +259,8 @@ def _curve_section(
 def _thrust_response_panels(log: CheckEvidence, limit: int) -> list[Panel]:
     """Return one panel for each motion of the boat (such as the yaw rate): measured, and expected from the thrust.
 
+    The expected motion is the thrust after the first-order lag that fits best, in the unit of the measurement.
+
     ``limit`` is the largest number of points of a trace.
     """
     panels = []
@@ -309,7 +314,7 @@ def _staircase(t: Array, value: Array, end: float, limit: int) -> tuple[Array, A
 
 
 def _sensor_panels(log: CheckEvidence, limit: int) -> list[Panel]:
-    """Return one panel for each motion of the boat that two sensors measure, with both curves.
+    """Return one panel for each motion of the boat that two sensors measure, with both curves at common times.
 
     ``limit`` is the largest number of points of a trace.
     """
@@ -340,7 +345,8 @@ def _signal_panels(log: CheckEvidence, limit: int) -> list[Panel]:
 def _interval_panels(log: CheckEvidence, limit: int) -> list[Panel]:
     """Return one panel for each device: time between its samples [ms] over time.
 
-    The expected time is added as a dashed line if the rig file has the rate of the device.
+    A point is at the time of the later of two samples. The expected time between samples is added as a dashed line if
+    the rig file has the rate of the device.
 
     ``limit`` is the largest number of points of a trace.
     """

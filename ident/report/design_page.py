@@ -96,7 +96,11 @@ def _labelled_facts(result: DesignResult) -> list[tuple[str, str]]:
 
 
 def _errors_section(result: DesignResult) -> Section:
-    """Return the section with the table of standard errors before and after the mission, one row for each parameter."""
+    """Return the section with the table of standard errors before and after the mission, one row for each parameter.
+
+    A row also has the error after the best baseline signal. A dash stands for an error without information. The section
+    is empty without parameters.
+    """
     columns = (
         ("parameter", ""),
         ("value", "num"),
@@ -246,7 +250,7 @@ def _baselines_section(canvas: Canvas, result: DesignResult) -> Section:
 def edges_of(samples: Mapping[str, Array]) -> Array:
     """Return the common bin edges of the histograms of all signals, evenly spaced, Array (N_BINS + 1,).
 
-    They reach from the 0.2 % to the 99.8 % quantile of the finite values of all signals.
+    They reach from the 0.2 % to the 99.8 % quantile of the finite values of all signals, but over at least 1e-6.
 
     Parameters
     ----------
@@ -262,8 +266,8 @@ def edges_of(samples: Mapping[str, Array]) -> Array:
 def _histogram(name: str, values: Array, edges: Array) -> Trace:
     """Return the outline of a histogram as the trace of a filled line.
 
-    Values beyond the bin ``edges`` count in the first or last bin. ``name`` is that of the signal (``design``,
-    ``PRBS``, ``RGS``), which determines colour and dash.
+    The height is the number of values in each bin. Values beyond the bin ``edges`` count in the first or last bin.
+    ``name`` is that of the signal (``design``, ``PRBS``, ``RGS``), which determines colour and dash.
     """
     count = np.histogram(np.clip(values, edges[0], edges[-1]), edges)[0].astype(float)
     outline_x, outline_y = np.repeat(edges, 2)[1:-1], np.repeat(count, 2)

@@ -256,6 +256,8 @@ def between(
 ) -> Trace:
     """Return the trace of the filled area between two curves, in one or more pieces, without hover text.
 
+    All values must be finite.
+
     Parameters
     ----------
     x

@@ -58,8 +58,9 @@ SYMBOLS = {"psi": "ψ", "phi": "φ", "theta": "θ"}
 def degrees_for(unit: str) -> tuple[float, str]:
     """Return the factor from the unit of a result file to the unit that a report shows, and the shown unit.
 
-    If the unit begins with rad or a power of it (rad, rad/s, rad2/Hz), the shown unit has degrees. The factor of any
-    other unit is 1, and the unit is only typeset (``kg m2`` -> ``kg m²``).
+    If the unit begins with rad or a power of it (rad, rad/s, rad2/Hz), the shown unit has degrees and the factor is
+    180/pi, or its square for rad2. The factor of any other unit is 1, and the unit is only typeset:
+    ``kg m2`` -> ``kg m²``.
     """
     found = _RADIANS.match(unit)
     if found is None:
@@ -111,7 +112,10 @@ def titled(name: str) -> str:
 
 
 def moment(created: str) -> str:
-    """Return an ISO time (UTC) in readable form: ``2026-05-06T07:08:09+00:00`` -> ``2026-05-06 07:08:09 UTC``."""
+    """Return an ISO time (UTC) in readable form: ``2026-05-06T07:08:09+00:00`` -> ``2026-05-06 07:08:09 UTC``.
+
+    Only ``T`` and ``+00:00`` are replaced; the text is not checked and may be empty.
+    """
     return created.replace("T", " ").replace("+00:00", " UTC")
 
 
@@ -124,7 +128,10 @@ def tied(words: str) -> str:
 
 
 def count(value: float | None) -> str:
-    """Return a count, for example of degrees of freedom, as text: ``12``; a dash for None."""
+    """Return a count, for example of degrees of freedom, as text: ``12``; a dash for None.
+
+    A number that is not whole keeps up to six significant digits.
+    """
     return "–" if value is None else f"{value:g}"
 
 
@@ -148,7 +155,8 @@ def with_error(value: float | None, se: float | None, unit: str = "") -> str:
     """Return a value with its standard error as text, ``40.05 ± 0.12 N``.
 
     Both have the decimals of two significant digits of the standard error. Without a positive standard error, the value
-    has four significant digits and no ±. A power of ten is common to both: ``(1.20 ± 0.15) ×10⁻⁶``.
+    has four significant digits and no ±. If the larger of both is below 1e-4, or 1e6 or more, they have a common power
+    of ten: ``(1.20 ± 0.15) ×10⁻⁶``.
 
     Parameters
     ----------
@@ -169,7 +177,8 @@ def with_error(value: float | None, se: float | None, unit: str = "") -> str:
 def noise_level(value: float, se: float | None, limit: float | None, factor: float, unit: str = "") -> str:
     """Return the size of a noise in the shown unit with its standard error as text, or its upper limit.
 
-    The upper limit, ``< 0.0021 deg``, is returned if there is a limit and no standard error: no noise was found.
+    The upper limit, ``< 0.0021 deg``, is returned if there is a limit and no standard error: no noise was found. With
+    neither, the text is the size alone.
 
     Parameters
     ----------
@@ -222,7 +231,7 @@ def _scientific(value: float, size: int, decimals: int) -> str:
 def probability(p: float | None) -> str:
     """Return a p value as text with two decimals, or three below 0.1; a dash for None.
 
-    Below 0.001 the text is the next larger power of ten: ``< 10⁻³``.
+    Below 0.001 the text is the next larger power of ten: ``< 10⁻³``. Below 1e-300, zero included, it is ``< 10⁻³⁰⁰``.
     """
     if p is None:
         return "–"

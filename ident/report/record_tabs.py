@@ -31,7 +31,8 @@ class RecordTab:
     name
         Name of the record.
     role
-        Role of the record: ``estimation``, ``validation``, ``navigated`` or ``judged``; empty if it is unknown.
+        Role of the record: ``estimation``, ``validation``, ``navigated`` (its states were estimated by `seatrial ident
+        navigate`) or ``judged`` (its information was computed by `seatrial ident information`); empty if unknown.
     """
 
     name: str
@@ -97,7 +98,7 @@ def origin_lines(logs: Sequence[LogSummary]) -> list[str]:
 def record_tabs(rows: Iterable[OfRecord], roles: Mapping[str, str]) -> list[RecordTab]:
     """Return a tab for each record that has table rows.
 
-    Validation records come first, then estimation records, then records of unknown role, each in the order of the rows.
+    Validation records come first, then estimation records, then all others, each in the order of the rows.
 
     Parameters
     ----------
@@ -113,5 +114,8 @@ def record_tabs(rows: Iterable[OfRecord], roles: Mapping[str, str]) -> list[Reco
 
 
 def of_record(rows: Iterable[R], tab: RecordTab) -> list[R]:
-    """Return those table rows of a result that belong to the record of a tab, in their order."""
+    """Return those table rows of a result whose record has the name of the tab, in their order.
+
+    The role of the tab is not compared.
+    """
     return [row for row in rows if row.record == tab.name]

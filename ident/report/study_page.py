@@ -329,8 +329,8 @@ def _svg_panel(
 ) -> list[str]:
     """Return the SVG elements of a panel: one statistic of every parameter with its 95 % interval, and the aim.
 
-    Dashed lines are the limits within which an ideal estimator is by chance (``by_chance``). A parameter whose
-    statistic or interval is not finite has no mark.
+    Dashed lines are the limits within which an ideal estimator is by chance (``by_chance``), for the median number of
+    estimates of the parameters. A parameter whose statistic or interval is not finite has no mark.
 
     Parameters
     ----------

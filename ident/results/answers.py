@@ -222,7 +222,8 @@ def _largest_correlation(significant: Sequence[CrossCorrelationRow]) -> str:
 def _untested_channels(errors: Errors, residuals: Sequence[ResidualTests]) -> str:
     """Return the channels of the estimation data without residual tests, in brackets, as the end of a sentence.
 
-    They have too few samples in every record. The text is empty if all channels were tested.
+    They have too few samples in every record. The channels are those that have one-step errors. The text is empty if
+    all of them were tested.
     """
     tested = {r.channel for r in residuals}
     left = [n for n in errors.estimation.one_step if n not in tested]
@@ -424,7 +425,8 @@ def faults_first(made: Provenance) -> str:
 def check_warnings(made: Provenance) -> list[ResultWarning]:
     """Return one warning for each different finding of the checks of the logs before a fit.
 
-    A warning names up to four of the logs that have the finding, and the number of the others.
+    Findings are different if their device, text, code or advice differs. A warning names up to four of the logs that
+    have the finding, and the number of the others.
 
     Parameters
     ----------
@@ -602,7 +604,8 @@ def thruster_answer(
         Relative standard uncertainty of the load cell's force, which is added to the standard errors of the thrust. If
         it is None, the errors are called statistical only.
     smallest : float
-        Smallest command that was tried, as a part of full command. A dead zone below it cannot be measured.
+        Smallest command that was tried, as a part of full command. If the fitted dead zone is below 0.05 % of full
+        command, the answer states that there is none above this command.
     """
     a, tau, d = (fitted.estimate(n) for n in ("a", "tau", "d"))
     shaft = (
@@ -630,10 +633,10 @@ def thruster_answer(
 
 
 def thruster_warnings(directions: Sequence[float]) -> list[ResultWarning]:
-    """Return a warning if the shaft turned in one direction only on the bench, so that the other thrust is unknown.
+    """Return a warning if the shaft turned in one direction only on the bench: the other thrust is assumed to be equal.
 
     ``directions`` has the directions in which the shaft turned: 1 for forward, -1 for reverse. The list is empty for
-    two directions.
+    two directions, and if the shaft did not turn.
     """
     if len(directions) != 1:
         return []
@@ -717,8 +720,9 @@ def curve_notes(levels: Levels, measured: ThrustCurve, quadratic: Quadratic) -> 
 def homogeneity_sentence(a: HomogeneityTest) -> str:
     """Return the sentence on a homogeneity test: one value of a parameter for all logs against one for each log.
 
-    It has the common value, the value of each log, the verdict, and the mean with the scatter between the logs. Logs
-    that do not inform the parameter are named. If fewer than two logs inform it, the sentence states only that.
+    It has the common value, the value of each log, the verdict (the logs agree if p is above 0.01), and the mean with
+    the scatter between the logs. Logs that do not inform the parameter are named. If fewer than two logs inform it, the
+    sentence states only that.
     """
     each = ", ".join(f"{v:.3g} ± {e:.2g}" for v, e in zip(a.values, a.errors, strict=True))
     low, high = a.interval

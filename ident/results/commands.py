@@ -475,6 +475,7 @@ class Discrimination(Part, frozen=True, kw_only=True):
     """Discrimination of two effects by the designed mission (`--discriminate`).
 
     Criterion T is twice the expected log-likelihood ratio of the model with the true effect against the other model.
+    The effects can be distinguished if both values are above 30.
     """
 
     effects: Annotated[tuple[str, str], Meta(description="names of the first and the second effect")]
@@ -551,7 +552,10 @@ class ParameterStudy(Part, frozen=True, kw_only=True):
 
 
 class ModelStudy(Part, frozen=True, kw_only=True):
-    """Monte Carlo study of one model: replicates are simulated, estimated and compared with the truth."""
+    """Monte Carlo study of one model: replicates are simulated, estimated and compared with the truth.
+
+    Parameters with fewer than three usable replicates are left out.
+    """
 
     model: Annotated[str, Meta(description="name of the model")]
     about: Annotated[str, Meta(description="description of the mission")]

@@ -473,7 +473,11 @@ def _round_row(search_round: Round) -> parts.RoundRow:
 
 
 def _refit_row(r: Refit) -> parts.RefitRow:
-    """Return the table row of one refit of the search: gains, outcome, and estimates of the added effect."""
+    """Return the table row of one refit of the search: gains, outcome, and estimates of the added effect.
+
+    The change of the prediction errors has the role ``validation``, also if blocks of the estimation data were
+    validated.
+    """
     return parts.RefitRow(
         name=r.effect.name,
         title=r.effect.title,
@@ -596,8 +600,8 @@ def _blocks_note(evaluation: DiagnosisEvaluation) -> list[str]:
 def _removal_reason(removed: RemovedEffect, policy: SearchPolicy) -> str:
     """Return as a clause why backward elimination removed an effect again.
 
-    The prediction is as good without the effect, or the validation data do not support it. ``policy`` has the
-    thresholds of the search.
+    The clause is that the prediction is as good without the effect, by the thresholds of ``policy``; otherwise that the
+    validation data do not support it.
     """
     if is_immaterial(removed, policy):
         return "the prediction is as good without it"

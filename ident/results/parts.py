@@ -73,7 +73,11 @@ class LogFinding(Part, frozen=True, kw_only=True):
 
 
 class LogSummary(Part, frozen=True, kw_only=True):
-    """Log that a result was made from: file, role, duration and findings of its checks."""
+    """Log that a result was made from: file, role, duration and findings of its checks.
+
+    The role `navigated` is that of `seatrial ident navigate`, which estimates the states of the boat. The role `judged`
+    is that of `seatrial ident information`, which computes the information of the log.
+    """
 
     path: Annotated[str, Meta(description="file name, with the time window if only a part was used")]
     sha256: Annotated[str, Meta(description="SHA-256 of the file; empty if a time window was given")]
@@ -287,7 +291,8 @@ class FitSummary(Part, frozen=True, kw_only=True):
 class Trace(Part, frozen=True, kw_only=True):
     """Measured channel of a record over time, with its prediction over the horizon and its simulation.
 
-    A prediction starts from the filtered state `horizon_seconds` earlier. The simulation uses the inputs alone.
+    A prediction starts from the filtered state `horizon_seconds` earlier. The simulation uses the inputs alone. Times
+    count from the start of the record.
     """
 
     record: Annotated[str, Meta(description="name of the record")]
@@ -334,7 +339,11 @@ class Track(Part, frozen=True, kw_only=True):
 
 
 class InputTrace(Part, frozen=True, kw_only=True):
-    """Input of the model in a record over time."""
+    """Input of the model in a record over time.
+
+    Times count from the start of the record in the result of a fit, and from the start of the log in those of
+    navigation and information.
+    """
 
     record: Annotated[str, Meta(description="name of the record")]
     name: Annotated[str, Meta(description="name of the input")]
@@ -367,7 +376,10 @@ class WhitenessTests(Part, frozen=True, kw_only=True):
 
 
 class ResidualTests(WhitenessTests, frozen=True, kw_only=True):
-    """Whiteness tests of the residuals (standardised innovations) of a channel in a record."""
+    """Whiteness tests of the residuals (standardised innovations) of a channel in a record.
+
+    Times count from the start of the record.
+    """
 
     record: Annotated[str, Meta(description="name of the record")]
     channel: Annotated[str, Meta(description="name of the measured channel")]
@@ -408,7 +420,11 @@ class CrossCorrelationRow(CorrelationTest, frozen=True, kw_only=True):
 
 
 class ErrorComparison(Part, frozen=True, kw_only=True):
-    """RMS prediction error of a channel for one kind of prediction; in a diagnosis without and with the effects."""
+    """RMS prediction error of a channel for one kind of prediction; in a diagnosis without and with the effects.
+
+    The verdict is `fell` or `rose` if the 95 % interval excludes 1 and the change is more than half a per cent;
+    otherwise, and without an interval, `unchanged`.
+    """
 
     before: Annotated[float | None, Meta(description="diagnosis: RMS error without the effects")] = None
     after: Annotated[float | None, Meta(description="RMS error of the model; null: the prediction diverged")]
@@ -466,7 +482,9 @@ class LargestErrorsRow(Part, frozen=True, kw_only=True):
 class PredictionChangeRow(Part, frozen=True, kw_only=True):
     """Prediction change: change of the RMS prediction errors over the horizon by effects that were added to the model.
 
-    The ratio is the geometric mean over all channels of RMS error after / before.
+    The ratio is the geometric mean over all channels of RMS error after / before. The verdict is `fell` or `rose` if
+    the 95 % interval excludes 1 and the change is more than half a per cent; otherwise, and without an interval,
+    `unchanged`.
     """
 
     role: Annotated[Role, Meta(description="`estimation` or `validation`")]
@@ -486,7 +504,12 @@ class Errors(Part, frozen=True, kw_only=True):
 
 
 class CalibrationRow(Part, frozen=True, kw_only=True):
-    """Calibration of the prediction intervals of a channel: whether the errors are as large as the model predicts."""
+    """Calibration of the prediction intervals of a channel: whether the errors are as large as the model predicts.
+
+    The verdict is by the 95 % interval of `scale`: `overconfident` if all of it is above 1.1, `underconfident` if all
+    of it is below 1 / 1.1, otherwise `right` (calibrated). With fewer than eight independent errors it is
+    `insufficient_data` unless it is `overconfident`.
+    """
 
     n: Annotated[int, Meta(description="number of errors")]
     n_effective: Annotated[float, Meta(description="effective sample size: number of independent errors")]
@@ -565,7 +588,10 @@ class ProfileCurve(Part, frozen=True, kw_only=True):
 
 
 class Homogeneity(Part, frozen=True, kw_only=True):
-    """Homogeneity test of a parameter: likelihood ratio of one value for all logs against one for each log."""
+    """Homogeneity test of a parameter: likelihood ratio of one value for all logs against one for each log.
+
+    The logs agree if `p` is above 0.01.
+    """
 
     name: Annotated[str, Meta(description="name of the parameter")]
     unit: Annotated[str, Meta(description="unit of the values, SI and radians; empty: none")]
@@ -618,7 +644,10 @@ class FitResult(Result, frozen=True, kw_only=True):
 
 
 class StaticForce(Part, frozen=True, kw_only=True):
-    """Static thrust curve, force against shaft speed or command: measured points and the fitted curve."""
+    """Static thrust curve, force against shaft speed or command: measured points and the fitted curve.
+
+    `force_sd` are the standard errors of `force_model`.
+    """
 
     n: Annotated[Array, Meta(description="measured shaft speed or command, as a part of full")]
     force: Annotated[Array, Meta(description="[N]")]
@@ -703,7 +732,10 @@ class Candidate(Part, frozen=True, kw_only=True):
 
 
 class RefitRow(Part, frozen=True, kw_only=True):
-    """Refit in a round of the search: the model with one more effect, all parameters estimated again."""
+    """Refit in a round of the search: the model with one more effect, all parameters estimated again.
+
+    The n of the criterion is the number of rows (instants) of the estimation records.
+    """
 
     name: Annotated[str, Meta(description="name of the added effect")]
     title: Annotated[str, Meta(description="title for readers")]
@@ -774,6 +806,8 @@ class RoundRow(Part, frozen=True, kw_only=True):
     """Round of the search for missing effects.
 
     The candidates have a score test, the model is refitted with the best that passed, and at most one effect is added.
+    The best candidate has the largest statistic per degree of freedom. All that passed are listed, also beyond the best
+    24.
     """
 
     tested: Annotated[int, Meta(description="number of candidates")] = 0
@@ -869,7 +903,10 @@ class NonparametricCurve(Part, frozen=True, kw_only=True):
 
 
 class ResidualForce(Part, frozen=True, kw_only=True):
-    """Disturbance force in a record over time: smoothed estimate of a force that the model does not explain."""
+    """Disturbance force in a record over time: smoothed estimate of a force that the model does not explain.
+
+    Times count from the start of the record.
+    """
 
     record: Annotated[str, Meta(description="name of the record")]
     force: Annotated[str, Meta(description="`X`, `Y`, `N`; on the bench `F` [N] and `n_dot` [1/s]")]

@@ -165,6 +165,8 @@ def error_tables(
 ) -> Errors:
     """Return the RMS prediction errors of a model for each set of data, kind of prediction and channel.
 
+    An error that is not finite, because the prediction diverged, is None.
+
     Parameters
     ----------
     after : PredictionEvaluation
@@ -173,7 +175,8 @@ def error_tables(
         Evaluation of another model on the same data, whose errors are reported beside those of ``after``.
     changes : mapping, optional
         Changes of the errors over the horizon from ``before`` to ``after``, by role of the data (``estimation``,
-        ``validation``), with the 95 % intervals of their ratios. If it is None, the errors have no interval.
+        ``validation``), with the 95 % intervals of their ratios. If it is None, or lacks a channel, the errors have no
+        interval and no verdict.
     """
     units = {o.name: o.unit for o in after.model.outputs}
 
@@ -258,7 +261,10 @@ def prediction_change(found: validation.PredictionChange, role: Role) -> Predict
 
 
 def calibration_tables(evaluation: PredictionEvaluation) -> Calibrations:
-    """Return the calibration of the prediction intervals for each set of data, kind of prediction and channel."""
+    """Return the calibration of the prediction intervals for each set of data, kind of prediction and channel.
+
+    A scale (RMS of error over predicted standard deviation) or an interval that is not finite is None.
+    """
 
     def table(found: Mapping[str, Calibration]) -> dict[str, CalibrationRow]:
         """Return the calibration by channel as table rows for one kind of prediction, such as one step ahead."""
@@ -380,7 +386,8 @@ def _predictions_of_both(
 def record_inputs(model: Model, record: Record) -> tuple[InputTrace, ...]:
     """Return the inputs of a record over time as rows of a result: those of the model's inputs that reports show.
 
-    Time and the delayed copies of an input are not shown.
+    Time, the work of the thrusters and the delayed copies of an input are not shown. Times count from the start of the
+    record.
 
     Parameters
     ----------
@@ -652,7 +659,8 @@ def common_errors_row(found: CommonErrorsFit | None, fitted: FittedModel, role: 
 def common_errors_notes(found: CommonErrorsFit | None, beside: str) -> list[str]:
     """Return a note that names the common errors in the model, with their gain on the validation data.
 
-    Common errors are small errors that every craft has: sensor timing, mounting, hull form.
+    Common errors are small errors that every craft has: sensor timing, mounting, hull form. The gain is unknown, and
+    the note states so, if they were in the model that was given.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
 """Cases of ``seatrial ident study`` (Monte Carlo studies of the estimator): missions and true parameter values.
 
-Built-in cases have step sequences as in section 5 of the paper, and the boat of its Table 5. User-defined cases are
-a fitted model.toml, or a ``Case`` of a Python file. This module also repeats a designed mission, and compares the
-estimation errors with those that the design predicted.
+Built-in cases have step sequences as in section 5 of the paper (docs/thesis.md), and the boat of its Table 5.
+User-defined cases are a fitted model.toml, or a ``Case`` of a Python file. This module also repeats a designed mission,
+and compares the estimation errors with those that the design predicted.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def random_levels(
     levels
         Function of a random generator that draws one level of each input (n_inputs,).
     hold
-        Shortest and longest time for which levels are held [s].
+        Shortest and longest time for which levels are held [s]; a time is drawn uniformly between them.
     seed
         Seed of the sequence.
     """
@@ -88,7 +88,7 @@ def surge_case(seconds: float = 300.0) -> Case:
     """Return the study case (mission and model) of straight motion: forward and reverse thrust in steps.
 
     The mission lasts ``seconds`` [s], and the position is sampled at 10 Hz. The true values are those of the boat of
-    Table 5 of the paper.
+    Table 5 of the paper (docs/thesis.md).
     """
     t = _row_times(seconds, 0.1)
     force = random_levels(t, lambda rng: rng.uniform(-30.0, 80.0, 1), (5.0, 15.0), MISSION_SEED)
@@ -101,7 +101,7 @@ def surge_case(seconds: float = 300.0) -> Case:
 def yaw_case(seconds: float = 300.0) -> Case:
     """Return the study case (mission and model) of pure rotation: yaw moment in steps, gyro at 20 Hz.
 
-    The mission lasts ``seconds`` [s]. The true values are those of the boat of Table 5 of the paper.
+    The mission lasts ``seconds`` [s]. The true values are those of the boat of Table 5 of the paper (docs/thesis.md).
     """
     t = _row_times(seconds, 0.05)
     moment = random_levels(t, lambda rng: rng.uniform(-12.0, 12.0, 1), (2.0, 8.0), MISSION_SEED)
@@ -113,7 +113,7 @@ def horizontal_case(seconds: float = 400.0) -> Case:
     """Return the study case (mission and model) of surge, sway and yaw: both thrusters in steps, for ``seconds`` [s].
 
     Heading, gyro and accelerometers are sampled at 10 Hz, position and velocity at 5 Hz. The current is unknown. The
-    true values are those of the boat of Table 5 of the paper.
+    true values are those of the boat of Table 5 of the paper (docs/thesis.md).
     """
     t = _row_times(seconds, 0.1)
     n = _shaft_speeds(random_levels(t, lambda rng: rng.uniform(-0.5, 1.0, 2), (3.0, 10.0), MISSION_SEED), 0.1)
@@ -163,7 +163,7 @@ def kinematic_case(seconds: float = 400.0) -> Case:
 
 
 def heading_under_thrust(t: Array, n: Array) -> Array:
-    """Simulate the heading (n_rows,) [rad] of the boat of Table 5 under thrust, from heading 0 and rest.
+    """Simulate the heading (n_rows,) [rad] of the boat of the built-in cases under thrust, from heading 0 and rest.
 
     It is the yaw equation without noise, integrated by Euler's method. It only provides a plausible measured heading.
 
@@ -221,8 +221,9 @@ def noise_case(seconds: float = 300.0) -> Case:
 
 
 def optimal_design_case(seconds: float = 300.0) -> Case:
-    """Design an optimal mission of ``seconds`` [s] for the nine parameters of Table 1, and return it as a case.
+    """Design an optimal mission of ``seconds`` [s] for the nine parameters of the hull, and return it as a case.
 
+    The boat is that of Table 1 of the paper (docs/thesis.md), without current: masses, moment of inertia and damping.
     The case tests whether fits reach the standard errors that the design predicts.
     """
     rates = {"position": 5.0, "ground_velocity": 5.0}
@@ -241,7 +242,7 @@ def _row_times(seconds: float, step: float) -> Array:
 def _model_at(model: Model, values: Mapping[str, float]) -> Model:
     """Return the model at given parameter values, with the second-order filter mean that `ident vehicle` uses.
 
-    Values of parameters that the model lacks are ignored.
+    Values of parameters that the model lacks are ignored. Parameters without a value keep that of the model.
     """
     return replace(model.with_values({n: v for n, v in values.items() if n in model.values}), second_order=True)
 
@@ -386,8 +387,9 @@ def _with_file_hash(case: Case, path: Path) -> Case:
 def _case_of_fitted_model(saved: SavedModel, source: str, seconds: float, seed: int) -> Case:
     """Return a case of a fitted model, with a mission of random input levels within the ranges of its estimation data.
 
-    Inputs that are linear between rows are lagged as a shaft would be. Delayed copies of an input follow from this
-    input. The time input is the time since the start.
+    Sensors have the rates of the file, or 10 Hz (GNSS 5 Hz) if it has none. Inputs that are linear between rows are
+    lagged as a shaft would be. Delayed copies of an input follow from this input. The time input is the time since the
+    start.
 
     Parameters
     ----------

@@ -96,7 +96,10 @@ class Case:
     reml: bool = True
 
     def with_truth(self, truth: Mapping[str, float]) -> Case:
-        """Return the case with other true values; ``truth`` has them by name of the parameter."""
+        """Return the case with other true values; ``truth`` has them by name of the parameter.
+
+        An unknown name raises KeyError, a value outside the bounds of its parameter ValueError.
+        """
         return replace(self, model=self.model.with_values(truth))
 
 
@@ -118,7 +121,8 @@ def run_replicates(case: Case, numbers: Sequence[int], seed: int, method: Method
     -------
     list of Row
         One row for each replicate, a dictionary: its number ``k``, the CPU time ``simulation`` [s] of its simulation,
-        and the keys of `estimate`. The row of a failed fit has the key ``error`` instead of these, with a message.
+        and the keys of `estimate`. The row of a failed fit (ValueError, ArithmeticError or LinAlgError) has the key
+        ``error`` instead of these, with a message. Other errors are raised.
     """
     rngs = [np.random.default_rng([seed, k]) for k in numbers]
     truths = np.array([_draw_truth(case.model, rng) for rng in rngs])
@@ -191,6 +195,9 @@ def make_record(case: Case, y: Array, name: str) -> Record:
 
 def estimate(case: Case, record: Record, truth: Array, x0: Array, rng: np.random.Generator, method: Method) -> Row:
     """Fit one replicate from random initial values and return its errors.
+
+    An initial value is the true value times exp(z) within the bounds, with z uniform from -0.4 to 0.4; that of a
+    per-record parameter is its value in the model.
 
     Parameters
     ----------
@@ -450,7 +457,7 @@ class ReplicateCounts:
     replicates, failed, unconverged
         Number of all replicates, of those whose fit raised an error, and of those whose fit did not converge.
     cpu_fit
-        Median CPU time of a fit [s], NaN without fits.
+        Median CPU time of a fit [s] over all fits without an error, converged or not; NaN without any.
     cpu_simulation
         Mean CPU time of a simulation [s], NaN without replicates.
     """

@@ -145,8 +145,9 @@ def with_findings(
 def sides_of_model(model: Model, log: LoadedLog) -> Mapping[str, float]:
     """Return the position of each thruster to starboard [m] by name of the thruster, for the checks before a fit.
 
-    The positions are the values of the parameters ``y_left`` and ``y_right`` of the model. If the model has neither,
-    they are those in the rig of the log. Without a rig they are -1 m for ``left`` and +1 m for ``right``.
+    The positions are the values of the parameters ``y_left`` and ``y_right`` of the model; a thruster whose parameter
+    the model lacks is then left out. If the model has neither, they are those in the rig of the log. Without a rig they
+    are -1 m for ``left`` and +1 m for ``right``.
 
     Parameters
     ----------
@@ -166,7 +167,7 @@ def with_estimator_errors(
 ) -> tuple[Model, list[str]]:
     """Add states for correlated navigation errors if the position of a log is the output of a navigation filter.
 
-    Such a position has less white noise than a GNSS receiver.
+    Such a position has less white noise (below 3 cm) than a GNSS receiver.
 
     Parameters
     ----------
@@ -250,8 +251,9 @@ def _rounding_error(channels: Mapping[str, Channel], name: str) -> float:
     """Return the standard deviation of the rounding error of the signal ``name``, in the unit of the signal.
 
     ``channels`` are the signals of a log by name. The result is zero if the signal is not rounded or not in the log.
-    The error is uniform over one rounding step (Bennett 1948). A receiver that reports speed and course rounds the
-    speed. The steps of ``vx`` and ``vy`` are therefore also searched in the magnitude of the velocity.
+    The error is uniform over one rounding step (Bennett 1948), so that it is the step / sqrt(12). A receiver that
+    reports speed and course rounds the speed. If ``vx`` or ``vy`` has no steps of its own, the steps of the magnitude
+    of the velocity are therefore used, provided that both have the same sample times.
     """
     if name not in channels:
         return 0.0

@@ -320,7 +320,8 @@ def _is_nested(first: Model, second: Model) -> bool:
 def _rms_by_channel(errors: Mapping[str, Mapping[str, PredictionErrors]]) -> dict[str, float]:
     """Return the RMS prediction error of each channel over all records, in the unit of the channel.
 
-    ``errors`` has the prediction errors by record and channel. The RMS error is infinite if a prediction diverged.
+    ``errors`` has the prediction errors by record and channel. The mean is over the errors of all records together, not
+    over the records. The RMS error is infinite if a prediction diverged.
     """
     names = dict.fromkeys(name for by_channel in errors.values() for name in by_channel)
     pooled = {n: np.concatenate([by[n].e for by in errors.values() if n in by]) for n in names}
@@ -330,9 +331,9 @@ def _rms_by_channel(errors: Mapping[str, Mapping[str, PredictionErrors]]) -> dic
 def _log_score(before: Sequence[RecordEvaluation], after: Sequence[RecordEvaluation]) -> LogScore | None:
     """Return the difference in log-likelihood of the samples between two models, ``before`` and ``after``.
 
-    Each sequence has the evaluation of a model on the same logs in the same order. Only the time that both records of a
-    log cover is used. The result is None if the models do not predict the same samples: then the likelihoods are not
-    comparable.
+    Each sequence has the evaluation of a model on the same logs in the same order. The blocks of time are twice as long
+    as residuals may be correlated. Only the time that both records of a log cover is used. The result is None if the
+    models do not predict the same samples: then the likelihoods are not comparable.
     """
     gains: list[float] = []
     for a, b in zip(before, after, strict=True):

@@ -79,7 +79,7 @@ class DesignRequest:
     duration
         Length of the mission [s].
     steps
-        Number of steps; None: one for each 5 s.
+        Number of steps; None: one for each 5 s, but at least 8, and no more than the shortest step allows.
     criterion
         Scalar of the information matrix that is maximised: D, A, E or Ds.
     chosen
@@ -241,8 +241,8 @@ def _design_warnings(made: Design) -> list[ResultWarning]:
     """Return the warnings of a designed mission, for its result.
 
     They are about thruster data that the model lacks and the design assumes, about sensor rates that are assumed or are
-    above those of the data that the model was fitted to, and about inputs and states that leave the range of these
-    data.
+    more than 5 % above those of the data that the model was fitted to, and about inputs and states that leave the range
+    of these data.
     """
     task = made.problem
     pole = None if task.actuation.shafts_are_states else task.actuation.pole
@@ -323,7 +323,8 @@ def designed_mission(
 ) -> Mission:
     """Return a designed mission: a segment at rest of 5 s, then the steps of the design.
 
-    Numbers are rounded: times to 1 ms, levels to six digits, positions to 1 cm. Levels are limited to ``n_max``.
+    Numbers are rounded: times to 1 ms, levels to six digits, positions to 1 cm. Levels are limited to ``n_max``. The
+    mission ends with the last step: the coasting after it is part of the predicted track only.
 
     Parameters
     ----------
@@ -381,6 +382,8 @@ def designed_mission(
 
 def round_to_digits(values: Array, digits: int) -> Array:
     """Round an array to a number of significant digits, and return it as a new array of the same shape.
+
+    NaN and infinity stay unchanged.
 
     Parameters
     ----------
@@ -455,7 +458,10 @@ def make_task(source: str, request: DesignRequest) -> DesignProblem:
 
 
 def _criterion_parameters(task: DesignProblem) -> tuple[str, ...]:
-    """Return the names of the parameters of the design criterion: the chosen ones, or all that the sensors observe."""
+    """Return the names of the parameters of the design criterion: the chosen ones, or all that the sensors observe.
+
+    A parameter is observed if at least one output depends on it.
+    """
     return task.chosen or task.observed_parameters
 
 
@@ -464,9 +470,10 @@ def _discrimination_design(
 ) -> tuple[Design, Discrimination]:
     """Search the mission that discriminates the two effects of ``request.between``.
 
-    The first result is the mission as a design. Its value is the criterion of the parameters, so that its page is that
-    of any design. The second result has the separation T of the two effects by this mission and by eight random
-    missions. T is the expected value of twice the log-likelihood ratio of the true model against the wrong model.
+    The search has an eighth of the ``evaluations`` of the request, but at least 500. The first result is the mission as
+    a design. Its value is the criterion of the parameters, so that its page is that of any design. The second result
+    has the separation T of the two effects by this mission and by eight random missions. T is the expected value of
+    twice the log-likelihood ratio of the true model against the wrong model.
     """
     a, b = hypotheses(task.model, request.between)
     made: DiscriminationDesign = discriminate(
@@ -566,7 +573,7 @@ def with_effect(model: Model, name: str) -> Model:
 def _track_table(track: Track, limits: DesignLimits) -> DesignTrack:
     """Return the predicted track of the boat, with the area and the current of the limits, as a table of the result.
 
-    At most 24 of the tracks of sampled boats are kept.
+    The tracks of the first 24 sampled boats are kept; the radius and the share inside are those of all.
     """
     corner = None if track.corner is None else (float(track.corner[0]), float(track.corner[1]))
     return DesignTrack(

@@ -412,6 +412,8 @@ def require_one_frame(model: Model, logs: Sequence[LoadedLog], reference: FrameO
 def saved_frame_warnings(model: Model, logs: Sequence[LoadedLog], reference: FrameOrigin | None) -> list[ResultWarning]:
     """Return warnings about unknown origins of x and y, for logs that a saved model is applied to.
 
+    There is at most one warning: if ``reference`` is None, or if the origin of a log is unknown.
+
     Parameters
     ----------
     model : Model

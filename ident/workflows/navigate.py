@@ -93,8 +93,9 @@ class NavigationRequest:
 def navigate_logs(request: NavigationRequest, command: str, reporter: Reporter) -> NavigationResult:
     """Estimate the states of the boat in each log, and write the results.
 
-    The files are one CSV file of the states for each log or segment of a log, result.json and report.html in the folder
-    ``request.out``.
+    A log is cut into segments at long times without a sample. The files in the folder ``request.out`` are a CSV file of
+    the states for each log or segment, named after it, and result.json and report.html. The filter is of first order,
+    also if the model was fitted with one of second order.
 
     Parameters
     ----------
@@ -346,6 +347,9 @@ def _withheld_errors(found: OutageErrors | None) -> WithheldErrors | None:
 def navigation_answer(found: Sequence[Outage], done: Sequence[Navigation]) -> str:
     """Return the answer of `seatrial ident navigate`: the worst GNSS outage, or else the accuracy of the position.
 
+    The accuracy is the median over time of the standard deviation of the position, for the record in which it is
+    largest.
+
     The worst outage is the one with the largest predicted position error at its end. The time before the first fix of a
     record has a sentence of its own.
 
@@ -387,9 +391,10 @@ def navigation_answer(found: Sequence[Outage], done: Sequence[Navigation]) -> st
 def _navigation_notes(parts: Sequence[tuple[Navigation, float, list[Outage]]], known: ParameterCovariance) -> list[str]:
     """Return the notes of the result of `seatrial ident navigate`.
 
-    They are about missing sensors, innovations that are larger than the model predicts, fixes outside the predicted
-    95 % region at the end of an outage, and missing standard errors of the parameters. ``parts``: navigation, log time
-    [s] of its first row, and outages of each record. ``known``: covariance of the parameters.
+    They are about missing sensors, innovations that are larger than the model predicts (over 30 samples of a channel
+    with a standard deviation above 1.5 times the predicted one), fixes outside the predicted 95 % region at the end of
+    an outage, and missing standard errors of the parameters. ``parts``: navigation, log time [s] of its first row, and
+    outages of each record. ``known``: covariance of the parameters.
     """
     notes = []
     for done, t0, found in parts:

@@ -185,9 +185,10 @@ def noise(logs: Sequence[Path], out: Path, *, signals: Sequence[str], command: s
 def _channels_to_estimate(path: Path, loaded: LoadedLog, signals: Sequence[str]) -> Mapping[str, Channel]:
     """Return the channels of a log by name, with all axes of its AHRS; only those in ``signals`` if it is not empty.
 
-    Times [s] start at the first sample of each channel, and angles are unwrapped. Channels with fewer than two samples
-    are left out. Raise SeatrialError if a channel in ``signals`` is missing. ``path``: file of the log; ``loaded``: the
-    same log in memory.
+    The axes of the AHRS include those that ``loaded`` lacks, for example the vertical acceleration ``az``. Times [s]
+    start at the first sample of each channel, and angles are unwrapped. Channels with fewer than two samples are left
+    out. Raise SeatrialError if a channel in ``signals`` is missing. ``path``: file of the log; ``loaded``: the same log
+    in memory.
     """
     everything = dict(loaded.run.channels)
     with open_log(path) as log:

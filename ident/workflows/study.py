@@ -64,7 +64,8 @@ def run_study(
     seed : int
         Seed of all random draws.
     out : Path or str
-        File of JSON lines; new replicates are appended as soon as they are done. Its folder is created.
+        File of JSON lines; new replicates are appended as soon as they are done. Its folder is created. Replicates of
+        other studies in the file stay there and are not used.
     method : str
         ``prediction-error`` or ``output-error``.
     jobs : int, optional
@@ -240,8 +241,9 @@ class StudyRequest:
 def run_studies(request: StudyRequest, command: str, reporter: Reporter) -> StudyResult:
     """Run the study of each model, and write the results.
 
-    The files are one NAME.jsonl of replicates for each model, result.json and study.md in the folder ``request.out``.
-    Replicates that exist there from an earlier run are used.
+    The files in the folder ``request.out`` are one NAME.jsonl of replicates for each case, result.json, and study.md
+    with its folder of pictures. The page report.html is written by the command. Replicates that exist there from an
+    earlier run are used.
 
     Parameters
     ----------

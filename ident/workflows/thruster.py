@@ -103,6 +103,8 @@ class ThrusterRequest:
 def characterise(request: ThrusterRequest, command: str, reporter: Reporter) -> ThrusterResult | ThrustCurveResult:
     """Fit the thruster model to bench logs of one thruster, or a static thrust curve if they have no shaft speed.
 
+    The model has a thrust only if all logs have a measured force.
+
     The files are model.toml, result.json and report.html in the folder ``request.out``.
 
     Parameters
@@ -174,9 +176,10 @@ def _without_zero_drift(
 ) -> tuple[list[LoadedLog], list[str]]:
     """Subtract the drift of the load cell's zero from the force of each bench log.
 
-    The zero is the mean force at rests, times of zero command. Return the new logs, and a line of text for each drift.
-    ``command_name``: function of a log that returns the name of its command signal. ``settle``: time [s] at the
-    beginning of a rest that is left out. A log without force or command, or without a significant drift, is unchanged.
+    The zero is the mean force at rests, times of zero command. The drift is linear between the rests; the mean of the
+    zeros stays in the force. Return the new logs, and a line of text for each drift. ``command_name``: function of a
+    log that returns the name of its command signal. ``settle``: time [s] at the beginning of a rest that is left out. A
+    log without force or command, or without a significant drift, is unchanged.
     """
     found, lines = [], []
     for x in loaded:
@@ -383,7 +386,10 @@ def _changing_commands(log: LoadedLog, name: str | None) -> list[str]:
 
 
 def _curve_points(levels: Levels, curve: Curve, quadratic: Quadratic) -> StaticForce:
-    """Return the measured levels, the monotone curve and the quadratic as arrays for the plots of the result."""
+    """Return the measured levels, the monotone curve and the quadratic as arrays for the plots of the result.
+
+    Curve and quadratic are given at 161 evenly spaced commands and at those of the levels.
+    """
     grid = np.union1d(np.linspace(curve.n[0], curve.n[-1], 161), curve.n)
     return StaticForce(
         n=levels.n,

@@ -158,7 +158,8 @@ def with_sampled_inputs(source: str, loaded: Sequence[LoadedLog]) -> tuple[str, 
     source : str
         Name of the model, with its options after colons.
     loaded : sequence of LoadedLog
-        Estimation logs. The largest sample interval of their shaft speeds counts.
+        Estimation logs. The largest median sample interval of shaft speeds that are sampled outputs of an autopilot
+        counts; measured shaft speeds do not.
 
     Returns
     -------
@@ -218,7 +219,7 @@ def vehicle_problem(
     Parameters
     ----------
     request : VehicleRequest
-        Model and options.
+        Model and options. With the model ``auto`` and a thrust curve, the model is ``horizontal:force``.
     loaded, validation_logs : sequence of LoadedLog
         Logs for the estimation and for the validation, as loaded. Missing input signals are derived from others.
 

@@ -37,7 +37,8 @@ class Comparison:
     def best(self) -> str:
         """Name of the model with the smallest prediction error over the horizon.
 
-        Only models that are significantly better than the first one are considered. If there are none, it is the first.
+        Only models that are significantly better than the first one are considered: the 95 % interval of the change of
+        the prediction error excludes no change. If there are none, it is the first.
         """
         better = [
             (m.change.ratio, name)

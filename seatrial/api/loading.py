@@ -43,7 +43,10 @@ class Saved:
 
     @property
     def params(self) -> dict[str, float]:
-        """Values of all parameters by name, in SI units and radians.
+        """Values of all parameters by name, estimated and fixed, in SI units and radians.
+
+        They are those of the file. Unlike `FittedVehicle.params`, they are never ratios to the thrust, and a parameter
+        with its own value in each record has one entry, its mean.
 
         Raises
         ------
@@ -113,7 +116,7 @@ def load(path: PathLike) -> Saved:
     Raises
     ------
     SeatrialError
-        If there is no such file, or if it cannot be read.
+        If there is no such file, if a folder has neither file, or if a file cannot be read.
 
     Examples
     --------
@@ -148,7 +151,7 @@ def simulate(
     model : path, `Saved`, `FittedVehicle` or `FittedDiagnosis`
         The model.
     t : Array (n,)
-        Times [s] of the input samples, increasing.
+        Times [s] of the input samples, increasing. Between samples, an input is constant or linear, as in the model.
     inputs : dict of str to Array (n,)
         Value of each input at these times, for example ``n_left`` and ``n_right`` (-1 to 1).
     start : dict of str to float, optional
@@ -159,6 +162,7 @@ def simulate(
     -------
     dict of str to Series
         States and outputs by name, in SI units and radians. Where a state and an output have one name, it is the state.
+        Times count from ``t[0]``.
 
     Raises
     ------

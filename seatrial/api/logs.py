@@ -188,7 +188,7 @@ def import_log(
         Import map, which assigns columns to signals. None: a map is guessed for each file. Look at a guessed map before
         you rely on it (``seatrial import --guess FILE``).
     out_dir : path
-        Folder of the logs.
+        Folder of the logs, which is created. A log has the name of its file; if the map merges files, that of the map.
     force : bool
         Whether existing logs are replaced. If false, an existing log is an error.
 

@@ -22,8 +22,8 @@ TURN_DEG = 360.0
 def prediction_figure(result: FitResult, channels: Sequence[str]) -> Figure:
     """Return a figure of measured and predicted channels over the horizon, with the 95 % band of the prediction.
 
-    It has a panel for each channel of each record. Angles are in degrees. A channel without predictions has only its
-    samples.
+    It has a panel for each channel of each record, estimation records first. Angles are in degrees. A channel without
+    predictions has only its samples.
 
     Parameters
     ----------

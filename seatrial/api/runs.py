@@ -76,7 +76,8 @@ class DesignOptions(TypedDict, total=False):
     duration : float
         Length of the mission [s].
     steps : int
-        Number of steps of the commands; one for each 5 s if it is left out.
+        Number of steps of the commands. If it is left out: one for each 5 s, but at least 8, and no more than the
+        shortest step allows.
     criterion : ``D``, ``A``, ``E`` or ``Ds``
         Scalar of the Fisher information that is optimised: determinant (D), mean variance (A), largest variance (E), or
         determinant of the chosen parameters (Ds).
@@ -91,7 +92,8 @@ class DesignOptions(TypedDict, total=False):
     shortest : float
         Length of the shortest step [s].
     rates : dict of str to float
-        Sample rates [Hz] by name of the sensor. Others have the rate of the data that the model was fitted to.
+        Sample rates [Hz] by name of the sensor. Others have the rate of the data that the model was fitted to, or 10 Hz
+        if it is unknown.
     evaluations : int
         Number of simulations of the mission in the search for the best commands.
     seed : int

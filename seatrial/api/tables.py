@@ -107,7 +107,7 @@ def summary(result: FitResult) -> str:
 def as_html(result: FitResult) -> str:
     """Return the result of a fit as HTML for a notebook: conclusion (`answer`), warnings and a table of the estimates.
 
-    Fixed parameters are left out.
+    Fixed parameters, and the flags of estimates, are left out.
     """
     rows = [statistics(row) for row in result.fit.parameters]
     head = "".join(f"<th>{html.escape(c)}</th>" for c in COLUMNS)

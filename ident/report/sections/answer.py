@@ -201,10 +201,10 @@ def attribution_words(effect: EffectRow) -> str:
 
 
 def key_parameters(fit: FitSummary) -> list[Any]:
-    """Return up to nine estimated parameters of a fit, with standard errors, as labelled values, and a caption.
+    """Return the first nine estimated parameters of a fit, with standard errors, as labelled values, and a caption.
 
-    Noise parameters, per-record parameters, and parameters without a standard error are left out. The list is empty if
-    no parameter is left.
+    The caption has the number of the others. Noise parameters, per-record parameters, and parameters without a standard
+    error are left out. The list is empty if no parameter is left.
     """
     found = []
     for row in fit.parameters:

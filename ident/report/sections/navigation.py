@@ -49,7 +49,11 @@ def outages_section(result: NavigationResult) -> Section:
 
 
 def _outage_cells(o: GnssOutage, withheld: bool) -> list[Cell | str]:
-    """Return the table cells of one GNSS outage; ``withheld`` adds two cells of RMS errors at withheld fixes."""
+    """Return the table cells of one GNSS outage; ``withheld`` adds two cells of RMS errors at withheld fixes.
+
+    They are record, start, duration, 95 % radius of the position at the end, distance of the next fix from it, 95 %
+    limit of that distance, and whether the fix is inside the 95 % region. An unknown value is a dash.
+    """
     verdict = {True: Cell("✓ inside", "good"), False: Cell("✗ outside", "bad"), None: Cell("–")}[o.inside]
     cells: list[Cell | str] = [
         o.record,
@@ -127,7 +131,8 @@ def _record_blocks(canvas: Canvas, row: NavigatedRecord, outages: Sequence[GnssO
 def _state_panel(canvas: Canvas, t: Array, state: StateTrace, outages: Sequence[GnssOutage]) -> drawing.Panel | None:
     """Return the panel of one state over the times ``t`` (n,) [s] with its 95 % band; None without finite values.
 
-    Measurements of the same quantity are added if there are any. The times of GNSS ``outages`` are shaded.
+    Measurements of the same quantity are added if there are any; those of an angle are shifted by whole turns to the
+    estimate, which is not wrapped. The times of GNSS ``outages`` are shaded.
     """
     if not np.isfinite(state.value).any():
         return None

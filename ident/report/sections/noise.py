@@ -43,7 +43,8 @@ def section(canvas: Canvas, result: NoiseResult) -> Section:
 def _noise_cells(c: ChannelNoise) -> list[Cell | str]:
     """Return the table cells of one channel: name, white noise, random walk, verdict, predictable share and p value.
 
-    The noise is in the unit that the report shows. A noise that was not found is shown by its 95 % upper limit.
+    The predictable share is that of the variance of the innovations; the p value is that of the Ljung-Box test. The
+    noise is in the unit that the report shows. A noise that was not found is shown by its 95 % upper limit.
     """
     factor, unit = formatting.degrees_for(c.unit)
     cells: list[Cell | str] = [formatting.named(c.channel)]

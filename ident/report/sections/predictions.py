@@ -74,7 +74,8 @@ def compared(errors: Errors) -> bool:
 def errors_section(errors: Errors, seconds: float) -> Section:
     """Return the section with the tables of RMS prediction errors: one tab for validation, one for estimation data.
 
-    With one model, a table has the fit in per cent; with two models, the ratio of their errors.
+    With one model, a table has the fit in per cent; with two models, the ratio of their errors. The section is empty if
+    there are no channels.
 
     Parameters
     ----------
@@ -233,7 +234,8 @@ VERDICTS: dict[Verdict, Cell] = {
 def calibration_section(canvas: Canvas, calibration: Calibrations, seconds: float) -> Section:
     """Return the section of the calibration of the prediction intervals.
 
-    It has one tab for validation data and one for estimation data, each with a table and reliability plots.
+    It has one tab for validation data and one for estimation data, each with a table and reliability plots. It is empty
+    if there are no channels.
 
     Parameters
     ----------

@@ -86,7 +86,9 @@ def _whiteness_table(found: Sequence[ResidualTests]) -> list[Any]:
 def _whiteness_cells(row: ResidualTests) -> list[Cell | str]:
     """Return the table cells of one channel: name, verdict, p values, number of outliers, largest residual.
 
-    If effects were added, each cell except the name has the values before and after, joined by an arrow.
+    The p values are those of the Ljung-Box test, of the cumulative periodogram and of the test of normality. An outlier
+    is beyond six standard deviations. If effects were added, each cell except the name has the values before and after,
+    joined by an arrow.
     """
     versions: list[WhitenessTests] = [row] if row.after is None else [row, row.after]
     verdict = " → ".join("✓" if v.white else "✗" for v in versions)
@@ -184,8 +186,9 @@ def _autocorrelation_plot(canvas: Canvas, row: ResidualTests, tab: RecordTab) ->
 def _periodogram_plot(canvas: Canvas, row: ResidualTests, tab: RecordTab) -> Plot | None:
     """Return the plot of the cumulative periodogram of a channel's innovations; None without finite values.
 
-    For white innovations the whole curve is inside the band about the diagonal with 95 % probability. ``tab`` has the
-    title of the record for the description of the plot, which is added to ``canvas``.
+    The curve is the share of the variance at frequencies up to each frequency [Hz]. For white innovations the whole
+    curve is inside the band about the diagonal with 95 % probability. ``tab`` has the title of the record for the
+    description of the plot, which is added to ``canvas``.
     """
     traces, top = [], 0.0
     for name, values, color in _before_and_after(row, row.after):

@@ -185,8 +185,9 @@ class _Curves:
 def _prediction_blocks(canvas: Canvas, result: FitResult, rows: Sequence[Trace], tab: RecordTab) -> list[Any]:
     """Return the figure of one record with its channels measured and predicted over the horizon, as a list of blocks.
 
-    Each panel has the fit in per cent in its title. The figure is added to ``canvas``. The list is empty without finite
-    values. ``rows`` has the channels of the record, and ``tab`` its title.
+    Each panel has in its title the fit of the channel in per cent, over all records of the same role. The figure is
+    added to ``canvas``. The list is empty without finite values. ``rows`` has the channels of the record, and ``tab``
+    its title.
     """
     panels = []
     for row in rows:
@@ -200,9 +201,9 @@ def _prediction_blocks(canvas: Canvas, result: FitResult, rows: Sequence[Trace],
 def _simulation_blocks(canvas: Canvas, result: FitResult, rows: Sequence[Trace], tab: RecordTab) -> list[Any]:
     """Return the figure of one record with its channels measured and simulated, as a list of blocks.
 
-    Each panel has the fit in per cent in its title. A diverged simulation ends at the time of its divergence, which is
-    in the title instead. The figure is added to ``canvas``. The list is empty without finite values. ``rows`` has the
-    channels of the record, and ``tab`` its title.
+    Each panel has in its title the fit of the channel in per cent, over all records of the same role. A diverged
+    simulation ends at the time of its divergence, which is in the title instead. The figure is added to ``canvas``. The
+    list is empty without finite values. ``rows`` has the channels of the record, and ``tab`` its title.
     """
     panels = []
     for row in rows:

@@ -82,7 +82,7 @@ def _round_blocks(row: RoundRow, removed: Collection[str]) -> list[Any]:
 
 
 def ranking(row: RoundRow, chosen: str | None) -> list[Any]:
-    """Return heading and bar chart of the score tests of up to 14 candidates of a search round.
+    """Return heading and bar chart of the score tests of the best 14 candidates of a search round.
 
     The axis is logarithmic, so that candidates with a statistic of zero are left out. The list is empty if no candidate
     is left.
@@ -167,8 +167,9 @@ def _refits_table(row: RoundRow, chosen: str | None) -> list[Any]:
 def _refit_cells(row: RefitRow, chosen: str | None) -> list[Cell | str]:
     """Return the table cells of one refit: effect, estimates, gains and outcome. Up to three estimates are printed.
 
-    ``chosen`` is the name of the effect that was added in the round and not removed again, None if there is none. A
-    refit with the outcome "added" and another name is shown as removed again.
+    The gains are 2 d ln L with the number of parameters, the criterion, and d ln L on the validation data with its t
+    statistic. ``chosen`` is the name of the effect that was added in the round and not removed again, None if there is
+    none. A refit with the outcome "added" and another name is shown as removed again.
     """
     parameters = []
     for p in row.parameters:
