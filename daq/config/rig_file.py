@@ -241,8 +241,9 @@ def _read_topic_name(table: TomlTable) -> str:
 def _read_device(table: TomlTable, folder: Path, recorded: bool) -> Device:
     """Read one [[device]] table of a rig file, check it, and return the device. Relative paths count from `folder`.
 
-    A protocol that is unknown or not installed raises SeatrialError. If `recorded` is true, the rig file comes from a
-    log, and such a protocol is accepted. The options of an unknown protocol are then neither read nor checked.
+    A protocol that is unknown or not installed, and a DBC file that does not exist, raise SeatrialError. If `recorded`
+    is true, the rig file comes from a log, and these are accepted. The options of an unknown protocol are then neither
+    read nor checked.
     """
     name = _read_topic_name(table)
     protocol = table.text("protocol")
@@ -269,6 +270,8 @@ def _read_device(table: TomlTable, folder: Path, recorded: bool) -> Device:
     if row is not None:
         options |= read_protocol_options(table, row.options, folder)
         table.done()
+    if not recorded and "dbc" in options and not Path(options["dbc"]).is_file():
+        raise table.error("dbc", f"there is no file {options['dbc']}")
     return Device(name, protocol, port, baud, rate_hz=rate, lever_arm_m=lever_arm, **options)
 
 
@@ -431,9 +434,9 @@ def _read_query(table: TomlTable, folder: Path) -> dict[str, Any]:
 def _read_dbc(table: TomlTable, folder: Path) -> dict[str, Any]:
     """Return {"dbc": path of the DBC file, "signals": tuple of DbcSignal} from the keys `dbc` and `signal` of a device.
 
-    A relative path counts from `folder`. A name without folder and suffix stands for a DBC file of this package. The
-    file must exist, also for the rig of a log, and there must be at least one [[device.signal]]; otherwise
-    SeatrialError is raised. The file is not read here.
+    A relative path counts from `folder`. A name without folder and suffix stands for a DBC file of this package.
+    Without a [[device.signal]], SeatrialError is raised. The file is not read here, and need not exist: the rig of a
+    log may name a file of another computer.
     """
     name = table.text("dbc")
     rows = table.tables("signal")
@@ -441,8 +444,6 @@ def _read_dbc(table: TomlTable, folder: Path) -> dict[str, Any]:
         raise table.error("signal", "missing; add a [[device.signal]], which maps a signal of the DBC file to a field")
     # A name without folder and suffix is a DBC file of seatrial itself.
     path = Path(__file__).parents[1] / "protocol" / f"{name}.dbc" if re.fullmatch(r"\w+", name) else folder / name
-    if not path.is_file():
-        raise table.error("dbc", f"there is no file {path}")
     return {"dbc": str(path), "signals": tuple(_read_dbc_signal(row) for row in rows)}
 
 

@@ -1,7 +1,9 @@
+from .answers import check_warnings as check_warnings
 from .answers import curve_notes as curve_notes
 from .answers import curve_warnings as curve_warnings
 from .answers import design_warnings as design_warnings
 from .answers import estimation_warnings as estimation_warnings
+from .answers import faults_first as faults_first
 from .answers import frame_warnings as frame_warnings
 from .answers import plus_minus as plus_minus
 from .answers import scale_warnings as scale_warnings

@@ -193,9 +193,13 @@ def thruster_result(
     bands, ways = calibration_tables(evaluation), directions(fitted.records)
     return ThrusterResult(
         **msgspec.structs.asdict(made),
-        answer=not_converged(fitted.fit)
-        or thruster_answer(fitted.fit, static is not None, ways, calibration, smallest_command(fitted.records)),
+        answer=faults_first(made)
+        + (
+            not_converged(fitted.fit)
+            or thruster_answer(fitted.fit, static is not None, ways, calibration, smallest_command(fitted.records))
+        ),
         warnings=(
+            *check_warnings(made),
             *(thruster_warnings(ways) if static is not None else ()),
             *estimation_warnings(fitted.fit, fitted.records),
             *failed_run_warnings(fitted.failed),

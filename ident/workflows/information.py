@@ -131,7 +131,9 @@ def information(request: InformationRequest, command: str, reporter: Reporter) -
         values.append(record_parameters(model, rows))
     reporter.progress(f"information of {sum(r.duration for r in records):.0f} s in segments of {seconds:g} s")
     segments = segment_information(model, records, names, seconds=seconds, values=values, inflation=saved.inflation)
-    found = _segment_table(segments, loaded, records)
+    units = reported_units(model)
+    factors = np.array([units.factor(model.parameter(name).unit) for name in names])
+    found = _segment_table(segments, loaded, records, factors)
     parameters = tuple(_informed_parameter(model, name, k, segments, found) for k, name in enumerate(names))
     made = provenance(loaded, command)
     result = InformationResult(
@@ -191,13 +193,14 @@ def record_parameters(model: Model, rows: Record) -> Array:
 
 
 def _segment_table(
-    segments: Sequence[InformationSegment], loaded: Sequence[LoadedLog], records: Sequence[Record]
+    segments: Sequence[InformationSegment], loaded: Sequence[LoadedLog], records: Sequence[Record], factors: Array
 ) -> tuple[SegmentInformation, ...]:
     """Return the table of log segments in the result: the information of each segment about every parameter.
 
     The times count from the start of the log [s]. Each row names the mission step that takes up most of the segment.
     ``loaded`` and ``records``: the logs, and the records of the same names. ``lost`` of a row is the share of each
-    parameter's information that would be lost without the segment, 0 to 1.
+    parameter's information that would be lost without the segment, 0 to 1. ``factors`` (n_parameters,) convert standard
+    errors from the units of the model to the reported units.
     """
     starts = {r.name: float(r.meta["t0"]) for r in records}
     steps = {log.run.name: log.segments for log in loaded}
@@ -213,7 +216,7 @@ def _segment_table(
                 what=_longest_mission_step(steps[s.record], begin, end),
                 weight=s.weight,
                 lost=lost,
-                alone=s.alone,
+                alone=factors * s.alone,
             )
         )
     return tuple(found)

@@ -102,12 +102,14 @@ class NoiseEstimate:
         A spectral line is returned alone if its share is more than half of the predictable share of the variance of the
         innovations. Otherwise the list has the autocorrelation of the innovations, and the frequency band in which the
         density of the innovations is too high or too low. Beside an autocorrelation, only a band from frequency zero is
-        listed. Departures that are too small to matter are left out, so that the list may be empty.
+        listed. Departures that are too small to matter are left out, so that the list may be empty. A spectral line
+        with a smaller share is listed if nothing else matters.
         """
         predictable, line, band = self.fit.departures
         rate = 1.0 / self.fit.interval
+        hum = [(f"a line at {line.frequency * rate:.3g} Hz holds {_percent(line.share)} of its innovations", HUM)]
         if line.matters and line.share > predictable.share / 2:
-            return [(f"a line at {line.frequency * rate:.3g} Hz holds {_percent(line.share)} of its innovations", HUM)]
+            return hum
         found = []
         if predictable.matters:
             correlated = f"its innovations are correlated by {self.fit.largest_correlation:+.2f}"
@@ -116,7 +118,7 @@ class NoiseEstimate:
             span = f"{band.low * rate:.2g} to {band.high * rate:.2g} Hz"
             words = f"at {span} its density is {band.ratio:.2g} times the model's"
             found += [(words, COLOUR if band.low else DRIFT)]
-        return found
+        return hum if line.matters and not found else found
 
 
 def noise(logs: Sequence[Path], out: Path, *, signals: Sequence[str], command: str, reporter: Reporter) -> NoiseResult:

@@ -51,8 +51,10 @@ from seatrial.ident.results import (
     StaticForce,
     ThrustCurveResult,
     ThrusterResult,
+    check_warnings,
     curve_notes,
     curve_warnings,
+    faults_first,
     plus_minus,
     provenance,
     thruster_result,
@@ -140,7 +142,14 @@ def characterise(request: ThrusterRequest, command: str, reporter: Reporter) -> 
     for x in loaded:
         check_signs(x, name)
     loaded, drifts = _without_zero_drift(loaded, lambda x: command_of(name), request.settle)
-    has_force = all("force" in x.run.channels for x in loaded)
+    without_force = [str(x.about["path"]) for x in loaded if "force" not in x.run.channels]
+    has_force = not without_force
+    notes = list(drifts)
+    if 0 < len(without_force) < len(loaded):
+        notes.append(
+            f"No thrust is fitted, because {', '.join(without_force)} has no signal 'force' of a load cell: leave this "
+            "log out to fit the thrust."
+        )
     model = thruster_model(force=has_force)
     check_names(model, profiles, len(loaded))
     records = [_thruster_record(model, x, name) for x in loaded]
@@ -163,7 +172,7 @@ def characterise(request: ThrusterRequest, command: str, reporter: Reporter) -> 
         provenance(loaded, command),
         [profile(fit, records, p) for p in profiles],
         _static_force(fit, records, loaded, name) if has_force else None,
-        FitContext(model.values, [*drifts, *fitted.outlier_notes]),
+        FitContext(model.values, [*notes, *fitted.outlier_notes]),
         calibration,
     )
     ranges = {"n_cmd": _value_range(np.concatenate([r.u[:, 0] for r in records]))}
@@ -312,10 +321,11 @@ def static_curve(
         raise SeatrialError(f"{where}: {problem}") from problem
     curve, quadratic = fit_curve(levels), fit_quadratic(levels)
     measured = ThrustCurve(curve, len(names), _calibration(loaded))
+    origin = provenance(loaded, command)
     result = ThrustCurveResult(
-        **msgspec.structs.asdict(provenance(loaded, command)),
-        answer=curve_answer(levels, measured, quadratic),
-        warnings=tuple(curve_warnings(levels)),
+        **msgspec.structs.asdict(origin),
+        answer=faults_first(origin) + curve_answer(levels, measured, quadratic),
+        warnings=(*check_warnings(origin), *curve_warnings(levels)),
         static=_curve_points(levels, curve, quadratic),
         notes=(*drifts, *curve_notes(levels, measured, quadratic)),
     )

@@ -162,7 +162,7 @@ def simulate(
     -------
     dict of str to Series
         States and outputs by name, in SI units and radians. Where a state and an output have one name, it is the state.
-        Times count from ``t[0]``.
+        They begin at ``t[0]``.
 
     Raises
     ------
@@ -200,8 +200,8 @@ def simulate(
                 raise SeatrialError(f"the model has no state {name!r}; its states are {', '.join(states)}")
             first[states.index(name)] = value
         run = integrate(structure, record, x0=first)
-    found = {o.name: Series(run.t, run.y[:, j]) for j, o in enumerate(structure.outputs)}
-    return found | {name: Series(run.t, run.x[:, j]) for j, name in enumerate(states)}
+    found = {o.name: Series(times[0] + run.t, run.y[:, j]) for j, o in enumerate(structure.outputs)}
+    return found | {name: Series(times[0] + run.t, run.x[:, j]) for j, name in enumerate(states)}
 
 
 def linearise(model: PathLike | Saved | FittedVehicle | FittedDiagnosis, speed: float) -> Linearisation:

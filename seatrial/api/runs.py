@@ -25,6 +25,7 @@ from seatrial.api.fits import (
     window_of,
 )
 from seatrial.api.logs import PathLike, as_paths
+from seatrial.daq.errors import SeatrialError
 from seatrial.daq.files import write_output
 from seatrial.daq.log import import_library
 
@@ -261,7 +262,7 @@ def thruster(logs: Logs, **options: Unpack[ThrusterOptions]) -> FittedThruster |
     Parameters
     ----------
     logs : path, `Log` or sequence of them
-        Bench logs, which are used whole, also if a `Log` has a window.
+        Bench logs, which are used whole: a `Log` must not have a window.
     **options
         `ThrusterOptions`: name, settle, profiles, outlier_model, reml, horizon, despite_faults, progress.
 
@@ -273,7 +274,8 @@ def thruster(logs: Logs, **options: Unpack[ThrusterOptions]) -> FittedThruster |
     Raises
     ------
     SeatrialError
-        If the logs lack signals or have faults that make a fit meaningless, or if an option is unknown.
+        If the logs lack signals or have faults that make a fit meaningless, if a `Log` has a window, or if an option is
+        unknown.
 
     Examples
     --------
@@ -281,6 +283,7 @@ def thruster(logs: Logs, **options: Unpack[ThrusterOptions]) -> FittedThruster |
     >>> bench.params["c1"]
     >>> st.fit("run1.mcap", thruster=bench.save("thruster") / "model.toml")
     """
+    from seatrial.ident.data import WHOLE
     from seatrial.ident.estimation import EstimationOptions
     from seatrial.ident.results import ThrusterResult
     from seatrial.ident.workflows.thruster import ThrusterRequest, characterise
@@ -290,6 +293,8 @@ def thruster(logs: Logs, **options: Unpack[ThrusterOptions]) -> FittedThruster |
     estimation = {n: given.pop(n) for n in ("outlier_model", "reml", "horizon") if n in given}
     how = replace(EstimationOptions(reml=True), **estimation)
     paths = as_paths(logs)
+    if window_of(logs) != WHOLE:
+        raise SeatrialError("a thruster is fitted to whole logs: open them without start and end")
 
     def work(out: Path) -> Any:
         """Fit the thruster, write the files of the command to the folder `out`, and return the result."""

@@ -191,6 +191,8 @@ def test_simulation_of_given_inputs(fit: st.FittedVehicle) -> None:
     motion = st.simulate(fit, t, {"n_left": np.full(t.size, 0.5), "n_right": np.full(t.size, 0.5)}, {"u": 0.2})
     p, u = fit.params, motion["u"].value  # through the water
     assert u[0] == pytest.approx(0.2)
+    later = st.simulate(fit, t[:9] + 7.0, {n: np.full(9, 0.5) for n in ("n_left", "n_right")})
+    assert later["u"].t == pytest.approx(t[:9] + 7.0)
     assert p["d_u"] * u[-1] + p["d_uu"] * u[-1] ** 2 == pytest.approx(2 * 0.25 * (p["c1"] + p["c2"]), rel=0.01)
     with pytest.raises(SeatrialError, match="the model has no input 'n_l'; its inputs are n_left, n_right"):
         st.simulate(fit, t, {"n_l": t})
@@ -324,6 +326,7 @@ def test_navigated_states_are_those_of_the_files(logs: list[Path], fit: st.Fitte
         (lambda logs, fit: st.compare([fit], logs[2]), "a comparison needs two models or more"),
         (lambda logs, fit: st.load(logs[0].parent), "contains neither model.toml nor result.json"),
         (lambda logs, fit: st.thruster(logs[0], stroke=2), "there is no option 'stroke'"),
+        (lambda logs, fit: st.thruster(st.open_log(logs[0], start=5.0)), "a thruster is fitted to whole logs"),
         (lambda logs, fit: st.design("boat", "x.toml"), "boat"),
         (lambda logs, fit: st.open_log(logs[0], 500.0), "no data are left from 500 s on"),
     ],

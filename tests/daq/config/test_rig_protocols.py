@@ -23,12 +23,12 @@ scale = 0.5
 """
 
 
-def rig(protocol: str, port: str = "port", more: str = "", before: str = "") -> Rig:
+def rig(protocol: str, port: str = "port", more: str = "", before: str = "", *, recorded: bool = False) -> Rig:
     text = (
         f'format = "seatrial-rig 1"\nname = "r"\n{before}\n[[device]]\nname = "d"\nprotocol = "{protocol}"\n'
         f'port = "{port}"\nrate_hz = 10.0\n{more}\n'
     )
-    return parse_rig(text, Path("/boat/rig.toml"))
+    return parse_rig(text, Path("/boat/rig.toml"), recorded=recorded)
 
 
 @pytest.mark.parametrize("protocol", [name for name, row in DEVICES.items() if name not in ("dbc", "mavlink")])
@@ -63,6 +63,13 @@ def test_a_dbc_and_its_signals_make_a_decoder() -> None:
 def test_an_error_with_a_dbc_is_one_line(more: str, line: str) -> None:
     with pytest.raises(SeatrialError, match=line):
         rig("dbc", "socketcan:can0", more)
+
+
+def test_the_rig_of_a_log_may_name_a_dbc_file_of_another_computer() -> None:
+    loaded = rig("dbc", "socketcan:can0", f'dbc = "own.dbc"\n{SIGNAL}', recorded=True)
+    assert loaded.devices[0].dbc == "/boat/own.dbc"
+    with pytest.raises(SeatrialError, match=r"/boat/own\.dbc"):
+        make_decoder(loaded.devices[0], loaded)
 
 
 def test_a_declination_is_converted_to_radians() -> None:
