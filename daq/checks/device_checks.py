@@ -515,11 +515,12 @@ def _check_port_counters(source: str, log: Log) -> Iterator[Finding]:
 
 
 def _check_shaft_speeds(log: Log) -> Iterator[Finding]:
-    """Yield a fault for each speed controller whose shaft speed stays exactly equal while its command changes.
+    """Yield a finding for each speed controller whose shaft speed stays exactly equal while its command changes.
 
     The speed must stay equal for more than 2 s, and the command must change by more than 0.1 of full command, at the
     latest 1 s before the end of this time, because the shaft responds with a delay. Not checked are a speed of zero,
-    controllers without commands in the log, and those with fewer than 20 samples. A controller has at most one fault.
+    controllers without commands in the log, and those with fewer than 20 samples. A controller has at most one finding:
+    a warning if its telemetry saturates (`_is_limit`), otherwise a fault.
     """
     for source in log.sources(Esc):
         for node in log.nodes(Esc, source):
@@ -539,15 +540,39 @@ def _check_shaft_speeds(log: Log) -> Iterator[Finding]:
                 during = n_cmd[np.searchsorted(t_cmd, t[a], "right") : np.searchsorted(t_cmd, t[b] - 1.0)]
                 if during.size > 1 and np.ptp(during) > LARGE_COMMAND_CHANGE:
                     text = f"{rpm[a]:.0f} rev/min for {t[b] - t[a]:.1f} s while its command changed"
-                    yield Finding(
-                        FAULT,
-                        "shaft-speed-stuck",
-                        "stuck",
-                        f"{source} node {node}",
-                        text,
-                        "check its speed sensor and the bus",
-                    )
+                    level, code, advice = FAULT, "shaft-speed-stuck", "check its speed sensor and the bus"
+                    if _is_limit(rpm[a], rpm[first[held]], rpm, during):
+                        text += f" from {during.min():.2g} to {during.max():.2g}: its telemetry reports no larger speed"
+                        level, code = WARNING, "shaft-speed-saturated"
+                        advice = (
+                            "raise the limit of the telemetry; until then fit by the commands "
+                            "(--model horizontal:command), or with --effect shaft-clip"
+                        )
+                    yield Finding(level, code, "stuck", f"{source} node {node}", text, advice)
                     break
+
+
+def _is_limit(value: float, held: Any, rpm: Any, commands: Any) -> bool:
+    """Return whether a shaft speed that stays equal is the limit of the telemetry, and no stuck sensor.
+
+    It is the limit if it is the largest magnitude in the log, if the speed stays there at least twice, and if all
+    commands in this time have its sign and are not near zero.
+
+    Parameters
+    ----------
+    value : float
+        The speed that stays equal [rev/min].
+    held : Array (n_held,)
+        Speeds [rev/min] of all times in which the speed stays equal for more than 2 s.
+    rpm : Array (n,)
+        All speeds of the controller [rev/min].
+    commands : Array (n_commands,)
+        Commands (-1 to 1) in the time of ``value``.
+    """
+    at_limit = abs(value) >= float(np.nanmax(np.abs(rpm)))
+    return (
+        at_limit and int(np.sum(np.abs(held) == abs(value))) > 1 and bool(np.all(commands * value > 0.1 * abs(value)))
+    )
 
 
 def _check_imported_signals(log: Log) -> Iterator[Finding]:

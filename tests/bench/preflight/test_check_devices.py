@@ -20,7 +20,7 @@ from seatrial.mocks.plant.bench import draw_bench
 from seatrial.mocks.world import Sample
 from tests.bench.check_cases import Case, alarms, logged, sailed
 from tests.daq.mavlink_ends import mav_rig
-from tests.missions import push, write_log
+from tests.missions import boat_with, push, sail, write_log
 
 G = 9.81  # m/s2
 
@@ -67,6 +67,15 @@ def test_implausible_sensor_values_are_reported(
     readings = [r._replace(sample=change(r.sample)) for r in sailed(3, actuators=True).readings]
     found = findings_of(write_log(tmp_path / "run.mcap", "boat", readings))
     assert [f for f in found if f.code == code and text in f.text], found
+
+
+def test_telemetry_that_saturates_is_not_stuck(tmp_path: Path) -> None:
+    recording, _ = sail(boat_with("shaft-clip", 41), 400.0, 141)
+    found = findings_of(write_log(tmp_path / "run.mcap", "boat", recording.readings))
+    saturated = [f for f in found if f.code == "shaft-speed-saturated"]
+    assert {f.where for f in saturated} == {"esc node 1", "esc node 2"}
+    assert all(f.level == WARNING and "reports no larger speed" in f.text for f in saturated)
+    assert not [f for f in found if f.code == "shaft-speed-stuck"]
 
 
 def test_a_receiver_with_constant_position_at_rest_is_not_stuck(tmp_path: Path) -> None:
