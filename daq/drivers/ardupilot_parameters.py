@@ -62,8 +62,8 @@ class ParameterMismatch(NamedTuple):
         """Return the wrong or unanswered parameter in one line for the user: name, value, required value, effect."""
         if self.value is None:
             return (
-                f"{self.name} was not answered; the link may lose messages: repeat it closer to the boat, "
-                "or with lower rates in the rig"
+                f"{self.name} was not answered by the autopilot; the link may lose messages: repeat closer to the "
+                "boat, or with lower rates in the rig"
             )
         return f"{self.name} is {self.value:g}, wanted {self.wanted}: {self.why}"
 

@@ -61,7 +61,9 @@ def mock(*words: str | Path) -> Iterator[subprocess.Popen[str]]:
             process.terminate()
             out, err = process.communicate(timeout=PATIENCE)
         assert (process.returncode, out) == (0, ""), err
-        assert re.fullmatch(r"mock: \d+\.\d s of run time, (samples left|FELL BEHIND) .* ms( late)?\n", err), err
+        assert re.fullmatch(r"mock: \d+\.\d s of run time, (samples were sent|FELL BEHIND) .* ms( late|; .*)\n", err), (
+            err
+        )
 
 
 def awaited(condition: Callable[[], Any], description: str) -> Any:

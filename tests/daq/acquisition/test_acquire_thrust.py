@@ -371,7 +371,7 @@ def test_after_a_suspend_an_earlier_command_is_replaced_by_zero(
         last = boat.ports["can"].commands()[-1]
     assert last == (1, 0.0)
     assert not setpoints.active
-    assert reasons == ["the computer was suspended for 7.0 s"]
+    assert [reason.partition("; ")[0] for reason in reasons] == ["the computer was suspended for 7.0 s"]
 
 
 @pytest.mark.parametrize("place", ["_decode_received", "_check_suspend", "_queue_for_log"])
@@ -425,7 +425,7 @@ def test_a_suspend_at_rest_ends_thrust_too(tmp_path: Path, monkeypatch: pytest.M
         wait_for(lambda: bool(reasons))
         loop.end()
         loop.join()
-    assert reasons == ["the computer was suspended for 3600.0 s"]
+    assert [reason.partition("; ")[0] for reason in reasons] == ["the computer was suspended for 3600.0 s"]
 
 
 def test_the_clocks_that_reveal_a_suspend_agree_without_a_suspend() -> None:
