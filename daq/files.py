@@ -40,11 +40,11 @@ def require_file(path: Path) -> None:
         opened = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY)
     except OSError as error:
         if error.errno == errno.ENXIO:  # a socket
-            raise SeatrialError(f"{path}: is not a file") from error
-        raise SeatrialError(f"{path}: cannot be read: {error.strerror}") from error
+            raise SeatrialError(f"{path}: is not a file; give the path of a file") from error
+        raise SeatrialError(f"{path}: cannot be read: {error.strerror}; check its path and permissions") from error
     try:
         if not stat.S_ISREG(os.fstat(opened).st_mode):
-            raise SeatrialError(f"{path}: is not a file")
+            raise SeatrialError(f"{path}: is not a file; give the path of a file")
     finally:
         os.close(opened)
 

@@ -145,10 +145,13 @@ def _read_log(root: TomlTable) -> tuple[str, Segments]:
     if segments.keep_gigabytes is not None:
         if segments.megabytes is None and segments.seconds is None:
             raise log.error(
-                "keep_gb", "needs a log in segments, of which the oldest are deleted: give segment_mb or segment_s"
+                "keep_gb",
+                "works only for a log in segments, of which it deletes the oldest: give segment_mb or segment_s",
             )
         if 1e3 * segments.keep_gigabytes < LEAST_SEGMENTS * (segments.megabytes or 0.0):
-            raise log.error("keep_gb", f"must be at least {LEAST_SEGMENTS} segments of segment_mb")
+            raise log.error(
+                "keep_gb", f"must be at least {LEAST_SEGMENTS} times segment_mb; raise keep_gb, or lower segment_mb"
+            )
     log.done()
     return directory, segments
 
@@ -269,7 +272,9 @@ def _read_port(table: TomlTable, protocol: str, bus: str, folder: Path) -> str:
     if protocol == "mavlink" and kind in NET_KINDS:
         return _read_network_address(table, port)
     if not port or (colon and kind in ("slcan", "socketcan")):
-        raise table.error("port", f"must be a serial device for protocol {protocol}, not '{port}'")
+        raise table.error(
+            "port", f"must be a serial device (such as /dev/ttyUSB0) for protocol {protocol}, not '{port}'"
+        )
     return str(folder / port)
 
 
@@ -360,7 +365,7 @@ def _read_calibration(table: TomlTable, folder: Path) -> dict[str, Any]:
         return {}
     gain = inner.number("newton_per_count")
     if gain == 0.0:
-        raise inner.error("newton_per_count", "must not be zero")
+        raise inner.error("newton_per_count", "must not be zero; write the force per count of the load cell, in N")
     zero, ratio = inner.number("zero_counts", 0.0), inner.number("lever_ratio", 1.0, positive=True)
     gain_sd, ratio_sd = (inner.maybe_number(f"{name}_sd", low=0.0) for name in ("newton_per_count", "lever_ratio"))
     calibration = LoadCellCalibration(gain, zero, ratio, gain_sd, ratio_sd)
@@ -395,7 +400,9 @@ def _read_dbc(table: TomlTable, folder: Path) -> dict[str, Any]:
     # A name without folder and suffix is a DBC file of seatrial itself.
     path = Path(__file__).parents[1] / "protocol" / f"{name}.dbc" if re.fullmatch(r"\w+", name) else folder / name
     if not path.is_file():
-        raise table.error("dbc", f"there is no file {path}")
+        raise table.error(
+            "dbc", f"there is no file {path}; correct the path, which starts at the folder of the rig file"
+        )
     return {"dbc": str(path), "signals": tuple(_read_dbc_signal(row) for row in rows)}
 
 
@@ -451,7 +458,7 @@ def _read_message_rates(table: TomlTable) -> dict[str, float]:
     if inner is not None:
         for name in inner.values:
             if name not in RATES and name not in OTHER_RATES:
-                raise inner.error(name, f"not a supported message; known: {', '.join((*RATES, *OTHER_RATES))}")
+                raise inner.error(name, f"not a supported message; use one of {', '.join((*RATES, *OTHER_RATES))}")
             rates[name] = inner.number(name, low=0.0, high=1000.0)
         inner.done()
     return rates
@@ -475,7 +482,9 @@ def _read_thruster(table: TomlTable, devices: Sequence[Device]) -> Thruster:
     buses = {row.name: row.protocol for row in devices if row.protocol in DRIVES}
     if device not in buses:
         known = ", ".join(buses) or "none"
-        raise table.error("device", f"no {' or '.join(DRIVES)} device '{device}'; there is: {known}")
+        raise table.error(
+            "device", f"the rig has no device '{device}' of protocol {' or '.join(DRIVES)}; such devices: {known}"
+        )
     forward, starboard, down = table.numbers("position_m", length=3)
     node = table.integer("node", low=0, high=HIGHEST_NODE.get(buses[device], 255))
     autopilot = buses[device] == "mavlink"
@@ -532,7 +541,9 @@ def _read_limits(table: TomlTable | None) -> Limits:
     unwatched = table.texts("unwatched", ())
     for key in unwatched:
         if key != "telemetry" and (key in ("n_max", "link_test_n") or not table.has(key)):
-            raise table.error("unwatched", f"'{key}' is not a limit of this table; give 'telemetry' or a limit in it")
+            raise table.error(
+                "unwatched", f"'{key}' is not a limit that [limits] sets; name one of those, or 'telemetry'"
+            )
     limits = Limits(
         table.number("n_max", 1.0, low=0.0, high=1.0),
         table.maybe_number("force_n", low=0.0),

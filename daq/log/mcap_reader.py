@@ -161,14 +161,18 @@ class RawLog:
             about = os.fstat(fd)
             if not stat.S_ISREG(about.st_mode):
                 os.close(fd)
-                raise SeatrialError(f"{self.path}: is not a file")
+                raise SeatrialError(f"{self.path}: is not a file; give the path of a log")
             magic, size = os.read(fd, len(MCAP0_MAGIC)), about.st_size
         except OSError as error:
-            raise SeatrialError(f"{self.path}: cannot be read: {error.strerror}") from error
+            raise SeatrialError(
+                f"{self.path}: cannot be read: {error.strerror}; check its path and permissions"
+            ) from error
         if magic != MCAP0_MAGIC:
             os.close(fd)
             if not magic:
-                raise SeatrialError(f"{self.path}: the file is empty; there is nothing to recover")
+                raise SeatrialError(
+                    f"{self.path}: the file is empty, so there is nothing to read or recover; give another log"
+                )
             raise SeatrialError(f"{self.path}: not an MCAP log; use `seatrial import` for logs of other formats")
         return fd, size, (about.st_dev, about.st_ino)
 
@@ -189,7 +193,9 @@ class RawLog:
         try:
             return os.pread(self._fd, max(stop - start, 0), start)
         except OSError as error:
-            raise SeatrialError(f"{self.path}: cannot be read at byte {start}: {error.strerror}") from error
+            raise SeatrialError(
+                f"{self.path}: cannot be read at byte {start}: {error.strerror}; check the disk"
+            ) from error
 
     @property
     def files(self) -> list[RawLog]:

@@ -153,7 +153,9 @@ class ReplayFolder:
                 "was killed, or use --dir to name another folder"
             ) from None
         except OSError as error:
-            raise SeatrialError(f"{self.path / name}: {error.strerror}") from error
+            raise SeatrialError(
+                f"{self.path / name}: cannot be made: {error.strerror}; use --dir to name another folder"
+            ) from error
         self._made[name] = self._file_identity(name)
         return self.path / name
 
@@ -196,7 +198,9 @@ def recorded(log: Log, devices: Sequence[str] = ()) -> list[str]:
         raise SeatrialError(f"{log.path}: the log has no raw bytes; only logs recorded by seatrial can be replayed")
     for name in devices:
         if name not in available:
-            raise SeatrialError(f"{log.path}: no raw bytes of '{name}'; devices with raw bytes: {', '.join(available)}")
+            raise SeatrialError(
+                f"{log.path}: no raw bytes of device '{name}'; give one of those with raw bytes: {', '.join(available)}"
+            )
     names = list(devices) or available
     for name in names:  # a name becomes a path in the folder of the ports
         if not NAME.fullmatch(name):

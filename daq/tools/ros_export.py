@@ -91,7 +91,7 @@ def export_ros(log: Log, folder: Path, force: bool = False) -> list[Path]:
     made = [folder / name for name in (BAG, PACKAGE_FOLDER, FOXGLOVE, PLOTJUGGLER)]
     for path in made:
         if path.is_symlink():
-            raise SeatrialError(f"{path}: is a symbolic link, and outputs follow no links; remove it")
+            raise SeatrialError(f"{path}: is a symbolic link, and outputs follow no links; remove this link")
         if path.exists() and not force:
             raise SeatrialError(f"{path}: exists already; --force replaces it, --out names another folder")
     store = ros_types()
@@ -123,7 +123,9 @@ def export_ros(log: Log, folder: Path, force: bool = False) -> list[Path]:
         write_output(made[2], json.dumps(_foxglove_layout(log, plots, "/tf" in connections), indent=1) + "\n")
         write_output(made[3], _plotjuggler_layout(plots))
     except OSError as error:
-        raise SeatrialError(f"{error.filename or folder}: cannot be written: {error.strerror}") from error
+        raise SeatrialError(
+            f"{error.filename or folder}: cannot be written: {error.strerror}; give another folder with -o"
+        ) from error
     return made
 
 

@@ -214,7 +214,7 @@ def test_two_mocks_do_not_share_a_port(tmp_path: Path) -> None:
     with mock("bench", rig):
         second = run("mock", "bench", rig)
         assert second.returncode == 1
-        assert re.fullmatch(r"seatrial: .*another mock serves this port; stop it first\n", second.stderr)
+        assert re.fullmatch(r"seatrial: .*another mock serves this port; stop that mock first\n", second.stderr)
         assert (tmp_path / "ports" / "loadcell").is_symlink()
 
 

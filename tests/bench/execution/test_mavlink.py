@@ -144,7 +144,7 @@ def test_a_disarmed_vehicle_is_not_armed_unless_told(tmp_path: Path) -> None:
     with mock(tmp_path), running(tmp_path) as run:
         _, err = run.communicate(timeout=60)
         assert run.returncode == 1
-    assert err.startswith("seatrial: autopilot is disarmed; arm it from its transmitter, or give --arm: ")
+    assert err.startswith("seatrial: autopilot is disarmed; arm it from its transmitter, or give --arm; ")
     assert err.count("\n") == 1
     assert trace(tmp_path) == []
 
@@ -213,7 +213,7 @@ def test_a_wrong_signing_key_is_named_and_leaves_no_log(tmp_path: Path) -> None:
     write_files(tmp_path, 4.0)
     rig = tmp_path / "rig.toml"
     rig.write_text(rig.read_text().replace("system_id = 1\n", 'system_id = 1\nkey_file = "key"\n', 1))
-    for key, why in ((None, "the signing key cannot be read"), (b"short", "a signing key is 32 bytes or 64")):
+    for key, why in ((None, "the signing key cannot be read"), (b"short", "a signing key has 32 bytes or 64")):
         if key is not None:
             (tmp_path / "key").write_bytes(key)
         with running(tmp_path, "--arm") as run:

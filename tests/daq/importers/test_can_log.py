@@ -157,7 +157,7 @@ def test_a_guess_with_a_dbc_has_messages_and_units(tmp_path: Path) -> None:
     words = ["maps/map.toml", *words[1:4]]
     done = subprocess.run([*run, *words], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 2
-    assert "--dbc goes with --guess" in done.stderr
+    assert "--dbc applies only with --guess" in done.stderr
     with pytest.raises(SeatrialError, match=r"is not a CAN log .*; leave out --dbc"):
         guess_map(tmp_path / "dbc/boat.dbc", tmp_path / "dbc/boat.dbc")
 
