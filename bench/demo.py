@@ -406,8 +406,10 @@ def error_lines(result: dict[str, Any]) -> list[str]:
         channels, horizon = result["errors"]["validation"]["horizon"], result["horizon_seconds"]
         return [_error_line(name, row, horizon) for name, row in channels.items()]
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        text = f"demo: {ANSWER} lacks the prediction errors before and after the diagnosis ({error!r})"
-        raise SeatrialError(f"{text}; start the demo in an empty folder") from error
+        raise SeatrialError(
+            f"demo: {ANSWER} lacks the prediction errors before and after the diagnosis ({error!r}); start the demo in "
+            "an empty folder"
+        ) from error
 
 
 def _error_line(name: str, row: dict[str, Any], horizon: float) -> str:
@@ -585,14 +587,18 @@ class DemoSteps:
             while b"ready" not in output.splitlines():
                 self._check_signal()
                 if time.monotonic() > deadline:
-                    text = f"demo: the mock devices were not ready within {READY_WITHIN_S:g} s"
-                    raise StepFailed(f"{text}; end other programs, and start the demo again")
+                    raise StepFailed(
+                        f"demo: the mock devices were not ready within {READY_WITHIN_S:g} s; end other programs, and "
+                        "start the demo again"
+                    )
                 if not selector.select(timeout=0.1):
                     continue
                 data = os.read(process.stdout.fileno(), 4096)
                 if not data:
-                    text = f"demo: the mock devices ended with exit status {process.wait()}"
-                    raise StepFailed(f"{text}; follow the advice in the line above")
+                    raise StepFailed(
+                        f"demo: the mock devices ended with exit status {process.wait()}; follow the advice in the "
+                        "line above"
+                    )
                 output += data
 
     def _check_signal(self) -> None:

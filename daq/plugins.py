@@ -56,8 +56,9 @@ def load_plugin(point: EntryPoint, kind: type[T]) -> T:
     try:
         loaded = point.load()
     except Exception as error:  # code of other packages may raise any exception
-        text = f"{place} cannot be imported: {type(error).__name__}: {error}"
-        raise SeatrialError(f"{text}; update or uninstall this package") from error
+        raise SeatrialError(
+            f"{place} cannot be imported: {type(error).__name__}: {error}; update or uninstall this package"
+        ) from error
     if not isinstance(loaded, kind):
         raise SeatrialError(
             f"{place} has the type {type(loaded).__name__}, and {point.group} needs a {kind.__name__}; update or "

@@ -206,8 +206,10 @@ class Autopilots:
         if fatal:
             forbid = "parameter forbids" if len(fatal) == 1 else "parameters forbid"
             # The recorded trials (docs/data/autopilot-faults.jsonl) are classified by these words.
-            what = f"{device.name}: {len(fatal)} {forbid} to drive, yours to set: {'; '.join(fatal)}"
-            raise SeatrialError(f"{what}; set with a ground station, as seatrial changes no parameter")
+            raise SeatrialError(
+                f"{device.name}: {len(fatal)} {forbid} to drive, yours to set: {'; '.join(fatal)}; set them with a "
+                "ground station, as seatrial changes no parameter"
+            )
         if self._n_max > self._rig.limits.link_test_n:
             seconds = require_link_test(self._rig, device.name, self._await_receiver(device), self._n_max)
             self.tested_s[device.name] = seconds

@@ -204,8 +204,10 @@ def new_log_file(path: Path) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        text = f"{path.parent}: the folder of the log cannot be made: {error.strerror}"
-        raise SeatrialError(f"{text}; give another place for the log with -o") from error
+        raise SeatrialError(
+            f"{path.parent}: the folder of the log cannot be made: {error.strerror}; give another place for the log "
+            "with -o"
+        ) from error
 
 
 class NewestValues(NamedTuple):
@@ -467,8 +469,10 @@ class _Runner:
             # notices such a pause only while thrust is commanded.
             pause, checked_at = time.monotonic() - checked_at, time.monotonic()
             if pause > LONGEST_PAUSE_S and not status.stopped:
-                text = f"this program stood still for {pause:.1f} s: the computer is too busy"
-                raise SafetyStop(f"{text}; end other programs, and run again")
+                raise SafetyStop(
+                    f"this program stood still for {pause:.1f} s: the computer is too busy; end other programs, and "
+                    "run again"
+                )
             self._check_guard(status, now)
             sequencer.step(now, ahead, status, keys.take())
             self._acquisition.alive()
@@ -502,8 +506,10 @@ class _Runner:
         suspended since the last call.
         """
         if slept := self._suspended.slept():
-            text = f"the computer was suspended for {slept:.1f} s"
-            raise SafetyStop(f"{text}; switch its suspend off (lid, battery, power settings), and run again")
+            raise SafetyStop(
+                f"the computer was suspended for {slept:.1f} s; switch its suspend off (lid, battery, power settings), "
+                "and run again"
+            )
         if self._signals.wait(wall_s) and self._signals.caught is not None:
             number = self._signals.caught
             raise RunInterrupted(f"stopped by {WORDS[number]}", number)

@@ -262,7 +262,9 @@ def read_dataflash(path: Path, rig: Rig | None, device: Device | None) -> tuple[
             stopped = ""
     except Exception as error:  # a damaged file can raise any error in DFReader
         if not rows:
-            raise SeatrialError(f"{path}: is not a readable DataFlash log ({error})") from error
+            raise SeatrialError(
+                f"{path}: is not a readable DataFlash log ({error}); give the original .BIN file"
+            ) from error
     if not rows:
         raise SeatrialError(
             f"{path}: this DataFlash log contains no attitude, GPS or outputs; set LOG_BITMASK and record again"

@@ -81,7 +81,7 @@ def read_flysight(path: Path, options: SourceOptions) -> list[Table]:
         if _TIME in columns[name]
     ]
     if not sensors:
-        raise SeatrialError(f"{path}: no rows below the header, so there are no data")
+        raise SeatrialError(f"{path}: no lines with data below the header; give a complete file")
     _move_to_utc(sensors)
     return [sensor.table for sensor in sensors if sensor.table.topic != _CLOCK] or [sensor.table for sensor in sensors]
 

@@ -119,7 +119,7 @@ def guess_map(path: Path, dbc: Path | None = None, folder: Path | None = None) -
                 f"{path}: the comma is both the delimiter and the decimal mark; save it again with ; as delimiter"
             )
         if style is None:
-            raise SeatrialError(f"{path}: no table of numbers found in this text; write the map by hand")
+            raise SeatrialError(f"{path}: no table of numbers found in this text; write the import map by hand")
         options = SourceOptions(replace(style, nan="drop", time_order="drop"))  # as in the guessed map
     tables = [table for table in kind.read(path, options) if table.names]
     head = [

@@ -104,7 +104,7 @@ def read_autopilot(path: Path, rig: Rig | None, system: int | None) -> tuple[lis
     try:
         data = path.read_bytes()
     except OSError as error:
-        raise SeatrialError(f"{path}: cannot be read: {error.strerror}") from error
+        raise SeatrialError(f"{path}: cannot be read: {error.strerror}; check its path and permissions") from error
     if data.startswith(DATAFLASH):
         return read_dataflash(path, rig, _mavlink_device(rig))
     return read_tlog(path, data, rig, _mavlink_device(rig), system)
@@ -341,7 +341,8 @@ def _write_log_file(
     rows = sorted(rows, key=lambda row: row.frame.t_rx)
     if not all(0.0 <= t < 2**31 for row in rows for t in (row.frame.t_rx, row.t)):
         raise SeatrialError(
-            f"{out}: the times of the file are not between 1970 and 2038; did the autopilot have a fix?"
+            f"{out}: the times of the file are not between 1970 and 2038; record again with a GNSS fix, which sets the "
+            "clock"
         )
     samples = ((device, row.frame, row.frame.t_rx) for row in in_file_order if not isinstance(row.frame.sample, Event))
     steps = clock_steps(samples)

@@ -700,8 +700,9 @@ class Log:
                 try:
                     tail = layout.unpack_tail(data)
                 except ValueError as error:
-                    text = f"a message on {topic} is not a valid {type_name}"
-                    raise self._error(f"{text}; the log is damaged: try `seatrial recover`") from error
+                    raise self._error(
+                        f"a message on {topic} is not a valid {type_name}; the log is damaged: try `seatrial recover`"
+                    ) from error
                 yield float(t), row, tail
 
 

@@ -275,8 +275,9 @@ class Recorder:
             self._resume()
         if self.paused:
             lost = counted(len(self._kept), "message")
-            text = f"{self.paused}; {lost} received since then could not be written"
-            raise SeatrialError(f"{text}; free disk space, and record again")
+            raise SeatrialError(
+                f"{self.paused}; {lost} received since then could not be written; free disk space, and record again"
+            )
         self._writer.close()
 
     @contextlib.contextmanager

@@ -60,8 +60,9 @@ def load_dbc(path: str) -> Any:
     except OSError as error:
         raise SeatrialError(f"{path}: cannot be read: {error.strerror}; check its path and permissions") from error
     except Exception as error:  # cantools' parser has errors of many kinds
-        text = f"{path}: not a DBC file: {' '.join(str(error).split())}"
-        raise SeatrialError(f"{text}; correct this file, or give another") from error
+        raise SeatrialError(
+            f"{path}: not a DBC file: {' '.join(str(error).split())}; correct this file, or give another"
+        ) from error
     for message in database.messages:
         for signal in message.signals:
             if not abs(signal.scale) * 2.0**signal.length + abs(signal.offset) < LARGEST:

@@ -34,8 +34,9 @@ def compile_pattern(pattern: str) -> Any:
     try:
         compiled = re2.compile(pattern, options)
     except re2.error as error:
-        text = f"not a regular expression (RE2): {error.args[0].decode(errors='replace')}"
-        raise ValueError(f"{text}; correct it") from error
+        raise ValueError(
+            f"not a regular expression (RE2): {error.args[0].decode(errors='replace')}; correct it"
+        ) from error
     if "counts" not in compiled.groupindex:
         raise ValueError("must have a group (?P<counts>...) around the number that the load cell sends")
     return compiled

@@ -91,7 +91,7 @@ def export_ros(log: Log, folder: Path, force: bool = False) -> list[Path]:
     made = [folder / name for name in (BAG, PACKAGE_FOLDER, FOXGLOVE, PLOTJUGGLER)]
     for path in made:
         if path.is_symlink():
-            raise SeatrialError(f"{path}: is a symbolic link, and outputs follow no links; remove this link")
+            raise SeatrialError(f"{path}: is a symbolic link, and outputs follow no links; remove it")
         if path.exists() and not force:
             raise SeatrialError(f"{path}: exists already; --force replaces it, --out names another folder")
     store = ros_types()

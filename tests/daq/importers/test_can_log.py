@@ -244,7 +244,9 @@ def test_what_is_wrong_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(SeatrialError, match="is the source of this import and is never replaced"):
         import_can(path, tmp_path / "rig.toml", out=tmp_path / "rig.toml", force=True)
     path.write_text("(1.000000) can0 123#00\n" + "what is this?\n" * 2)
-    with pytest.raises(SeatrialError, match=r"unknown kind of file; import reads|no table of numbers found"):
+    with pytest.raises(
+        SeatrialError, match=r"unknown kind of file; give one that import reads|no table of numbers found"
+    ):
         guess_map(path)
     path.write_text("(1.000000) can0 123#00\n" * 60 + "what is this?\n" * 70)
     with pytest.raises(SeatrialError, match="cannot be read as a CAN log: line 61 is not a frame of candump -L"):
