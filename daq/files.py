@@ -75,7 +75,7 @@ def require_new(path: Path, force: bool = False, option: str = "-o") -> None:
             f"{path}: is a symbolic link, and outputs follow no links; remove it, or name another output"
         )
     if not stat.S_ISREG(mode):
-        raise SeatrialError(f"{path}: exists already and is not a regular file; name another output")
+        raise SeatrialError(f"{path}: exists already, and is a folder, a pipe or a device; name another output")
     if not force:
         raise SeatrialError(f"{path}: the file exists already; --force replaces it, {option} names another")
 

@@ -313,7 +313,7 @@ def _check_ahrs(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
     finite = still if np.count_nonzero(still) > FEW_STILL * np.count_nonzero(finite) else finite
     g = float(np.median(force[finite])) if finite.any() else GRAVITY
     if abs(g / GRAVITY - 1.0) > GRAVITY_PART:
-        cause = ": in g?" if abs(g - 1.0) < 0.2 else ": without gravity?" if g < 1.0 else ""
+        cause = ": is it in g?" if abs(g - 1.0) < 0.2 else ": is it without gravity?" if g < 1.0 else ""
         yield Finding(
             WARNING,
             "specific-force-not-gravity",

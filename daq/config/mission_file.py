@@ -340,7 +340,7 @@ def _check_order_and_size(mission: Mission, root: TomlTable) -> None:
     table of the file; error messages name the file and the key by it.
     """
     if not mission.segments:
-        raise root.error("segment", "missing; a mission needs at least one [[segment]]")
+        raise root.error("segment", "missing; a mission needs at least one [[segment]]: add one")
     last = -math.inf
     for i, segment in enumerate(mission.segments, start=1):
         if segment.t[0] < 0.0 or segment.t[0] <= last:

@@ -84,7 +84,7 @@ def parse_rig(text: str, source: Path | str, *, recorded: bool = False) -> Rig:
     ros2 = _read_ros2(root.table("ros2"))
     devices = tuple(_read_device(table, folder, recorded) for table in root.tables("device"))
     if not devices:
-        raise root.error("device", "missing; a rig needs at least one [[device]]")
+        raise root.error("device", "missing; a rig needs at least one [[device]]: add one")
     _check_unique(root, "device", [device.name for device in devices])
     _check_ports_differ(root, devices)
     thrusters = tuple(_read_thruster(table, devices) for table in root.tables("thruster"))

@@ -59,7 +59,7 @@ def read_text(path: Path) -> str:
             return file.read()
     except UnicodeDecodeError as error:
         if b"\0" in error.object:
-            raise SeatrialError(f"{path}: not a text file; a TOML file is expected") from error
+            raise SeatrialError(f"{path}: not a text file; give a TOML file") from error
         raise SeatrialError(f"{path}: not UTF-8 text (byte {error.start}); save it as UTF-8") from error
     except OSError as error:
         raise SeatrialError(
@@ -110,7 +110,7 @@ class TomlTable:
         if key in self.values:
             return self.values[key]
         if default is _MISSING:
-            raise self.error(key, f"missing; this key is required{self.misspelling_hint(key)}")
+            raise self.error(key, f"missing; add this required key{self.misspelling_hint(key)}")
         return default
 
     def misspelling_hint(self, key: str) -> str:
@@ -257,7 +257,7 @@ class TomlTable:
         for key in self.values:
             if key not in self._taken:
                 known = ", ".join(dict.fromkeys(self._taken))
-                raise self.error(key, f"unknown key; known here: {known}")
+                raise self.error(key, f"unknown key; correct or remove it; known here: {known}")
 
     def _to_finite(self, key: str, value: object) -> float:
         """Return a value as a finite number. For any other value raise SeatrialError with the name of `key`."""
@@ -268,7 +268,7 @@ class TomlTable:
         except OverflowError:
             number = math.inf
         if not math.isfinite(number):
-            raise self.error(key, "must be a finite number")
+            raise self.error(key, "must be a finite number, not nan or inf")
         return number
 
     def _check_range(self, key: str, value: float, low: float | None, high: float | None) -> None:

@@ -128,7 +128,8 @@ def _mavlink_device(rig: Rig | None) -> Device | None:
     found = [device for device in rig.devices if device.protocol == "mavlink"]
     if len(found) != 1:
         raise SeatrialError(
-            f"{rig.path}: this import needs exactly one device of protocol mavlink in the rig, which has {len(found)}"
+            f"{rig.path}: this import needs a rig with exactly one device of protocol mavlink, and this rig has "
+            f"{len(found)}; give another rig"
         )
     return found[0]
 
@@ -169,8 +170,8 @@ def read_tlog(
         if others:
             names = " and ".join(str(number) for number in others)
             text = (
-                f"{path}: system {system} is imported; the log also contains system {names}: choose one by --system, "
-                "or `system` of the map"
+                f"{path}: system {system} is imported; the log also contains system {names}: choose one with "
+                "--system, or with `system` in the import map"
             )
             warnings.warn(text, SeatrialWarning, stacklevel=2)
     samples = make_sample_converter(device, rig) if device is not None and rig is not None else SampleConverter()
@@ -252,7 +253,11 @@ def _other_systems_text(decoder: MavlinkDecoder) -> str:
     It advises to choose one of them, or states that there is no other system.
     """
     others = ", ".join(str(number) for number in sorted(decoder.foreign))
-    return f"it contains systems {others}: choose one by --system" if others else "it contains no other MAVLink system"
+    return (
+        f"it contains systems {others}: choose one with --system"
+        if others
+        else "check the message rates of the autopilot, and record again"
+    )
 
 
 def _tlog_frames(data: bytes) -> Iterator[tuple[float, int, FrameHeader]]:
@@ -283,7 +288,9 @@ def _first_autopilot(path: Path, data: bytes) -> tuple[int, int]:
     """
     for found, _ in _heartbeats(data):
         return found.system, found.component
-    raise SeatrialError(f"{path}: contains no heartbeat of an autopilot; give a tlog or a DataFlash BIN")
+    raise SeatrialError(
+        f"{path}: contains no heartbeat of an autopilot; give a tlog or a DataFlash .BIN file of an autopilot"
+    )
 
 
 def _heartbeats(data: bytes) -> Iterator[tuple[FrameHeader, int]]:

@@ -211,7 +211,7 @@ def _with_corrected_dates(path: Path, frames: list[Frame]) -> list[Frame]:
     counts = {"moved": int(np.count_nonzero(moved)), "left out": int(left_out.sum())}
     places = [f"{counted(n, 'sample')} {action}" for action, n in counts.items() if n]
     text = "wrong dates: the receiver had not received the date yet, or its week number started again (1024 weeks)"
-    warnings.warn(f"{path}: {text}; {' and '.join(places)}", SeatrialWarning, stacklevel=3)
+    warnings.warn(f"{path}: {text}; {' and '.join(places)}: check the date of the log", SeatrialWarning, stacklevel=3)
     rows = zip(frames, moved.tolist(), left_out.tolist(), strict=True)
     return [_at_device_time(frame, frame.t_device + days) if days else frame for frame, days, out in rows if not out]
 

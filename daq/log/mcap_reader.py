@@ -322,7 +322,7 @@ class RawLog:
         if number in self._cache:
             return self._cache[number]
         if self._seen[number] < 0:
-            raise ValueError("left out")
+            raise ValueError("this chunk is left out")
         at, stop, index_bytes = (int(self._chunks[name][number]) for name in ("at", "stop", "index_bytes"))
         if self._partial is not None and number == len(self._chunks) - 1:
             self._seen[number] = 1
@@ -335,7 +335,7 @@ class RawLog:
             if opcode == Opcode.MESSAGE:  # messages outside any chunk
                 found = np.frombuffer(data[: stop - at], np.uint8), b""
             elif opcode != Opcode.CHUNK or at + HEADER + length != stop:
-                raise ValueError("not a chunk")
+                raise ValueError("the record is not a chunk")
             else:
                 chunk = chunk_at(data[HEADER : HEADER + CHUNK_HEAD], at + HEADER, stop)
                 packed = memoryview(data)[chunk.start - at : stop - at]
@@ -406,7 +406,7 @@ class RawLog:
             try:
                 opcode, content = RECORD.unpack(self._read(at, at + HEADER))
                 if content != length - HEADER:
-                    raise ValueError("wrong length of a record")
+                    raise ValueError("the record has a wrong length")
                 self._keep_record(opcode, at, at + length)
             except DAMAGE as error:
                 self._warn(f"the record at byte {at} is damaged and left out ({_error_line(error)})")
@@ -573,7 +573,7 @@ class RawLog:
         elif opcode == Opcode.ATTACHMENT:
             (checksum,) = struct.unpack_from("<I", data, len(data) - 4)
             if checksum not in (0, zlib.crc32(memoryview(data)[:-4])):
-                raise ValueError("wrong checksum of an attachment")
+                raise ValueError("the attachment has a wrong checksum")
             found = _parse(Attachment.read, data)
             _check_name(found.name)
             self.attachments.append(replace(found, name=printable(found.name)))
@@ -816,11 +816,11 @@ def _chunk_indexes(
     """
     shortest = _CHUNK_INDEX.itemsize + 8 + 4 + 8 + 8
     if np.any(ends - begins < shortest):
-        raise ValueError("length of a chunk index")
+        raise ValueError("a chunk index has a wrong length")
     heads = rows_at(block, begins, _CHUNK_INDEX)
     n_map = heads["n_map"].astype(np.int64)
     if np.any(n_map % 10) or np.any(ends - begins < shortest + n_map):
-        raise ValueError("length of a chunk index")
+        raise ValueError("a chunk index has a wrong length")
     found = np.zeros(len(begins), _CHUNK)
     for name in ("at", "begin_ns", "end_ns"):
         found[name] = heads[name]
@@ -828,7 +828,7 @@ def _chunk_indexes(
     found["index_bytes"] = rows_at(block, begins + _CHUNK_INDEX.itemsize + n_map, np.dtype("<i8"))
     found["size"] = rows_at(block, ends - 8, np.dtype("<i8"))
     if min(heads["length"].min() - HEADER, found["index_bytes"].min(), found["size"].min()) < 0:
-        raise ValueError("negative length in a chunk index")
+        raise ValueError("a chunk index has a negative length")
     chunk = np.repeat(np.arange(len(begins)), n_map // 10)
     k = np.arange(len(chunk)) - np.repeat(np.cumsum(n_map // 10) - n_map // 10, n_map // 10)
     channel = rows_at(block, begins[chunk] + _CHUNK_INDEX.itemsize + 10 * k, np.dtype("<u2"))

@@ -195,7 +195,7 @@ def recorded(log: Log, devices: Sequence[str] = ()) -> list[str]:
     available = [name for name in log.sources(PortHealth) if f"/raw/{name}" in log.counts]
     available = available or [topic.removeprefix("/raw/") for topic in log.counts if topic.startswith("/raw/")]
     if not available:
-        raise SeatrialError(f"{log.path}: the log has no raw bytes; only logs recorded by seatrial can be replayed")
+        raise SeatrialError(f"{log.path}: the log has no raw bytes of devices; give a log that seatrial recorded")
     for name in devices:
         if name not in available:
             raise SeatrialError(
@@ -205,8 +205,8 @@ def recorded(log: Log, devices: Sequence[str] = ()) -> list[str]:
     for name in names:  # a name becomes a path in the folder of the ports
         if not NAME.fullmatch(name):
             raise SeatrialError(
-                f"{log.path}: {name!r} of topic /raw is not a valid name of a device: "
-                "a letter, then letters, digits or _"
+                f"{log.path}: {name!r} of topic /raw is not a valid name of a device "
+                "(a letter, then letters, digits or _); give a log that seatrial recorded"
             )
     return names
 

@@ -287,7 +287,7 @@ def test_an_invalid_iso_time_is_refused(folder: Path) -> None:
         ("[csv]", "[scale]\nc1 = -12.0\n[csv]", r"scale\.c1: must be positive, not -12"),
         ("[csv]", "[scale]\nthrust = 12.0\n[csv]", r"scale\.thrust: unknown key"),
         ("[csv]", "[geometry]\ny_left = 0.2\ny_right = -0.2\n[csv]", r"geometry\.y_left: must be less than y_right"),
-        ("[csv]", "[csv]\nskiprows = 2", r"csv\.skiprows: unknown key; known here: delimiter"),
+        ("[csv]", "[csv]\nskiprows = 2", r"csv\.skiprows: unknown key; correct or remove it; known here: delimiter"),
     ],
 )  # fmt: skip
 def test_what_is_wrong_with_a_map_is_one_line(folder: Path, old: str, new: str, line: str) -> None:
