@@ -121,7 +121,7 @@ def _files_of_logs(import_map: ImportMap, files: Sequence[Path]) -> list[tuple[s
         if used.count(path) != 1:
             raise SeatrialError(
                 f"{import_map.path}: {path.name} must match exactly one [[file]], and it matches {used.count(path)}; "
-                "correct their match"
+                "correct match in [[file]]"
             )
     return [(import_map.path.stem, group)]
 
