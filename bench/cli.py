@@ -190,7 +190,12 @@ def warn_of_armed(names: Sequence[str]) -> None:
     A command calls this last, so that the warning is its last line.
     """
     if names:
-        click.secho(f"{', '.join(names)} IS STILL ARMED: disarm it yourself", fg="red", bold=True, err=True)
+        click.secho(
+            f"{', '.join(names)} IS STILL ARMED: keep clear of the propellers, and disarm it yourself",
+            fg="red",
+            bold=True,
+            err=True,
+        )
 
 
 @mission.command(epilog="Example: seatrial mission run mission.toml rig.toml -o run.mcap")
@@ -254,7 +259,7 @@ def _parse_thruster_names(_context: click.Context, _parameter: click.Parameter, 
     """
     names = [name.strip() for name in text.split(",")]
     if len(names) != 2 or not all(names):
-        raise click.BadParameter(f"two names with a comma between them, such as left,right, not '{text}'")
+        raise click.BadParameter(f"give two names with a comma between them, such as left,right, not '{text}'")
     return names[0], names[1]
 
 

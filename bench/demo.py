@@ -80,7 +80,10 @@ def demo(seed: int | None, out: Path | None, speed: float, realistic: bool) -> N
         missing = run_steps(steps, seed, realistic)
     click.echo(f"total: {time.monotonic() - start:.1f} s")
     if missing:
-        raise SeatrialError(f"demo: this installation has no {', '.join(missing)}; the logs are in {folder}")
+        raise SeatrialError(
+            f"demo: this installation has no {', '.join(missing)}; install the complete seatrial, and run the printed "
+            f"commands on the logs in {folder}"
+        )
     print_outcome(folder)
 
 
@@ -348,7 +351,9 @@ def print_outcome(folder: Path) -> None:
     truth = _read_json(folder / TRUTH)
     effect = truth.get("effect")
     if not isinstance(effect, str):
-        raise SeatrialError(f"demo: {folder / TRUTH} does not name the effect")
+        raise SeatrialError(
+            f"demo: {folder / TRUTH} does not name the hidden effect; start the demo in an empty folder"
+        )
     named = found_effects(result)
     match = "match" if effect in named or (effect == "none" and not named) else "do not match"
     click.echo(f"diagnosis: {', '.join(named) or 'none'}; that and the hidden effect {match}")
@@ -405,7 +410,10 @@ def error_lines(result: dict[str, Any]) -> list[str]:
         channels, horizon = result["errors"]["validation"]["horizon"], result["horizon_seconds"]
         return [_error_line(name, row, horizon) for name, row in channels.items()]
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise SeatrialError(f"demo: {ANSWER} has no error before and after ({error!r})") from error
+        raise SeatrialError(
+            f"demo: {ANSWER} lacks the prediction errors before and after the diagnosis ({error!r}); start the demo in "
+            "an empty folder"
+        ) from error
 
 
 def _error_line(name: str, row: dict[str, Any], horizon: float) -> str:
@@ -430,9 +438,9 @@ def _read_json(path: Path) -> dict[str, Any]:
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise SeatrialError(f"demo: {path}: {error.strerror}") from error
+        raise SeatrialError(f"demo: {path}: cannot be read: {error.strerror}; start the demo again") from error
     except ValueError as error:
-        raise SeatrialError(f"demo: {path}: not JSON ({error})") from error
+        raise SeatrialError(f"demo: {path}: not JSON ({error}); start the demo again") from error
     if not isinstance(content, dict):
         raise SeatrialError(f"demo: {path} is damaged: it is not a JSON object; start the demo again")
     return content
@@ -487,8 +495,11 @@ class DemoSteps:
         if status != 0:
             command = " ".join(words[:2])
             live = command.endswith("run") or command.startswith("bench")
-            slower = "; was the machine too busy? --speed 5 asks less of it" if live else ""
-            raise StepFailed(f"demo: `seatrial {command}` failed with exit status {status} (see above){slower}")
+            slower = "; if the computer was too busy, give --speed 5" if live else ""
+            raise StepFailed(
+                f"demo: `seatrial {command}` failed with exit status {status}; follow the advice in the line "
+                f"above{slower}"
+            )
 
     def has(self, *words: str) -> bool:
         """Return whether this installation has the command `seatrial WORDS`. It is run with `--help` to find out."""
@@ -581,18 +592,26 @@ class DemoSteps:
             while b"ready" not in output.splitlines():
                 self._check_signal()
                 if time.monotonic() > deadline:
-                    raise StepFailed(f"demo: the mock devices were not ready within {READY_WITHIN_S:g} s")
+                    raise StepFailed(
+                        f"demo: the mock devices were not ready within {READY_WITHIN_S:g} s; end other programs, and "
+                        "start the demo again"
+                    )
                 if not selector.select(timeout=0.1):
                     continue
                 data = os.read(process.stdout.fileno(), 4096)
                 if not data:
-                    raise StepFailed(f"demo: the mock devices ended with exit status {process.wait()} (see above)")
+                    raise StepFailed(
+                        f"demo: the mock devices ended with exit status {process.wait()}; follow the advice in the "
+                        "line above"
+                    )
                 output += data
 
     def _check_signal(self) -> None:
         """Raise DemoInterrupted if SIGINT, SIGTERM or SIGHUP has arrived since the context `signals` began."""
         if self._signalled:
-            raise DemoInterrupted("demo: interrupted; thrusters at zero, mock devices stopped")
+            raise DemoInterrupted(
+                "demo: interrupted; the simulated thrusters are at zero, and the mock devices are stopped"
+            )
 
     def _end_process(self, process: subprocess.Popen[bytes]) -> None:
         """End a process and its group by SIGTERM, and by SIGKILL if it still runs after 10 s (wall).

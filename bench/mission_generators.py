@@ -164,7 +164,7 @@ def bench_plan(
         If ``kind`` is none of these.
     """
     if kind not in BENCH_KINDS:
-        raise ValueError(f"no bench plan {kind!r}")
+        raise ValueError(f"there is no bench run {kind!r}; use one of {', '.join(BENCH_KINDS)}")
     builder = SegmentBuilder(1)
     builder.rest(STATIC, STATIC_S)
     if kind in ("steps", "all"):
@@ -215,7 +215,7 @@ def make_mission(
         If ``kind`` is none of these.
     """
     if kind not in MISSION_KINDS:
-        raise ValueError(f"no mission kind {kind!r}")
+        raise ValueError(f"there is no mission kind {kind!r}; use one of {', '.join(MISSION_KINDS)}")
     rng = np.random.default_rng(seed)
     generators = {
         "mixed": (_surge_steps, _zigzag, _random_steps, _chirps),

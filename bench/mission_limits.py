@@ -27,6 +27,6 @@ def dry_run(mission: Mission, rig: Rig) -> None:
         if beyond.size:
             k = int(beyond[0])
             raise SeatrialError(
-                f"{rig.path}: the plan commands {name} n = {n[k, column]:+.3f} at {t[k]:.2f} s, and limits.n_max is"
-                f" {rig.limits.n_max:g}; make the plan with a smaller --n-max, or raise the limit"
+                f"{rig.path}: the mission commands thruster {name} n = {n[k, column]:+.3f} at {t[k]:.2f} s, and "
+                f"limits.n_max is {rig.limits.n_max:g}; generate it with a smaller --n-max, or raise the limit"
             )

@@ -45,7 +45,7 @@ GRACE_S = 2  # s of processor time between the signal that ends a command with a
 WATCH_S = 0.1  # s of wall time between two checks of the disk
 REPEAT_S = 1.0  # s of wall time; a second SIGINT within this time is the same Ctrl-C, forwarded by the parent
 MAX_FILES = 10_000  # largest number of files in a folder
-ADVICE = "the file is damaged or malicious; --trust-file reads it without limits"
+ADVICE = "the file is damaged or malicious; if you trust it, --trust-file reads it without limits"
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
@@ -110,7 +110,9 @@ def _walk_files(path: Path) -> Iterator[Path]:
         for name in names:
             n_files += 1
             if n_files > MAX_FILES:
-                raise SeatrialError(f"{path}: is a folder of more than {MAX_FILES} files; name the file to read")
+                raise SeatrialError(
+                    f"{path}: is a folder of more than {MAX_FILES} files; give the path of the file to read"
+                )
             yield Path(folder, name)
 
 
@@ -375,7 +377,7 @@ def _wait_for_child(child: int, incoming: int, bounds: Bounds, scratch: Path) ->
     if number in (signal.SIGXCPU, signal.SIGKILL) and used.ru_utime + used.ru_stime >= bounds.cpu_s:
         raise SeatrialError(_time_message(bounds))
     name = signal.Signals(number).name if number in signal.valid_signals() else f"signal {number}"
-    raise SeatrialError(f"{printable(str(bounds.path))}: the reader of the file was ended by {name}: {ADVICE}")
+    raise SeatrialError(f"{printable(str(bounds.path))}: the process that read the file was ended by {name}: {ADVICE}")
 
 
 def _disk_bytes(folder: Path) -> int:

@@ -51,7 +51,7 @@ class LogPath(click.Path):
 
         found = first_segments(path)
         if not found:
-            self.fail(f"{path} is a folder without a log (*.mcap) in it", param, ctx)
+            self.fail(f"{path} is a folder without a log (*.mcap) in it; give the path of a log", param, ctx)
         if len(found) > 1:
             names = ", ".join(file.name for file in found[:MAX_NAMED]) + (", ..." if len(found) > MAX_NAMED else "")
             self.fail(f"{path} is a folder of {len(found)} logs: name one of {names}", param, ctx)
@@ -143,7 +143,7 @@ def log(rig: Path, duration: float | None, output: Path | None, ask: bool, serve
     last = acquisition.status()
     console.print(log_summary(last, path), soft_wrap=True, markup=False)
     if not any(port.samples for port in last.ports.values()):
-        raise SeatrialError(f"{path}: nothing came from any device; look at power, cables, ports and baud rates")
+        raise SeatrialError(f"{path}: no device sent any data; check power, cables, ports and baud rates")
 
 
 @click.command()
@@ -189,7 +189,7 @@ def recover(log: Path, out: Path | None, force: bool) -> None:
     target = out or log.with_name(f"{log.stem}-recovered.mcap")
     done = run(log, target, force)
     for warning in done.warnings:
-        click.echo(f"warning: {warning}", err=True)
+        click.echo(f"warning: {log}: {warning}", err=True)
     pieces = f" of {done.files} segments" if done.files > 1 else ""
     condition = "" if done.warnings else "; nothing was wrong with it"
     click.echo(f"{target}: {counted(done.messages, 'message')}{pieces}{condition}")
@@ -251,13 +251,15 @@ def import_map(
         _write_guessed_map(sources, dbc, out, force)
         return
     if dbc is not None:
-        raise click.UsageError("--dbc goes with --guess; a map has it as [can] dbc")
+        raise click.UsageError("--dbc applies only with --guess; in an import map, write the file as dbc in [can]")
     from seatrial.daq.importers.import_files import import_files as run
 
     if out is not None and out_dir is not None:
         raise click.UsageError("give -o or --out-dir, not both")
     if len(sources) < 2:
-        raise click.UsageError("give a map and a source; --guess writes a map")
+        raise click.UsageError(
+            "give an import map and one or more source files; --guess writes an import map of a source file"
+        )
     for path in run(sources[0], sources[1:], out=out, out_dir=out_dir, force=force):
         click.echo(printable(str(path)))
 
@@ -274,7 +276,7 @@ def _write_guessed_map(sources: tuple[Path, ...], dbc: Path | None, out: Path | 
     from seatrial.daq.importers.write_log import replacing
 
     if len(sources) != 1:
-        raise click.UsageError("--guess takes one source")
+        raise click.UsageError("--guess takes one source file; guess the import map of each file by itself")
     found = guess_map(sources[0], dbc, None if out is None else out.parent)
     if out is None:
         click.echo(found.text, nl=False)
@@ -283,7 +285,7 @@ def _write_guessed_map(sources: tuple[Path, ...], dbc: Path | None, out: Path | 
             write_output(part, found.text)
         click.echo(printable(str(out)))
     if found.problem:
-        click.echo(f"warning: {sources[0]}: no fit: {found.problem}", err=True)
+        click.echo(f"warning: {sources[0]}: no model can be fitted to these signals: {found.problem}", err=True)
 
 
 @import_.command("can", short_help="A CAN log (candump, .asc, .blf), decoded as if the rig had recorded it.")
@@ -434,7 +436,7 @@ def devices(ports: tuple[str, ...], bauds: tuple[int, ...], seconds: float, toml
 
     found = [identify(port) for port in ports] if ports else discover_devices(seconds, bauds, print_progress)
     if not found:
-        raise SeatrialError("there is no serial port and no CAN bus; plug the device in, or name its port")
+        raise SeatrialError("this computer has no serial port and no CAN bus; plug the device in, or name its port")
     if toml:
         click.echo('format = "seatrial-rig 1"\nname = "boat"\n')
     alone = sum(device.protocol == "mavlink" for device in found) < 2
@@ -454,7 +456,7 @@ def devices(ports: tuple[str, ...], bauds: tuple[int, ...], seconds: float, toml
     if any("latency_timer" in device.hint for device in found):
         click.echo(f"hint: to make it permanent, put this into a file in /etc/udev/rules.d: {UDEV_RULE}", err=True)
     if not any(device.protocol or device.port.startswith("socketcan:") for device in found):
-        raise SeatrialError("no device was recognised; is it powered, and is its output switched on?")
+        raise SeatrialError("no device was recognised; check that it is powered and that its output is switched on")
 
 
 # Text after the devices in a new rig file. Without limits no measured value ends a run.
@@ -535,7 +537,9 @@ def export(form: str, log: Path, out: Path, force: bool, rate: float | None, t_f
     from seatrial.daq.tools import export_log, export_resampled, export_ros
 
     if form == "ros" and rate is not None:
-        raise click.UsageError("--rate does not apply to ros, which exports the messages as they were logged")
+        raise click.UsageError(
+            "--rate does not apply to ros, which exports the messages as they were logged; leave it out"
+        )
 
     t_to = math.inf if t_to is None else t_to
     with open_log(log) as opened:
@@ -543,7 +547,10 @@ def export(form: str, log: Path, out: Path, force: bool, rate: float | None, t_f
         if t_from > 0.0 or t_to < math.inf:
             part = opened.part(opened.start + t_from, opened.start + t_to)
         if part.start > opened.end or not t_from < t_to:
-            raise SeatrialError(f"{log}: nothing lies from {t_from:g} to {t_to:g} s of its {opened.duration:.0f} s")
+            raise SeatrialError(
+                f"{log}: no data from {t_from:g} to {t_to:g} s; it has {opened.duration:.0f} s: give other --from and "
+                "--to"
+            )
         for warning in part.warnings:
             click.echo(f"warning: {warning}", err=True)
         if rate is not None:

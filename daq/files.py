@@ -40,11 +40,11 @@ def require_file(path: Path) -> None:
         opened = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY)
     except OSError as error:
         if error.errno == errno.ENXIO:  # a socket
-            raise SeatrialError(f"{path}: is not a file") from error
-        raise SeatrialError(f"{path}: cannot be read: {error.strerror}") from error
+            raise SeatrialError(f"{path}: is not a file; give the path of a file") from error
+        raise SeatrialError(f"{path}: cannot be read: {error.strerror}; check its path and permissions") from error
     try:
         if not stat.S_ISREG(os.fstat(opened).st_mode):
-            raise SeatrialError(f"{path}: is not a file")
+            raise SeatrialError(f"{path}: is not a file; give the path of a file")
     finally:
         os.close(opened)
 
@@ -77,7 +77,7 @@ def require_new(path: Path, force: bool = False, option: str = "-o") -> None:
             f"{path}: is a symbolic link, and outputs follow no links; remove it, or name another output"
         )
     if not stat.S_ISREG(mode):
-        raise SeatrialError(f"{path}: exists already and is not a regular file; name another output")
+        raise SeatrialError(f"{path}: exists already, and is a folder, a pipe or a device; name another output")
     if not force:
         raise SeatrialError(f"{path}: the file exists already; --force replaces it, {option} names another")
 

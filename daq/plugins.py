@@ -58,9 +58,14 @@ def load_plugin(point: EntryPoint, kind: type[T]) -> T:
     try:
         loaded = point.load()
     except Exception as error:  # code of other packages may raise any exception
-        raise SeatrialError(f"{place} cannot be imported: {type(error).__name__}: {error}") from error
+        raise SeatrialError(
+            f"{place} cannot be imported: {type(error).__name__}: {error}; update or uninstall this package"
+        ) from error
     if not isinstance(loaded, kind):
-        raise SeatrialError(f"{place} has the type {type(loaded).__name__}; {point.group} needs a {kind.__name__}")
+        raise SeatrialError(
+            f"{place} has the type {type(loaded).__name__}, and {point.group} needs a {kind.__name__}; update or "
+            "uninstall this package"
+        )
     return loaded
 
 
@@ -73,7 +78,7 @@ def load_or_warn(point: EntryPoint, kind: type[T]) -> T | None:
     try:
         return load_plugin(point, kind)
     except SeatrialError as error:
-        warnings.warn(f"{error}; it is left out", SeatrialWarning, stacklevel=2)
+        warnings.warn(f"{error}; until then it is left out", SeatrialWarning, stacklevel=2)
         return None
 
 

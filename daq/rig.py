@@ -531,7 +531,7 @@ def parse_address(port: str) -> tuple[str, int]:
     """
     host, _, number = port.partition(":")[2].rpartition(":")
     if not host or not (number.isascii() and number.isdigit() and 0 < int(number) < 65536):
-        raise ValueError(f"must be udp:HOST:PORT, udpin:, udpout: or tcp: the same way, not '{port}'")
+        raise ValueError(f"must be udp:HOST:PORT, udpin:HOST:PORT, udpout:HOST:PORT or tcp:HOST:PORT, not '{port}'")
     return host.strip("[]"), int(number)
 
 
@@ -544,4 +544,4 @@ def _find_by_name(name: str, rows: Sequence[Named], label: str, path: Path) -> N
         if row.name == name:
             return row
     known = ", ".join(row.name for row in rows) or "none"
-    raise SeatrialError(f"{path}: no {label} '{name}'; there is: {known}")
+    raise SeatrialError(f"{path}: the rig has no {label} '{name}'; give one that it has: {known}")

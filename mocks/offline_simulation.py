@@ -228,7 +228,7 @@ def _command_rows(t: ArrayLike, n: ArrayLike, thrusters: int) -> list[tuple[floa
         values = values[:, None]
     if times.ndim != 1 or values.shape != (len(times), thrusters):
         raise ValueError(
-            f"times and commands must have the shapes (k,) and (k, {thrusters}), not {times.shape} and {values.shape}"
+            f"t and n must have the shapes (k,) and (k, {thrusters}), not {times.shape} and {values.shape}"
         )
     if np.any(np.diff(times) < 0.0):
         raise ValueError("the times of the commands must not decrease; sort the commands by time")

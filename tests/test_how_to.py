@@ -215,8 +215,11 @@ def test_a_model_of_another_package_has_a_name(installed: Path) -> None:
 @pytest.mark.parametrize(
     ("source", "message"),
     [
-        ("raise OSError('no such library')", r"cannot be imported: OSError: no such library; it is left out"),
-        ("DEVICE = 3", r"has the type int; seatrial.protocols needs a DeviceType; it is left out"),
+        (
+            "raise OSError('no such library')",
+            r"cannot be imported: OSError: no such library; update or uninstall this package; until then",
+        ),
+        ("DEVICE = 3", r"has the type int, and seatrial.protocols needs a DeviceType; update or uninstall"),
     ],
 )
 def test_a_broken_package_is_named_and_hides_no_other(

@@ -36,7 +36,9 @@ def actuator_plan(rig: Rig, n: float = N_ACTUATOR_TEST) -> Mission:
         If the rig has no thruster.
     """
     if not rig.thrusters:
-        raise SeatrialError(f"{rig.path}: --actuators needs a [[thruster]], and the rig has none")
+        raise SeatrialError(
+            f"{rig.path}: --actuators needs a [[thruster]], and the rig has none; add one, or leave --actuators out"
+        )
     n = min(n, rig.limits.n_max)
     count = len(rig.thrusters)
     builder = SegmentBuilder(count)
@@ -63,4 +65,4 @@ def turning_warning(plan: Mission) -> str:
 
     The text names the thrusters of ``plan``, its largest command, and its duration in run seconds.
     """
-    return f"{', '.join(plan.thrusters)} will turn, at up to n = {plan.n_max:g}, for up to {plan.end:.0f} s"
+    return f"thruster {', '.join(plan.thrusters)} will turn, at up to n = {plan.n_max:g}, for up to {plan.end:.0f} s"

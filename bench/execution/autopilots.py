@@ -141,7 +141,8 @@ class Autopilots:
             link = self._link_status(device)
             if link.mode != MANUAL:
                 raise SeatrialError(
-                    f"{device.name} is in {link.mode}: only MANUAL passes the commands on; set it, or give --arm"
+                    f"{device.name} is in mode {link.mode}: only MANUAL passes the commands on; set MANUAL, or give "
+                    "--arm"
                 )
             if not link.armed:
                 raise SeatrialError(f"{device.name} is disarmed; arm it from its transmitter, or give --arm")
@@ -178,29 +179,38 @@ class Autopilots:
         if link is None:
             port = self._acquisition.status().ports.get(device.name)
             why = f" ({port.message})" if port is not None and port.message else ""
-            raise SeatrialError(f"{device.name} ({device.port}): no heartbeat or no parameters in {AWAIT_S:g} s{why}")
+            raise SeatrialError(
+                f"{device.name} ({device.port}): no heartbeat or no parameters in {AWAIT_S:g} s{why}; check its power "
+                "and link, system_id in the rig, and whether another program uses the port"
+            )
         assert device.mavlink is not None
         if link.vehicle != ROVER:
-            raise SeatrialError(f"{device.name} is {link.vehicle or 'of an unknown kind'}: only {ROVER} is driven")
+            raise SeatrialError(
+                f"{device.name} is {link.vehicle or 'of an unknown kind'}: only {ROVER} is driven; record it with "
+                "`seatrial log`, and drive it with its own tools"
+            )
         if link.other_station_frames:
-            raise SeatrialError(f"{device.name}: {RIVAL}; end it, or give it another own_system_id")
+            raise SeatrialError(f"{device.name}: {RIVAL}")
         self.changes[device.name] = len(link.changed)
         here = [thruster for thruster in self._rig.thrusters if thruster.device == device.name]
         found = check_parameters(link.parameters, here, device.mavlink.own_system_id)
         for finding in found:
             self._acquisition.mark("parameter", f"{device.name}: {finding}")
             if not finding.fatal:
-                self._say(f"{device.name}: {finding}")
+                self._say(f"{device.name}: {finding}; set it with a ground station, if this matters")
         for line in link.refused:
-            self._say(f"{device.name} refuses {line}")
+            self._say(f"{device.name} refuses {line}; raise SCHED_LOOP_RATE, or lower the rate in the rig")
         if link.armed:
             self.found_armed.append(device.name)
-            self._say(f"{device.name} IS ARMED ALREADY: this run did not arm it and will not disarm it")
+            self._say(f"{device.name} IS ARMED ALREADY: this run will not disarm it; disarm it yourself after the run")
         fatal = [str(finding) for finding in found if finding.fatal]
         if fatal:
             forbid = "parameter forbids" if len(fatal) == 1 else "parameters forbid"
             # The recorded trials (docs/data/autopilot-faults.jsonl) are classified by these words.
-            raise SeatrialError(f"{device.name}: {len(fatal)} {forbid} to drive, yours to set: {'; '.join(fatal)}")
+            raise SeatrialError(
+                f"{device.name}: {len(fatal)} {forbid} to drive, yours to set: {'; '.join(fatal)}; set them with a "
+                "ground station, as seatrial changes no parameter"
+            )
         if self._n_max > self._rig.limits.link_test_n:
             seconds = require_link_test(self._rig, device.name, self._await_receiver(device), self._n_max)
             self.tested_s[device.name] = seconds
@@ -236,11 +246,12 @@ class Autopilots:
             return link.ekf >= 0 and link.ekf & EKF_WANTED == EKF_WANTED and not link.ekf & EKF_UNWANTED
 
         if not ready(self._link_status(device)):
-            self._say(f"{device.name}: waiting for its estimator, up to {ESTIMATOR_S:g} s")
+            self._say(f"{device.name}: waiting until its position estimator (EKF) is ready, up to {ESTIMATOR_S:g} s")
         if self._await_link(device, ready, ESTIMATOR_S) is None:
             flags = self._link_status(device).ekf
             raise SeatrialError(
-                f"{device.name}: its estimator is not ready (EKF flags {flags}); without a position fix yaw will jump"
+                f"{device.name}: its position estimator has no position after {ESTIMATOR_S:g} s (EKF flags {flags}), "
+                "so that its heading may jump; give its GNSS antenna open sky, and run again"
             )
 
     def _set_manual_and_arm(self, device: Device) -> None:
@@ -289,9 +300,13 @@ class Autopilots:
             self._wait(REASONS_S)
             link = self._link_status(device)
         if link is None or link.answer != f"{action}: accepted":
-            raise SeatrialError(f"{device.name}: {link.answer if link else f'{action}: no answer'}")
+            answer = link.answer if link else f"{action}: no answer"
+            raise SeatrialError(f"{device.name}: request {answer}; remove the cause or check the link, and run again")
         if self._await_link(device, done, AWAIT_S) is None:
-            raise SeatrialError(f"{device.name}: {action} was accepted but took no effect in {AWAIT_S:g} s")
+            raise SeatrialError(
+                f"{device.name}: request {action} was accepted but took no effect in {AWAIT_S:g} s; check the switches "
+                "of its transmitter, and run again"
+            )
 
     def still_armed(self) -> list[str]:
         """Return the names of the mission's autopilots that report to be armed at present.
@@ -317,8 +332,8 @@ class Autopilots:
         self.disarm()
         if armed := self.maybe_armed():
             raise SeatrialError(
-                f"{', '.join(armed)}: disarming was not confirmed in {LEAVE_S:g} s: it may still be armed; disarm it "
-                "yourself or switch it off"
+                f"{', '.join(armed)}: disarming was not confirmed in {LEAVE_S:g} s: it may still be armed; keep clear "
+                "of the propellers, and disarm it yourself or switch it off"
             )
 
     def maybe_armed(self) -> list[str]:
@@ -332,7 +347,7 @@ class Autopilots:
             links = [self._link_status(self._rig.device(name)) for name in self._armed]
         except SeatrialError:  # the acquisition is gone, and the watchdog has sent the zero
             note = read_note(self._acquisition.path)
-            return [name for name in self._armed if f"{name}: zero was sent{DISARMED}" not in note]
+            return [name for name in self._armed if f"{name}: zero thrust was sent{DISARMED}" not in note]
         now, found = time.monotonic(), zip(self._armed.items(), links, strict=True)
         return [
             name

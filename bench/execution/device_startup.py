@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 
 from seatrial.bench.execution.safety_guard import SafetyGuard
 from seatrial.daq.acquisition import Acquisition, Status
-from seatrial.daq.errors import SeatrialError
+from seatrial.daq.errors import SeatrialError, counted
 from seatrial.daq.rig import Rig
 
 AWAIT_S = 10.0  # wall seconds to wait for the first sample of every device, and again for the source of every limit
@@ -80,7 +80,7 @@ def await_devices(
     while silent := silent_devices(rig, acquisition.status(), thrusters):
         if time.monotonic() > deadline:
             raise SeatrialError(
-                f"nothing from {', '.join(silent)} in {AWAIT_S:g} s; check power, cable, port and baud rate"
+                f"nothing from {', '.join(silent)} in {AWAIT_S:g} s; check its power, cable, port and baud rate"
             )
         wait(POLL_S)
     return [device.name for device in rig.devices]
@@ -112,7 +112,7 @@ def await_limits(rig: Rig, acquisition: Acquisition, guard: SafetyGuard, wait: C
     deadline = time.monotonic() + AWAIT_S
     while reasons := _reasons_against_start(guard, acquisition.status()):
         if time.monotonic() > deadline:
-            more = f" (and {len(reasons) - 1} more)" if len(reasons) > 1 else ""
+            more = f" (and {counted(len(reasons) - 1, 'more reason')})" if len(reasons) > 1 else ""
             raise SeatrialError(f"{rig.path}: {reasons[0]}{more}")
         wait(POLL_S)
 
@@ -124,8 +124,8 @@ def _reasons_against_start(guard: SafetyGuard, status: Status) -> list[str]:
     devices whose rate differs from `rate_hz` of the rig.
     """
     turning = [
-        f"thruster {text} though nothing was commanded: stop it, and look for another program that commands it; "
-        'unwatched = ["telemetry"] in [limits] allows it'
+        f"thruster {text} though nothing was commanded: stop it, and look for another program that commands it; if the "
+        'water turns it, write unwatched = ["telemetry"] in [limits]'
         for text in guard.turning(status)
     ]
     unwatched = [limit.refusal(status.t) for limit in guard.unwatched(status)]

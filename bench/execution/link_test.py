@@ -110,11 +110,11 @@ def load_link_tests(rig: Rig) -> dict[str, LinkTest]:
         found = msgspec.json.decode(path.read_bytes(), type=LinkTests)
     except (OSError, msgspec.MsgspecError) as error:
         raise SeatrialError(
-            f"{path}: no result of a link test: {error}; delete it, and repeat the link test"
+            f"{path}: not the result of a link test: {error}; delete this file, and repeat the link test"
         ) from error
     if found.format != FORMAT:
         raise SeatrialError(
-            f"{path}: its format is '{found.format}', wanted '{FORMAT}'; delete it, and repeat the link test"
+            f"{path}: its format is '{found.format}', wanted '{FORMAT}'; delete this file, and repeat the link test"
         )
     return found.devices
 
@@ -179,16 +179,16 @@ def require_link_test(rig: Rig, device: str, link: LinkStatus, n_max: float) -> 
         why = f"the failsafe parameters have changed since {test.date}"
     elif link.receiver is None or test.receiver is None:
         when = "does not report" if link.receiver is None else f"did not report on {test.date}"
-        why = f"the result depends on a receiver, and the autopilot {when} whether it hears one (RC_CHANNELS)"
+        why = f"its result depends on the transmitter, and the autopilot {when} whether it receives one (RC_CHANNELS)"
     elif test.receiver != link.receiver:
-        then, now = ("no receiver", "one") if link.receiver else ("a receiver", "none")
-        why = f"the test of {test.date} was done with {then}, and {now} is heard now"
+        then, now = ("no transmitter", "one") if link.receiver else ("a transmitter", "none")
+        why = f"the test of {test.date} was done with {then} received, and {now} is received now"
     else:
         return test.seconds
     raise SeatrialError(
-        f"{device}: the plan commands up to n = {n_max:.2f}, and beyond limits.link_test_n = "
-        f"{rig.limits.link_test_n:g} a link test is needed; {why}: "
-        f"`seatrial check {rig.path.name} --actuators --link-test`"
+        f"{device}: the mission commands up to n = {n_max:.2f}, and above limits.link_test_n = "
+        f"{rig.limits.link_test_n:g} a valid test of the lost link is needed: {why}; run `seatrial check "
+        f"{rig.path.name} --actuators --link-test`"
     )
 
 
@@ -206,11 +206,13 @@ def link_test_plan(rig: Rig) -> Mission:
     """
     names = tuple(thruster.name for thruster in rig.thrusters if thruster.output is not None)
     if not names:
-        raise SeatrialError(f"{rig.path}: --link-test needs an autopilot, and no thruster is connected to one")
+        raise SeatrialError(
+            f"{rig.path}: --link-test needs an autopilot, and no thruster is connected to one; leave --link-test out"
+        )
     if rig.limits.n_max < N_TEST:
         raise SeatrialError(
             f"{rig.path}: --link-test commands n = {N_TEST:g}, and limits.n_max is {rig.limits.n_max:g}; "
-            "raise it for the test: a smaller output cannot be distinguished from rest"
+            "raise n_max for the test: a smaller output cannot be distinguished from rest"
         )
     times = np.array([0.0, REST_S * rig.speed])
     segments = (
@@ -254,7 +256,7 @@ def measure_link_loss(log: Log, device: Device, link: LinkStatus, n: float) -> L
     muted = [t for t, kind, _ in log.events() if kind == MUTED]
     sent = np.array([t for t, direction, _ in log.raw(device.name) if direction == "tx"])
     if not muted or not sent.size:
-        raise SeatrialError(f"{log.path}: the log contains no link test")
+        raise SeatrialError(f"{log.path}: the log contains no link test (it ended too early); repeat the link test")
     last = float(sent[sent < muted[0] + 0.5 * SETTLED_S * rig.speed].max())
     resumed = float(min(sent[sent > last], default=math.inf))
     seconds = 0.0
@@ -266,8 +268,9 @@ def measure_link_loss(log: Log, device: Device, link: LinkStatus, n: float) -> L
         if not (before.size and abs(before[-1]) >= PUSHED * n):
             output = f"was n = {before[-1]:+.2f}" if before.size else "was not reported"
             raise SeatrialError(
-                f"{log.path}: {thruster.name} did not push before the silence, so the link test proves nothing: its "
-                f"output {output}, commanded {n:+.2f}; arm {device.name}, and check its dead zone (RCn_DZ)"
+                f"{log.path}: thruster {thruster.name} gave no thrust before the link was interrupted, so the link "
+                f"test proves nothing: its output {output}, commanded {n:+.2f}; arm {device.name}, and check its dead "
+                "zone (RCn_DZ)"
             )
         table = table[(table["t"] > last) & (table["t"] < resumed)]
         pushes = np.flatnonzero(~(np.abs(table["n"]) <= NEUTRAL))  # NaN counts as pushing

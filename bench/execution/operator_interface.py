@@ -30,7 +30,7 @@ LIVE_EVERY_S = 0.1
 AGAIN_S = 1.0  # wall seconds within which a repeated key counts as one press
 CAUGHT = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 WORDS = {signal.SIGINT: "Ctrl-C", signal.SIGTERM: "SIGTERM", signal.SIGHUP: "hang-up (SIGHUP)"}
-HELP = "space: pause and resume, r: repeat the step, m: mark, Ctrl-C: zero and end"
+HELP = "space: pause and resume, r: repeat the step, m: mark, Ctrl-C: zero thrust and end"
 
 
 @dataclass(frozen=True)

@@ -205,7 +205,10 @@ def new_log_file(path: Path) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise SeatrialError(f"{path.parent}: {error.strerror}; give another place for the log with -o") from error
+        raise SeatrialError(
+            f"{path.parent}: the folder of the log cannot be made: {error.strerror}; give another place for the log "
+            "with -o"
+        ) from error
 
 
 class NewestValues(NamedTuple):
@@ -369,7 +372,7 @@ class _Runner:
         """
         rests = self._await_rest()
         if self._moved and not _all_at_zero(rests):
-            raise SafetyStop("the run has ended")
+            raise SafetyStop("the run is complete")
 
     def _interrupt_links(self) -> None:
         """Command the set-points of a link test, then send no frame to the autopilots and wait for neutral outputs.
@@ -467,7 +470,10 @@ class _Runner:
             # notices such a pause only while thrust is commanded.
             pause, checked_at = time.monotonic() - checked_at, time.monotonic()
             if pause > LONGEST_PAUSE_S and not status.stopped:
-                raise SafetyStop(f"this program stood still for {pause:.1f} s")
+                raise SafetyStop(
+                    f"this program stood still for {pause:.1f} s: the computer is too busy; end other programs, and "
+                    "run again"
+                )
             self._check_guard(status, now)
             sequencer.step(now, ahead, status, keys.take())
             self._acquisition.alive()
@@ -489,8 +495,9 @@ class _Runner:
         skipped = self._acquisition.status().skipped
         if skipped:
             self._display.say(
-                f"skipped: {skipped} of {commanded} set-points, overtaken by later ones before they could be sent "
-                "(a busy machine, or rows too close for the clock's speed); the log has what was sent and when"
+                f"skipped: {skipped} of {commanded} set-points were not sent, because later ones were due already "
+                "(busy computer, or set-points too close together); the log contains those that were sent; if they "
+                "are many, end other programs and repeat the run"
             )
 
     def _wait(self, wall_s: float) -> None:
@@ -500,7 +507,10 @@ class _Runner:
         suspended (for more than 0.1 s) since the last call.
         """
         if slept := self._suspended.slept():
-            raise SafetyStop(f"the computer was suspended for {slept:.1f} s")
+            raise SafetyStop(
+                f"the computer was suspended for {slept:.1f} s; switch its suspend off (lid, battery, power settings), "
+                "and run again"
+            )
         if self._signals.wait(wall_s) and self._signals.caught is not None:
             number = self._signals.caught
             raise RunInterrupted(f"stopped by {WORDS[number]}", number)
@@ -566,11 +576,11 @@ class _Runner:
             # Measured again, because the acquisition process repeats zero before it closes the log.
             rests = self._measure_rest()
         thrust = self._thrust_text(rests)
-        log = f"the log is {self._path}" if closed else f"the log so far is {self._path} (it opens as it is)"
+        log = f"the log is {self._path}" if closed else f"the log so far is {self._path} (it can be opened)"
         if isinstance(error, SeatrialError):
             if self._moved and thrust != ZERO:
                 error.exit_status = SafetyStop.exit_status
-            error.args = (f"{reason}: {thrust}, {log}{self._armed_text()}",)
+            error.args = (f"{reason}; {thrust}, {log}{self._armed_text()}",)
 
     def _armed_text(self) -> str:
         """Return the end of the error message of a run: the names of autopilots that are still armed.
@@ -579,8 +589,9 @@ class _Runner:
         """
         ours = self._vehicles.maybe_armed()
         others = [name for name in self._vehicles.still_armed() if name not in ours]
-        loud = f"; {', '.join(ours)} WAS ARMED BY US AND MAY STILL BE: disarm it yourself" if ours else ""
-        return loud + (f"; {', '.join(others)} IS STILL ARMED: disarm it yourself" if others else "")
+        advice = "keep clear of the propellers, and disarm it yourself"
+        loud = f"; {', '.join(ours)} WAS ARMED BY THIS RUN AND MAY STILL BE ARMED: {advice}" if ours else ""
+        return loud + (f"; {', '.join(others)} IS STILL ARMED: {advice}" if others else "")
 
     def _measure_rest(self) -> list[Rest] | None:
         """Return for each thruster of the mission whether its thrust is measured as zero at present.
@@ -631,14 +642,16 @@ class _Runner:
         if pushing:
             links = self._acquisition.status().links
             modes = [links[name].mode for name in self._vehicles.names if name in links]
-            return f"{', '.join(pushing)} STILL PUSH: the autopilot is in {', '.join(modes)}; stop it yourself"
+            text = f"THRUST CONTINUES on {', '.join(pushing)}: the autopilot is in mode {', '.join(modes)}"
+            return f"{text}; stop it yourself by transmitter or kill switch"
         if not self._moved:
             return "no thrust was commanded"
-        measured = ": " + "; ".join(rest.text for rest in wrong) if wrong else ""
+        measured = ": thruster " + ", thruster ".join(rest.text for rest in wrong) if wrong else ""
         times = self._vehicles.tested_s.items()
         tested = [f"{name} ended thrust {seconds:.1f} s after its link was lost" for name, seconds in times]
         in_link_test = f" (in its link test {', '.join(tested)})" if tested else ""
-        return f"zero was sent, not confirmed{measured}{in_link_test}; MAKE SURE THAT THE PROPELLERS STAND STILL"
+        text = f"zero thrust was sent, not confirmed{measured}{in_link_test}"
+        return f"{text}; MAKE SURE THAT THE PROPELLERS STAND STILL before you approach"
 
     def _is_output(self, thruster: str) -> bool:
         """Return whether the thruster with this name is connected to an output of an autopilot."""

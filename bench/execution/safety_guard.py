@@ -88,7 +88,11 @@ BLOCKED_N, BLOCKED_RPM = 0.3, 10.0  # a motor that turns more slowly at such a c
 
 TELEMETRY = "telemetry"  # word in limits.unwatched: speed controllers are not compared with their commands
 MANUAL = "MANUAL"
-RIVAL = "another ground station has our own system id: its heartbeats hide the loss of ours"
+CUT_POWER = "cut its power before you approach, then check its settings"
+RIVAL = (
+    "another ground station has the same system id as seatrial (own_system_id in the rig), so the autopilot would not "
+    "notice that seatrial is lost; end that station, or change one of the two ids"
+)
 
 
 class GuardState(enum.StrEnum):
@@ -219,25 +223,28 @@ def _temperature(esc: Esc) -> float:
     return esc.temperature if esc.temperature > COLDEST_C else NAN
 
 
-_STATUS = "let the controller send its status"
+_STATUS = "set the speed controller to send its status messages"
 _QUANTITIES = {  # by key of [limits]
     "force_n": _LimitedQuantity(
         "force",
         {LoadCell: lambda cell: NAN if cell.flags else cell.force},
-        "a load cell needs its [device.calibration]",
+        "give the load cell a [device.calibration] in the rig",
         moves=True,
     ),
     "rpm": _LimitedQuantity("shaft speed", {Esc: lambda esc: esc.rpm}, _STATUS, moves=True),
     "current_a": _LimitedQuantity("current", {Esc: lambda esc: esc.current}, _STATUS, moves=True),
-    "temperature_c": _LimitedQuantity("temperature", {Esc: _temperature}, f"{_STATUS} (VESC: 4)", slow=True),
+    "temperature_c": _LimitedQuantity("temperature", {Esc: _temperature}, f"{_STATUS} (VESC: status 4)", slow=True),
     "voltage_min_v": _LimitedQuantity(
         "voltage",
         {Esc: lambda esc: esc.voltage, Battery: lambda battery: battery.voltage},
-        f"{_STATUS} (VESC: 5), or an autopilot that of the battery",
+        f"{_STATUS} (VESC: status 5), or the autopilot to send the voltage of its battery",
         slow=True,
     ),
     "battery_min": _LimitedQuantity(
-        "charge", {Battery: lambda battery: battery.remaining}, "let an autopilot send that of the battery", slow=True
+        "charge",
+        {Battery: lambda battery: battery.remaining},
+        "set the autopilot to send the charge of its battery",
+        slow=True,
     ),
     "roll_deg": _LimitedQuantity("roll", {Ahrs: lambda ahrs: ahrs.roll}, "add an AHRS to the rig"),
     "pitch_deg": _LimitedQuantity("pitch", {Ahrs: lambda ahrs: ahrs.pitch}, "add an AHRS to the rig"),
@@ -411,7 +418,7 @@ class LimitSource:
         """
         whom = f" of {self.whom}" if self.whom else ""
         missing = f"no {_QUANTITIES[self.key].name}{whom}{self.place}"
-        return f"{missing}: {self.frozen}" if self.frozen else f"{missing}{_age_text(now - self.t)}"
+        return f"{missing}: {self.frozen}" if self.frozen else f"{missing} received{_age_text(now - self.t)}"
 
     def refusal(self, now: float) -> str:
         """Return the message that refuses to start a run because no device reports the limited quantity.
@@ -532,9 +539,10 @@ class OutputCheck:
         if latest.t - self._wrong_since < self._tolerated_s:
             return ""
         name, device = self._thruster.name, self._thruster.device
-        deviates = "a parameter bends commands, or its link is late"
-        why = "it was disarmed or blocks commands" if abs(n) <= TOLERANCE else deviates
-        return f"{device} puts out n = {n:+.2f} for {name}, commanded {recent[-1]:+.2f}: {why}"
+        why = "a parameter changes the commands, or its link is late; run `seatrial check` on the rig"
+        if abs(n) <= TOLERANCE:
+            why = "it was disarmed or blocks commands; look at its mode and its messages in a ground station"
+        return f"{device} puts out n = {n:+.2f} for thruster {name}, commanded {recent[-1]:+.2f}: {why}"
 
 
 class Rest(NamedTuple):
@@ -674,7 +682,8 @@ class ControllerCheck:
         self._wrong_since = t if math.isnan(self._wrong_since) else self._wrong_since
         if t - self._wrong_since < self._tolerated_s:
             return ""
-        return f"{self._label()} puts out duty {esc.duty:+.2f}, commanded {recent[-1]:+.2f}: it ignores commands"
+        text = f"{self._label()} puts out duty {esc.duty:+.2f}, commanded {recent[-1]:+.2f}: it ignores commands"
+        return f"{text}; {CUT_POWER}"
 
     def _still_driven(self, esc: Esc, t: float) -> str:
         """Return why the run has to end if the motor is still driven 3 s after zero was commanded; else empty.
@@ -690,9 +699,8 @@ class ControllerCheck:
         constant = not speeds or min(speeds) >= FALLING * max(speeds)
         if self._motion(esc, t) is not _Motion.DRIVEN or not constant:
             return ""
-        return (
-            f"{self._label()} turns at {esc.rpm:.0f} rpm, {COAST_S:g} s after zero was commanded: it ignores commands"
-        )
+        text = f"{self._label()} turns at {esc.rpm:.0f} rpm, {COAST_S:g} s after zero was commanded"
+        return f"{text}: it ignores commands; {CUT_POWER}"
 
     def _motion(self, esc: Esc, t: float) -> _Motion:
         """Return the motion of the motor, under the condition that zero is commanded to it.
@@ -730,7 +738,8 @@ class ControllerCheck:
         draws = abs(esc.current) > 0.5  # A controller without a speed sensor may report 0 rpm.
         if not driven or not reports or not all(reports) or draws:
             return ""
-        return f"{self._label()} does not turn, commanded {recent[-1]:+.2f} for {COAST_S:g} s: it blocks commands"
+        text = f"{self._label()} does not turn, commanded {recent[-1]:+.2f} for {COAST_S:g} s: it blocks commands"
+        return f"{text}; check its speed controller and motor with the manufacturer's tool"
 
     def _frozen_telemetry(self) -> str:
         """Return why the run has to end if all values of the speed controller's telemetry are frozen; else empty.
@@ -740,7 +749,8 @@ class ControllerCheck:
         if not self._watch.is_frozen:
             return ""
         seconds = self._watch.unchanged_s
-        return f"{self._label()} repeats the same telemetry for {seconds:.1f} s though its command changed"
+        text = f"{self._label()} repeats the same telemetry for {seconds:.1f} s though its command changed"
+        return f"{text}; check the power and firmware of its speed controller"
 
     def rest(self, status: Status, since: float) -> Rest:
         """Return whether the thruster is at zero thrust, from a sample of its speed controller.
@@ -878,7 +888,10 @@ class SafetyGuard:
         for t, row in wanted:
             for name, n in row.items():
                 if name not in names or not (math.isfinite(t) and abs(n) <= largest):
-                    reason = f"set-point {n:g} for {name} at {t:.3f}: only -{largest:g} to {largest:g} is allowed"
+                    reason = (
+                        f"set-point n = {n:g} for thruster {name} at {t:.3f} s: limits.n_max of the rig allows only "
+                        f"-{largest:g} to {largest:g}; correct the mission or the limit"
+                    )
                     return Stop(StopCode.SETPOINT, reason)
         return None
 
@@ -891,7 +904,8 @@ class SafetyGuard:
         if status.stopped:
             yield Stop(StopCode.ACQUISITION, status.stopped)
         if not now - status.t <= NO_STATUS_S * self._speed:
-            yield Stop(StopCode.ACQUISITION, f"the acquisition process has not answered for {NO_STATUS_S:g} s")
+            text = f"the acquisition process has not answered for {NO_STATUS_S:g} s: the computer is too busy"
+            yield Stop(StopCode.ACQUISITION, f"{text}; end other programs, and run again")
         if self.state is GuardState.RUNNING:
             yield from self._link_stops(status)
             yield from self._output_stops(status)
@@ -932,7 +946,7 @@ class SafetyGuard:
                 yield Stop(StopCode.LIMIT, reason)
         for limit in self.unwatched(status):
             reason = f"limits.{limit.key} is not watched any more: {limit.silence(status.t)}"
-            yield Stop(StopCode.UNWATCHED, reason)
+            yield Stop(StopCode.UNWATCHED, f"{reason}; check the power, cable and settings of the device")
 
     def _passed_limits(self, name: str, sample: Sample, t: float) -> Iterator[str]:
         """Yield a line of text for each limit that a sample of a speed controller, load cell, AHRS or battery passes.
@@ -941,7 +955,7 @@ class SafetyGuard:
         checked by the geofence.
         """
         if isinstance(sample, Esc):
-            yield from self._passed_esc_limits(sample)
+            yield from self._passed_esc_limits(name.partition("/")[0], sample)
         elif isinstance(sample, LoadCell):
             yield from self._passed_force_limit(name, sample, t)
         elif isinstance(sample, Ahrs):
@@ -1046,10 +1060,12 @@ class SafetyGuard:
             age = math.inf if port is None else port.age
             if port is not None and port.samples and not port.open:
                 # A lost port is known at once. Waiting for the silence of the device would add a second of thrust.
-                yield Stop(StopCode.PORT_LOST, f"{device.name} ({device.port}) was lost: {port.message or 'closed'}")
+                reason = f"{device.name} ({device.port}) was lost: {port.message or 'the port was closed'}"
+                yield Stop(StopCode.PORT_LOST, f"{reason}; check its plug, cable and power")
             # Written with `not`, so that an age of NaN counts as silent.
             if not age <= self._patience(device.rate_hz):
-                yield Stop(StopCode.SILENT, f"{device.name} ({device.port}) is silent{_age_text(age)}")
+                reason = f"{device.name} ({device.port}) is silent{_age_text(age)}"
+                yield Stop(StopCode.SILENT, f"{reason}; check its power and cable")
         for reason in self._silent_thrusters(status):
             yield Stop(StopCode.SILENT, reason)
 
@@ -1062,7 +1078,10 @@ class SafetyGuard:
             latest = status.latest.get((thruster.device, thruster.node))
             age = math.inf if latest is None else status.t - latest.t
             if not age <= self._patience(self._status_rate(thruster)):
-                yield f"thruster {thruster.name} (node {thruster.node} on {thruster.device}) is silent{_age_text(age)}"
+                yield (
+                    f"thruster {thruster.name} (node {thruster.node} on {thruster.device}) is silent{_age_text(age)}; "
+                    "check the power and cable of its controller"
+                )
 
     def _status_rate(self, thruster: Thruster) -> float:
         """Return the rate [1/run s] at which the speed controller or output of a thruster is reported.
@@ -1077,7 +1096,7 @@ class SafetyGuard:
         if status.bytes != self._log_bytes:
             self._log_bytes, self._grown_at = status.bytes, status.t
         elif status.t - self._grown_at > STUCK_WALL_S * self._speed:
-            yield Stop(StopCode.LOG, f"the log {status.path} does not grow any more; is the disk full?")
+            yield Stop(StopCode.LOG, f"the log {status.path} does not grow any more; check the disk and its free space")
 
     # Links and outputs.
 
@@ -1092,14 +1111,17 @@ class SafetyGuard:
                 continue
             link = status.links.get(name, LinkStatus())
             if not link.age <= LINK_AGE_S:
-                yield Stop(StopCode.LINK, f"{name}: no heartbeat for {link.age:.1f} s")
+                text = f"{name}: no heartbeat received for {link.age:.1f} s"
+                yield Stop(StopCode.LINK, f"{text}; check the antenna, cable and power of its link")
             reason = f" ({link.alarm})" if link.alarm else ""
             if not link.armed:
-                yield Stop(StopCode.LINK, f"{name} was disarmed{reason}")
+                text = f"{name} was disarmed during the run{reason}"
+                yield Stop(StopCode.LINK, f"{text}; find out which station or switch did it, and run again")
             if link.mode != MANUAL:
-                yield Stop(StopCode.LINK, f"{name} went over to {link.mode}{reason}")
+                text = f"{name} changed from mode {MANUAL} to {link.mode}{reason}"
+                yield Stop(StopCode.LINK, f"{text}; find out which station or switch did it, and run again")
             if link.alarm:
-                yield Stop(StopCode.LINK, f"{name} says {link.alarm}")
+                yield Stop(StopCode.LINK, f"{name} reports {link.alarm}; remove the cause, and run again")
             if link.other_station_frames:
                 yield Stop(StopCode.RIVAL, f"{name}: {RIVAL}")
             # A changed parameter may disable a failsafe. The run ends while the link can still transmit zero and the
@@ -1152,21 +1174,26 @@ class SafetyGuard:
 
     # Limits of one sample.
 
-    def _passed_esc_limits(self, esc: Esc) -> Iterator[str]:
+    def _passed_esc_limits(self, name: str, esc: Esc) -> Iterator[str]:
         """Yield a line of text for each limit of the rig that a sample of a speed controller passes.
 
-        The limits are shaft speed, current, temperature and voltage. A value of NaN, or a limit that is not set, gives
-        nothing.
+        ``name`` is the device that reports the controller. The limits are shaft speed, current, temperature and
+        voltage. A value of NaN, or a limit that is not set, gives nothing.
         """
         limits = self._rig.limits
         if limits.rpm is not None and abs(esc.rpm) > limits.rpm:
-            yield f"speed of node {esc.node} is {esc.rpm:.0f} rpm, limit {limits.rpm:g}"
+            text = f"speed of node {esc.node} on {name} is {esc.rpm:.0f} rpm, above limits.rpm = {limits.rpm:g}"
+            yield f"{text}; lower n_max, or correct the limit"
         if limits.current_a is not None and abs(esc.current) > limits.current_a:
-            yield f"current of node {esc.node} is {esc.current:.1f} A, limit {limits.current_a:g} A"
+            text = f"current of node {esc.node} on {name} is {esc.current:.1f} A"
+            advice = "check whether weed or a rope blocks the propeller, or lower n_max"
+            yield f"{text}, above limits.current_a = {limits.current_a:g}; {advice}"
         if limits.temperature_c is not None and esc.temperature > limits.temperature_c:
-            yield f"temperature of node {esc.node} is {esc.temperature:.0f} deg C, limit {limits.temperature_c:g}"
+            text = f"temperature of node {esc.node} on {name} is {esc.temperature:.0f} deg C"
+            yield f"{text}, above limits.temperature_c = {limits.temperature_c:g}; let it cool, and make runs shorter"
         if limits.voltage_min_v is not None and esc.voltage < limits.voltage_min_v:
-            yield f"voltage of node {esc.node} is {esc.voltage:.1f} V, least {limits.voltage_min_v:g} V"
+            text = f"voltage of node {esc.node} on {name} is {esc.voltage:.1f} V"
+            yield f"{text}, below limits.voltage_min_v = {limits.voltage_min_v:g}; charge the battery, or lower n_max"
 
     def _passed_attitude_limits(self, name: str, ahrs: Ahrs) -> Iterator[str]:
         """Yield a line of text for each of roll and pitch in a sample of the AHRS ``name`` that passes its limit.
@@ -1176,7 +1203,8 @@ class SafetyGuard:
         limits = self._rig.limits
         for word, angle, limit in (("roll", ahrs.roll, limits.roll_deg), ("pitch", ahrs.pitch, limits.pitch_deg)):
             if limit is not None and abs(math.degrees(angle)) > limit:
-                yield f"{word} is {math.degrees(angle):.0f} deg by {name}, limit {limit:g}"
+                text = f"{word} is {math.degrees(angle):.0f} deg by {name}, above limits.{word}_deg = {limit:g}"
+                yield f"{text}; level the boat, or check the mounting of {name}"
 
     def _passed_battery_limits(self, name: str, battery: Battery) -> Iterator[str]:
         """Yield a line of text for each of voltage and charge in a sample of a battery that is below its limit.
@@ -1185,9 +1213,11 @@ class SafetyGuard:
         """
         limits = self._rig.limits
         if limits.voltage_min_v is not None and battery.voltage < limits.voltage_min_v:
-            yield f"battery of {name} is at {battery.voltage:.1f} V, least {limits.voltage_min_v:g} V"
+            text = f"battery of {name} is at {battery.voltage:.1f} V"
+            yield f"{text}, below limits.voltage_min_v = {limits.voltage_min_v:g}; charge it"
         if limits.battery_min is not None and battery.remaining < limits.battery_min:
-            yield f"battery of {name} has {100 * battery.remaining:.0f} % left, least {100 * limits.battery_min:g} %"
+            text = f"battery of {name} has {100 * battery.remaining:.0f} % left"
+            yield f"{text}, below limits.battery_min = {limits.battery_min:g}; charge it"
 
     def _passed_force_limit(self, name: str, cell: LoadCell, t: float) -> Iterator[str]:
         """Yield a line of text if the force passes its limit, or if two successive samples are saturated.
@@ -1202,14 +1232,17 @@ class SafetyGuard:
         if cell.flags & SATURATED:
             # A single saturated reading may be an error of the converter; a second one ends the run.
             if t > self._saturated_at.setdefault(name, t):
-                yield f"{name} is saturated, its force cannot be watched"
+                text = f"load cell {name} is saturated, so its force cannot be compared with limits.force_n"
+                yield f"{text}; lower the load or the gain"
             return
         self._saturated_at.pop(name, None)
         if not cell.flags & SPIKE and abs(cell.force) > limit:
             rest = self._rest_force.get(name, 0.0)
             # A wrong zero of the load cell uses up part of the limit, so that the reason has to name it.
-            at_rest = f", {rest:.1f} N of it at rest (zero_counts in the rig)" if abs(rest) > REST_PART * limit else ""
-            yield f"force is {cell.force:.1f} N, limit {limit:g} N{at_rest}"
+            advice = "lower n_max, or correct the limit"
+            if abs(rest) > REST_PART * limit:
+                advice = f"{rest:.1f} N of it are there at rest: correct zero_counts in the rig"
+            yield f"force is {cell.force:.1f} N by {name}, above limits.force_n = {limit:g}; {advice}"
 
 
 def _output_rest(thruster: Thruster, status: Status, since: float) -> Rest:
@@ -1374,7 +1407,8 @@ class Fence:
         length = math.hypot(here.north, here.east)
         distance = EARTH_RADIUS_M * length
         if distance > self._radius:
-            return f"{distance:.0f} m from the start by {name}, limit {self._radius:g} m"
+            text = f"the boat is {distance:.0f} m from the start by {name}, beyond limits.radius_m = {self._radius:g}"
+            return f"{text}; bring it back, and use a shorter mission or a larger area"
         outward = (here.north * fix.vel_n + here.east * fix.vel_e) / length if length > 0.0 else 0.0
         if math.isnan(outward):  # a speed without a course is taken as straight outward
             outward = fix.speed
@@ -1383,7 +1417,8 @@ class Fence:
         coast = outward * REACTION_S + stopping_distance(outward, self._vehicle)
         if distance + coast > self._radius:
             return (
-                f"{distance:.0f} m from the start by {name} and {coast:.0f} m to stop from {outward:.1f} m/s, "
-                f"limit {self._radius:g} m"
+                f"the boat is {distance:.0f} m from the start by {name} and needs {coast:.0f} m to stop from "
+                f"{outward:.1f} m/s, in all beyond limits.radius_m = {self._radius:g}; use a shorter mission or a "
+                "larger area"
             )
         return ""

@@ -171,7 +171,7 @@ class MissionSequencer:
             self._paused_at = now
             self._acquisition.zero("pause")
             self._acquisition.mark("pause", name)
-            self._say("paused: thrust is zero; space resumes with the step's beginning")
+            self._say("paused: zero thrust is commanded; press space to resume at the beginning of the step")
         elif key in " p":
             self._paused_at = None
             self._acquisition.mark("resume", name)
@@ -410,7 +410,8 @@ class CommandFollower(MissionSequencer):
         for name, received in self._source.take().items():
             if len(received) >= FLOOD:
                 raise SafetyStop(
-                    f"commands for {name} come too fast: {len(received)} at once; let the sender send fewer"
+                    f"the commands for thruster {name} come too fast: {len(received)} at once; let the ROS 2 node that "
+                    "publishes them send 20 to 100 a second"
                 )
             for command in received:
                 self._accept_command(name, command, now)
@@ -446,22 +447,23 @@ class CommandFollower(MissionSequencer):
         if not abs(command.n) <= self._mission.n_max:  # written with `not`, so that NaN is refused too
             limit = f"{self._mission.n_max:g}"
             raise SafetyStop(
-                f"command n = {command.n:g} for {name} is outside -{limit} to {limit}; check --n-max and the sender"
+                f"a ROS 2 node sent the command n = {command.n:g} for thruster {name}, outside -{limit} to {limit}; "
+                "correct the node, or give a larger --n-max"
             )
         if not command.sender:
             raise SafetyStop(
-                f"a command for {name} has no whole attachment (sequence number, time and id of its publisher), "
-                "so that its sender is not known; publish it with rmw_zenoh"
+                f"a command for thruster {name} lacks sequence number, time or id of its publisher, so that the "
+                "publisher is not known; publish it from a ROS 2 node with rmw_zenoh"
             )
         before = self._heard.get(name)
         if before is not None and before[1].sender != command.sender:
             # After a silence another sender may take over. It also has to begin with zero.
             if now - before[0] <= self._timeout:
-                raise SafetyStop(f"two ROS 2 nodes send commands to {name}; stop one of them")
+                raise SafetyStop(f"two ROS 2 nodes send commands to thruster {name}; stop one of them")
         elif before is not None and command.number <= before[1].number:
             raise SafetyStop(
-                f"command number {command.number} for {name} came after number {before[1].number}: "
-                "it is repeated or out of order"
+                f"command number {command.number} for thruster {name} came after number {before[1].number}: it is "
+                "repeated or out of order; publish each command once (no replayed bag, no second relay)"
             )
         self._heard[name] = now, command
 
@@ -492,7 +494,7 @@ class CommandFollower(MissionSequencer):
             self._follows = False
             self._schedule_if_changed(self._stepped, dict.fromkeys(self._scheduled_n, 0.0))
             self._acquisition.mark("silence", why)
-            self._say(f"thrust is zero: {why}; waiting for zero from every thruster's sender")
+            self._say(f"zero thrust is commanded: {why}; to continue, publish the command 0 for every thruster")
 
     def _restart_step(self, now: float) -> None:
         """Forget all external commands, and follow none until all thrusters are commanded zero.

@@ -117,7 +117,7 @@ def check(
     from seatrial.bench.preflight.rig_checks import ARMED
 
     armed = [finding.where for finding in found if finding.code == ARMED]
-    loud = f"{', '.join(dict.fromkeys(armed))} IS ARMED: keep clear of the propellers, or disarm it" if armed else ""
+    loud = f"{', '.join(dict.fromkeys(armed))} IS ARMED: keep clear of the propellers, and disarm it" if armed else ""
     if loud and not faults:
         click.secho(loud, fg="red", bold=True, err=True)
     if faults:
@@ -163,13 +163,17 @@ def _check_options(
     """
     rig = any(_is_rig(path) for path in paths)
     if rig and len(paths) > 1:
-        raise click.UsageError("give one RIG, or one or more LOGs")
+        raise click.UsageError("give one rig file (.toml), or one or more logs (.mcap)")
     if not rig and (mission or actuators or test_options):
-        raise click.UsageError("--mission, --actuators, --link-test, --thrust, --arm and -o need a RIG")
+        raise click.UsageError(
+            "--mission, --actuators, --link-test, --thrust, --arm and -o need a rig file (.toml) in place of a log"
+        )
     if test_options and not actuators:
-        raise click.UsageError("--link-test, --thrust, --arm and -o belong to --actuators")
+        raise click.UsageError(
+            "--link-test, --thrust, --arm and -o apply only with --actuators; add it, or leave them out"
+        )
     if link_test and thrust is not None:
-        raise click.UsageError("--link-test commands 0.1 of thrust always; leave --thrust out")
+        raise click.UsageError("--link-test always commands 0.1 (a tenth of full command); leave --thrust out")
 
 
 def _print_findings(found: Sequence[Finding], as_json: bool) -> list[str]:
@@ -327,7 +331,10 @@ def _confirmed_plan(rig: Rig, thrust: float | None, yes: bool, of_link: bool) ->
     plan = link_test_plan(rig) if of_link else actuator_plan(rig, thrust or N_ACTUATOR_TEST)
     if not yes:
         if not sys.stdin.isatty():
-            raise click.UsageError(f"--actuators: {turning_warning(plan)}; without a terminal to ask at, say --yes")
+            raise click.UsageError(
+                f"--actuators: {turning_warning(plan)}; keep clear of the propellers, and give --yes, as there is no "
+                "terminal at which to confirm"
+            )
         click.confirm(
             f"{turning_warning(plan)}.\nIs everybody clear of the propellers, and the boat free to move?", abort=True
         )
@@ -363,7 +370,8 @@ def _findings_of_test(
     """
     faults = [finding.where for finding in before if finding.level == FAULT]
     if faults:
-        text = "not tested: there are faults already"  # a test would turn thrusters of a faulty rig
+        # A test would turn the thrusters of a faulty rig.
+        text = "the thrusters were not tested, because there are faults already"
         return [
             Finding(
                 WARNING,
@@ -371,7 +379,7 @@ def _findings_of_test(
                 "actuators",
                 rig.name,
                 text,
-                f"repair first: {', '.join(dict.fromkeys(faults))}",
+                f"repair these first, and check again: {', '.join(dict.fromkeys(faults))}",
             )
         ]
     from seatrial.bench.execution import PlainDisplay, make_display, run_link_test, run_mission
@@ -401,9 +409,14 @@ def _link_test_finding(name: str, seconds: float, passed: bool) -> Finding:
     """
     from seatrial.bench.execution import ALLOWED_S
 
-    text = f"thrust ended {seconds:.2f} s after our last frame, allowed {ALLOWED_S:g}"
+    text = f"thrust ended {seconds:.2f} s after the last frame of seatrial, allowed {ALLOWED_S:g} s"
     if passed:
         return Finding(OK, "link-loss-ends-thrust", "link test", name, text)
     return Finding(
-        FAULT, "link-loss-goes-on", "link test", name, text, "check RC_OVERRIDE_TIME, FS_THR_ENABLE and FS_ACTION"
+        FAULT,
+        "link-loss-goes-on",
+        "link test",
+        name,
+        text,
+        "correct its parameters RC_OVERRIDE_TIME, FS_THR_ENABLE and FS_ACTION, and repeat the test",
     )

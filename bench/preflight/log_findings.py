@@ -42,15 +42,15 @@ def log_findings(check_motion: Callable[[Path], list[Finding]], paths: Sequence[
         if samples:
             here += _motion_findings(check_motion, path)
         else:
-            advice = "`seatrial info` shows what is in it"
-            here.append(Finding(FAULT, "log-empty", "log", "all of it", "it contains no sample of any device", advice))
+            advice = "`seatrial info` shows what it contains; if devices were connected, record it again"
+            here.append(Finding(FAULT, "log-empty", "log", path.name, "it contains no sample of any device", advice))
         if not here:
             here = [
                 Finding(
                     OK,
                     "nothing-to-check",
                     "log",
-                    "all of it",
+                    path.name,
                     f"no check applies to its content: {', '.join(counts) or 'empty'}",
                 )
             ]
@@ -69,5 +69,5 @@ def _motion_findings(check_motion: Callable[[Path], list[Finding]], path: Path) 
         return check_motion(path)
     except SeatrialError as error:
         text = f"sensors and thrusters were not compared: {error}"
-        advice = "check the log where all of seatrial is installed"
+        advice = "check the log on a computer with the complete seatrial"
         return [Finding(WARNING, "motion-not-checked", "motion", path.name, text, advice)]

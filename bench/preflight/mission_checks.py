@@ -61,12 +61,14 @@ def _fence_finding(mission: Mission, rig: Rig, radius: float) -> Finding:
         return _unpredicted_finding(mission, f"has no {', '.join(missing)}", hint)
     elif wrong := [name for name in MASSES if not rig.vehicle[name] > 0.0]:
         return _unpredicted_finding(
-            mission, f"has {' and '.join(wrong)} not above zero", "write the masses of the boat there"
+            mission, f"has {' and '.join(wrong)} not above zero", "write the masses of the boat into [vehicle]"
         )
     else:
         t, x, y = track(mission, rig)
         if not np.isfinite([x, y]).all():
-            return _unpredicted_finding(mission, "makes it diverge", "write masses and damping of the same boat there")
+            return _unpredicted_finding(
+                mission, "makes it diverge", "write masses and damping of one boat into [vehicle]"
+            )
         far, by = np.hypot(x, y), "the rig's nominal vehicle without current"
     k = int(np.argmax(far))
     text = f"up to {far[k]:.0f} m from the start by {by}, fence {radius:g} m"
@@ -78,11 +80,16 @@ def _fence_finding(mission: Mission, rig: Rig, radius: float) -> Finding:
             "fence",
             mission.name,
             f"{text}, left after {left:.0f} s",
-            "make the mission shorter or slower, or give it more room",
+            "make the mission shorter or slower, or raise limits.radius_m if there is room",
         )
     if far[k] > CLOSE * radius:
         return Finding(
-            WARNING, "track-near-fence", "fence", mission.name, text, "wind and current may carry the boat further"
+            WARNING,
+            "track-near-fence",
+            "fence",
+            mission.name,
+            text,
+            "wind and current may carry the boat further: watch it, or make the mission shorter",
         )
     return Finding(OK, "track-inside-fence", "fence", mission.name, text)
 
@@ -92,7 +99,7 @@ def _unpredicted_finding(mission: Mission, why: str, hint: str) -> Finding:
 
     ``why`` completes the sentence "[vehicle] of the rig ...", and ``hint`` is the remedy.
     """
-    text = f"its track is not predicted: [vehicle] of the rig {why}"
+    text = f"the track of this mission is not predicted: [vehicle] of the rig {why}"
     return Finding(WARNING, "track-not-predicted", "fence", mission.name, text, hint)
 
 

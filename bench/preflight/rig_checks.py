@@ -77,7 +77,7 @@ def check_ports(rig: Rig, status: Status) -> Iterator[Finding]:
                 "device-fell-silent",
                 "alive",
                 device.name,
-                f"silent for {port.age:.1f} s",
+                f"no data received for {port.age:.1f} s",
                 "check power, cable and port",
             )
         if device.mavlink is not None:
@@ -108,7 +108,7 @@ def _silent_device_finding(device: Device, port: PortStatus | None) -> Finding:
         text = f"{port.frames} frames of {device.protocol} understood, but no frame contains a measurement"
         advice = "baud rate and protocol are right: look at the messages that the device is set to send"
     elif port is not None and port.bytes_in:
-        text = f"{port.bytes_in} bytes, no sample: wrong baud rate or protocol?"
+        text = f"{port.bytes_in} bytes received, but no sample: wrong baud rate or protocol?"
     return Finding(FAULT, "device-silent", "alive", device.name, (port.message if port else "") or text, advice)
 
 
@@ -149,7 +149,7 @@ def _autopilot_findings(rig: Rig, device: Device, status: Status, port: PortStat
                 "parameters",
                 device.name,
                 str(found),
-                "set it yourself: this program does not change it",
+                "set it with a ground station: seatrial does not change it",
             )
     for line in link.refused:
         yield Finding(
@@ -157,19 +157,27 @@ def _autopilot_findings(rig: Rig, device: Device, status: Status, port: PortStat
             "rate-refused",
             "rate",
             device.name,
-            f"refuses {line}",
+            f"the autopilot refuses {line}",
             "raise SCHED_LOOP_RATE, or lower the rate in the rig",
         )
     name = device.name
     if here and link.vehicle != ROVER:
-        text = f"it is {link.vehicle or 'of an unknown kind'}: only {ROVER} is driven"
-        yield Finding(FAULT, "autopilot-not-driven", "link", name, text, "log it; drive it by its own means")
+        text = f"the autopilot is {link.vehicle or 'of an unknown kind'}: seatrial drives only {ROVER}"
+        yield Finding(
+            FAULT,
+            "autopilot-not-driven",
+            "link",
+            name,
+            text,
+            "only record it, without [[thruster]], and drive it with its own tools",
+        )
     if link.other_station_frames:
         own = device.mavlink.own_system_id
-        text = f"another ground station has system id {own}, the same as this rig: its heartbeats hide the loss of ours"
-        yield Finding(FAULT, "rival-station", "link", name, text, "end it, or give one of the two another id")
+        text = f"another ground station has system id {own}, the same as seatrial (own_system_id in the rig)"
+        advice = "end that station, or give one of the two another id: the autopilot cannot notice the loss of one"
+        yield Finding(FAULT, "rival-station", "link", name, text, advice)
     if link.lost > LOST * port.frames:
-        text = f"{link.lost} frames lost on the way, {port.frames} received"
+        text = f"{link.lost} frames of the autopilot lost, {port.frames} received"
         yield Finding(
             WARNING,
             "frames-lost",
@@ -179,17 +187,17 @@ def _autopilot_findings(rig: Rig, device: Device, status: Status, port: PortStat
             "check range and data rate of the radio link, or request lower rates",
         )
     if link.alarm:
-        yield Finding(WARNING, "autopilot-alarm", "link", device.name, f"says {link.alarm}", "remove its cause")
+        yield Finding(WARNING, "autopilot-alarm", "link", device.name, f"reports {link.alarm}", "remove its cause")
     if link.armed:
         yield armed_finding(name)
     trip = f", round trip {1e3 * link.round_trip:.0f} ms" if math.isfinite(link.round_trip) else ""
     state = f"mode {link.mode}, {'armed' if link.armed else 'disarmed'}"
     if link.receiver is not None:
-        state += ", a receiver was heard" if link.receiver else ", no receiver heard"
+        state += ", a transmitter is received" if link.receiver else ", no transmitter received"
     text = f"{link.vehicle}, {state}, EKF flags {link.ekf}{' (position)' * bool(link.ekf & EKF_POSITION)}{trip}"
     if link.ekf >= 0 and (not link.ekf & EKF_POSITION or link.ekf & EKF_STANDS):
         text, advice = (
-            f"{text}: its estimator has no position",
+            f"{text}: its position estimator has no position",
             "give it open sky, and wait 40 s after power-on; a run cannot start before",
         )
         yield Finding(WARNING, "estimator-not-ready", "link", name, text, advice)
@@ -200,7 +208,9 @@ def _autopilot_findings(rig: Rig, device: Device, status: Status, port: PortStat
 def armed_finding(name: str) -> Finding:
     """Return the finding, a warning, that the autopilot ``name`` is armed, with the advice to disarm it."""
     text = "it is armed: its outputs follow any command that it receives"
-    return Finding(WARNING, ARMED, "link", name, text, "disarm it, unless a run follows")
+    return Finding(
+        WARNING, ARMED, "link", name, text, "keep clear of the propellers, and disarm it unless a run follows"
+    )
 
 
 def check_computer(rig: Rig, status: Status) -> Iterator[Finding]:
@@ -223,8 +233,8 @@ def check_computer(rig: Rig, status: Status) -> Iterator[Finding]:
             "disk-full",
             "disk",
             str(place),
-            f"{text}; [log] asks for {need / 1e6:g} MB",
-            "free space, or log to another disk",
+            f"{text}; free_mb in [log] requires {need / 1e6:g} MB",
+            "free disk space, or log to another disk",
         )
     elif free < need + HOURS * 3600.0 * rate:
         yield Finding(
@@ -233,7 +243,7 @@ def check_computer(rig: Rig, status: Status) -> Iterator[Finding]:
             "disk",
             str(place),
             f"{text}: room for less than {HOURS:g} h",
-            "free space, or log to another disk",
+            "free disk space, or log to another disk",
         )
     else:
         yield Finding(OK, "disk-as-expected", "disk", str(place), text)
@@ -274,11 +284,16 @@ def check_limits(rig: Rig, guard: SafetyGuard, status: Status) -> Iterator[Findi
         yield Finding(FAULT, "limit-without-source", "limits", rig.name, text, remedy)
     for key in rig.limits.unwatched:
         if key == TELEMETRY:
-            text = "the telemetry of the speed controllers is not compared with their commands, as [limits] says"
-            advice = "remove the word once the telemetry follows the commands: a stuck controller is not noticed"
+            text = "the telemetry of the speed controllers is not compared with their commands, because `unwatched` in "
+            text += '[limits] names "telemetry"'
+            advice = (
+                "take it out of `unwatched` once the telemetry follows the commands: a stuck controller is not noticed"
+            )
         else:
-            text = f"limits.{key} = {getattr(rig.limits, key):g} is not watched, as [limits] says"
-            advice = "add a device that reports the quantity"
+            text = (
+                f"limits.{key} = {getattr(rig.limits, key):g} is not watched, because `unwatched` in [limits] names it"
+            )
+            advice = "add a device that reports the quantity, and take the name out of `unwatched`"
         yield Finding(WARNING, "limit-unwatched", "limits", rig.name, text, advice)
     missing = [key for key in _wanted_limits(rig) if getattr(rig.limits, key) is None]
     if missing:

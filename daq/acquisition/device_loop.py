@@ -259,7 +259,8 @@ class DeviceLoop(threading.Thread):
         paused, self._checked = now - self._checked - waited, now
         if paused > STUCK_S and not setpoints.is_settled(now):
             setpoints.zero(now)
-            self._on_lost(f"the acquisition process stood still for {paused:.1f} s")
+            text = f"the acquisition process stood still for {paused:.1f} s: the computer is too busy"
+            self._on_lost(f"{text}; end other programs, and run again")
 
     def _check_suspend(self, setpoints: Setpoints) -> None:
         """Command zero to the thrusters of `setpoints` if the computer was suspended since the last check.
@@ -269,7 +270,8 @@ class DeviceLoop(threading.Thread):
         """
         if (slept := self._suspended.slept()) and setpoints.held:
             setpoints.zero(time.monotonic())
-            self._on_lost(f"the computer was suspended for {slept:.1f} s")
+            text = f"the computer was suspended for {slept:.1f} s"
+            self._on_lost(f"{text}; switch its suspend off (lid, battery, power settings), and run again")
 
     def _poll_driver(self, driver: DeviceDriver) -> None:
         """Send the requests and heartbeats of the driver that are due, and put them and its events into the log queue.
@@ -511,7 +513,7 @@ class DeviceLoop(threading.Thread):
         if self._driver is not None and (message := self._driver.message()):
             return message
         if self._mute_bytes >= MUTE_BYTES:
-            return f"no valid frame in {MUTE_BYTES} bytes: wrong baud rate or protocol?"
+            return f"no valid frame in {MUTE_BYTES} bytes: check baud and protocol of this device in the rig"
         return self._sensor_health.message() or self._decoder.remark
 
 

@@ -20,7 +20,7 @@ QUEUE_ITEMS = 20_000  # reads and writes in the queue, at most
 WRITE_S = 0.01  # wall s between writes to the log
 HEALTH_S = 1.0  # wall s between writes of the counters
 STREAM_SAMPLES = 5_000  # samples that wait for the parent, at most
-DELETED = "the log was deleted during the recording: further data are lost"
+DELETED = "the log was deleted during the recording: further data are lost; start a new recording"
 
 
 class LogItem(NamedTuple):
@@ -201,7 +201,7 @@ class LogThread(threading.Thread):
         except SeatrialError as error:
             self.failure = str(error)
         except Exception as error:  # a programming error must be reported too, so that thrust ends
-            self.failure = f"the log could not be written ({type(error).__name__}: {error})"
+            self.failure = f"the log could not be written ({type(error).__name__}: {error}); check the disk"
         try:
             self._recorder.close()
         except SeatrialError as error:

@@ -363,8 +363,9 @@ class Process:
 
         Nothing is printed if the terminal is closed or does not accept the text at once.
         """
-        thrust = "zero was sent, not confirmed; " if self._setpoints and self._role is LinkRole.DRIVE else ""
-        text = f"seatrial: {self._end_reason}: {thrust}the log is {printable(str(self._path))}\n"
+        unconfirmed = "zero thrust was sent, not confirmed: make sure that the propellers stand still; "
+        thrust = unconfirmed if self._setpoints and self._role is LinkRole.DRIVE else ""
+        text = f"seatrial: {self._end_reason}; {thrust}the log is {printable(str(self._path))}\n"
         # A terminal or pipe that nobody reads must not block this process. One line always fits into a writable pipe.
         with contextlib.suppress(OSError, ValueError):
             if select.select([], [self._terminal], [], 0.0)[1]:
@@ -416,7 +417,10 @@ def _connect_watchdog(rig: Rig, path: Path) -> Heartbeat:
         return Heartbeat(socket.socket(fileno=int(sys.argv[2])), rig, path)
     except (OSError, EOFError) as error:
         why = str(error) or "it ended"
-        raise SeatrialError(f"the watchdog did not start ({why}); no thrust is commanded without it") from error
+        raise SeatrialError(
+            f"the watchdog process did not start ({why}), and no thrust is commanded without it; remove this cause, or "
+            "check the limits on memory and processes"
+        ) from error
 
 
 def main() -> None:

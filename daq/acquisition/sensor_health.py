@@ -144,17 +144,20 @@ class SensorHealth:
         if self._counters:
             (_, frames_0, errors_0), (_, frames, errors) = self._counters[0], self._counters[-1]
             if errors - errors_0 >= max(FLOOD_ERRORS, FLOOD_SHARE * (frames - frames_0)):
-                return "more than 1 frame in 20 has a wrong checksum: look at wiring, ground and baud rate"
+                return "more than 1 frame in 20 has a wrong checksum: check wiring, ground and baud rate"
         if self._cell and self._cell[-1][1] & SATURATED:
-            return "saturated: the load is beyond the range of the converter"
+            return "saturated: the load is beyond the range of the converter; lower the load or the gain"
         if self._spikes > max(FLAGGED_SHARE * len(self._cell), 1):
-            return "spikes: more than 1 reading in 100; look at the wires between converter and controller"
+            return "spikes in more than 1 of 100 samples: check the wires between load cell and converter"
         if kinds := self.stuck:
-            return f"stuck: {'its time does not change' if kinds[0] is Gnss else 'the same values all the time'}"
+            what = "its time does not change" if kinds[0] is Gnss else "the same values all the time"
+            return f"stuck: {what}; switch its power off and on"
         if self._now - self._jumped < JUMP_S:
-            return f"its clock has jumped (the {self._jumps}. time): it was set, or the device restarted"
+            text = f"its clock has jumped (jump {self._jumps}): it was set, or the device restarted"
+            return f"{text}; check its power supply"
         if abs(self._era) > 0.9 * ERA:
-            return "its date is 20 years off: a receiver whose GPS week has rolled over, or this computer's clock"
+            text = "its date is 20 years off: an old receiver (GPS week rollover), or a wrong clock of this computer"
+            return f"{text}; update the receiver's firmware, or set the clock"
         return ""
 
     def _count_repeats(self, kind: type, values: tuple[float, ...], t: float) -> None:

@@ -218,7 +218,10 @@ class Acquisition:
             for name, n in row.items():
                 self.rig.thruster(name)
                 if not (math.isfinite(t) and abs(n) <= limit):
-                    raise SeatrialError(f"set-point {n} for {name} at {t}: only -{limit:g} to {limit:g} is allowed")
+                    raise SeatrialError(
+                        f"set-point n = {n} for thruster {name} at {t} s: limits.n_max of the rig allows only "
+                        f"-{limit:g} to {limit:g}; correct the set-point or the limit"
+                    )
         self._send_message(ScheduleSetpoints([(t, dict(row)) for t, row in rows]))
 
     def zero(self, reason: str) -> None:
@@ -289,7 +292,7 @@ class Acquisition:
         with self._changed:
             self._raise_failure()
             if self._gone and not self._stopped:
-                raise SeatrialError(f"the acquisition process ended: {self._ended}; the log is {self.path}")
+                raise SeatrialError(f"the acquisition process has ended: {self._ended}; the log is {self.path}")
             assert self._status is not None, "status is for inside the with block"
             return self._status
 
@@ -339,7 +342,7 @@ class Acquisition:
                 self._changed.wait_for(lambda: self._gone, timeout=1.0)
                 self._raise_failure()
                 why = f": {self._ended}" if self._ended else ""
-            raise SeatrialError(f"the acquisition process ended{why}; the log is {self.path}") from None
+            raise SeatrialError(f"the acquisition process has ended{why}; the log is {self.path}; run again") from None
 
     def _send_heartbeats(self) -> None:
         """Send a heartbeat to the acquisition process every 50 ms until the acquisition ends (code of a thread).
@@ -398,7 +401,8 @@ class Acquisition:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 self._watchdog.wait(timeout=WATCHDOG_S)
             details += f"; {note}" if (note := read_note(self.path)) else ""
-        return f"the acquisition process ended by itself (status {code}{details}); the log so far is {self.path}"
+        text = f"the acquisition process ended by itself (status {code}{details})"
+        return f"{text}; the log so far is {self.path}; run again, and report it if it happens again"
 
     def _raise_failure(self) -> None:
         """Raise SeatrialError if the acquisition process has reported an error or has crashed."""
@@ -414,7 +418,8 @@ class Acquisition:
         with self._changed:
             if not self._changed.wait_for(lambda: condition() or self._failure, timeout=seconds):
                 raise SeatrialError(
-                    f"the acquisition process {failure} in {seconds:g} s; the log so far is {self.path}"
+                    f"the acquisition process {failure} in {seconds:g} s; the log so far is {self.path}; end other "
+                    "programs, because the computer is too busy"
                 )
             self._raise_failure()
 

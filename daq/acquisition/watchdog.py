@@ -128,7 +128,9 @@ class Heartbeat:
         self._unanswered_since = now if paused else min(self._unanswered_since, now)
         self._looked = now
         if now - self._unanswered_since > ANSWER_S:
-            self.trouble = f"the watchdog has not answered for {ANSWER_S:g} s"
+            self.trouble = (
+                f"the watchdog has not answered for {ANSWER_S:g} s: the computer is too busy; end other programs"
+            )
 
     def end(self) -> None:
         """Report to the watchdog that the acquisition process ends, so that it must not be monitored any more.
@@ -148,7 +150,9 @@ class Heartbeat:
         except BlockingIOError:
             return  # the watchdog has not read for a long time; `_hear` then sets `trouble`
         except OSError:
-            self.trouble = "the watchdog is gone"
+            self.trouble = (
+                "the watchdog is gone (seatrial's second process, which ends thrust if the first fails); run again"
+            )
 
 
 class HeartbeatMonitor:
@@ -215,8 +219,8 @@ class FailsafeSender(threading.Thread):
     Attributes
     ----------
     outcome : str
-        Result in words: "not tried", "zero was sent" with the device's confirmation (`DeviceDriver.confirmation`), or
-        the last error of the port.
+        Result in words: "not tried", "zero thrust was sent" with the device's confirmation
+        (`DeviceDriver.confirmation`), or the last error of the port.
     """
 
     def __init__(self, device: Device, rig: Rig) -> None:
@@ -268,7 +272,7 @@ class FailsafeSender(threading.Thread):
             try:
                 self._port.take_over()
                 self._send_zero()
-                self.outcome = "zero was sent" + ("" if self._driver is None else self._driver.confirmation)
+                self.outcome = "zero thrust was sent" + ("" if self._driver is None else self._driver.confirmation)
             except PortError as error:
                 self.outcome = str(error)
                 if time.monotonic() < deadline:

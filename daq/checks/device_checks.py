@@ -62,12 +62,22 @@ def check_devices(log: Log) -> Iterator[Finding]:
     rig = log.rig
     for text in log.warnings:
         yield Finding(
-            WARNING, "log-damaged", "log", log.path.name, text, "`seatrial recover` makes a complete log of it"
+            WARNING,
+            "log-damaged",
+            "log",
+            log.path.name,
+            text,
+            "`seatrial recover` writes a complete log from what is readable",
         )
     for text in (text for _, kind, text in log.events() if kind == "clock"):
         source, _, text = text.partition(": ")
         yield Finding(
-            FAULT, "clock-ran-back", "clock", source, text, "import the parts before and after the step separately"
+            FAULT,
+            "clock-ran-back",
+            "clock",
+            source,
+            text,
+            "its clock was set back: import the data before and after this step separately",
         )
     for topic, (n, longest) in log.clock_steps.items():
         text = f"its times ran back {counted(n, 'time')}, by up to {longest:.1f} s"
@@ -77,7 +87,7 @@ def check_devices(log: Log) -> Iterator[Finding]:
             "clock",
             topic,
             text,
-            "the times come from two clocks, or from one that was set: import each part by itself",
+            "the times come from two clocks, or from one that was set: import the data of each clock separately",
         )
     for source, tables in _tables_by_device(log).items():
         tables = [row for row in tables if len(row[2])]  # a part of a log may contain no sample of a kind
@@ -161,13 +171,18 @@ def _check_rate(source: str, device: Device | None, log: Log, tables: Tables, ga
     ours = device is not None and (device.protocol != "mavlink" or log.metadata.get("import") != "mavlink")
     t = _rated_times(device if ours else None, tables)
     if device is not None and device.protocol == "mavlink" and ours and t.size < 3:
-        text = f"{counted(t.size, 'attitude') if t.size else 'no attitudes'}, expected {device.rate_hz:g}"
+        text = f"{counted(t.size, 'attitude') if t.size else 'no attitudes'}, expected {device.rate_hz:g} per second"
         yield Finding(FAULT, "rate-off", "rate", source, text, WRONG_RATE)
         return
     if t.size < 3 or t[-1] == t[0]:
         if tables:
             yield Finding(
-                FAULT, "too-few-samples", "rate", source, f"{t.size} samples in all", "check power, cable and protocol"
+                FAULT,
+                "too-few-samples",
+                "rate",
+                source,
+                f"only {t.size} samples in the log",
+                "check power, cable and protocol",
             )
         return
     if device is not None and device.protocol == "mavlink" and ours:
@@ -225,14 +240,14 @@ def _check_stuck(kind: type, name: str, table: Any) -> Iterator[Finding]:
     found = [run for f in forms for run in _constant_intervals(kind, table if forms.size == 1 else table[form == f])]
     if found:
         since, until = max(found, key=lambda run: run[1] - run[0])
-        text = f"the same reading for {until - since:.1f} s, from {since - start:.1f} s on"
+        text = f"the same values for {until - since:.1f} s, from {since - start:.1f} s on"
         yield Finding(
             FAULT,
             "sensor-stuck",
             "stuck",
             name,
             text,
-            "the sensor hangs: switch it off and on, and check its firmware and the settings of its filter",
+            "the sensor is stuck: switch it off and on, and check its firmware and the settings of its filter",
         )
 
 
@@ -315,7 +330,7 @@ def _check_ahrs(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
     finite = still if np.count_nonzero(still) > FEW_STILL * np.count_nonzero(finite) else finite
     g = float(np.median(force[finite])) if finite.any() else GRAVITY
     if abs(g / GRAVITY - 1.0) > GRAVITY_PART:
-        cause = ": in g?" if abs(g - 1.0) < 0.2 else ": without gravity?" if g < 1.0 else ""
+        cause = ": is it in g?" if abs(g - 1.0) < 0.2 else ": is it without gravity?" if g < 1.0 else ""
         yield Finding(
             WARNING,
             "specific-force-not-gravity",
@@ -380,7 +395,7 @@ def _check_gnss(name: str, table: Any, rig: Rig | None) -> Iterator[Finding]:
             "fix",
             name,
             text,
-            "the receiver reports a fix that it does not have; its positions at 0 N 0 E are not used",
+            "the receiver reports a fix that it does not have: check its antenna and firmware; a fit ignores them",
         )
     fixes = (table["fix"] >= 2) & ~at_zero
     if np.mean(~fixes) > NO_FIX:
@@ -438,7 +453,7 @@ def _check_load_cell(name: str, table: Any, rig: Rig | None) -> Iterator[Finding
     """
     bad = float(np.mean(table["flags"] != 0))
     if bad > FLAGGED_SHARE:
-        text = f"{100 * bad:.0f} % of the readings are saturated or spikes"
+        text = f"{100 * bad:.0f} % of the samples are saturated or spikes"
         yield Finding(
             WARNING,
             "load-cell-saturated",
@@ -497,7 +512,7 @@ def _check_port_counters(source: str, log: Log) -> Iterator[Finding]:
             "check ground and cable, and that only one program uses the port",
         )
     if last.unparsed_bytes > 0.01 * last.bytes_in + 200:
-        text = f"{last.unparsed_bytes} of {last.bytes_in} bytes not understood"
+        text = f"{last.unparsed_bytes} of {last.bytes_in} received bytes not understood"
         yield Finding(
             WARNING,
             "bytes-not-understood",
@@ -507,7 +522,7 @@ def _check_port_counters(source: str, log: Log) -> Iterator[Finding]:
             "check the baud rate, and which messages the device sends",
         )
     if last.dropped:
-        text = f"{counted(last.dropped, 'sample')} dropped"
+        text = f"{counted(last.dropped, 'sample')} dropped, because the disk was too slow"
         yield Finding(WARNING, "samples-dropped", "link", source, text, "use a faster disk")
     if last.reconnects:
         text = f"its port was lost {counted(last.reconnects, 'time')}"
@@ -540,7 +555,7 @@ def _check_shaft_speeds(log: Log) -> Iterator[Finding]:
                 during = n_cmd[np.searchsorted(t_cmd, t[a], "right") : np.searchsorted(t_cmd, t[b] - 1.0)]
                 if during.size > 1 and np.ptp(during) > LARGE_COMMAND_CHANGE:
                     text = f"{rpm[a]:.0f} rev/min for {t[b] - t[a]:.1f} s while its command changed"
-                    level, code, advice = FAULT, "shaft-speed-stuck", "check its speed sensor and the bus"
+                    level, code, advice = FAULT, "shaft-speed-stuck", "check its speed sensor and the CAN bus"
                     if _is_limit(rpm[a], rpm[first[held]], rpm, during):
                         text += f" from {during.min():.2g} to {during.max():.2g}: its telemetry reports no larger speed"
                         level, code = WARNING, "shaft-speed-saturated"
@@ -585,8 +600,9 @@ def _check_imported_signals(log: Log) -> Iterator[Finding]:
     yield from check_rows_left_out(log.metadata)
     yield from check_missing_inputs(log)
     if b"unpadded-ns" in by_map:
-        text = "the nanoseconds of time stamps had lost their leading zeros; the import's map has restored them"
-        yield Finding(WARNING, "lost-zeros-restored", "time", log.path.name, text, "repair the logger")
+        text = "the nanoseconds of time stamps had lost their leading zeros; the import map has restored them"
+        advice = "repair the logger that wrote the time stamps"
+        yield Finding(WARNING, "lost-zeros-restored", "time", log.path.name, text, advice)
     for source in log.sources(Scalar):
         table = log.table(Scalar, source)
         # An imported command holds until the next one, so that a pause between commands is not a missing section.
@@ -601,7 +617,7 @@ def _check_imported_signals(log: Log) -> Iterator[Finding]:
                 "stuck",
                 source,
                 text,
-                "check whether the sensor is connected, and the column in the import's map",
+                "check whether the sensor was connected, and its column in the import map",
             )
 
 
@@ -638,17 +654,17 @@ def check_timestamps(name: str, table: Any, end: float | None, speed: float = 1.
             "time",
             name,
             text,
-            "its clock runs back or stands still: import with rate_hz instead of the times",
+            "its clock runs back or stands still: import it with rate_hz in place of these times",
         )
     elif repeated > BUNCHED and np.count_nonzero(pauses <= 0.0) >= BUNCHES:
-        text = f"{100 * repeated:.0f} % of the samples came in bunches, their times are those of receipt"
+        text = f"{100 * repeated:.0f} % of the samples came in bunches, so that their times of receipt are inexact"
         yield Finding(
             WARNING,
             "samples-bunched",
             "time",
             name,
             text,
-            "check the load of the computer, and latency_timer of the adapter",
+            "set latency_timer of the USB adapter to 1 ms, and end other programs",
         )
         yield from _check_gaps(name, t[:-1][pauses > 0.0], pauses[pauses > 0.0], speed, imported)  # from bunch to bunch
     else:
@@ -683,7 +699,7 @@ def _check_gaps(name: str, t: FloatArray, pauses: FloatArray, speed: float, impo
     # An imported signal that is written only when it changes has many long pauses without a missing section.
     if long.size and (not imported or long.size < 0.02 * t.size + 1.0):
         k = int(long[np.argmax(pauses[long])])
-        missing = f"missing: {counted(long.size, 'section')}, {pauses[long].sum():.1f} s in all"
+        missing = f"data missing: {counted(long.size, 'section')}, {pauses[long].sum():.1f} s in all"
         text = f"{missing}, the longest at {t[k] - t[0]:.1f} s"
         yield Finding(
             WARNING,
@@ -716,7 +732,7 @@ def _check_clock(name: str, table: Any, speed: float) -> Iterator[Finding]:
             "clock",
             name,
             text,
-            "the device restarted (check its power), or its clock was set by GNSS during the run",
+            "the device restarted (check its power), or GNSS set its clock (start the log after the first fix)",
         )
         return
     offset = received - device
@@ -738,20 +754,20 @@ def _check_clock(name: str, table: Any, speed: float) -> Iterator[Finding]:
         )
         return
     if late > max(SPREAD_S, jitter):
-        text = f"one sample in twenty comes {late:.2f} s late"
+        text = f"one sample in twenty arrives {late:.2f} s late"
         yield Finding(
             WARNING,
             "samples-late",
             "clock",
             name,
             text,
-            "check latency_timer of the adapter and the load of the computer; the samples have the times of the device",
+            "set latency_timer of the USB adapter to 1 ms, and end other programs; the times are those of the device",
         )
     span = float(received[-1] - received[0])
     drift = float(np.polyfit(earliest[0] - received[0], earliest[1], 1)[0]) if earliest[0].size > 3 else 0.0
     if span > 60.0 and abs(drift) > max(DRIFT, jitter / span):
         text = f"its clock drifts by {1e6 * drift:.0f} ppm"
-        advice = f"its crystal is bad, or it is a simulator; beyond {1e6 * ClockMap.SKEW_MAX:.0f} ppm its times jump"
+        advice = f"replace it, if it is no simulator; beyond {1e6 * ClockMap.SKEW_MAX:.0f} ppm its times jump"
         yield Finding(WARNING, "clock-drifts", "clock", name, text, advice)
     elif late <= max(SPREAD_S, jitter):
         yield Finding(
@@ -796,5 +812,10 @@ def check_lost_zeros(name: str, t: FloatArray) -> Iterator[Finding]:
     if t.size >= LEAST and share[0] < 0.002 and share[1:].min() > 0.03:
         text = f"none of {t.size} time stamps is in the first tenth of its second: leading zeros were lost"
         yield Finding(
-            FAULT, "lost-zeros", "time", name, text, 'write `fraction = "unpadded-ns"` into the import\'s map'
+            FAULT,
+            "lost-zeros",
+            "time",
+            name,
+            text,
+            'write `fraction = "unpadded-ns"` into [time] of the import map, and import again',
         )

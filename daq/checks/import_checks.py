@@ -62,7 +62,7 @@ def check_missing_inputs(log: Log) -> Iterator[Finding]:
         first, longest = gaps[0][0] - log.start, max(end - begin for begin, end in gaps)
         text = f"unknown for {sum(end - begin for begin, end in gaps):.1f} s, in {counted(len(gaps), 'gap')}, from "
         text += f"{first:.1f} s on, the longest of {longest:.1f} s: a fit leaves these times out"
-        advice = 'give the signal nan = "zero" in the import\'s map, if the thruster stands still then'
+        advice = 'give the signal nan = "zero" in the import map, if the thruster stands still then'
         yield Finding(WARNING, "input-missing", "input", source, text, advice)
 
 
@@ -103,9 +103,9 @@ def too_many_rows_missing(n: int, n_rows: int) -> bool:
 
 _ADVICE = {
     "repeats": "the stamps are coarser than the rows, as whole seconds are: "
-    "write time = {{ rate_hz = {rate} }} into the map",
+    "write time = {{ rate_hz = {rate} }} into the import map",
     "pairs": "two receivers or sensors of unequal rate write into one table: import each from its own file or topic",
-    "back": "sort the rows by their time; if a clock was set, or two clocks are mixed, import each part by itself; "
-    "`fraction` of the map mends lost zeros",
-    "stamps": "check the clock of the driver; a simulation may have been set back. The log lacks these measurements",
+    "back": "sort the rows by their time; if a clock was set, or two clocks are mixed, import the data of each clock "
+    "separately; if zeros are lost in the times, write `fraction` in [time] of the import map",
+    "stamps": "the log lacks these samples: check the clock of the driver, or whether a simulation was set back",
 }

@@ -313,12 +313,14 @@ def _read_segment(table: TomlTable, n_thrusters: int) -> Segment:
     n = np.array([items.numbers(item, length=n_thrusters) for item in items.values], dtype=np.float64)
     table.done()
     if len(t) != len(n):
-        text = f"has {counted(len(n), 'row')} for {counted(len(t), 'time')} in t; give one row per time"
+        text = f"has {counted(len(n), 'list')} of commands for {counted(len(t), 'time')} in t; give one list per time"
         raise table.error("n", text)
     falling = np.flatnonzero(np.diff(t) <= 0)
     if falling.size:
         k = int(falling[0]) + 1
-        raise table.error(f"t[{k + 1}]", f"{t[k]:g} does not come after {t[k - 1]:g}; times must ascend")
+        raise table.error(
+            f"t[{k + 1}]", f"{t[k]:g} does not come after {t[k - 1]:g}; write the times in ascending order"
+        )
     return Segment(name, t, n)
 
 
@@ -349,19 +351,23 @@ def _check_order_and_size(mission: Mission, root: TomlTable) -> None:
     table of the file; error messages name the file and the key by it.
     """
     if not mission.segments:
-        raise root.error("segment", "missing; a mission needs at least one [[segment]]")
+        raise root.error("segment", "missing; a mission needs at least one [[segment]]: add one")
     last = -math.inf
     for i, segment in enumerate(mission.segments, start=1):
         if segment.t[0] < 0.0 or segment.t[0] <= last:
-            raise root.error(f"segment[{i}].t[1]", f"{segment.t[0]:g} must come after {max(last, 0.0):g} s")
+            before = "the last time of the segment before" if i > 1 else "the start of the mission"
+            text = f"{segment.t[0]:g} must come after {max(last, 0.0):g} s, {before}; give a later time"
+            raise root.error(f"segment[{i}].t[1]", text)
         last = float(segment.t[-1])
         beyond = np.argwhere(np.abs(segment.n) > mission.n_max)
         if beyond.size:
             row, column = beyond[0]
             key, value = f"segment[{i}].n[{row + 1}]", segment.n[row, column]
-            raise root.error(key, f"{value:g} is beyond the mission's n_max {mission.n_max:g}")
+            raise root.error(
+                key, f"{value:g} is beyond n_max = {mission.n_max:g} in [limits]; lower it, or raise n_max"
+            )
     if not mission.end > last:
-        raise root.error("end.t", f"{mission.end:g} must come after the last command at {last:g} s")
+        raise root.error("end.t", f"{mission.end:g} must come after the last command at {last:g} s; give a later time")
     times = np.append(np.concatenate([segment.t for segment in mission.segments]), mission.end)
     longest = 2.0 * mission.n_max / mission.slew_per_s  # s, from full reverse to full forward
     if (n_rows := float(np.minimum(np.diff(times), longest).sum()) / RAMP_DT) > MAX_RAMP_ROWS:
@@ -383,7 +389,7 @@ def save_mission(mission: Mission, path: Path) -> None:
     try:
         write_output(path, dump_mission(mission))
     except OSError as error:
-        raise SeatrialError(f"{path}: {error.strerror}; the mission was not saved") from error
+        raise SeatrialError(f"{path}: {error.strerror}; the mission was not saved: give another path") from error
 
 
 def save_new_mission(mission: Mission, path: Path) -> None:
@@ -400,7 +406,7 @@ def save_new_mission(mission: Mission, path: Path) -> None:
     except FileExistsError:
         raise SeatrialError(f"{path} exists; give another name with --out") from None
     except OSError as problem:
-        raise SeatrialError(f"{path}: {problem.strerror}; the mission was not saved") from problem
+        raise SeatrialError(f"{path}: {problem.strerror}; the mission was not saved: give another path") from problem
 
 
 def dump_mission(mission: Mission) -> str:

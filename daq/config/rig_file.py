@@ -84,7 +84,7 @@ def parse_rig(text: str, source: Path | str, *, recorded: bool = False) -> Rig:
     ros2 = _read_ros2(root.table("ros2"))
     devices = tuple(_read_device(table, folder, recorded) for table in root.tables("device"))
     if not devices:
-        raise root.error("device", "missing; a rig needs at least one [[device]]")
+        raise root.error("device", "missing; a rig needs at least one [[device]]: add one")
     _check_unique(root, "device", [device.name for device in devices])
     _check_ports_differ(root, devices)
     thrusters = tuple(_read_thruster(table, devices) for table in root.tables("thruster"))
@@ -150,10 +150,13 @@ def _read_log(root: TomlTable) -> tuple[str, Segments]:
     if segments.keep_gigabytes is not None:
         if segments.megabytes is None and segments.seconds is None:
             raise log.error(
-                "keep_gb", "needs a log in segments, of which the oldest are deleted: give segment_mb or segment_s"
+                "keep_gb",
+                "works only for a log in segments, of which it deletes the oldest: give segment_mb or segment_s",
             )
         if 1e3 * segments.keep_gigabytes < LEAST_SEGMENTS * (segments.megabytes or 0.0):
-            raise log.error("keep_gb", f"must be at least {LEAST_SEGMENTS} segments of segment_mb")
+            raise log.error(
+                "keep_gb", f"must be at least {LEAST_SEGMENTS} times segment_mb; raise keep_gb, or lower segment_mb"
+            )
     log.done()
     return directory, segments
 
@@ -271,7 +274,9 @@ def _read_device(table: TomlTable, folder: Path, recorded: bool) -> Device:
         options |= read_protocol_options(table, row.options, folder)
         table.done()
     if not recorded and "dbc" in options and not Path(options["dbc"]).is_file():
-        raise table.error("dbc", f"there is no file {options['dbc']}")
+        raise table.error(
+            "dbc", f"there is no file {options['dbc']}; correct the path, which starts at the folder of the rig file"
+        )
     return Device(name, protocol, port, baud, rate_hz=rate, lever_arm_m=lever_arm, **options)
 
 
@@ -290,7 +295,9 @@ def _read_port(table: TomlTable, protocol: str, bus: str, folder: Path) -> str:
     if protocol == "mavlink" and kind in NET_KINDS:
         return _read_network_address(table, port)
     if not port or (colon and kind in ("slcan", "socketcan")):
-        raise table.error("port", f"must be a serial device for protocol {protocol}, not '{port}'")
+        raise table.error(
+            "port", f"must be a serial device (such as /dev/ttyUSB0) for protocol {protocol}, not '{port}'"
+        )
     return str(folder / port)
 
 
@@ -402,7 +409,7 @@ def _read_calibration(table: TomlTable, folder: Path) -> dict[str, Any]:
         return {}
     gain = inner.number("newton_per_count")
     if gain == 0.0:
-        raise inner.error("newton_per_count", "must not be zero")
+        raise inner.error("newton_per_count", "must not be zero; write the force per count of the load cell, in N")
     zero, ratio = inner.number("zero_counts", 0.0), inner.number("lever_ratio", 1.0, positive=True)
     gain_sd, ratio_sd = (inner.maybe_number(f"{name}_sd", low=0.0) for name in ("newton_per_count", "lever_ratio"))
     calibration = LoadCellCalibration(gain, zero, ratio, gain_sd, ratio_sd)
@@ -508,7 +515,7 @@ def _read_message_rates(table: TomlTable) -> dict[str, float]:
     if inner is not None:
         for name in inner.values:
             if name not in RATES and name not in OTHER_RATES:
-                raise inner.error(name, f"not a supported message; known: {', '.join((*RATES, *OTHER_RATES))}")
+                raise inner.error(name, f"not a supported message; use one of {', '.join((*RATES, *OTHER_RATES))}")
             rates[name] = inner.number(name, low=0.0, high=1000.0)
         inner.done()
     return rates
@@ -532,7 +539,9 @@ def _read_thruster(table: TomlTable, devices: Sequence[Device]) -> Thruster:
     buses = {row.name: row.protocol for row in devices if row.protocol in DRIVES}
     if device not in buses:
         known = ", ".join(buses) or "none"
-        raise table.error("device", f"no {' or '.join(DRIVES)} device '{device}'; there is: {known}")
+        raise table.error(
+            "device", f"the rig has no device '{device}' of protocol {' or '.join(DRIVES)}; such devices: {known}"
+        )
     forward, starboard, down = table.numbers("position_m", length=3)
     node = table.integer("node", low=0, high=HIGHEST_NODE.get(buses[device], 255))
     autopilot = buses[device] == "mavlink"
@@ -596,7 +605,9 @@ def _read_limits(table: TomlTable | None) -> Limits:
     unwatched = table.texts("unwatched", ())
     for key in unwatched:
         if key != "telemetry" and (key in ("n_max", "link_test_n") or not table.has(key)):
-            raise table.error("unwatched", f"'{key}' is not a limit of this table; give 'telemetry' or a limit in it")
+            raise table.error(
+                "unwatched", f"'{key}' is not a limit that [limits] sets; name one of those, or 'telemetry'"
+            )
     limits = Limits(
         table.number("n_max", 1.0, low=0.0, high=1.0),
         table.maybe_number("force_n", low=0.0),

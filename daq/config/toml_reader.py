@@ -36,9 +36,11 @@ def parse_toml(text: str, source: Path | str) -> TomlTable:
     try:
         return TomlTable(tomllib.loads(text), str(source))
     except tomllib.TOMLDecodeError as error:
-        raise SeatrialError(f"{source}: not valid TOML: {error}") from error
+        raise SeatrialError(f"{source}: not valid TOML: {error}; correct the text there") from error
     except (RecursionError, ValueError) as error:  # thousands of brackets, or a number with thousands of digits
-        raise SeatrialError(f"{source}: cannot be read: nested too deeply, or a number has too many digits") from error
+        raise SeatrialError(
+            f"{source}: cannot be read: tables are nested too deeply, or a number has too many digits; correct the text"
+        ) from error
 
 
 def read_text(path: Path) -> str:
@@ -53,14 +55,16 @@ def read_text(path: Path) -> str:
         # Opening a named pipe without O_NONBLOCK would wait for its writer.
         with open(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY), encoding="utf-8") as file:
             if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-                raise SeatrialError(f"{path}: is not a file")
+                raise SeatrialError(f"{path}: is not a file; give the path of a file")
             return file.read()
     except UnicodeDecodeError as error:
         if b"\0" in error.object:
-            raise SeatrialError(f"{path}: not a text file; a TOML file is expected") from error
+            raise SeatrialError(f"{path}: not a text file; give a TOML file") from error
         raise SeatrialError(f"{path}: not UTF-8 text (byte {error.start}); save it as UTF-8") from error
     except OSError as error:
-        raise SeatrialError(f"{path}: {error.strerror or error}") from error
+        raise SeatrialError(
+            f"{path}: cannot be read: {error.strerror or error}; check its path and permissions"
+        ) from error
 
 
 class TomlTable:
@@ -106,7 +110,7 @@ class TomlTable:
         if key in self.values:
             return self.values[key]
         if default is _MISSING:
-            raise self.error(key, f"missing; this key is required{self.misspelling_hint(key)}")
+            raise self.error(key, f"missing; add this required key{self.misspelling_hint(key)}")
         return default
 
     def misspelling_hint(self, key: str) -> str:
@@ -144,7 +148,7 @@ class TomlTable:
         """
         value = self.text(key, default)
         if not value.isprintable():
-            raise self.error(key, f"has characters that are not printable: {value!r}")
+            raise self.error(key, f"has characters that are not printable: {value!r}; remove them")
         return value
 
     def flag(self, key: str, default: object = _MISSING) -> bool:
@@ -231,7 +235,7 @@ class TomlTable:
         """
         for key in self.values:
             if not key.isprintable():
-                raise self.error(repr(key), "a name with characters that are not printable")
+                raise self.error(repr(key), "this name has characters that are not printable; remove them")
         return {key: self.number(key) for key in self.values}
 
     def texts(self, key: str, default: object = _MISSING) -> tuple[str, ...]:
@@ -271,7 +275,7 @@ class TomlTable:
         for key in self.values:
             if key not in self._taken:
                 known = ", ".join(dict.fromkeys(self._taken))
-                raise self.error(key, f"unknown key; known here: {known}")
+                raise self.error(key, f"unknown key; correct or remove it; known here: {known}")
 
     def _to_finite(self, key: str, value: object) -> float:
         """Return a value as a finite number. For any other value raise SeatrialError with the name of `key`."""
@@ -282,7 +286,7 @@ class TomlTable:
         except OverflowError:
             number = math.inf
         if not math.isfinite(number):
-            raise self.error(key, "must be a finite number")
+            raise self.error(key, "must be a finite number, not nan or inf")
         return number
 
     def _check_range(self, key: str, value: float, low: float | None, high: float | None) -> None:

@@ -65,8 +65,8 @@ class ParameterMismatch(NamedTuple):
         """
         if self.value is None:
             return (
-                f"{self.name} was not answered; the link may lose messages: repeat it closer to the boat, "
-                "or with lower rates in the rig"
+                f"{self.name} was not answered by the autopilot; the link may lose messages: repeat closer to the "
+                "boat, or with lower rates in the rig"
             )
         return f"{self.name} is {self.value:g}, wanted {self.wanted}: {self.why}"
 

@@ -196,7 +196,7 @@ class DeviceDriver(ABC):
 
     @property
     def confirmation(self) -> str:
-        """Last words of the sentence "zero was sent ...": whether the device has confirmed that it stopped.
+        """Last words of the sentence "zero thrust was sent ...": whether the device has confirmed that it stopped.
 
         The text is empty if the device does not answer.
         """

@@ -552,7 +552,9 @@ class MavlinkDriver(DeviceDriver):
         """Advice about message rates if nothing is sent to the autopilot (role LISTEN); else empty."""
         if self._role is not LinkRole.LISTEN:
             return ""
-        return "nothing is sent to it, so it chooses the message rates; --request-rates requests the rates of the rig"
+        return (
+            "seatrial sends it nothing, so it chooses its message rates; --request-rates requests the rates in the rig"
+        )
 
     def shutdown_bytes(self, now: float) -> bytes:
         """Encode the command to disarm the autopilot, if this program has armed it; else return no bytes.
@@ -566,7 +568,7 @@ class MavlinkDriver(DeviceDriver):
 
     @property
     def confirmation(self) -> str:
-        """End of the sentence "zero was sent ...": whether the autopilot has confirmed that it is disarmed."""
+        """End of the sentence "zero thrust was sent ...": whether the autopilot has confirmed that it is disarmed."""
         return DISARMED if self._disarmed else ", and not answered: it may still be armed"
 
     def message(self) -> str:
@@ -577,9 +579,11 @@ class MavlinkDriver(DeviceDriver):
         """
         decoder = self._decoder
         if self._role is not LinkRole.LISTEN and decoder.signed and not self._codec.signs:
-            return "the autopilot signs its frames and will ignore ours: the rig has no key_file for it"
+            return "the autopilot signs its frames and will ignore ours: the rig has no key_file for it; add this key"
         if self._codec.signs and not decoder.accepted and decoder.unsigned >= UNSIGNED_FRAMES:
-            how = "are signed with another key than key_file" if decoder.signed else "are not signed"
+            how = "are not signed; take key_file out of the rig, or switch signing on in the autopilot"
+            if decoder.signed:
+                how = "are signed with another key than key_file in the rig; give the key of the autopilot"
             return f"{decoder.unsigned} frames of the autopilot were ignored: they {how}"
         return ""
 

@@ -60,11 +60,13 @@ def read_frames(path: Path) -> list[BusFrame]:
         with path.open("rb") as file:
             head = file.read(_HEAD_BYTES)
     except OSError as error:
-        raise SeatrialError(f"{path}: cannot be read: {error.strerror}") from error
+        raise SeatrialError(f"{path}: cannot be read: {error.strerror}; check its path and permissions") from error
     if dialect := dialect_of(head):
         return read_text_frames(path, dialect)
     if not head.startswith(BLF) and path.suffix.lower() not in ENDINGS:
-        raise SeatrialError(f"{path}: is not a CAN log; the known formats are candump, BusMaster, {', '.join(ENDINGS)}")
+        raise SeatrialError(
+            f"{path}: is not a CAN log; give one in the format of candump or BusMaster, or {', '.join(ENDINGS)}"
+        )
     return list(_library_frames(path, "BLFReader" if head.startswith(BLF) else "LogReader"))
 
 
@@ -82,7 +84,9 @@ def _library_frames(path: Path, name: str) -> Iterator[BusFrame]:
                     word = message.arbitration_id | (EXTENDED if message.is_extended_id else 0)
                     yield BusFrame(message.timestamp, str(message.channel), word, bytes(message.data))
     except Exception as error:  # a damaged file can raise any error in the readers
-        raise SeatrialError(f"{path}: cannot be read as a CAN log: {' '.join(str(error).split())}") from error
+        raise SeatrialError(
+            f"{path}: cannot be read as a CAN log: {' '.join(str(error).split())}; check that the file is complete"
+        ) from error
 
 
 def read_can(path: Path, options: SourceOptions) -> list[Table]:
@@ -207,7 +211,9 @@ def _samples_of_rig(frames: list[BusFrame], rig: Rig) -> Iterator[tuple[Device, 
     """
     devices = [device for device in rig.devices if DEVICES[device.protocol].bus == CAN]
     if not devices:
-        raise SeatrialError(f"{rig.path}: the rig has no device on a CAN bus; name the rig of this log")
+        raise SeatrialError(
+            f"{rig.path}: the rig has no device on a CAN bus; give the rig file of the boat that was recorded"
+        )
     buses = {frame.bus for frame in frames}
     decoders = {device.name: make_decoder(device, rig) for device in devices}
     for bus_frame in frames:

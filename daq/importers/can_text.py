@@ -194,15 +194,18 @@ def read_text_frames(path: Path, dialect: str) -> list[BusFrame]:
                 except ValueError:  # an invalid number, or a date that does not exist
                     strange.append(number)
     except OSError as error:
-        raise SeatrialError(f"{path}: cannot be read: {error.strerror}") from error
+        raise SeatrialError(f"{path}: cannot be read: {error.strerror}; check its path and permissions") from error
     if log.has_no_times:
         raise SeatrialError(
             f"{path}: its frames have no times; record again with times: candump -ta can0, or candump -L can0"
         )
     if len(strange) > len(frames):
-        raise SeatrialError(f"{path}: cannot be read as a CAN log: line {strange[0]} is not a frame of {dialect}")
+        raise SeatrialError(
+            f"{path}: cannot be read as a CAN log: line {strange[0]} is not a frame of {dialect}; correct or remove "
+            "such lines"
+        )
     if strange:
-        text = f"{path}: {counted(len(strange), 'line')} left out, not CAN frames; the first is line {strange[0]}"
+        text = f"{path}: {counted(len(strange), 'line')} left out, not CAN frames; check the first, line {strange[0]}"
         warnings.warn(text, SeatrialWarning, stacklevel=2)
     return _with_continuous_times(log, dialect_of_log.name, frames)
 

@@ -60,10 +60,14 @@ def read_matlab(path: Path, options: SourceOptions) -> list[Table]:
                         units.setdefault(vector.topic, {})[column_name] = vector.unit
                     if vector.is_time:
                         seconds.setdefault(vector.topic, set()).add(column_name)
-    except SeatrialError:
-        raise
+    except SeatrialError as error:
+        if str(path) in str(error) or isinstance(error.__cause__, ModuleNotFoundError):
+            raise
+        raise SeatrialError(f"{path}: {error}") from error
     except Exception as error:  # scipy and h5py raise many kinds of errors for a damaged file or another format
-        raise SeatrialError(f"{path}: cannot be read as a MATLAB file: {' '.join(str(error).split())}") from error
+        raise SeatrialError(
+            f"{path}: cannot be read as a MATLAB file: {' '.join(str(error).split())}; save it again with MATLAB"
+        ) from error
     tables = [
         Table(
             path,
@@ -78,7 +82,7 @@ def read_matlab(path: Path, options: SourceOptions) -> list[Table]:
     if not tables:
         raise SeatrialError(
             f"{path}: contains no vectors of numbers; objects (timetable, timeseries, datetime) are read only from "
-            "files of version 7.3: save('run.mat', 'TT', '-v7.3'); or save their columns as vectors, e.g. "
+            "files of version 7.3: save('run.mat', 'TT', '-v7.3'); or save their columns as vectors, for example "
             "t = seconds(TT.Time); x = TT.x; save('run.mat', 't', 'x')"
         )
     tables = _merged_by_times(path, tables)
@@ -202,7 +206,9 @@ def read_parquet(path: Path, options: SourceOptions) -> list[Table]:
             else:
                 left_out.append(f"{name} ({kind})")
     except Exception as error:  # pyarrow raises many kinds of errors for a damaged file or another format
-        raise SeatrialError(f"{path}: cannot be read as Parquet: {' '.join(str(error).split())}") from error
+        raise SeatrialError(
+            f"{path}: cannot be read as Parquet: {' '.join(str(error).split())}; write the file again"
+        ) from error
     remark = f"left out, of a type that cannot be read: {', '.join(left_out)}" if left_out else ""
     return [Table(path, "", columns, remark=remark, texts=texts, seconds=frozenset(seconds))]
 

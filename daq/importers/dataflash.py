@@ -264,7 +264,9 @@ def read_dataflash(path: Path, rig: Rig | None, device: Device | None) -> tuple[
             stopped = ""
     except Exception as error:  # a damaged file can raise any error in DFReader
         if not rows:
-            raise SeatrialError(f"{path}: is not a readable DataFlash log ({error})") from error
+            raise SeatrialError(
+                f"{path}: is not a readable DataFlash log ({error}); give the original .BIN file"
+            ) from error
     if not rows:
         raise SeatrialError(
             f"{path}: this DataFlash log contains no attitude, GPS or outputs; set LOG_BITMASK and record again"
@@ -276,7 +278,8 @@ def read_dataflash(path: Path, rig: Rig | None, device: Device | None) -> tuple[
     remarks += [f"{counted(n_wrong_times, 'message')} with an impossible time left out"] * bool(n_wrong_times)
     remarks += [stopped] * bool(stopped)
     for remark in remarks:
-        warnings.warn(f"{path}: {remark}", SeatrialWarning, stacklevel=2)
+        advice = "if these data matter, copy the file from the autopilot again, or export them to CSV"
+        warnings.warn(f"{path}: {remark}; {advice}", SeatrialWarning, stacklevel=2)
     n_unread = max(skipped, 0) + n_taken_out
     read = [counted(n_messages, "message"), f"{counted(n_unread, 'byte')} not understood", *remarks]
     return list(reader.joined(rows)), ", ".join(read), reader.parameters

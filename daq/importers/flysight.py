@@ -67,7 +67,8 @@ def read_flysight(path: Path, options: SourceOptions) -> list[Table]:
                     else:
                         n_lost[name] += 1  # cut off: the card was full or the battery empty
     except (OSError, csv.Error) as error:
-        raise SeatrialError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
+        why = getattr(error, "strerror", None) or error
+        raise SeatrialError(f"{path}: cannot be read: {why}; check its path and permissions") from error
     sensors = [
         _sensor_rows(
             path,
@@ -81,7 +82,7 @@ def read_flysight(path: Path, options: SourceOptions) -> list[Table]:
         if _TIME in columns[name]
     ]
     if not sensors:
-        raise SeatrialError(f"{path}: no rows below the header, so there are no data")
+        raise SeatrialError(f"{path}: no lines with data below the header; give a complete file")
     _move_to_utc(sensors)
     return [sensor.table for sensor in sensors if sensor.table.topic != _CLOCK] or [sensor.table for sensor in sensors]
 

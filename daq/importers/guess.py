@@ -119,7 +119,7 @@ def guess_map(path: Path, dbc: Path | None = None, folder: Path | None = None) -
                 f"{path}: the comma is both the delimiter and the decimal mark; save it again with ; as delimiter"
             )
         if style is None:
-            raise SeatrialError(f"{path}: no table of numbers found in this text; write the map by hand")
+            raise SeatrialError(f"{path}: no table of numbers found in this text; write the import map by hand")
         options = SourceOptions(replace(style, nan="drop", time_order="drop"))  # as in the guessed map
     tables = [table for table in kind.read(path, options) if table.names]
     head = [
@@ -735,26 +735,26 @@ def _missing_for_fit(taken: Sequence[MapSignal], tables: Sequence[Table]) -> str
     """
     if any(table.vehicle not in (None, *BOATS) for table in tables):
         vehicle = next(table.vehicle for table in tables if table.vehicle not in (None, *BOATS))
-        return f"the vehicle of this log is not a boat (MAV_TYPE {vehicle}), so its outputs are not thrusters of a boat"
+        text = f"the vehicle of this log is not a boat (MAV_TYPE {vehicle}), so its outputs are not thrusters of a boat"
+        return f"{text}; if they are, name them by hand in the import map"
     names = {signal.name for signal in taken}
     if {"force", COMMAND} <= names:  # a thruster on the bench
         return ""
     if not names & set(MOTION):
-        return "no position, velocity, heading or yaw rate was recognised"
+        return "no position, velocity, heading or yaw rate was recognised; name one by hand in the import map"
     if not ({"n_left", "n_right"} <= names or {"f_left", "f_right"} <= names or names & {"n", "X", "N"}):
         functions = _servo_functions(tables)
         if functions and not {LEFT_THROTTLE, RIGHT_THROTTLE} <= set(functions.values()):
             listed = (
                 f"SERVO{n}_FUNCTION {f:g}{f' ({FUNCTIONS[f]})' if f in FUNCTIONS else ''}" for n, f in functions.items()
             )
-            return f"its outputs are not a left and a right throttle: {', '.join(listed)}"
-        half = names & {"n_left", "n_right", "f_left", "f_right"}
-        return (
-            f"only {', '.join(sorted(half))} of the thrusters was recognised; name the other side by hand"
-            if half
-            else "no commands, shaft speeds or forces of thrusters were recognised; a model needs an input"
-        )
+            text = f"its outputs are not a left and a right throttle: {', '.join(listed)}"
+            return f"{text}; name the inputs by hand in the import map"
+        if half := names & {"n_left", "n_right", "f_left", "f_right"}:
+            return f"only {', '.join(sorted(half))} of the thrusters was recognised; name the other side by hand"
+        text = "no commands, shaft speeds or forces of thrusters were recognised, and a model needs an input"
+        return f"{text}; name them by hand in the import map"
     spans = [t.t[-1] - t.t[0] for t in tables if t.t is not None and len(t.t) > 1]
     if spans and max(spans) < 1.0:
-        return f"the recording is only {max(spans):.2g} s long"
+        return f"the recording is only {max(spans):.2g} s long; record a longer run"
     return ""

@@ -80,7 +80,7 @@ def import_files(
             (source_file.path, row) for source_file in data for row in source_file.signals.left_out if _is_too_many(row)
         ]
     if spoiled:
-        advice = "sort the rows; if a clock was set, import the parts before and after it separately"
+        advice = "sort the rows by time; if a clock was set, import the data before and after it separately"
         if spoiled[0][1].why == "repeats":
             advice = f"its stamps are too coarse: {coarse_advice(spoiled[0][1].rate)}"
         elif spoiled[0][1].why == "pairs":
@@ -113,14 +113,16 @@ def _files_of_logs(import_map: ImportMap, files: Sequence[Path]) -> list[tuple[s
         if len(matching) != 1:
             found = ", ".join(path.name for path in matching) or "none"
             raise SeatrialError(
-                f"{import_map.path}: [[file]] match = '{source.match}' must match exactly one file; it matches: {found}"
+                f"{import_map.path}: [[file]] match = '{source.match}' must match exactly one of the given files; "
+                f"correct it, as it matches: {found}"
             )
         group.append((matching[0], source))
     used = [path for path, _ in group]
     for path in files:
         if used.count(path) != 1:
             raise SeatrialError(
-                f"{import_map.path}: {path.name} must match exactly one [[file]]; it matches {used.count(path)}"
+                f"{import_map.path}: {path.name} must match exactly one [[file]], and it matches {used.count(path)}; "
+                "correct match in [[file]]"
             )
     return [(import_map.path.stem, group)]
 

@@ -296,9 +296,11 @@ def _boat_numbers(table: TomlTable | None, names: Sequence[str]) -> dict[str, fl
     for name in ("y_left", "y_right"):
         if abs(found.get(name, 0.0)) > found.get("length", math.inf):
             where = f"{abs(found[name]):g} m from the middle of a hull of {found['length']:g} m"
-            raise table.error(name, f"{where}; positions are in metres, to starboard")
+            raise table.error(name, f"{where}; write positions in metres, positive to starboard")
     if found.get("y_left", -1.0) >= found.get("y_right", 1.0):
-        raise table.error("y_left", "must be less than y_right: positions are counted to starboard")
+        raise table.error(
+            "y_left", "must be less than y_right, because positions are positive to starboard; correct one of them"
+        )
     table.done()
     return found
 
@@ -315,7 +317,7 @@ def _source_of_table(table: TomlTable, match: str, near: Path) -> Source:
     frame = table.text("frame", "NED", choices=tuple(FRAMES))
     signals = tuple(_signal_of_table(signal, frame) for signal in table.tables("signal"))
     if not signals:
-        raise table.error("signal", "missing; a map needs at least one signal")
+        raise table.error("signal", "missing; add at least one signal to this import map")
     topics = frozenset(signal.topic for signal in signals) - {""}
     if table.where:  # the root has more keys and is done later
         table.done()
@@ -356,7 +358,7 @@ def _text_style(table: TomlTable | None) -> TextStyle:
     if decimal == delimiter and not (
         table.has("delimiter") and decimal == ","
     ):  # a comma may be both if the cells are in quotes
-        raise table.error("decimal", "is also the delimiter")
+        raise table.error("decimal", "is also the delimiter; change one of the two")
     encoding = table.text("encoding", "utf-8-sig")
     try:
         "a".encode(encoding)  # also fails for codecs that do not encode text (rot13, hex)
@@ -383,7 +385,7 @@ def _time_column(table: TomlTable) -> TimeColumn:
     Raise SeatrialError if it has neither or both of them, or if its keys do not fit together.
     """
     if table.has("column") == table.has("rate_hz"):
-        raise table.error("column", f"give either column or rate_hz{table.misspelling_hint('column')}")
+        raise table.error("column", f"give one of column and rate_hz{table.misspelling_hint('column')}")
     origin = _time_origin(table)
     if table.has("rate_hz"):
         found = TimeColumn(rate_hz=table.number("rate_hz", positive=True), origin=origin)
@@ -391,12 +393,12 @@ def _time_column(table: TomlTable) -> TimeColumn:
         pattern = _time_format(table, "format", "s")
         fraction = table.text("fraction", "", choices=("", "decimal", "unpadded-ns"))
         if fraction and pattern in FORMATS_OF_TIME and pattern not in ("s", "iso"):
-            raise table.error("fraction", f"needs format s, iso or a pattern, not {pattern}")
+            raise table.error("fraction", f"works only with format s, iso or a pattern with %, not {pattern}")
         date = table.text("date", "")
         if date and pattern in FORMATS_OF_TIME and pattern not in ("iso", *GPS_UNITS):
-            raise table.error("date", f"needs format iso, gps, gps_ms or a pattern, not {pattern}")
+            raise table.error("date", f"works only with format iso, gps, gps_ms or a pattern with %, not {pattern}")
         if not date and pattern in GPS_UNITS:
-            raise table.error("format", f"{pattern} needs date: the column of the GPS week")
+            raise table.error("format", f"{pattern} needs `date`, the name of the column of the GPS week; add it")
         found = TimeColumn(table.text("column"), pattern, date, fraction, origin=origin)
     table.done()
     return found
@@ -433,7 +435,9 @@ def _time_origin(table: TomlTable) -> float:
     try:
         moment = datetime.fromisoformat(text)
     except ValueError as error:
-        raise table.error("origin", f"not an ISO date and time: '{text}'") from error
+        raise table.error(
+            "origin", f"must be an ISO date and time, such as 2025-05-01T12:00:00, not '{text}'"
+        ) from error
     return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
 
 
@@ -457,17 +461,19 @@ def _signal_of_table(table: TomlTable, frame: str) -> Signal:
         raise table.error("sign", f"must be 1 or -1, not {sign}")
     angle = table.text("angle", "keep", choices=("keep", "wrap", "unwrap"))
     if angle != "keep" and UNITS[unit][0] != "rad":
-        raise table.error("angle", f"needs a unit of angle (deg, rad), not {unit}")
+        raise table.error("angle", f"works only with a unit of angle (deg, rad), not {unit}")
     hold = table.text("hold", "zero" if role == "input" else "linear", choices=("zero", "linear", "sampled"))
     timeout = table.number("timeout", positive=True) if table.has("timeout") else 0.0
     if timeout and hold != "zero":
-        raise table.error("timeout", "needs hold = 'zero': only a held value can time out")
+        raise table.error(
+            "timeout", "needs hold = 'zero', because only a held value can time out; add it, or leave timeout out"
+        )
     time, time_format = table.text("time", ""), _time_format(table, "time_format", "")
     if time_format and not time:
-        raise table.error("time_format", "needs time: the column that has this format")
+        raise table.error("time_format", "needs `time`, the name of the column that has this format; add it")
     missing = table.maybe_number("missing")
     if missing is None and table.has("missing_is"):
-        raise table.error("missing_is", "needs missing: the number that it replaces")
+        raise table.error("missing_is", "needs `missing`, the number that it replaces; add it")
     found = Signal(
         name,
         columns,
@@ -505,7 +511,7 @@ def _signal_units(table: TomlTable, make: str, columns: Sequence[str], key: str)
     if not make:
         unit = table.text("unit")
         if unit not in UNITS:
-            raise table.error("unit", f"'{unit}' is not a known unit (use scale); {known}")
+            raise table.error("unit", f"'{unit}' is not a known unit; use one of these, and `scale`; {known}")
         return unit, ()
     unit, usual = MAKES[make]
     if len(columns) != len(usual):
@@ -528,6 +534,6 @@ def _piece_of_table(table: TomlTable) -> Piece:
         raise table.error("name", f"'{name}' becomes part of a file name; use letters, digits, _, - or .")
     found = Piece(name, table.number("t_from", -1e18), table.number("t_to", 1e18))
     if found.t_to <= found.t_from:
-        raise table.error("t_to", "must be after t_from")
+        raise table.error("t_to", "must be later than t_from")
     table.done()
     return found

@@ -50,7 +50,7 @@ def read_lvm(path: Path, options: SourceOptions) -> list[Table]:
     try:
         lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
     except OSError as error:
-        raise SeatrialError(f"{path}: cannot be read: {error.strerror}") from error
+        raise SeatrialError(f"{path}: cannot be read: {error.strerror}; check its path and permissions") from error
     end = next((k for k, line in enumerate(lines) if line.startswith(_END)), None)
     if end is None:
         raise SeatrialError(f"{path}: the header of this LabVIEW file has no end ({_END}); copy the file again")
@@ -165,7 +165,9 @@ class _SegmentRows:
             units = [cell.strip() for cell in self._segment.get("Y_Unit_Label", ())]
             self._units = {name: unit for name, unit in zip(self._names, units, strict=False) if unit}
         elif [names[k] for k in columns] != self._names:
-            raise SeatrialError(f"{self._path}: its segments have different channels; export each to its own file")
+            raise SeatrialError(
+                f"{self._path}: its segments have different channels; export each segment to its own file"
+            )
         width = max(self._places, default=0) + 1
         whole = [row for row in rows[1:] if len(row) >= width]
         self._n_short += len(rows) - 1 - len(whole)
@@ -196,7 +198,9 @@ class _SegmentRows:
         dx = self._cell_number(_first_filled_cell(self._segment, "Delta_X", "nan"))
         if place is None:
             if not dx > 0.0:
-                raise SeatrialError(f"{self._path}: it has neither times (X_Value) nor a Delta_X; export it with one")
+                raise SeatrialError(
+                    f"{self._path}: the file has neither times (X_Value) nor Delta_X; export it with one of them"
+                )
             x = x0 + dx * np.arange(len(rows))
         else:
             x = np.array([self._cell_number(row[place]) for row in rows])
@@ -214,7 +218,7 @@ class _SegmentRows:
         A remark counts the rows that were left out. Raise SeatrialError if there are no rows.
         """
         if not self._t or not sum(map(len, self._t)):
-            raise SeatrialError(f"{self._path}: no rows below the header, so there are no data")
+            raise SeatrialError(f"{self._path}: no lines with data below the header; give a complete file")
         t, values = np.concatenate(self._t), np.concatenate(self._values)
         known = np.isfinite(t)
         n_lost = self._n_short + int(np.sum(~known))

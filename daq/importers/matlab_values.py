@@ -96,7 +96,7 @@ def vectors(name: str, value: Any, left_out: list[str], topic: str = "", depth: 
     """
     place = f"{topic}.{name}" if topic else name
     if depth > DEEPEST:
-        raise SeatrialError(f"{place[:60]}: structs are nested more than {DEEPEST} deep; save the needed vectors alone")
+        raise SeatrialError(f"{place[:60]}: structs are nested more than {DEEPEST} deep; save only the needed vectors")
     if isinstance(value, MatlabObject):
         yield from _object_vectors(name, value, left_out, topic, depth)
     elif isinstance(value, Mapping):
@@ -357,7 +357,7 @@ class Hdf5Variables:
         """
         if depth > DEEPEST:
             raise SeatrialError(
-                f"structs, cells or objects are nested more than {DEEPEST} deep; save the needed vectors alone"
+                f"structs, cells or objects are nested more than {DEEPEST} deep; save only the needed vectors"
             )
         if hasattr(node, "items"):
             return self._struct_value(node, depth)

@@ -107,7 +107,7 @@ def read_autopilot(path: Path, rig: Rig | None, system: int | None) -> tuple[lis
     try:
         data = path.read_bytes()
     except OSError as error:
-        raise SeatrialError(f"{path}: cannot be read: {error.strerror}") from error
+        raise SeatrialError(f"{path}: cannot be read: {error.strerror}; check its path and permissions") from error
     if data.startswith(DATAFLASH):
         return read_dataflash(path, rig, _mavlink_device(rig))
     return read_tlog(path, data, rig, _mavlink_device(rig), system)
@@ -131,7 +131,8 @@ def _mavlink_device(rig: Rig | None) -> Device | None:
     found = [device for device in rig.devices if device.protocol == "mavlink"]
     if len(found) != 1:
         raise SeatrialError(
-            f"{rig.path}: this import needs exactly one device of protocol mavlink in the rig, which has {len(found)}"
+            f"{rig.path}: this import needs a rig with exactly one device of protocol mavlink, and this rig has "
+            f"{len(found)}; give another rig"
         )
     return found[0]
 
@@ -173,8 +174,8 @@ def read_tlog(
         if others:
             names = " and ".join(str(number) for number in others)
             text = (
-                f"{path}: system {system} is imported; the log also contains system {names}: choose one by --system, "
-                "or `system` of the map"
+                f"{path}: system {system} is imported; the log also contains system {names}: choose one with "
+                "--system, or with `system` in the import map"
             )
             warnings.warn(text, SeatrialWarning, stacklevel=2)
     samples = make_sample_converter(device, rig) if device is not None and rig is not None else SampleConverter()
@@ -258,7 +259,11 @@ def _other_systems_text(decoder: MavlinkDecoder) -> str:
     It advises to choose one of them, or states that there is no other system.
     """
     others = ", ".join(str(number) for number in sorted(decoder.foreign))
-    return f"it contains systems {others}: choose one by --system" if others else "it contains no other MAVLink system"
+    return (
+        f"it contains systems {others}: choose one with --system"
+        if others
+        else "check the message rates of the autopilot, and record again"
+    )
 
 
 def _tlog_frames(data: bytes) -> Iterator[tuple[float, int, FrameHeader]]:
@@ -289,7 +294,9 @@ def _first_autopilot(path: Path, data: bytes) -> tuple[int, int]:
     """
     for found, _ in _heartbeats(data):
         return found.system, found.component
-    raise SeatrialError(f"{path}: contains no heartbeat of an autopilot; give a tlog or a DataFlash BIN")
+    raise SeatrialError(
+        f"{path}: contains no heartbeat of an autopilot; give a tlog or a DataFlash .BIN file of an autopilot"
+    )
 
 
 def _heartbeats(data: bytes) -> Iterator[tuple[FrameHeader, int]]:
@@ -347,7 +354,8 @@ def _write_log_file(
     rows = sorted(rows, key=lambda row: row.frame.t_rx)
     if not all(0.0 <= t < 2**31 for row in rows for t in (row.frame.t_rx, row.t)):
         raise SeatrialError(
-            f"{out}: the times of the file are not between 1970 and 2038; did the autopilot have a fix?"
+            f"{out}: the times of the file are not between 1970 and 2038; record again with a GNSS fix, which sets the "
+            "clock"
         )
     samples = ((device, row.frame, row.frame.t_rx) for row in in_file_order if not isinstance(row.frame.sample, Event))
     steps = clock_steps(samples)

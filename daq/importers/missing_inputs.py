@@ -97,7 +97,7 @@ def gap_lines(gaps: Mapping[str, list[tuple[float, float]]]) -> list[str]:
         groups.setdefault(tuple(found), []).append(name)
     return [
         f"{', '.join(names)}: unknown for {sum(b - a for a, b in found):.1f} s, in {counted(len(found), 'gap')}; "
-        'a fit leaves these times out; if the thruster is stopped in them, give the signal nan = "zero"'
+        'a fit leaves these times out; if the thruster is stopped then, give the signal nan = "zero" in the import map'
         for found, names in groups.items()
         if found
     ]

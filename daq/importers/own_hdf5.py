@@ -43,7 +43,10 @@ def refuse_data_of_other_files(path: Path, file: Any) -> None:
         for name in group:
             place = f"{path}: {printable(f'{group.name.rstrip(chr(47))}/{name}')}"
             if not isinstance(group.get(name, getlink=True), h5py.HardLink):
-                raise SeatrialError(f"{place} is a link to another place; only data in the file itself is imported")
+                raise SeatrialError(
+                    f"{place} is a link to another place, and only data in the file itself is imported; save the data "
+                    "there"
+                )
             node = group[name]
             address = h5py.h5o.get_info(node.id).addr
             if address in known:
@@ -55,5 +58,6 @@ def refuse_data_of_other_files(path: Path, file: Any) -> None:
                 properties = node.id.get_create_plist()
                 if properties.get_layout() not in layouts or properties.get_external_count():
                     raise SeatrialError(
-                        f"{place} has its data in another file; only data in the file itself is imported"
+                        f"{place} has its data in another file, and only data in the file itself is imported; save the "
+                        "data there"
                     )

@@ -68,7 +68,9 @@ def import_raw(
     frames, sha256 = _decoded_frames(decoder, path)
     wrong = f"{counted(decoder.checksum_errors, 'checksum error')}, {counted(decoder.unparsed_bytes, 'byte')} unparsed"
     if not frames:
-        raise SeatrialError(f"{path}: no {protocol} samples in {decoder.frames} complete frames ({wrong})")
+        raise SeatrialError(
+            f"{path}: no {protocol} samples in {decoder.frames} complete frames ({wrong}); check the protocol"
+        )
     if isinstance(decoder, vectornav.Decoder):
         frames, n_left_out = _without_duplicate_quantities(frames)
         wrong += f"; {counted(n_left_out, 'ASCII sample')} left out, contained in binary samples" * bool(n_left_out)
@@ -94,7 +96,9 @@ def import_raw(
     samples = (frame.sample for frame in frames)
     units = {sample.name: sample.unit for sample in samples if isinstance(sample, Transducer)}
     if min(times) < 0.0 or max(times) >= 2**31:
-        raise SeatrialError(f"{target}: the device's times do not lie between 1970 and 2038; give --rate instead")
+        raise SeatrialError(
+            f"{target}: the times of the device are not between 1970 and 2038; give the rate of its samples with --rate"
+        )
     note = f"{path.name} as {protocol}: {summary}"
     write_frames(target, rows, metadata=metadata, note=note, units=units, force=force, reads=[path])
     return target, summary
@@ -119,7 +123,7 @@ def _decoded_frames(decoder: Decoder, path: Path) -> tuple[list[Frame], str]:
                 digest.update(chunk)
                 frames += decoder.feed(chunk, 0.0)
     except OSError as error:
-        raise SeatrialError(f"{path}: cannot be read: {error.strerror}") from error
+        raise SeatrialError(f"{path}: cannot be read: {error.strerror}; check its path and permissions") from error
     if isinstance(decoder, (nmea.Decoder, ubx.Decoder)):
         frames += decoder.flush()
         frames = _with_first_dates([_with_utc_as_device_time(frame) for frame in frames])
@@ -211,7 +215,7 @@ def _with_corrected_dates(path: Path, frames: list[Frame]) -> list[Frame]:
     counts = {"moved": int(np.count_nonzero(moved)), "left out": int(left_out.sum())}
     places = [f"{counted(n, 'sample')} {action}" for action, n in counts.items() if n]
     text = "wrong dates: the receiver had not received the date yet, or its week number started again (1024 weeks)"
-    warnings.warn(f"{path}: {text}; {' and '.join(places)}", SeatrialWarning, stacklevel=3)
+    warnings.warn(f"{path}: {text}; {' and '.join(places)}: check the date of the log", SeatrialWarning, stacklevel=3)
     rows = zip(frames, moved.tolist(), left_out.tolist(), strict=True)
     return [_at_device_time(frame, frame.t_device + days) if days else frame for frame, days, out in rows if not out]
 
@@ -252,7 +256,7 @@ def _device_times(path: Path, frames: Sequence[Frame]) -> list[float]:
     times = [frame.t_device for frame in frames]
     last = next((t for t in times if math.isfinite(t)), math.nan)
     if math.isnan(last):
-        raise SeatrialError(f"{path}: its samples have no times; give their rate with --rate")
+        raise SeatrialError(f"{path}: its samples have no times; give the rate of the samples with --rate")
     for k, t in enumerate(times):
         last = times[k] = t if math.isfinite(t) else last
     return times

@@ -78,7 +78,10 @@ def read_bag(path: Path, options: SourceOptions) -> list[Table]:
             in_bag = {connection.topic for connection in reader.connections}
             named = {topic.partition(":")[0] for topic in options.topics}
             for topic in sorted(named - in_bag):
-                raise SeatrialError(f"{path}: no topic {topic}; the topics are: {', '.join(sorted(in_bag)) or 'none'}")
+                raise SeatrialError(
+                    f"{path}: the bag has no topic {topic}; name one of its topics in the import map: "
+                    f"{', '.join(sorted(in_bag)) or 'none'}"
+                )
             wanted = [c for c in reader.connections if not named or c.topic in named or c.msgtype == CLOCK]
             for connection, log_ns, data in reader.messages(connections=wanted):
                 try:
@@ -94,11 +97,15 @@ def read_bag(path: Path, options: SourceOptions) -> list[Table]:
                     topics.setdefault(connection.topic, _TopicMessages(connection.msgtype)).add(1e-9 * log_ns, message)
             for topic in sorted(name for name in options.topics - topics.keys() if ":" in name):
                 names = ", ".join(sorted(topics)) or "none"
-                raise SeatrialError(f"{path}: no transform {topic}; the topics are: {names}")
+                raise SeatrialError(
+                    f"{path}: the bag has no transform {topic}; name one of its topics in the import map: {names}"
+                )
     except SeatrialError:
         raise
     except Exception as error:  # rosbags raises many kinds of errors for a damaged file or another format
-        raise SeatrialError(f"{path}: cannot be read as a ROS bag: {' '.join(str(error).split())}") from error
+        raise SeatrialError(
+            f"{path}: cannot be read as a ROS bag: {' '.join(str(error).split())}; check that the bag is complete"
+        ) from error
     times = message_times({topic: collected.times for topic, collected in topics.items()})
     asked = [(topic, collected) for topic, collected in topics.items() if not options.topics or topic in options.topics]
     tables = [table for topic, collected in asked if (table := collected.table(path, topic, times[topic])).columns]
@@ -123,7 +130,9 @@ def _readable_files(path: Path) -> Iterator[tuple[list[Path], str]]:
     if path.is_dir() and not (path / "metadata.yaml").exists():
         parts = sorted((file for file in path.iterdir() if file.suffix in BAG_ENDINGS), key=_split_number)
         if not parts:
-            raise SeatrialError(f"{path}: is not the folder of a ROS bag: no metadata.yaml, .mcap or .db3 in it")
+            raise SeatrialError(
+                f"{path}: is not the folder of a ROS bag (no metadata.yaml, .mcap or .db3 in it); give that folder"
+            )
         remarks.append(f"without metadata.yaml: read from {counted(len(parts), 'file')}")
     with tempfile.TemporaryDirectory() as folder:
         readable: list[Path] = []
@@ -144,14 +153,17 @@ def _readable_files(path: Path) -> Iterator[tuple[list[Path], str]]:
             except SeatrialError as error:
                 if len(parts) == 1:
                     raise SeatrialError(
-                        f"{path}: cannot be read as a ROS bag: it is cut off and contains no readable message"
+                        f"{path}: cannot be read as a ROS bag: it is cut off and contains no readable message; use "
+                        "another copy of it"
                     ) from error
                 remarks.append(f"{part.name} contains no readable message")
                 continue
             readable.append(whole)
             remarks.append(f"{part.name} is cut off: {counted(recovered.messages, 'message')} recovered")
         if not readable:
-            raise SeatrialError(f"{path}: cannot be read as a ROS bag: none of its files contains a message")
+            raise SeatrialError(
+                f"{path}: cannot be read as a ROS bag: none of its files contains a message; use another copy of it"
+            )
         yield readable, "; ".join(remarks)
 
 

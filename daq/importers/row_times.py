@@ -54,14 +54,15 @@ def row_times(table: Table, time: TimeColumn | None, *, lenient: bool = False) -
         return table.t
     if time is None:
         raise SeatrialError(
-            f"{table.path}: the file has no times of its own; give [time] column = ... in the map (or rate_hz = ...)"
+            f"{table.path}: the file has no times of its own; give column = ... (or rate_hz = ...) in [time] of the "
+            "import map"
         )
     if not time.is_text:
         raw = table.numbers(time.column)
         t = _seconds_of_numbers(raw, table.numbers(time.date) if time.date else np.zeros(len(raw)), time.format)
         untimed = np.flatnonzero(np.isnan(t))
         if len(untimed) and not _may_leave_out_untimed_rows(untimed, t, lenient):
-            raise table.error(int(untimed[0]), time.column, "the cell has no time; remove the line")
+            raise table.error(int(untimed[0]), time.column, "there is no time; remove this line of the table")
     else:
         t = _seconds_of_text(table, time, lenient)
         untimed = np.flatnonzero(np.isnan(t))
@@ -132,8 +133,10 @@ def _seconds_of_text(table: Table, time: TimeColumn, lenient: bool) -> Column:
     if len(wrong) and not _may_leave_out_untimed_rows(wrong, found, lenient):
         row = int(wrong[0])
         problem = f"'{text[row][:40]}' is not a time of format {time.format}"
-        advice = "; give its strptime pattern as format in [time]" if "%" in time.format else ""
-        raise table.error(row, time.column, problem + advice) from first
+        form = "its strptime pattern" if "%" in time.format else "its format"
+        raise table.error(
+            row, time.column, f"{problem}; give {form} as `format` in [time] of the import map"
+        ) from first
     return found
 
 

@@ -83,7 +83,10 @@ def read_autopilot_log(path: Path, options: SourceOptions) -> list[Table]:
     rig = None if options.rig is None else load_rig(options.rig)
     rows, _, parameters = read_autopilot(path, rig, options.system)
     if not (tables := sample_tables(path, [("", row.t, row.frame) for row in rows])):
-        raise SeatrialError(f"{path}: contains no attitude, fixes or outputs; check the stream rates of the autopilot")
+        raise SeatrialError(
+            f"{path}: contains no attitudes, fixes or outputs; check the message rates of the autopilot, and record "
+            "again"
+        )
     vehicle, wrong = vehicle_type(path, rows, options.system), mismatches(parameters, rig)
     for table in tables:
         table.vehicle, table.parameters = vehicle, parameters

@@ -208,7 +208,7 @@ def read_signals(tables: Sequence[Table], source: Source) -> Signals:
         n_dropped += int(kept.sum()) - int((rows & ~np.isnan(raw)).sum() if policy == "drop" else rows.sum())
         bad = np.flatnonzero(np.isnan(raw) & kept)
         if policy == "error" and len(bad):
-            problem = 'no number in this cell; nan = "drop" in the map leaves such cells out'
+            problem = 'there is no number; nan = "drop" in the import map leaves such values out'
             raise table.error(int(bad[0]), signal.columns[0], problem)
         repeats = signal.repeats or source.options.style.repeats
         holds = signal.hold == "zero" or signal.timeout
@@ -320,10 +320,12 @@ def _table_of_signal(tables: Sequence[Table], signal: Signal) -> Table:
         return of_topic[0]  # reading the missing column raises an error that lists the columns
     if signal.topic or not tables:
         topics = ", ".join(sorted({table.topic for table in tables if table.topic})) or "none"
-        raise SeatrialError(f"{_path_text(tables)}: no topic {signal.topic}; the topics are: {topics}")
+        raise SeatrialError(
+            f"{_path_text(tables)}: there is no topic {signal.topic}; name one of these in the import map: {topics}"
+        )
     raise SeatrialError(
-        f"{_path_text(tables)}: signal {signal.name}: the source has {len(tables)} topics; give the signal topic and "
-        "field"
+        f"{_path_text(tables)}: signal {signal.name}: the source has {len(tables)} topics; add topic and field to "
+        "this signal in the import map"
     )
 
 
@@ -426,7 +428,7 @@ def _rows_in_order(table: Table, t: Column, source: Source) -> NDArray[np.bool_]
     if (source.options.style.time_order or ("error" if table.strict else "drop")) == "error":
         fault = "repeats" if t[row] == t[row - 1] else f"runs back by {t[row - 1] - t[row]:.6g} s"
         column = source.time.column if source.time else "time"
-        advice = 'csv.time_order = "drop" in the map leaves such rows out'
+        advice = 'csv.time_order = "drop" in the import map leaves such rows out'
         if np.all(np.diff(t) >= 0.0) and len(behind) > COARSE * len(t):
             advice = f"its stamps are too coarse: {coarse_advice((len(t) - 1) / max(float(np.ptp(t)), 1e-9))}"
         raise table.error(row, column, f"time {fault}; {advice}")
@@ -448,7 +450,7 @@ def coarse_advice(rate: float) -> str:
     str
         The advice, with the key of the import map that replaces the stamps by even times.
     """
-    return f"time = {{ rate_hz = {rate:.4g} }} in the map replaces them by even times"
+    return f"time = {{ rate_hz = {rate:.4g} }} in the import map replaces them by even times"
 
 
 def _longest_rising(t: Column) -> NDArray[np.bool_]:

@@ -88,12 +88,13 @@ def source_kind(path: Path) -> SourceKind:
 
         return SourceKind("flysight", read_flysight)
     if head.startswith(b"FMT,"):
-        raise SeatrialError(f"{path}: is a DataFlash log converted to text; import the original .BIN")
+        raise SeatrialError(f"{path}: is a DataFlash log that was converted to text; import the original .BIN file")
     written = _UNWRITTEN.sub(b"", head)
     if not wide_encoding(head) and (b"\0" in written or len(written) < len(head) / 2):
         raise SeatrialError(
-            f"{path}: unknown kind of file; import reads text, bags of ROS 1 and 2, PX4 (.ulg), ArduPilot (tlog, BIN), "
-            "MATLAB (.mat), LabVIEW (.lvm), FlySight 2, Parquet, CAN (candump, .asc, .blf, BusMaster, NMEA 2000 text)"
+            f"{path}: unknown kind of file; give one that import reads: text, bags of ROS 1 and 2, PX4 (.ulg), "
+            "ArduPilot (tlog, BIN), MATLAB (.mat), LabVIEW (.lvm), FlySight 2, Parquet, CAN (candump, .asc, .blf, "
+            "BusMaster, NMEA 2000 text)"
         )
     return SourceKind("csv", _read_text_table)
 
@@ -116,7 +117,7 @@ def _first_bytes(path: Path) -> bytes:
         with path.open("rb") as file:
             return file.read(_HEAD_BYTES)
     except OSError as error:
-        raise SeatrialError(f"{path}: cannot be read: {error.strerror}") from error
+        raise SeatrialError(f"{path}: cannot be read: {error.strerror}; check its path and permissions") from error
 
 
 def text_head(path: Path) -> bytes:

@@ -107,10 +107,14 @@ class Table:
             If the table has no such column, or the column is not numeric.
         """
         if column in self.texts:
-            raise self.error(0, column, f"{''.join(self.texts[column][:1])[:40]!r} is text, not a number")
+            shown = "".join(self.texts[column][:1])[:40]
+            raise self.error(0, column, f"{shown!r} is text, not a number; name another column in the import map")
         if column not in self.columns:
             names = ", ".join(self.names) or "none"
-            raise SeatrialError(f"{self.path}: {self.topic or 'the table'} has no '{column}'; the columns are: {names}")
+            raise SeatrialError(
+                f"{self.path}: {self.topic or 'the table'} has no column '{column}'; name one of these in "
+                f"the import map: {names}"
+            )
         return self.columns[column]
 
     def text(self, column: str) -> list[str]:

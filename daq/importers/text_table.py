@@ -130,12 +130,12 @@ class TextTable(Table):
             name = "UTF-8" if style.encoding == "utf-8-sig" else style.encoding
             raise SeatrialError(
                 f"{path}: is not {name} text ({getattr(error, 'reason', error)}); save it as UTF-8, or give its "
-                'encoding in the map, as csv.encoding = "latin-1" or "utf-16"'
+                'encoding in the import map, as csv.encoding = "latin-1" or "utf-16"'
             ) from error
         except csv.Error as error:
-            raise SeatrialError(f"{path}: is not a CSV file: {error}") from error
+            raise SeatrialError(f"{path}: is not a CSV file: {error}; save it again as CSV") from error
         except OSError as error:
-            raise SeatrialError(f"{path}: cannot be read: {error.strerror}") from error
+            raise SeatrialError(f"{path}: cannot be read: {error.strerror}; check its path and permissions") from error
 
     def _read(self, file: Iterable[str]) -> None:
         """Read and store header and rows of the text table from the lines of its file (behind the skipped lines).
@@ -148,7 +148,7 @@ class TextTable(Table):
         rows = _cells_of_lines(watched, self._style)
         header = list(self._style.columns) or next((cells for _, cells in rows), [])
         if not header:
-            raise SeatrialError(f"{self.path}: the file is empty")
+            raise SeatrialError(f"{self.path}: the file is empty; give another file")
         first = next(rows, None)
         if first is not None and header[0].strip() in _COMMENTS and len(first[1]) == len(header) - 1:
             header = header[1:]  # a comment mark in front of the names
@@ -182,7 +182,7 @@ class TextTable(Table):
         if ragged:
             self._note_ragged_lines(ragged, watched.is_cut)
         if not self.lines:
-            raise SeatrialError(f"{self.path}: no rows below the header, so there are no data")
+            raise SeatrialError(f"{self.path}: no lines with data below the header; give a complete file")
         for name in {name for name in self._header if name and self._header.count(name) > 1}:
             self._add_remark(f"column '{name}' is {counted(self._header.count(name), 'time')} in the header: {_RENAME}")
 
@@ -197,13 +197,13 @@ class TextTable(Table):
         width, n = len(self._header), len(ragged)
         if self._style.nan != "drop" or n > MOST_RAGGED * (n + len(self.lines)):
             raise SeatrialError(
-                f"{self.path}: line {line}: {counted(n_cells, 'cell')}, but the header has {width}; check the "
-                "delimiter, and whether the last line is cut off"
+                f"{self.path}: line {line}: {counted(n_cells, 'value')}, but the header has {width}; check the "
+                "delimiter in the import map, and whether the last line is cut off"
             )
         if n == 1 and is_cut and (not self.lines or line > self.lines[-1]):
             self._add_remark(f"line {line}, the last, is cut off and left out")
         else:
-            fault = f"{counted(n_cells, 'cell')}, but the header has {width}"
+            fault = f"{counted(n_cells, 'value')}, but the header has {width}"
             self._add_remark(f"{counted(n, 'line')} left out; the first, line {line}, has {fault}")
 
     def _add_remark(self, text: str) -> None:
@@ -230,7 +230,9 @@ class TextTable(Table):
             names = ", ".join(name or "(unnamed)" for name in self._header)
             if column in self._header:
                 raise SeatrialError(f"{self.path}: column '{column}' appears twice in the header; {_RENAME}")
-            raise SeatrialError(f"{self.path}: column '{column}' is not in the header; the columns are: {names}")
+            raise SeatrialError(
+                f"{self.path}: column '{column}' is not in the header; name one of these in the import map: {names}"
+            )
         place = self._header.index(column)
         if not self._rows:  # numpy has read the numbers; the text of a cell is needed after all
             self._read_cells()
@@ -297,7 +299,7 @@ class TextTable(Table):
             raise self.error(row, column, problem)
         found[np.isinf(found)] = math.nan
         self._add_remark(
-            f"line {self.lines[row]}, column '{column}': {problem}; {counted(len(wrong), 'such cell')} left out"
+            f"line {self.lines[row]}, column '{column}': {problem}; {counted(len(wrong), 'such value')} left out"
         )
         return found
 
@@ -323,7 +325,9 @@ class TextTable(Table):
         return [text.removesuffix(end).rstrip() for text in cells]
 
 
-_RENAME = 'name the columns in the map: csv.columns = ["...", ...], and csv.skip_rows larger by 1 to skip the header'
+_RENAME = (
+    'name the columns in the import map: csv.columns = ["...", ...], and csv.skip_rows larger by 1 to skip the header'
+)
 
 
 class _WatchedLines:

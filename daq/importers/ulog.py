@@ -60,7 +60,9 @@ def read_ulog(path: Path, options: SourceOptions) -> list[Table]:
         ):  # pyulog does not close a file that it cannot read
             data = ULog(file).data_list
     except Exception as error:  # pyulog raises many kinds of errors for a damaged file or another format
-        raise SeatrialError(f"{path}: cannot be read as a PX4 log: {' '.join(str(error).split())}") from error
+        raise SeatrialError(
+            f"{path}: cannot be read as a PX4 log: {' '.join(str(error).split())}; give the original .ulg file"
+        ) from error
     remark = f"{counted(n_torn, 'damaged place')}: the records there are left out" if n_torn else ""
     tables = []
     for dataset in data:

@@ -97,9 +97,11 @@ def write_signals(
     """
     times = [data.t for data in signals if len(data.t)]
     if not times:
-        raise SeatrialError(f"{out}: no samples left to write; check t_from, t_to and nan in the map")
+        raise SeatrialError(f"{out}: no samples left to write; check t_from, t_to and nan in the import map")
     if min(t[0] for t in times) < 0.0 or max(t[-1] for t in times) >= 2**31:
-        raise SeatrialError(f"{out}: times must be between 1970 and 2038; check time format and origin in the map")
+        raise SeatrialError(
+            f"{out}: times must be between 1970 and 2038; check time format and origin in the import map"
+        )
     t_ns = [np.rint(data.t * NANO).astype(np.int64) for data in signals]
     first = min(int(t[0]) for t in t_ns if len(t))
     if early := warn_of_early_dates(out, min(t[0] for t in times), max(t[-1] for t in times), reads):
@@ -188,10 +190,12 @@ def write_frames(
         `force` is not set.
     """
     if not rows:
-        raise SeatrialError(f"{out}: the source contains no samples that seatrial can use")
+        raise SeatrialError(f"{out}: its source contains no samples that seatrial can use; give another source")
     ordered = sorted(rows, key=lambda row: row.t)
     if ordered[0].t < 0.0 or ordered[-1].t >= 2**31:
-        raise SeatrialError(f"{out}: the times of the source are not between 1970 and 2038")
+        raise SeatrialError(
+            f"{out}: the times of its source are not between 1970 and 2038; correct the clock, and record it again"
+        )
     steps = clock_steps((row.device, row.frame, row.t) for row in rows)
     if early := warn_of_early_dates(out, ordered[0].t, ordered[-1].t, reads):
         steps.append(early)
@@ -296,7 +300,7 @@ def clock_steps(samples: Iterable[tuple[str, Frame, float]]) -> list[str]:
         for device, back in steps.items()
     ]
     for line in lines:
-        warnings.warn(line, SeatrialWarning, stacklevel=2)
+        warnings.warn(f"{line}; import the data of each clock separately", SeatrialWarning, stacklevel=2)
     return lines
 
 
@@ -344,7 +348,7 @@ def replacing(out: Path, force: bool, reads: Sequence[Path]) -> Iterator[Path]:
     for path in reads if out.exists() else ():
         inside = path.resolve() in out.resolve().parents and out.suffix != ".toml"  # a map may be in a bag's folder
         if (path.exists() and out.samefile(path)) or inside:
-            raise SeatrialError(f"{out}: is the source of this import and is never replaced; give another file by -o")
+            raise SeatrialError(f"{out}: is the source of this import and is never replaced; give another file with -o")
     with new_file(out, force) as part:
         yield part
     discard_note(out)

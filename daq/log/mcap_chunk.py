@@ -102,9 +102,9 @@ def chunk_at(head: bytes, start: int, stop: int, cut: bool = False) -> ChunkAt:
     (length,) = struct.unpack_from("<Q", head, at + n_name)
     begin = start + at + n_name + 8
     if name not in ("", "zstd", "lz4") or (not cut and begin + length != stop):
-        raise ValueError("invalid header of a chunk")
+        raise ValueError("the header of the chunk is invalid")
     if size > MAX_CHUNK_BYTES or (not cut and length > MAX_PACKED_BYTES):
-        raise ValueError(f"a chunk of {size} bytes; {MAX_CHUNK_BYTES} is the limit")
+        raise ValueError(f"the chunk has {size} bytes, and the limit is {MAX_CHUNK_BYTES}")
     return ChunkAt(begin, stop, name, size, checksum)
 
 
@@ -127,15 +127,15 @@ def unpack_chunk(packed: bytes | memoryview, chunk: ChunkAt) -> Buffer:
     if chunk.compression == "zstd":
         # The library allocates the size that the zstd frame states. Check this size first.
         if zstandard.frame_content_size(packed) not in (-1, chunk.size):
-            raise ValueError("wrong size of a chunk")
+            raise ValueError("the chunk has a wrong size")
         data = zstandard.ZstdDecompressor(max_window_size=MAX_CHUNK_BYTES).decompress(packed, chunk.size + 1)
     elif chunk.compression == "lz4":
         with lz4.frame.LZ4FrameFile(BytesIO(packed)) as file:
             data = file.read(chunk.size + 1)
     if len(data) != chunk.size:
-        raise ValueError("wrong size of a chunk")
+        raise ValueError("the chunk has a wrong size")
     if chunk.checksum and zlib.crc32(data) != chunk.checksum:
-        raise ValueError("wrong checksum of a chunk")
+        raise ValueError("the chunk has a wrong checksum")
     return np.frombuffer(data, np.uint8)
 
 
@@ -151,7 +151,7 @@ def unpack_cut(packed: bytes, chunk: ChunkAt) -> Buffer:
         If the compression is lz4, or if the zstd data before the cut are damaged.
     """
     if chunk.compression == "lz4":
-        raise ValueError("a cut chunk with lz4 compression cannot be read")
+        raise ValueError("the chunk is cut off, and cannot be read because its compression is lz4")
     data = packed
     if chunk.compression == "zstd":
         with zstandard.ZstdDecompressor(max_window_size=MAX_CHUNK_BYTES).stream_reader(packed) as reader:

@@ -161,14 +161,18 @@ class RawLog:
             about = os.fstat(fd)
             if not stat.S_ISREG(about.st_mode):
                 os.close(fd)
-                raise SeatrialError(f"{self.path}: is not a file")
+                raise SeatrialError(f"{self.path}: is not a file; give the path of a log")
             magic, size = os.read(fd, len(MCAP0_MAGIC)), about.st_size
         except OSError as error:
-            raise SeatrialError(f"{self.path}: cannot be read: {error.strerror}") from error
+            raise SeatrialError(
+                f"{self.path}: cannot be read: {error.strerror}; check its path and permissions"
+            ) from error
         if magic != MCAP0_MAGIC:
             os.close(fd)
             if not magic:
-                raise SeatrialError(f"{self.path}: the file is empty; there is nothing to recover")
+                raise SeatrialError(
+                    f"{self.path}: the file is empty, so there is nothing to read or recover; give another log"
+                )
             raise SeatrialError(f"{self.path}: not an MCAP log; use `seatrial import` for logs of other formats")
         return fd, size, (about.st_dev, about.st_ino)
 
@@ -189,7 +193,9 @@ class RawLog:
         try:
             return os.pread(self._fd, max(stop - start, 0), start)
         except OSError as error:
-            raise SeatrialError(f"{self.path}: cannot be read at byte {start}: {error.strerror}") from error
+            raise SeatrialError(
+                f"{self.path}: cannot be read at byte {start}: {error.strerror}; check the disk"
+            ) from error
 
     @property
     def files(self) -> list[RawLog]:
@@ -317,7 +323,7 @@ class RawLog:
         if number in self._cache:
             return self._cache[number]
         if self._seen[number] < 0:
-            raise ValueError("left out")
+            raise ValueError("this chunk is left out")
         at, stop, index_bytes = (int(self._chunks[name][number]) for name in ("at", "stop", "index_bytes"))
         if self._partial is not None and number == len(self._chunks) - 1:
             self._seen[number] = 1
@@ -330,7 +336,7 @@ class RawLog:
             if opcode == Opcode.MESSAGE:  # messages outside any chunk
                 found = np.frombuffer(data[: stop - at], np.uint8), b""
             elif opcode != Opcode.CHUNK or at + HEADER + length != stop:
-                raise ValueError("not a chunk")
+                raise ValueError("the record is not a chunk")
             else:
                 chunk = chunk_at(data[HEADER : HEADER + CHUNK_HEAD], at + HEADER, stop)
                 packed = memoryview(data)[chunk.start - at : stop - at]
@@ -401,7 +407,7 @@ class RawLog:
             try:
                 opcode, content = RECORD.unpack(self._read(at, at + HEADER))
                 if content != length - HEADER:
-                    raise ValueError("wrong length of a record")
+                    raise ValueError("the record has a wrong length")
                 self._keep_record(opcode, at, at + length)
             except DAMAGE as error:
                 self._warn(f"the record at byte {at} is damaged and left out ({_error_line(error)})")
@@ -568,7 +574,7 @@ class RawLog:
         elif opcode == Opcode.ATTACHMENT:
             (checksum,) = struct.unpack_from("<I", data, len(data) - 4)
             if checksum not in (0, zlib.crc32(memoryview(data)[:-4])):
-                raise ValueError("wrong checksum of an attachment")
+                raise ValueError("the attachment has a wrong checksum")
             found = _parse(Attachment.read, data)
             _check_name(found.name)
             self.attachments.append(replace(found, name=printable(found.name)))
@@ -811,11 +817,11 @@ def _chunk_indexes(
     """
     shortest = _CHUNK_INDEX.itemsize + 8 + 4 + 8 + 8
     if np.any(ends - begins < shortest):
-        raise ValueError("length of a chunk index")
+        raise ValueError("a chunk index has a wrong length")
     heads = rows_at(block, begins, _CHUNK_INDEX)
     n_map = heads["n_map"].astype(np.int64)
     if np.any(n_map % 10) or np.any(ends - begins < shortest + n_map):
-        raise ValueError("length of a chunk index")
+        raise ValueError("a chunk index has a wrong length")
     found = np.zeros(len(begins), _CHUNK)
     for name in ("at", "begin_ns", "end_ns"):
         found[name] = heads[name]
@@ -823,7 +829,7 @@ def _chunk_indexes(
     found["index_bytes"] = rows_at(block, begins + _CHUNK_INDEX.itemsize + n_map, np.dtype("<i8"))
     found["size"] = rows_at(block, ends - 8, np.dtype("<i8"))
     if min(heads["length"].min() - HEADER, found["index_bytes"].min(), found["size"].min()) < 0:
-        raise ValueError("negative length in a chunk index")
+        raise ValueError("a chunk index has a negative length")
     chunk = np.repeat(np.arange(len(begins)), n_map // 10)
     k = np.arange(len(chunk)) - np.repeat(np.cumsum(n_map // 10) - n_map // 10, n_map // 10)
     channel = rows_at(block, begins[chunk] + _CHUNK_INDEX.itemsize + 10 * k, np.dtype("<u2"))

@@ -122,13 +122,17 @@ class LogWriter:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
         except FileExistsError as error:
-            raise SeatrialError(f"{path}: the folder cannot be created: {path.parent} is not a folder") from error
+            raise SeatrialError(
+                f"{path}: the folder cannot be created: {path.parent} is not a folder; give another path"
+            ) from error
         except OSError as error:
-            raise SeatrialError(f"{path}: the folder cannot be created: {error.strerror}") from error
+            raise SeatrialError(f"{path}: the folder cannot be created: {error.strerror}; give another path") from error
         try:
             self._stream = WholeRecordStream(path)
         except FileExistsError as error:
-            raise SeatrialError(f"{path}: the file exists already; a log is never overwritten") from error
+            raise SeatrialError(
+                f"{path}: the file exists already, and a log is never overwritten; give another name"
+            ) from error
         except OSError as error:
             text = f"{path}: the log cannot be created: {error.strerror}"
             raise (DiskFull(text, complete=True) if error.errno in DISK_FULL_ERRORS else SeatrialError(text)) from error
@@ -320,7 +324,7 @@ class LogWriter:
         if self._failed is not None:
             raise self._failed
         if self._closed:
-            raise SeatrialError(f"{self.path}: the log is closed already")
+            raise SeatrialError(f"{self.path}: the log is closed already; write all data before it is closed")
 
     def _write_error(self, error: OSError, complete: bool) -> SeatrialError:
         """Return the error for the user that a write to the log failed; `DiskFull` if the disk is full.
@@ -462,7 +466,9 @@ class RecordWriter:
             If the file has 65,535 channels already.
         """
         if self._n_channels == MAX_CHANNELS:
-            raise SeatrialError(f"a log holds at most {MAX_CHANNELS} topics; leave some of them out")
+            raise SeatrialError(
+                f"a log holds at most {MAX_CHANNELS} topics, and this one would have more; leave some of them out"
+            )
         self._n_channels += 1
         record = _encode_record(Channel(self._n_channels, topic, encoding, dict(metadata), schema))
         self._channels += record

@@ -214,7 +214,9 @@ class Log:
         try:
             return parse_rig(data.decode(), self.path.parent / f"{self.path.name}:rig.toml", recorded=True)
         except UnicodeDecodeError as error:
-            raise self._error("the attached rig.toml is not UTF-8 text") from error
+            raise self._error(
+                "the rig.toml in this log is not UTF-8 text; save the rig as UTF-8, and record the log again"
+            ) from error
 
     @cached_property
     def vehicle(self) -> Mapping[str, float]:
@@ -503,7 +505,7 @@ class Log:
         if node is None and len(nodes) == 1:
             return nodes[0]
         if node is None and len(nodes) > 1:
-            raise self._error(f"{source} has several nodes, {nodes}: choose a node")
+            raise self._error(f"device {source} has several nodes, {nodes}: give one of them as `node`")
         return 0 if node is None else node
 
     def _with_ascending_times(self, table: NDArray[np.void], topic: str, span: tuple[int, int]) -> NDArray[np.void]:
@@ -513,7 +515,7 @@ class Log:
         although it covers the whole log (`span`, in ns): no message of the topic is readable.
         """
         if not len(table) and span == _WHOLE:
-            raise self._error(f"no message on {topic} is readable")
+            raise self._error(f"no message on {topic} is readable; the log is damaged: try `seatrial recover`")
         # Time estimates of the clock may jitter. The order of the samples is the order of the device and stays.
         np.maximum.accumulate(table["t"], out=table["t"])
         return table
@@ -617,13 +619,16 @@ class Log:
         found = [number for number, channel in self._file.channels.items() if channel.topic == topic]
         if not found or topic not in self.counts:
             topics = ", ".join(self.counts) or "none"
-            raise self._error(f"no messages on {topic}; topics with messages: {topics}")
+            raise self._error(f"no messages on {topic}; use a topic that has messages: {topics}")
         for number in found if type_name else ():
             channel = self._file.channels[number]
             written = self._file.schemas.get(channel.schema_id)
             if written is None or written.name != type_name or channel.message_encoding != "cdr":
                 written_type = "unknown" if written is None else f"{written.name} ({channel.message_encoding})"
-                raise self._error(f"{topic}: the message type is {written_type}, not {type_name} (cdr)")
+                raise self._error(
+                    f"{topic}: the message type is {written_type}, not {type_name} (cdr); use `seatrial import` for "
+                    "logs of other programs"
+                )
         return found
 
     def _missing_fields(self, topic: str, type_name: str) -> tuple[str, ...]:
@@ -657,7 +662,10 @@ class Log:
         SeatrialError
             If a message is too short, or is not in little-endian CDR.
         """
-        wrong = self._error(f"a message on {topic} is not a valid {type_name} in little-endian CDR")
+        wrong = self._error(
+            f"a message on {topic} is not a valid {type_name} in little-endian CDR; use `seatrial import` for logs of "
+            "other programs"
+        )
         lacking = self._missing_fields(topic, type_name)
         lengths = messages.lengths
         if np.any(lengths < HEAD.itemsize):
@@ -695,7 +703,9 @@ class Log:
                 try:
                     tail = layout.unpack_tail(data)
                 except ValueError as error:
-                    raise self._error(f"a message on {topic} is not a valid {type_name}") from error
+                    raise self._error(
+                        f"a message on {topic} is not a valid {type_name}; the log is damaged: try `seatrial recover`"
+                    ) from error
                 yield float(t), row, tail
 
 

@@ -276,7 +276,9 @@ class Recorder:
             self._resume()
         if self.paused:
             lost = counted(len(self._kept), "message")
-            raise SeatrialError(f"{self.paused}; {lost} received since then could not be written")
+            raise SeatrialError(
+                f"{self.paused}; {lost} received since then could not be written; free disk space, and record again"
+            )
         self._writer.close()
 
     @contextlib.contextmanager
@@ -297,7 +299,9 @@ class Recorder:
 
         `error.complete` is whether the ended file contains all messages; otherwise the last ones are noted as lost.
         """
-        self.paused = self.paused or f"{self._writer.path.parent}: the disk is full, nothing is written now"
+        self.paused = (
+            self.paused or f"{self._writer.path.parent}: the disk is full, nothing is written now: free disk space"
+        )
         self._lost_some = not error.complete
         self._paused_at = time.monotonic()
         self._retry_at = self._paused_at + RETRY_S

@@ -70,10 +70,12 @@ def recover_log(path: Path, out: Path, force: bool = False) -> RecoveredLog:
             with new_file(out, force) as part:
                 n_messages = _copy_records(log, part)
                 if not n_messages:
-                    raise SeatrialError(f"{path}: no message is readable; there is nothing to recover")
+                    raise SeatrialError(
+                        f"{path}: no message is readable, so nothing can be recovered; use another copy of the log"
+                    )
             discard_note(out)
         except OSError as error:
-            raise SeatrialError(f"{out}: cannot be written: {error.strerror}") from error
+            raise SeatrialError(f"{out}: cannot be written: {error.strerror}; give another file with -o") from error
         return RecoveredLog(n_messages, len(log.files), log.warnings)
     finally:
         log.close()

@@ -45,7 +45,7 @@ def open_raw(path: Path) -> RawLog | SegmentedLog:
         if not later:
             raise
         names = ", ".join(segment.name for segment in later.values())
-        raise SeatrialError(f"{error}; open its possible later segments one by one: {names}") from error
+        raise SeatrialError(f"{error}; or open its possible later segments one by one: {names}") from error
     if not later or not _recorder_metadata(first).get("origin"):
         return first
     files, warnings, last = [first], [], 0

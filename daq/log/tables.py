@@ -149,10 +149,10 @@ def resample(log: Log, rate: float) -> Resampled:
     """
     tables = [table for table in log_tables(log) if len(table.rows)]
     if not tables:
-        raise SeatrialError(f"{log.path}: the log has no samples to export")
+        raise SeatrialError(f"{log.path}: the log has no samples to export; `seatrial info` shows its content")
     begin, end = min(table.rows["t"][0] for table in tables), max(table.rows["t"][-1] for table in tables)
     if (end - begin) * rate > MAX_ROWS:
-        raise SeatrialError(f"{log.path}: {end - begin:.0f} s at {rate:g} Hz are too many rows; take a lower rate")
+        raise SeatrialError(f"{log.path}: {end - begin:.0f} s at {rate:g} Hz are too many rows; give a lower rate")
     grid = begin + np.arange(int((end - begin) * rate + 1e-6) + 1) / rate
     columns: dict[str, Array] = {}
     units: dict[str, str] = {}

@@ -10,7 +10,7 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping
 from typing import NamedTuple
 
-from seatrial.daq.errors import SeatrialWarning
+from seatrial.daq.errors import SeatrialError, SeatrialWarning
 from seatrial.daq.plugins import load_or_warn, load_plugin, plugins
 from seatrial.daq.protocol.decoder import Decoder
 from seatrial.daq.rig import Device, Rig
@@ -167,7 +167,11 @@ def _make_dbc(device: Device, rig: Rig) -> Decoder:
     """
     from seatrial.daq.protocol import dbc
 
-    return dbc.Decoder(dbc.load_dbc(device.dbc), device.signals)
+    database = dbc.load_dbc(device.dbc)
+    try:
+        return dbc.Decoder(database, device.signals)
+    except SeatrialError as error:
+        raise SeatrialError(f"{rig.path}: device {device.name}, {device.dbc}: {error}") from error
 
 
 def _make_dronecan(device: Device, rig: Rig) -> Decoder:
@@ -252,8 +256,8 @@ class DeviceTypes(Mapping[str, DeviceType]):
         for name in plugins(GROUP):
             if name in BUILT_IN:
                 warnings.warn(
-                    f"a package adds a protocol {name!r} to {GROUP}, but this name is built in; "
-                    "the added protocol is ignored: rename it",
+                    f"a package adds a protocol {name!r} to {GROUP}, but this name is built in; the added protocol is "
+                    "ignored: rename it in the package",
                     SeatrialWarning,
                     stacklevel=2,
                 )

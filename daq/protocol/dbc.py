@@ -58,9 +58,11 @@ def load_dbc(path: str) -> Any:
     try:
         database: Any = cantools.database.load_file(path, database_format="dbc")
     except OSError as error:
-        raise SeatrialError(f"{path}: {error.strerror}") from error
+        raise SeatrialError(f"{path}: cannot be read: {error.strerror}; check its path and permissions") from error
     except Exception as error:  # cantools' parser has errors of many kinds
-        raise SeatrialError(f"{path}: not a DBC file: {' '.join(str(error).split())}") from error
+        raise SeatrialError(
+            f"{path}: not a DBC file: {' '.join(str(error).split())}; correct this file, or give another"
+        ) from error
     for message in database.messages:
         for signal in message.signals:
             if not abs(signal.scale) * 2.0**signal.length + abs(signal.offset) < LARGEST:
@@ -244,4 +246,4 @@ def _find_by_name(name: str | int, rows: Sequence[Any], label: str) -> Any:
         if row.name == name:
             return row
     known = ", ".join(row.name for row in rows) or "none"
-    raise SeatrialError(f"the DBC file has no {label} '{name}'; there is: {known}")
+    raise SeatrialError(f"the DBC file has no {label} '{name}'; name one in the rig that it has: {known}")

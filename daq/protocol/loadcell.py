@@ -34,9 +34,11 @@ def compile_pattern(pattern: str) -> Any:
     try:
         compiled = re2.compile(pattern, options)
     except re2.error as error:
-        raise ValueError(f"not a regular expression (RE2): {error.args[0].decode(errors='replace')}") from error
+        raise ValueError(
+            f"not a regular expression (RE2): {error.args[0].decode(errors='replace')}; correct it"
+        ) from error
     if "counts" not in compiled.groupindex:
-        raise ValueError("must have a group (?P<counts>...) around the reading")
+        raise ValueError("must have a group (?P<counts>...) around the number that the load cell sends")
     return compiled
 
 

@@ -65,7 +65,9 @@ class Decoder(LineDecoder):
         """
         line = line.lstrip(b"\n")
         if line == b"?":
-            self.remark = f"the converter refuses {self.request[:-1].decode('ascii')}: check `query` in the rig"
+            self.remark = (
+                f"the load cell refuses the request {self.request[:-1].decode('ascii')}: correct `query` in the rig"
+            )
         if not _NUMBER.match(line):
             return None
         self.remark = ""

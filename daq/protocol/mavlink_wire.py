@@ -281,7 +281,9 @@ def read_key(path: Path) -> bytes:
     try:
         data = path.read_bytes()
     except OSError as error:
-        raise SeatrialError(f"{path}: the signing key cannot be read: {error.strerror}") from error
+        raise SeatrialError(
+            f"{path}: the signing key cannot be read: {error.strerror}; check key_file in the rig"
+        ) from error
     if len(data) == KEY_BYTES:
         return data
     try:
@@ -289,5 +291,8 @@ def read_key(path: Path) -> bytes:
     except ValueError:
         key = b""
     if len(key) != KEY_BYTES:
-        raise SeatrialError(f"{path}: a signing key is {KEY_BYTES} bytes or {2 * KEY_BYTES} hexadecimal digits")
+        raise SeatrialError(
+            f"{path}: a signing key has {KEY_BYTES} bytes or {2 * KEY_BYTES} hexadecimal digits; give the key of the "
+            "ground station"
+        )
     return key

@@ -788,7 +788,7 @@ class Headings:
             return []
         yaw = numbers[0] * _DEG + self._heading_correction(kind, words)
         if math.isnan(yaw):
-            self.remark = "magnetic headings are left out: the rig has no declination_deg for this device"
+            self.remark = "magnetic headings are left out: the rig has no declination_deg for this device; add it"
             return []
         self._best, self.remark = rank, ""
         pitch, roll = [angle * _DEG for angle in numbers[1:]] or self._level

@@ -238,7 +238,9 @@ class Decoder(FrameDecoder):
             east = self._resolve_variation(_signed16(variation, _ANGLE))
             if math.isnan(east):
                 if settled and HEADING not in self._senders:
-                    self.remark = "magnetic headings are left out: the rig has no declination_deg for this device"
+                    self.remark = (
+                        "magnetic headings are left out: the rig has no declination_deg for this device; add it"
+                    )
                 return []
             deviation_rad = _signed16(deviation, _ANGLE)
             yaw += east + (0.0 if math.isnan(deviation_rad) else deviation_rad)

@@ -73,7 +73,9 @@ def open_channel(bitrate: int) -> bytes:
         If slcan does not have this bit rate.
     """
     if bitrate not in BITRATES:
-        raise ValueError(f"slcan has no bit rate {bitrate}; it has {', '.join(map(str, BITRATES))}")
+        raise ValueError(
+            f"slcan has no bit rate {bitrate}; set bitrate in the rig to one of {', '.join(map(str, BITRATES))}"
+        )
     return f"\rC\r{BITRATES[bitrate]}\rO\r".encode("ascii")
 
 

@@ -92,7 +92,10 @@ class Decoder(FrameDecoder):
             self.other_nodes[node] = self.other_nodes.get(node, 0) + 1
             if self.other_nodes[node] == 1:
                 nodes = ", ".join(str(number) for number in sorted(self.other_nodes))
-                self.remark = f"frames of node {nodes}, which no thruster of the rig has"
+                self.remark = (
+                    f"frames of node {nodes} are ignored, because no thruster of the rig has it; correct `node` if one "
+                    "is yours"
+                )
             return []
         values = message.decode(data.ljust(8, b"\0"), decode_choices=False)
         if packet == STATUS_4:

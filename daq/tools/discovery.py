@@ -270,7 +270,10 @@ def identify_protocol(
         hint = port.hint
         if n_bytes == 0 and not answered_at:
             return DiscoveredDevice(
-                path, description, says="silent; devices that send only on request cannot be found", hint=hint
+                path,
+                description,
+                says="silent: check power and cable; devices that send only on request cannot be found",
+                hint=hint,
             )
         answered_at.append(baud)
         framed += [f"{c.protocol} at {baud} baud" for c in candidates if c.checked and c.decoder.frames >= MIN_LINES]

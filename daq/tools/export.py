@@ -62,9 +62,11 @@ def export_log(log: Log, form: str, folder: Path, force: bool = False) -> list[P
                 _write_csv_rows(scratch, ["t [s]", "kind", "text"], ([repr(t), kind, text] for t, kind, text in events))
             written.append(path)
     except OSError as error:
-        raise SeatrialError(f"{error.filename or folder}: cannot be written: {error.strerror}") from error
+        raise SeatrialError(
+            f"{error.filename or folder}: cannot be written: {error.strerror}; give another folder with -o"
+        ) from error
     if not written:
-        raise SeatrialError(f"{log.path}: the log has no samples to export")
+        raise SeatrialError(f"{log.path}: the log has no samples to export; `seatrial info` shows its content")
     return written
 
 
@@ -108,7 +110,9 @@ def export_resampled(log: Log, form: str, folder: Path, rate: float, force: bool
             else:
                 _write_netcdf(scratch, table, log.metadata)
     except OSError as error:
-        raise SeatrialError(f"{error.filename or folder}: cannot be written: {error.strerror}") from error
+        raise SeatrialError(
+            f"{error.filename or folder}: cannot be written: {error.strerror}; give another folder with -o"
+        ) from error
     return path
 
 

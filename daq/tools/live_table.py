@@ -31,7 +31,7 @@ STALE_S = 1.0  # s of the run clock
 STALE_WALL_S = 0.25  # s of wall time
 # Factor of this time for a device with several kinds of samples: fixes and batteries have lower rates than rate_hz.
 SEVERAL_KINDS_FACTOR = 3.0
-NO_ANSWER = "the acquisition does not answer"
+NO_ANSWER = "the acquisition process does not answer"
 RATE_TOLERANCE = 0.1  # relative difference from the expected rate beyond which a rate is highlighted
 WIDE_CHARACTERS = 110  # characters; a narrower terminal shows fewer columns
 FIX_NAMES = ("no fix", "dead reckoning", "2D", "3D", "DGPS", "RTK fixed", "RTK float")

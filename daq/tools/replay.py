@@ -156,7 +156,9 @@ class ReplayFolder:
                 "was killed, or use --dir to name another folder"
             ) from None
         except OSError as error:
-            raise SeatrialError(f"{self.path / name}: {error.strerror}") from error
+            raise SeatrialError(
+                f"{self.path / name}: cannot be made: {error.strerror}; use --dir to name another folder"
+            ) from error
         self._made[name] = self._file_identity(name)
         return self.path / name
 
@@ -199,16 +201,18 @@ def recorded(log: Log, devices: Sequence[str] = ()) -> list[str]:
     available = [name for name in log.sources(PortHealth) if f"/raw/{name}" in log.counts]
     available = available or [topic.removeprefix("/raw/") for topic in log.counts if topic.startswith("/raw/")]
     if not available:
-        raise SeatrialError(f"{log.path}: the log has no raw bytes; only logs recorded by seatrial can be replayed")
+        raise SeatrialError(f"{log.path}: the log has no raw bytes of devices; give a log that seatrial recorded")
     for name in devices:
         if name not in available:
-            raise SeatrialError(f"{log.path}: no raw bytes of '{name}'; devices with raw bytes: {', '.join(available)}")
+            raise SeatrialError(
+                f"{log.path}: no raw bytes of device '{name}'; give one of those with raw bytes: {', '.join(available)}"
+            )
     names = list(devices) or available
     for name in names:  # a name becomes a path in the folder of the ports
         if not NAME.fullmatch(name):
             raise SeatrialError(
-                f"{log.path}: {name!r} of topic /raw is not a valid name of a device: "
-                "a letter, then letters, digits or _"
+                f"{log.path}: {name!r} of topic /raw is not a valid name of a device "
+                "(a letter, then letters, digits or _); give a log that seatrial recorded"
             )
     return names
 

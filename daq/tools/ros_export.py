@@ -123,7 +123,9 @@ def export_ros(log: Log, folder: Path, force: bool = False) -> list[Path]:
         write_output(made[2], json.dumps(_foxglove_layout(log, plots, "/tf" in connections), indent=1) + "\n")
         write_output(made[3], _plotjuggler_layout(plots))
     except OSError as error:
-        raise SeatrialError(f"{error.filename or folder}: cannot be written: {error.strerror}") from error
+        raise SeatrialError(
+            f"{error.filename or folder}: cannot be written: {error.strerror}; give another folder with -o"
+        ) from error
     return made
 
 

@@ -226,7 +226,11 @@ class Ros2Node:
         deadline = time.monotonic() + seconds
         while not self.connected and time.monotonic() < deadline:
             time.sleep(WAIT_S)
-        result = "is connected" if self.connected else "does not answer: the connection is tried again every second"
+        result = (
+            "is connected"
+            if self.connected
+            else "does not answer; start it (the connection is tried again every second)"
+        )
         return f"ROS 2, domain {self._ros2.domain}: the router {self._ros2.router} {result}"
 
     # Methods of the thread -------------------------------------------------------------------------------------

@@ -109,20 +109,20 @@ class Port(ABC):
 
 
 _REASONS = {
-    errno.ECONNREFUSED: "refuses the connection: no program listens there",
-    errno.ECONNRESET: "closed the connection",
-    errno.EADDRINUSE: "is in use by another program",
-    errno.EADDRNOTAVAIL: "is not an address of this machine",
-    errno.ENOENT: "is not there",
-    errno.ENODEV: "is not there",
-    errno.ENXIO: "is not there",
-    errno.EIO: "is not there",
-    errno.EACCES: "may not be opened by this user (group dialout?)",
-    errno.EPERM: "may not be opened by this user (group dialout?)",
-    errno.EBUSY: "is in use by another program",
-    errno.EAGAIN: "is in use by another program",
-    errno.ENOTTY: "is not a serial device",
-    errno.ENETDOWN: "is down (ip link set ... up)",
+    errno.ECONNREFUSED: "the address refuses the connection: no program listens there",
+    errno.ECONNRESET: "the other program closed the connection",
+    errno.EADDRINUSE: "the port is in use by another program",
+    errno.EADDRNOTAVAIL: "the address is not an address of this machine",
+    errno.ENOENT: "the port is not there (unplugged?)",
+    errno.ENODEV: "the port is not there (unplugged?)",
+    errno.ENXIO: "the port is not there (unplugged?)",
+    errno.EIO: "the port is not there (unplugged?)",
+    errno.EACCES: "the port may not be opened by this user (group dialout?)",
+    errno.EPERM: "the port may not be opened by this user (group dialout?)",
+    errno.EBUSY: "the port is in use by another program",
+    errno.EAGAIN: "the port is in use by another program",
+    errno.ENOTTY: "the port is not a serial device",
+    errno.ENETDOWN: "the CAN interface is down (ip link set ... up)",
 }
 
 

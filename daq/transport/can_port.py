@@ -135,13 +135,16 @@ class SlcanPort(Port):
         if self._opening is not None and (refused := self._opening.feed(data)) is not None:
             self._opening = None
             if refused:
-                self.hint = f"the adapter refused the bit rate {self._bitrate}, or the opening of its channel"
+                self.hint = (
+                    f"the CAN adapter refused the bit rate {self._bitrate}, or to open its channel; check bitrate in "
+                    "the rig"
+                )
         if self._answers is not None:
             self._answers.feed(data)
             if self._answers.refused >= REFUSED:
                 raise PortError(
-                    f"the adapter refused {REFUSED} frames in a row (BELL): look at the bus, its termination, "
-                    f"its other nodes and the bit rate of {self._bitrate}"
+                    f"the adapter refused {REFUSED} frames in a row (BELL): check the power and termination of the "
+                    f"bus, its other nodes, and the bit rate {self._bitrate}"
                 )
         frames = self._decoder.feed(data, 0.0)
         self.bytes_in, self.unparsed_bytes = self._serial.bytes_in, self._decoder.unparsed_bytes

@@ -44,7 +44,8 @@ def set_latency_timer(path: str, sysfs: Path = SYSFS, vendor: Callable[[str], in
     timer = sysfs / name / "latency_timer"
     if not timer.exists():
         if name.startswith(NAMES) and vendor(path) == VENDOR:
-            return "the FTDI adapter delays bytes by up to 16 ms, and this system has no latency_timer to change it"
+            text = "the FTDI adapter delays bytes by up to 16 ms, and this system has no latency_timer to change it"
+            return f"{text}; use another adapter, if this delay matters"
         return ""
     delay_ms = "?"
     try:
@@ -53,5 +54,5 @@ def set_latency_timer(path: str, sysfs: Path = SYSFS, vendor: Callable[[str], in
             timer.write_text("1", encoding="ascii")
     except (OSError, ValueError) as error:
         why = getattr(error, "strerror", None) or str(error)
-        return f"the adapter delays bytes by up to {delay_ms} ms ({why}): echo 1 | sudo tee {timer}"
+        return f"the adapter delays bytes by up to {delay_ms} ms ({why}); to set 1 ms: echo 1 | sudo tee {timer}"
     return ""

@@ -35,7 +35,9 @@ def _resolve_address(
     try:
         family, _, _, _, address = socket.getaddrinfo(host, number, type=kind, flags=flags)[0]
     except OSError as error:
-        raise PortError(f"no address {host}:{number}: {os_error_text(error)}") from error
+        raise PortError(
+            f"no address {host}:{number}: {os_error_text(error)}; correct the host name, or give its number"
+        ) from error
     return family, address
 
 
@@ -217,7 +219,7 @@ class TcpPort(Port):
         except OSError as error:
             raise PortError(os_error_text(error)) from error
         if not data:
-            raise PortError("closed the connection")
+            raise PortError("the other program closed the connection")
         self.bytes_in += len(data)
         return data
 
@@ -231,7 +233,7 @@ class TcpPort(Port):
             self._socket.sendall(data)
         except OSError as error:
             if error.errno == errno.EPIPE:
-                raise PortError("closed the connection") from error
+                raise PortError("the other program closed the connection") from error
             raise PortError(os_error_text(error)) from error
 
     def close(self) -> None:

@@ -43,7 +43,7 @@ class SerialPort(Port):
         self.close()
         try:
             if not stat.S_ISCHR(os.stat(self._path).st_mode):
-                raise PortError("is not a serial device")
+                raise PortError("the port is not a serial device")
             self._serial = serial.Serial(self._path, self._baud, timeout=0, exclusive=True)
         except (OSError, termios.error, ValueError) as error:  # serial.SerialException is an OSError
             raise PortError(os_error_text(error)) from error
@@ -64,9 +64,9 @@ class SerialPort(Port):
         except BlockingIOError:
             return b""
         except OSError as error:
-            raise PortError("disconnected") from error
+            raise PortError("the port was disconnected") from error
         if not data:
-            raise PortError("disconnected")
+            raise PortError("the port was disconnected")
         self.bytes_in += len(data)
         return data
 
@@ -80,9 +80,9 @@ class SerialPort(Port):
             except BlockingIOError:
                 wait = deadline - time.monotonic()
                 if wait <= 0.0 or not select.select([], [self._fd], [], wait)[1]:
-                    raise PortError("accepts no more bytes") from None
+                    raise PortError("the port accepts no more bytes") from None
             except OSError as error:
-                raise PortError("disconnected") from error
+                raise PortError("the port was disconnected") from error
 
     def close(self) -> None:
         """Close the serial port, if it is open."""

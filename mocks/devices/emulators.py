@@ -178,7 +178,8 @@ def make_emulator(
         return AutopilotEmulator(rig, device, controllers, time.time())
     if not device.port.startswith("slcan:"):
         raise SeatrialError(
-            f"{rig.path}: device {device.name}: a mock serves CAN as slcan:PORT, not {device.port}; give such a port"
+            f"{rig.path}: device {device.name}: a mock serves CAN only as slcan:PORT; write such a port in place of "
+            f"{device.port}"
         )
     if device.protocol == "dronecan":
         return DronecanBus(controllers)

@@ -121,16 +121,17 @@ def parse_fault(text: str, devices: Sequence[str] = (), thrusters: Sequence[str]
     found = _FORM.fullmatch(text)
     if found is None:
         raise SeatrialError(
-            f"--fault {text}: must read NAME[/TARGET]@T[:SECONDS], T in run seconds or {SIGNAL}, like pull/gnss@30:5"
+            f"--fault {text}: write it as NAME[/TARGET]@T[:SECONDS], T in run seconds or {SIGNAL}, such as "
+            "pull/gnss@30:5"
         )
     kind, target = found["kind"], found["target"] or ""
     if kind not in KINDS:
-        raise SeatrialError(f"--fault {text}: no fault '{kind}'; there is: {', '.join(KINDS)}")
+        raise SeatrialError(f"--fault {text}: no fault '{kind}'; use one of {', '.join(KINDS)}")
     of_thruster = kind in ("esc-dead", "esc-stuck")
     names = thrusters if of_thruster else devices
     if target and target not in names:
         noun = "thruster" if of_thruster else "device"
-        raise SeatrialError(f"--fault {text}: the rig has no {noun} '{target}'; there is: {', '.join(names)}")
+        raise SeatrialError(f"--fault {text}: the rig has no {noun} '{target}'; use one of {', '.join(names)}")
     start = None if found["t"] == SIGNAL else float(found["t"])
     return Fault(kind, target, start, float(found["seconds"] or KINDS[kind].seconds))
 

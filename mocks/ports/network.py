@@ -50,7 +50,9 @@ class NetPort:
         self._peer: Any = None
         self._backlog = bytearray()
         if self._address[0] != "localhost" and not ipaddress.ip_address(self._address[0]).is_loopback:
-            raise SeatrialError(f"{port}: a mock serves loopback only; give the rig an address such as 127.0.0.1")
+            raise SeatrialError(
+                f"{port}: a mock serves only addresses of this computer; give the rig 127.0.0.1 in place of this one"
+            )
         self.plug()
 
     @property
@@ -72,7 +74,10 @@ class NetPort:
                 sock.listen(1)
         except OSError as error:
             sock.close()
-            raise SeatrialError(f"{self.path}: {error.strerror}; does another mock serve this port?") from error
+            raise SeatrialError(
+                f"{self.path}: {error.strerror}; end the program that uses this port (another mock?), or give the rig "
+                "another port"
+            ) from error
         sock.setblocking(False)
         self._socket = sock
 

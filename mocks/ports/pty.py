@@ -76,7 +76,10 @@ class PtyPort:
         A link of the same name is replaced. Raises SeatrialError if the path is a file that is not a link.
         """
         if os.path.lexists(self.path) and not self.path.is_symlink():
-            raise SeatrialError(f"{self.path}: exists and is no mock's port; give the rig a port path that is free")
+            raise SeatrialError(
+                f"{self.path}: exists already, and is not the port of a mock; give the rig the path of a port that "
+                "does not exist"
+            )
         self._master, self._slave = os.openpty()
         tty.setraw(self._slave)
         os.set_blocking(self._master, False)
@@ -197,5 +200,5 @@ def _lock_port_path(path: Path) -> IO[str]:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         file.close()
-        raise SeatrialError(f"{path}: another mock serves this port; stop it first") from None
+        raise SeatrialError(f"{path}: another mock serves this port; stop that mock first") from None
     return file

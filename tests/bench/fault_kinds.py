@@ -159,7 +159,7 @@ def _of(rig: str) -> Iterator[Kind]:
         yield Kind("temperature not told", lasts + GUARD_S, says, fault=f"mute/{link}@usr1:16")
     yield Kind("link silent", STALE_S + GUARD_S, f"{link}.* silent", fault=f"silence/{link}@usr1:8")
     yield Kind("link garbled", STALE_S + GUARD_S, f"{link}.* silent", fault=f"garbage/{link}@usr1:8")
-    yield Kind("controller dead", STALE_S + GUARD_S, "left .*silent|for left", fault="esc-dead/left@usr1:8")
+    yield Kind("controller dead", STALE_S + GUARD_S, "left .*silent|for (thruster )?left", fault="esc-dead/left@usr1:8")
     frozen = STEP_S + FROZEN_S / SPEED + GUARD_S + 2 * SLOW_S
     if rig != MAVLINK:
         ends = ZERO_AT_S + COAST_S / SPEED + 0.25 + GUARD_S

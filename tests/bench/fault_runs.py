@@ -172,7 +172,11 @@ def trial(kind: Kind, folder: Path, devices: subprocess.Popen[str], boat: Boat, 
         if kind.stays:
             process.join(PATIENCE_S)
             wrong = [] if process.exitcode == 3 else [f"exit status {process.exitcode}"]
-            wrong += [] if "zero was sent, not confirmed: left turns at" in _last_line(folder) else [_last_line(folder)]
+            wrong += (
+                []
+                if "zero thrust was sent, not confirmed: thruster left turns at" in _last_line(folder)
+                else [_last_line(folder)]
+            )
         else:
             wrong = [] if until(lambda: not boat.turning()) else ["thrust did not end"]
         if kind.what == "runner hangs":

@@ -37,7 +37,7 @@ def work(log):
 
 command_line.main(["work", *sys.argv[1:]])
 """
-NAMED = "the file is damaged or malicious; --trust-file reads it without limits"
+NAMED = "the file is damaged or malicious; if you trust it, --trust-file reads it without limits"
 FULL = "while True: Path(tempfile.mkdtemp(), 'x').write_bytes(bytes(1 << 20)); time.sleep(0.01)"
 
 
@@ -58,7 +58,7 @@ def start(folder: Path, does: str, *words: str) -> subprocess.Popen[str]:
         ("sum(range(10**12))", "took more than 1 s of processor time"),
         ("part.write_bytes(bytes(8 << 20))", "wrote more than 4 MB to the disk"),
         (FULL, "wrote more than 4 MB to the disk"),
-        ("os.kill(os.getpid(), 11)", "the reader of the file was ended by SIGSEGV"),
+        ("os.kill(os.getpid(), 11)", "the process that read the file was ended by SIGSEGV"),
     ],
 )
 def test_a_limit_ends_the_command_in_one_line_and_leaves_nothing(tmp_path: Path, does: str, line: str) -> None:

@@ -111,7 +111,7 @@ def test_a_file_created_in_the_meantime_is_not_replaced(tmp_path: Path) -> None:
 def test_only_a_regular_file_is_replaced(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     for path in (tmp_path / "pipe", tmp_path, Path("/dev/null")):
-        with pytest.raises(SeatrialError, match="exists already and is not a regular file"):
+        with pytest.raises(SeatrialError, match="exists already, and is a folder, a pipe or a device"):
             write_output(path, "x")
     with pytest.raises(OSError, match="No such file") as caught:
         write_output(tmp_path / "no/folder.txt", "x")

@@ -61,7 +61,9 @@ def mock(*words: str | Path) -> Iterator[subprocess.Popen[str]]:
             process.terminate()
             out, err = process.communicate(timeout=PATIENCE)
         assert (process.returncode, out) == (0, ""), err
-        assert re.fullmatch(r"mock: \d+\.\d s of run time, (samples left|FELL BEHIND) .* ms( late)?\n", err), err
+        assert re.fullmatch(r"mock: \d+\.\d s of run time, (samples were sent|FELL BEHIND) .* ms( late|; .*)\n", err), (
+            err
+        )
 
 
 def awaited(condition: Callable[[], Any], description: str) -> Any:
@@ -212,7 +214,7 @@ def test_two_mocks_do_not_share_a_port(tmp_path: Path) -> None:
     with mock("bench", rig):
         second = run("mock", "bench", rig)
         assert second.returncode == 1
-        assert re.fullmatch(r"seatrial: .*another mock serves this port; stop it first\n", second.stderr)
+        assert re.fullmatch(r"seatrial: .*another mock serves this port; stop that mock first\n", second.stderr)
         assert (tmp_path / "ports" / "loadcell").is_symlink()
 
 

@@ -84,7 +84,7 @@ def test_outputs_that_the_mission_does_not_command_are_watched_too() -> None:
     stop = guard.step(T + 0.3, replace(first, t=T + 0.3, latest=late, bytes=2)).stop
     assert stop is not None
     assert stop.code is StopCode.OUTPUT
-    assert stop.reason.startswith("autopilot puts out n = +0.30 for right, commanded +0.00")
+    assert stop.reason.startswith("autopilot puts out n = +0.30 for thruster right, commanded +0.00")
 
 
 LINK = LinkStatus(
@@ -139,17 +139,21 @@ def fit(link: LinkStatus, n_max: float = 0.0, said: list[str] | None = None, mes
 @pytest.mark.parametrize(
     ("link", "code", "reason"),
     [
-        (replace(LINK, age=3.2), StopCode.LINK, "autopilot: no heartbeat for 3.2 s"),
-        (replace(LINK, age=math.inf), StopCode.LINK, "autopilot: no heartbeat for inf s"),
-        (replace(LINK, age=math.nan), StopCode.LINK, "autopilot: no heartbeat for nan s"),
-        (replace(LINK, armed=False), StopCode.LINK, "autopilot was disarmed"),
-        (replace(LINK, armed=False, alarm="critical: Leak"), StopCode.LINK, "autopilot was disarmed (critical: Leak)"),
-        (replace(LINK, mode="HOLD"), StopCode.LINK, "autopilot went over to HOLD"),
-        (replace(LINK, alarm="critical: Leak"), StopCode.LINK, "autopilot says critical: Leak"),
+        (replace(LINK, age=3.2), StopCode.LINK, "autopilot: no heartbeat received for 3.2 s; check"),
+        (replace(LINK, age=math.inf), StopCode.LINK, "autopilot: no heartbeat received for inf s"),
+        (replace(LINK, age=math.nan), StopCode.LINK, "autopilot: no heartbeat received for nan s"),
+        (replace(LINK, armed=False), StopCode.LINK, "autopilot was disarmed during the run; find out"),
+        (
+            replace(LINK, armed=False, alarm="critical: Leak"),
+            StopCode.LINK,
+            "autopilot was disarmed during the run (critical: Leak)",
+        ),
+        (replace(LINK, mode="HOLD"), StopCode.LINK, "autopilot changed from mode MANUAL to HOLD; find out"),
+        (replace(LINK, alarm="critical: Leak"), StopCode.LINK, "autopilot reports critical: Leak; remove the cause"),
         (
             replace(LINK, other_station_frames=1),
             StopCode.RIVAL,
-            "autopilot: another ground station has our own system id: its",
+            "autopilot: another ground station has the same system id as seatrial (own_system_id in the rig)",
         ),
         (
             replace(LINK, changed=("FS_THR_ENABLE was changed: 1 to 0",)),
@@ -192,10 +196,10 @@ def answered(**wrong: float) -> dict[str, float]:
         (replace(LINK, parameters_pending=True), 0.0, "no heartbeat or no parameters in 0.2 s"),
         (replace(LINK, vehicle="PX4"), 0.0, "autopilot is PX4: only ArduPilot Rover is driven"),
         (replace(LINK, vehicle=""), 0.0, "autopilot is of an unknown kind"),
-        (replace(LINK, other_station_frames=2), 0.0, "another ground station has our own system id"),
+        (replace(LINK, other_station_frames=2), 0.0, "another ground station has the same system id as seatrial"),
         (LINK, 0.0, "parameters forbid to drive, yours to set: RC_OVERRIDE_TIME was not answered"),
         (replace(LINK, parameters=answered(FS_ACTION=1.0)), 0.0, "1 parameter forbids to drive, yours to set: FS_ACT"),
-        (replace(LINK, parameters=answered()), 0.9, "a link test is needed; it was never done"),
+        (replace(LINK, parameters=answered()), 0.9, "a valid test of the lost link is needed: it was never done; run"),
     ],
 )  # fmt: skip
 def test_an_autopilot_that_is_not_fit_to_drive_is_refused(
@@ -211,11 +215,12 @@ def test_a_problem_that_allows_driving_is_printed_and_logged() -> None:
     link = replace(LINK, parameters=answered(MOT_SLEWRATE=9.0), refused=("RAW_IMU at 50 Hz: denied",), ekf=0x33F)
     vehicles = fit(link, said=said)
     vehicles.await_ready()
-    assert said[1] == "autopilot refuses RAW_IMU at 50 Hz: denied"
+    assert said[1].startswith("autopilot refuses RAW_IMU at 50 Hz: denied; raise SCHED_LOOP_RATE")
     assert said[2].startswith("autopilot IS ARMED ALREADY")
     assert vehicles.found_armed == vehicles.still_armed() == ["autopilot"]
     assert said[0].startswith("autopilot: MOT_SLEWRATE is 9, wanted 0")
-    assert cast("Told", vehicles._acquisition).marks == said[:1]
+    (mark,) = cast("Told", vehicles._acquisition).marks
+    assert said[0].removeprefix(mark).startswith("; set it")
 
 
 class Stubborn:

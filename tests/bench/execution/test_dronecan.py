@@ -143,5 +143,5 @@ def test_kill_9_ends_thrust_of_a_dronecan_controller(tmp_path: Path, who: str) -
         assert it.trace()[-1]["why"] == ("timeout" if who == "everything" else "command")
         it.run.communicate(timeout=30)
         if who == "acquisition":
-            until(lambda: "zero was sent" in read_note(it.log), 10.0)
+            until(lambda: "zero thrust was sent" in read_note(it.log), 10.0)
     open_log(it.log)

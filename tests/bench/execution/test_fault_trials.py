@@ -74,16 +74,18 @@ def test_every_fault_and_parameter_passed_on_a_real_autopilot() -> None:
 def test_a_trial_that_ended_for_another_reason_is_not_good() -> None:
     says = "autopilot: 1 parameter forbids to drive, yours to set: FS_ACTION is 1"
     refused = autopilot_faults.Trial("FS_ACTION 1", "", 0.0, 0.5, says, True, False)
-    ended = refused._replace(fault="RC1_DZ 190", seconds=0.4, says="autopilot puts out n = +0.00 for left, commanded")
+    ended = refused._replace(
+        fault="RC1_DZ 190", seconds=0.4, says="autopilot puts out n = +0.00 for thruster left, commanded"
+    )
     assert refused.good
     assert ended.good
     for bad in (
         refused._replace(fault="RC_OPTIONS 34"),  # the run names another parameter as the reason
         refused._replace(seconds=0.1),  # thrust before the refusal
         refused._replace(disarmed=False),
-        refused._replace(says="stopped by Ctrl-C: thrust is zero"),
+        refused._replace(says="stopped by Ctrl-C; thrust is zero"),
         ended._replace(seconds=0.6),
-        ended._replace(says="autopilot went over to HOLD"),
+        ended._replace(says="autopilot changed from mode MANUAL to HOLD"),
         refused._replace(fault="link cut", seconds=0.6),
         refused._replace(fault="link cut", disarmed=False),
     ):

@@ -50,7 +50,9 @@ def test_the_time_from_the_last_frame_to_neutral_is_measured() -> None:
 @pytest.mark.parametrize("n", [0.0, 0.4 * N_TEST, np.nan])
 def test_a_link_test_without_thrust_has_no_result(n: float) -> None:
     for outputs, name in (((n, N_TEST), "left"), ((N_TEST, n), "right")):
-        with pytest.raises(SeatrialError, match=f"link.mcap: {name} did not push before the silence") as caught:
+        with pytest.raises(
+            SeatrialError, match=f"link.mcap: thruster {name} gave no thrust before the link was interrupted"
+        ) as caught:
             measured(*outputs)
         assert "\n" not in str(caught.value)
 

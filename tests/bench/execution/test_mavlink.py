@@ -144,7 +144,7 @@ def test_a_disarmed_vehicle_is_not_armed_unless_told(tmp_path: Path) -> None:
     with mock(tmp_path), running(tmp_path) as run:
         _, err = run.communicate(timeout=60)
         assert run.returncode == 1
-    assert err.startswith("seatrial: autopilot is disarmed; arm it from its transmitter, or give --arm: ")
+    assert err.startswith("seatrial: autopilot is disarmed; arm it from its transmitter, or give --arm; ")
     assert err.count("\n") == 1
     assert trace(tmp_path) == []
 
@@ -189,7 +189,7 @@ def test_thrust_ends_if_a_process_dies_or_hangs(tmp_path: Path, failure: str) ->
         assert err.count("\n") == 1
     if failure == "link cut":
         assert run.returncode == 3
-        assert "autopilot WAS ARMED BY US AND MAY STILL BE" in err
+        assert "autopilot WAS ARMED BY THIS RUN AND MAY STILL BE ARMED" in err
 
 
 def test_on_a_signed_link_the_watchdogs_zero_is_obeyed_and_confirmed(tmp_path: Path) -> None:
@@ -205,7 +205,7 @@ def test_on_a_signed_link_the_watchdogs_zero_is_obeyed_and_confirmed(tmp_path: P
         assert stopped_at(tmp_path) - begun < AT_ONCE_S
         _, err = run.communicate(timeout=60)
     assert run.returncode != 0
-    assert f"autopilot: zero was sent{DISARMED}" in err
+    assert f"autopilot: zero thrust was sent{DISARMED}" in err
     assert "MAY STILL BE" not in err
 
 
@@ -213,7 +213,7 @@ def test_a_wrong_signing_key_is_named_and_leaves_no_log(tmp_path: Path) -> None:
     write_files(tmp_path, 4.0)
     rig = tmp_path / "rig.toml"
     rig.write_text(rig.read_text().replace("system_id = 1\n", 'system_id = 1\nkey_file = "key"\n', 1))
-    for key, why in ((None, "the signing key cannot be read"), (b"short", "a signing key is 32 bytes or 64")):
+    for key, why in ((None, "the signing key cannot be read"), (b"short", "a signing key has 32 bytes or 64")):
         if key is not None:
             (tmp_path / "key").write_bytes(key)
         with running(tmp_path, "--arm") as run:
@@ -232,7 +232,7 @@ def test_ctrl_c_sends_zero_at_once_and_disarms(tmp_path: Path) -> None:
         assert stopped_at(tmp_path) - begun < AT_ONCE_S
         _, err = run.communicate(timeout=60)
         assert run.returncode == 130
-    assert err == "seatrial: stopped by Ctrl-C: thrust is zero, the log is run.mcap\n"
+    assert err == "seatrial: stopped by Ctrl-C; thrust is zero, the log is run.mcap\n"
     with open_log(tmp_path / "run.mcap") as log:
         assert ("statustext", "info: Throttle disarmed") in [(kind, text) for _, kind, text in log.events()]
 
@@ -275,7 +275,7 @@ def test_a_mission_with_thrust_needs_a_link_test(tmp_path: Path, allowed: float)
         with running(tmp_path, "--arm") as run:
             _, err = run.communicate(timeout=60)
         assert run.returncode == 1
-        assert "a link test is needed; it was never done" in err
+        assert "a valid test of the lost link is needed: it was never done" in err
         assert trace(tmp_path) == []
         words = ["check", "rig.toml", "--actuators", "--link-test", "--yes", "--arm", "--json", "-o", "link.mcap"]
         done = subprocess.run([*SEATRIAL, *words], cwd=tmp_path, capture_output=True, text=True, check=False)
@@ -306,13 +306,17 @@ def test_a_link_test_is_valid_if_passed_and_its_parameters_are_unchanged(tmp_pat
         (replace(good, seconds=10.0), link, "went on for 10.00 s"),
         (good, LinkStatus(parameters={**parameters, "FS_ACTION": 5.0}, receiver=False), "have changed since 2026"),
         (replace(good, n=0.05), link, "commanded n = 0.05, which is below 0.1"),
-        (good, LinkStatus(parameters=parameters, receiver=True), "was done with no receiver, and one is heard now"),
-        (replace(good, receiver=True), link, "was done with a receiver, and none is heard now"),
-        (good, LinkStatus(parameters=parameters), "the autopilot does not report whether it hears one"),
+        (
+            good,
+            LinkStatus(parameters=parameters, receiver=True),
+            "was done with no transmitter received, and one is received now",
+        ),
+        (replace(good, receiver=True), link, "was done with a transmitter received, and none is received now"),
+        (good, LinkStatus(parameters=parameters), "the autopilot does not report whether it receives one"),
         (
             replace(good, receiver=None),
             link,
-            "the autopilot did not report on 2026-01-01T00:00:00Z whether it hears one",
+            "the autopilot did not report on 2026-01-01T00:00:00Z whether it receives one",
         ),
     ):
         if test is not None:

@@ -88,40 +88,56 @@ def test_the_guard_does_not_stop_within_the_limits(guard: SafetyGuard) -> None:
 
 
 NAN = float("nan")
+AWAY = "the boat is 101 m from the start by gnss, beyond limits.radius_m = 100; bring it back"
+COASTING = (
+    "the boat is 96 m from the start by gnss and needs 4 m to stop from 1.0 m/s, in all beyond limits.radius_m = 100"
+)
 
 
 @pytest.mark.parametrize(
     ("name", "sample", "words"),
     [
-        ("esc", Esc(1, 900.0, 40.5), "current of node 1 is 40.5 A, limit 40 A"),
-        ("esc", Esc(1, 900.0, -40.5), "current of node 1 is -40.5 A, limit 40 A"),
-        ("esc", Esc(1, 900.0, 5.0, temperature=81.0), "temperature of node 1 is 81 deg C, limit 80"),
-        ("esc", Esc(1, 900.0, 5.0, voltage=9.9), "voltage of node 1 is 9.9 V, least 10 V"),
-        ("loadcell", LoadCell(0.0, 60.1), "force is 60.1 N, limit 60 N"),
-        ("loadcell", LoadCell(0.0, -60.1), "force is -60.1 N, limit 60 N"),
-        ("gnss", Gnss(T, 41.18 + 101 / 111_195, -8.70, fix=3), "101 m from the start by gnss, limit 100 m"),
-        ("gnss", Gnss(T, 41.18, -8.70 + 101 / 83_690, fix=3), "101 m from the start by gnss, limit 100 m"),
+        ("esc", Esc(1, 900.0, 40.5), "current of node 1 on esc is 40.5 A, above limits.current_a = 40; check"),
+        ("esc", Esc(1, 900.0, -40.5), "current of node 1 on esc is -40.5 A, above limits.current_a = 40; check"),
+        (
+            "esc",
+            Esc(1, 900.0, 5.0, temperature=81.0),
+            "temperature of node 1 on esc is 81 deg C, above limits.temperature_c = 80; let it cool",
+        ),
+        (
+            "esc",
+            Esc(1, 900.0, 5.0, voltage=9.9),
+            "voltage of node 1 on esc is 9.9 V, below limits.voltage_min_v = 10; charge",
+        ),
+        ("loadcell", LoadCell(0.0, 60.1), "force is 60.1 N by loadcell, above limits.force_n = 60; lower"),
+        ("loadcell", LoadCell(0.0, -60.1), "force is -60.1 N by loadcell, above limits.force_n = 60; lower"),
+        ("gnss", Gnss(T, 41.18 + 101 / 111_195, -8.70, fix=3), AWAY),
+        ("gnss", Gnss(T, 41.18, -8.70 + 101 / 83_690, fix=3), AWAY),
         (
             "gnss",
             Gnss(T, 41.18 + 96 / 111_195, -8.70, vel_n=1.0, vel_e=0.5, fix=3),
-            "96 m from the start by gnss and 4 m to stop from 1.0 m/s, limit 100 m",
+            COASTING,
         ),
         (
             "gnss",
             Gnss(T, 41.18 + 96 / 111_195, -8.70, speed=1.0, fix=3),  # without a course over ground
-            "96 m from the start by gnss and 4 m to stop from 1.0 m/s, limit 100 m",
+            COASTING,
         ),
-        ("esc", Esc(1, -4001.0), "speed of node 1 is -4001 rpm, limit 4000"),
-        ("ahrs", Ahrs(0.0, 0.0, math.radians(-31.0)), "roll is -31 deg by ahrs, limit 30"),
-        ("ahrs", Ahrs(0.0, math.radians(21.0), 0.0), "pitch is 21 deg by ahrs, limit 20"),
-        ("ahrs/battery", Battery(9.9), "battery of ahrs is at 9.9 V, least 10 V"),
-        ("ahrs/battery", Battery(12.0, 1.0, 0.19), "battery of ahrs has 19 % left, least 20 %"),
+        ("esc", Esc(1, -4001.0), "speed of node 1 on esc is -4001 rpm, above limits.rpm = 4000; lower"),
+        ("ahrs", Ahrs(0.0, 0.0, math.radians(-31.0)), "roll is -31 deg by ahrs, above limits.roll_deg = 30; level"),
+        ("ahrs", Ahrs(0.0, math.radians(21.0), 0.0), "pitch is 21 deg by ahrs, above limits.pitch_deg = 20; level"),
+        ("ahrs/battery", Battery(9.9), "battery of ahrs is at 9.9 V, below limits.voltage_min_v = 10; charge it"),
+        (
+            "ahrs/battery",
+            Battery(12.0, 1.0, 0.19),
+            "battery of ahrs has 19 % left, below limits.battery_min = 0.2; charge it",
+        ),
     ],
 )
 def test_each_limit_stops_with_its_reason(guard: SafetyGuard, name: str, sample: Sample, words: str) -> None:
     if name == "gnss":
         guard.check(status(0.1, 1001, **{name: sample}))  # a jump: a single fix may be wrong
-    assert reason(guard, status(0.2, 1002, **{name: sample})) == words
+    assert reason(guard, status(0.2, 1002, **{name: sample})).startswith(words)
 
 
 @pytest.mark.parametrize(
@@ -158,7 +174,7 @@ def test_a_saturated_load_cell_stops_the_run_if_a_second_cell_is_fine(rig: Rig) 
         return replace(now, latest=now.latest | {("other", None): Latest(GOOD["loadcell", None], now.t)})
 
     guard.check(two(0.05))
-    assert reason(guard, two(0.1)) == "loadcell is saturated, its force cannot be watched"
+    assert reason(guard, two(0.1)).startswith("load cell loadcell is saturated, so its force cannot be compared")
 
 
 @pytest.mark.parametrize(
@@ -217,7 +233,7 @@ def test_a_silent_controller_on_a_busy_bus_stops(guard: SafetyGuard) -> None:
     now = status(0.1)
     latest = {**now.latest, ("esc", 1): Latest(GOOD["esc", 1], now.t - 1.1)}
     message = reason(guard, replace(now, latest=latest))
-    assert message == "thruster left (node 1 on esc) is silent for 1.1 s"
+    assert message.startswith("thruster left (node 1 on esc) is silent for 1.1 s; check")
 
 
 def test_a_log_that_does_not_grow_stops(guard: SafetyGuard) -> None:

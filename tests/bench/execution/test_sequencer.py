@@ -319,7 +319,7 @@ def test_a_second_sender_and_a_flood_end_the_run() -> None:
 def test_a_command_without_a_whole_attachment_ends_the_run() -> None:
     drive = Following()
     drive.until(101.0, 0.0)
-    with pytest.raises(SafetyStop, match="a command for left has no whole attachment"):
+    with pytest.raises(SafetyStop, match="a command for thruster left lacks sequence number, time or id"):
         drive.until(101.1, 0.0, b"")
 
 
@@ -331,7 +331,7 @@ def test_a_command_that_is_repeated_or_out_of_order_ends_the_run(number: int) ->
     drive.waiting = [ReceivedCommand(0.0, b"a", number=7)]  # number 6 was lost, which does not end the run
     drive.until(100.1)
     drive.waiting = [ReceivedCommand(0.0, b"a", number=number)]
-    with pytest.raises(SafetyStop, match=f"command number {number} for left came after number 7"):
+    with pytest.raises(SafetyStop, match=f"command number {number} for thruster left came after number 7"):
         drive.until(100.2)
 
 

@@ -48,7 +48,7 @@ def test_ctrl_c_at_any_moment_sends_zero_at_once(standin: StandIn, tmp_path: Pat
         assert run.end() == 130
     assert standin.zero_after(sent) - sent < AT_ONCE_S
     assert standin.commands[-1][1] == 0.0
-    assert run.line() == "seatrial: stopped by Ctrl-C: thrust is zero, the log is run.mcap"
+    assert run.line() == "seatrial: stopped by Ctrl-C; thrust is zero, the log is run.mcap"
     log = open_log(run.log)
     assert not log.warnings
     assert "stop" in kinds(run.log)
@@ -193,7 +193,7 @@ def test_a_signal_to_the_acquisition_process_is_reported_as_such(standin: StandI
         assert run.end() == 3
     assert standin.zero_after(sent) - sent < AT_ONCE_S
     assert "SIGTERM" in run.line()
-    assert run.line().endswith(": thrust is zero, the log is run.mcap")
+    assert run.line().endswith("; thrust is zero, the log is run.mcap")
     log = open_log(run.log)
     assert not log.warnings
     assert any("SIGTERM" in text for _, kind, text in log.events() if kind == "stop")
@@ -226,9 +226,10 @@ def test_after_kill_9_of_the_runner_the_deadman_sends_zero(standin: StandIn, tmp
         run.end()
     assert standin.n == 0.0
     # The killed runner cannot print its last line, so the acquisition process prints it.
-    why, _, thrust = run.line().partition(": ")[2].partition(": ")
+    why, _, thrust = run.line().partition(": ")[2].partition("; ")
     assert why in (f"{PARENT} has ended", f"{PARENT} has not responded for 0.25 s")
-    assert thrust == f"zero was sent, not confirmed; the log is {run.log}"
+    assert thrust.startswith("zero thrust was sent, not confirmed: make sure that")
+    assert thrust.endswith(f"; the log is {run.log}")
     log = open_log(run.log)
     assert not log.warnings  # closed regularly, not salvaged
     assert log.table(Command, "esc", node=1)["n_cmd"][-1] == 0.0
@@ -245,7 +246,8 @@ def test_if_the_runner_hangs_the_deadman_sends_zero(standin: StandIn, tmp_path: 
         assert run.process.stderr is not None
         first = run.process.stderr.readline()  # printed by the acquisition process, because the runner still hangs
         assert first == (
-            f"seatrial: {PARENT} has not responded for 0.25 s: zero was sent, not confirmed; the log is {run.log}\n"
+            f"seatrial: {PARENT} has not responded for 0.25 s; zero thrust was sent, not confirmed: make sure that the "
+            f"propellers stand still; the log is {run.log}\n"
         )
         run.process.send_signal(signal.SIGCONT)
         assert run.end() in (1, 3)
@@ -271,7 +273,7 @@ def test_after_kill_9_of_the_acquisition_the_esc_stops(standin: StandIn, tmp_pat
     if not both:
         assert status == 3
         # by the watchdog, which receives no frames from a controller
-        assert "zero was sent, not confirmed" in run.line()
+        assert "zero thrust was sent, not confirmed" in run.line()
         assert "run.mcap" in run.line()
     log = open_log(run.log)
     assert log.warnings  # salvaged
@@ -289,7 +291,9 @@ def test_a_pulled_can_port_is_a_safety_stop(standin: StandIn, tmp_path: Path) ->
     until(lambda: standin.n == 0.0, 5.0)
     assert standin.zero_after(sent) - sent < TIMEOUT_S / SPEED + AT_ONCE_S
     assert run.line().startswith("seatrial: esc ")
-    assert "zero was sent, not confirmed: left was not reached" in run.line()  # no command can reach the controller
+    assert (
+        "zero thrust was sent, not confirmed: thruster left was not reached" in run.line()
+    )  # no command can reach the controller
     assert "stop" in kinds(run.log)
 
 
@@ -317,7 +321,9 @@ def test_too_much_force_is_a_safety_stop(standin: StandIn, tmp_path: Path) -> No
         assert standin.zero_after(sent) - sent < AT_ONCE_S
         assert run.end() == 3
     assert run.line().startswith("seatrial: force is ")
-    assert run.line().endswith("limit 60 N: thrust is zero, the log is run.mcap")
+    assert run.line().endswith(
+        "limits.force_n = 60; lower n_max, or correct the limit; thrust is zero, the log is run.mcap"
+    )
     stops = [text for _, kind, text in open_log(run.log).events() if kind == "stop"]
     assert any("force is" in text for text in stops)
 

@@ -120,7 +120,7 @@ def test_check_refuses_thrusters_behind_px4() -> None:
     status = Status(1.0, {"autopilot": port}, {}, {}, 0, "", 1, 1, 1.0, "", (), links={"autopilot": link})
     (found,) = [one for one in check_ports(rig, status) if one.code == "autopilot-not-driven"]
     assert (found.level, found.where) == (FAULT, "autopilot")
-    assert "PX4: only ArduPilot Rover is driven" in found.text
+    assert "PX4: seatrial drives only ArduPilot Rover" in found.text
 
 
 @pytest.mark.parametrize(
@@ -142,9 +142,9 @@ GOOD = LinkStatus(
 @pytest.mark.parametrize(
     ("link", "level", "code", "text"),
     [
-        (GOOD, "ok", "autopilot-answers", "mode MANUAL, disarmed, a receiver was heard, EKF flags 831 (position)"),
-        (replace(GOOD, receiver=False), "ok", "autopilot-answers", "no receiver heard"),
-        (replace(GOOD, ekf=0xA7), "warning", "estimator-not-ready", "its estimator has no position"),
+        (GOOD, "ok", "autopilot-answers", "mode MANUAL, disarmed, a transmitter is received, EKF flags 831 (position)"),
+        (replace(GOOD, receiver=False), "ok", "autopilot-answers", "no transmitter received"),
+        (replace(GOOD, ekf=0xA7), "warning", "estimator-not-ready", "its position estimator has no position"),
         (LinkStatus(), "fault", "no-heartbeat", "no heartbeat"),
         (replace(GOOD, parameters={"FS_ACTION": 1.0}), "fault", "autopilot-parameter", "FS_ACTION is 1, wanted 2"),
         (replace(GOOD, parameters_pending=True), "warning", "parameters-unanswered", "not sent all parameters"),
@@ -153,10 +153,10 @@ GOOD = LinkStatus(
             replace(GOOD, other_station_frames=3),
             "fault",
             "rival-station",
-            "another ground station has system id 255, the same as this rig",
+            "another ground station has system id 255, the same as seatrial (own_system_id in the rig)",
         ),
-        (replace(GOOD, lost=20), "warning", "frames-lost", "20 frames lost on the way, 999 received"),
-        (replace(GOOD, alarm="critical: Leak"), "warning", "autopilot-alarm", "says critical: Leak"),
+        (replace(GOOD, lost=20), "warning", "frames-lost", "20 frames of the autopilot lost, 999 received"),
+        (replace(GOOD, alarm="critical: Leak"), "warning", "autopilot-alarm", "reports critical: Leak"),
     ],
     ids=lambda value: value if isinstance(value, str) and "-" in value else "",
 )

@@ -59,11 +59,11 @@ def test_no_thruster_turns_unless_requested_and_confirmed(tmp_path: Path) -> Non
     with mock(tmp_path, "boat", "--fault", "silence/gnss@0:10000", speed=FAST):
         asked = check(tmp_path, "boat-rig.toml", "--actuators")
         assert asked.returncode == 2
-        assert "say --yes" in asked.stderr
+        assert "give --yes" in asked.stderr
         # A preflight with a fault does not go on to turn propellers.
         done = check(tmp_path, "boat-rig.toml", "--actuators", "--yes", "--seconds", "1")
         assert done.returncode == 1
-        assert "not tested: there are faults already: repair first: gnss" in done.stdout
+        assert "not tested, because there are faults already: repair these first, and check again: gnss" in done.stdout
         assert not trace(tmp_path)
     assert not list(tmp_path.rglob("*.mcap"))
 

@@ -81,10 +81,10 @@ def test_the_command_on_logs(tmp_path: Path, capsys: pytest.CaptureFixture[str])
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (["a.toml", "b.mcap"], "give one RIG"),
-        (["b.mcap", "--actuators"], "need a RIG"),
-        (["a.toml", "--arm"], "belong to --actuators"),
-        (["a.toml", "--actuators", "--link-test", "--thrust", "0.2"], "0.1 of thrust always"),
+        (["a.toml", "b.mcap"], "give one rig file"),
+        (["b.mcap", "--actuators"], "need a rig file"),
+        (["a.toml", "--arm"], "apply only with --actuators"),
+        (["a.toml", "--actuators", "--link-test", "--thrust", "0.2"], "always commands 0.1"),
     ],
 )
 def test_options_that_exclude_each_other_are_wrong_usage(

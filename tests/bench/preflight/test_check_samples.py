@@ -115,7 +115,7 @@ def test_a_load_cell_with_small_counts_that_repeats_under_thrust_is_stuck(tmp_pa
 
     cell = rig_with("loadcell", 10.0, more=COUNTS)
     found = [f for f in findings_of(tmp_path, cell, sampled(pull, 10.0, 40.0)) if f.code == "sensor-stuck"]
-    assert [f.text for f in found] == ["the same reading for 9.9 s, from 30.0 s on"] * stuck
+    assert [f.text for f in found] == ["the same values for 9.9 s, from 30.0 s on"] * stuck
 
 
 def test_an_attitude_that_repeats_between_changing_accelerations_is_stuck(tmp_path: Path) -> None:
@@ -127,7 +127,7 @@ def test_an_attitude_that_repeats_between_changing_accelerations_is_stuck(tmp_pa
         f for f in findings_of(tmp_path, mav_rig(rate=10.0), [*hung, *sampled(acceleration, 10.0, 20.0, 0.03)])
         if f.code == "sensor-stuck"
     ]  # fmt: skip
-    assert found.text.startswith("the same reading for 14.9 s, from 5.0 s on")
+    assert found.text.startswith("the same values for 14.9 s, from 5.0 s on")
 
 
 def test_the_search_for_a_stuck_sensor_is_fast() -> None:
@@ -179,7 +179,7 @@ def test_a_missing_heading_does_not_hide_the_noise_of_the_others(tmp_path: Path)
     [
         (10.0, {}, "rate-as-expected", "10 Hz, expected 10"),
         (4.0, {}, "rate-off", "4 Hz, expected 10"),
-        (0.01, {}, "rate-off", "no attitudes, expected 10"),
+        (0.01, {}, "rate-off", "no attitudes, expected 10 per second"),
         # the rates of a ground station, for all kinds of samples together
         (4.0, {"import": "mavlink"}, "rate-measured", "9.0"),
     ],
@@ -205,14 +205,16 @@ def test_samples_of_an_autopilot_before_the_request_of_rates_do_not_count(
 
 def test_an_autopilot_that_sends_only_its_state_has_no_attitudes(tmp_path: Path) -> None:
     found = findings_of(tmp_path, mav_rig(), sampled(lambda t: Autopilot(0, 0, 3), 1.0, 5.0))
-    assert [(f.level, f.text) for f in found if f.code == "rate-off"] == [("fault", "no attitudes, expected 25")]
+    assert [(f.level, f.text) for f in found if f.code == "rate-off"] == [
+        ("fault", "no attitudes, expected 25 per second")
+    ]
 
 
 def test_three_losses_of_half_a_minute_are_reported(tmp_path: Path) -> None:
     rows = [r._replace(t=r.t + 30.0 * (k // 25)) for k, r in enumerate(sampled(fix, 1.0, 100.0))]
     (gap,) = [f for f in findings_of(tmp_path, rig_with("ubx", 1.0), rows) if f.check == "gap"]
     assert gap.code == "sections-missing"
-    assert gap.text.startswith("missing: 3 sections, 93.0 s in all")
+    assert gap.text.startswith("data missing: 3 sections, 93.0 s in all")
 
 
 def test_a_pause_of_a_device_whose_samples_arrive_in_groups_is_reported(tmp_path: Path) -> None:
@@ -220,7 +222,7 @@ def test_a_pause_of_a_device_whose_samples_arrive_in_groups_is_reported(tmp_path
     found = findings_of(tmp_path, rig_with("nmea", 10.0), rows)
     assert {"samples-bunched", "sections-missing", "rate-as-expected"} <= codes(found), found
     (gap,) = [f for f in found if f.code == "sections-missing"]
-    assert gap.text == "missing: 1 section, 60.2 s in all, the longest at 69.8 s"
+    assert gap.text == "data missing: 1 section, 60.2 s in all, the longest at 69.8 s"
 
 
 def _with_clock(t: np.ndarray, late: np.ndarray) -> np.ndarray:

@@ -104,7 +104,11 @@ def waited_for_a_core(pid: int) -> float:
 
 @pytest.mark.parametrize(
     ("row", "message"),
-    [({"middle": 0.1}, "no thruster 'middle'"), ({"left": 0.9}, "-0.8 to 0.8"), ({"left": float("nan")}, "allowed")],
+    [
+        ({"middle": 0.1}, "no thruster 'middle'"),
+        ({"left": 0.9}, "-0.8 to 0.8"),
+        ({"left": float("nan")}, "allows only"),
+    ],
 )
 def test_invalid_set_points_are_refused(tmp_path: Path, row: dict[str, float], message: str) -> None:
     with TestBoat(tmp_path) as boat, acquiring(boat, tmp_path) as (acquisition, _, clock):
@@ -371,7 +375,7 @@ def test_after_a_suspend_an_earlier_command_is_replaced_by_zero(
         last = boat.ports["can"].commands()[-1]
     assert last == (1, 0.0)
     assert not setpoints.active
-    assert reasons == ["the computer was suspended for 7.0 s"]
+    assert [reason.partition("; ")[0] for reason in reasons] == ["the computer was suspended for 7.0 s"]
 
 
 @pytest.mark.parametrize("place", ["_decode_received", "_check_suspend", "_queue_for_log"])
@@ -425,7 +429,7 @@ def test_a_suspend_at_rest_ends_thrust_too(tmp_path: Path, monkeypatch: pytest.M
         wait_for(lambda: bool(reasons))
         loop.end()
         loop.join()
-    assert reasons == ["the computer was suspended for 3600.0 s"]
+    assert [reason.partition("; ")[0] for reason in reasons] == ["the computer was suspended for 3600.0 s"]
 
 
 def test_the_clocks_that_reveal_a_suspend_agree_without_a_suspend() -> None:

@@ -18,7 +18,9 @@ from seatrial.daq.tools.live_table import table
 from seatrial.daq.transport.serial_port import SerialPort
 from tests.daq.logs import recorder, rig
 
-HINT = "the adapter delays bytes by up to 16 ms (Permission denied): echo 1 | sudo tee /sys/.../latency_timer"
+HINT = (
+    "the adapter delays bytes by up to 16 ms (Permission denied); to set 1 ms: echo 1 | sudo tee /sys/.../latency_timer"
+)
 
 
 def test_a_hint_is_in_every_status_and_once_in_the_log(tmp_path: Path) -> None:

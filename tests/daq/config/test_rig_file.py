@@ -54,13 +54,13 @@ def test_absolute_and_socketcan_ports_stay_as_they_are(example: str) -> None:
     ("old", "new", "line"),
     [
         ('format = "seatrial-rig 1"', 'format = "seatrial-rig 9"', r"format: must be 'seatrial-rig 1', not '"),
-        ("speed = 20.0", "sped = 20.0", r"clock\.sped: unknown key; known here: speed"),
+        ("speed = 20.0", "sped = 20.0", r"clock\.sped: unknown key; correct or remove it; known here: speed"),
         ("speed = 20.0", "speed = nan", r"clock\.speed: must be a finite number"),
         ("speed = 20.0", "speed = true", r"clock\.speed: must be a number, not true"),
         ('protocol = "vectornav"', 'protocol = "xsens"', r"device\[1\]\.protocol: must be one of vectornav, "),
         ("baud = 38400", "", r"^$"),  # a default value
         ("rate_hz = 50.0", "rate_hz = -1", r"device\[1\]\.rate_hz: must be above zero"),
-        ("rate_hz = 50.0", "", r"device\[1\]\.rate_hz: missing; this key is required"),
+        ("rate_hz = 50.0", "", r"device\[1\]\.rate_hz: missing; add this required key"),
         ("rate_hz = 50.0", "rate_hz = 50.0\nbitrate = 500000", r"device\[1\]\.bitrate: unknown key"),
         ('name = "gnss"', 'name = "ahrs"', r"device: 'ahrs' appears twice"),
         ('name = "gnss"', 'name = "G/1"', r"device\[2\]\.name: 'G/1' becomes a topic"),
@@ -68,13 +68,17 @@ def test_absolute_and_socketcan_ports_stay_as_they_are(example: str) -> None:
         (r"(?P<counts>-?\d+)", r"(-?\d+)", r"device\[4\]\.pattern: must have a group"),
         (r"(?P<counts>-?\d+)", r"(?P<counts>-?\d+", r"device\[4\]\.pattern: not a regular expression"),
         ("node = 1", "node = 1.5", r"thruster\[1\]\.node: must be a whole number, not 1\.5"),
-        ('device = "esc"', 'device = "ahrs"', r"thruster\[1\].device: no vesc or dronecan or mavlink device 'ahrs'"),
+        (
+            'device = "esc"',
+            'device = "ahrs"',
+            r"thruster\[1\].device: the rig has no device 'ahrs' of protocol vesc or dronecan or mavlink",
+        ),
         ("[-0.25, -0.15, 0.0]", "[-0.25, -0.15]", r"position_m: must have 3 numbers, not 2"),
         ("n_max = 1.0", "n_max = 1.5", r"limits\.n_max: must be within 0\.0 \.\. 1\.0"),
-        ("[limits]", "[limit]", r"limit: unknown key; known here: format, name"),
+        ("[limits]", "[limit]", r"limit: unknown key; correct or remove it; known here: format, name"),
         ("[limits]", "[limits", r"not valid TOML.*line"),
         ('name = "mock boat"', 'name = "a\\u001b[2Jb"', r"name: has characters that are not printable: 'a\\x1b\[2Jb'"),
-        ("m_u = ", '"m\\u0007" = ', r"vehicle\.'m\\x07': a name with characters that are not printable"),
+        ("m_u = ", '"m\\u0007" = ', r"vehicle\.'m\\x07': this name has characters that are not printable"),
         ("commands = false", "commands = 1", r"ros2\.commands: must be true or false"),
         ('"tcp/127.0.0.1:7447"', '"udp/10.0.0.1:7447#iface=x"', r"ros2\.router: must be tcp/HOST:PORT"),
         ('namespace = ""', 'namespace = "a/**"', r"ros2\.namespace: 'a/\*\*' becomes a part of topics"),
@@ -94,7 +98,7 @@ def test_an_error_in_a_rig_is_named_in_one_line(example: str, old: str, new: str
 
 
 def test_an_unreadable_rig_is_one_line(tmp_path: Path) -> None:
-    with pytest.raises(SeatrialError, match=r"none\.toml: No such file"):
+    with pytest.raises(SeatrialError, match=r"none\.toml: cannot be read: No such file"):
         load_rig(tmp_path / "none.toml")
     (tmp_path / "latin.toml").write_bytes(b"name = '\xe5'")
     with pytest.raises(SeatrialError, match="not UTF-8"):
@@ -103,9 +107,9 @@ def test_an_unreadable_rig_is_one_line(tmp_path: Path) -> None:
 
 def test_unknown_names_in_a_rig_are_refused(example: str) -> None:
     rig = parse_rig(example, "rig.toml")
-    with pytest.raises(SeatrialError, match="no device 'cell'; there is: ahrs, gnss, esc, loadcell"):
+    with pytest.raises(SeatrialError, match="no device 'cell'; give one that it has: ahrs, gnss, esc, loadcell"):
         rig.device("cell")
-    with pytest.raises(SeatrialError, match="no thruster 'right'; there is: left"):
+    with pytest.raises(SeatrialError, match="no thruster 'right'; give one that it has: left"):
         rig.thruster("right")
 
 

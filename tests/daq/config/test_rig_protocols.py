@@ -97,5 +97,5 @@ def test_the_segment_settings_of_a_rig_are_read() -> None:
     assert rig("nmea", before="[log]\nsegment_mb = 200\nkeep_gb = 20").segments.keep_gigabytes == 20.0
     with pytest.raises(SeatrialError, match=r"log\.keep_gb: .*segment_mb or segment_s"):
         rig("nmea", before="[log]\nkeep_gb = 20")
-    with pytest.raises(SeatrialError, match=r"log\.keep_gb: must be at least 3 segments"):
+    with pytest.raises(SeatrialError, match=r"log\.keep_gb: must be at least 3 times segment_mb"):
         rig("nmea", before="[log]\nsegment_mb = 200\nkeep_gb = 0.5")

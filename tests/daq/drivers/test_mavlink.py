@@ -217,7 +217,7 @@ def test_a_parameter_that_was_not_answered_does_not_pass_as_good(name: str) -> N
     del parameters[name]
     (found,) = check_parameters(parameters, mav_rig().thrusters, 255)
     assert (found.name, found.value, found.fatal) == (name, None, name not in FAILSAFE_PARAMETERS)
-    assert str(found).startswith(f"{name} was not answered; the link may lose messages: repeat it")
+    assert str(found).startswith(f"{name} was not answered by the autopilot; the link may lose messages: repeat")
 
 
 def test_a_parameter_whose_answers_were_all_lost_is_noted_and_forbids_to_drive() -> None:

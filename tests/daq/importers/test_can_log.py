@@ -157,7 +157,7 @@ def test_a_guess_with_a_dbc_has_messages_and_units(tmp_path: Path) -> None:
     words = ["maps/map.toml", *words[1:4]]
     done = subprocess.run([*run, *words], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 2
-    assert "--dbc goes with --guess" in done.stderr
+    assert "--dbc applies only with --guess" in done.stderr
     with pytest.raises(SeatrialError, match=r"is not a CAN log .*; leave out --dbc"):
         guess_map(tmp_path / "dbc/boat.dbc", tmp_path / "dbc/boat.dbc")
 
@@ -244,7 +244,9 @@ def test_what_is_wrong_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(SeatrialError, match="is the source of this import and is never replaced"):
         import_can(path, tmp_path / "rig.toml", out=tmp_path / "rig.toml", force=True)
     path.write_text("(1.000000) can0 123#00\n" + "what is this?\n" * 2)
-    with pytest.raises(SeatrialError, match=r"unknown kind of file; import reads|no table of numbers found"):
+    with pytest.raises(
+        SeatrialError, match=r"unknown kind of file; give one that import reads|no table of numbers found"
+    ):
         guess_map(path)
     path.write_text("(1.000000) can0 123#00\n" * 60 + "what is this?\n" * 70)
     with pytest.raises(SeatrialError, match="cannot be read as a CAN log: line 61 is not a frame of candump -L"):

@@ -174,7 +174,7 @@ def test_lines_that_are_no_frames_are_counted(tmp_path: Path) -> None:
     lines = DIALECTS["candump -ta"][0].copy()
     lines[7] = lines[7][:40]  # the data is missing
     lines[9] = " (1715504401.000000)  can0  20000004   [8]  00 08 00 00 00 00 00 00   ERRORFRAME"
-    with pytest.warns(SeatrialWarning, match="1 line left out, not CAN frames; the first is line 8"):
+    with pytest.warns(SeatrialWarning, match="1 line left out, not CAN frames; check the first, line 8"):
         frames = read_frames(write(tmp_path, lines))
     assert len(frames) == N - 2
 

@@ -93,5 +93,5 @@ def test_sensors_among_fixes_get_their_time(late: int, tmp_path: Path) -> None:
 
 def test_a_file_without_rows_is_refused(tmp_path: Path) -> None:
     (tmp_path / "TRACK.CSV").write_text("\n".join(track()[:6]) + "\n")
-    with pytest.raises(SeatrialError, match="no rows below the header"):
+    with pytest.raises(SeatrialError, match="no lines with data below the header"):
         guess_map(tmp_path / "TRACK.CSV")

@@ -52,7 +52,7 @@ def test_a_signal_may_have_its_own_clock_with_its_own_format(folder: Path) -> No
     rows = "t,t_ms,cmd,heading\n0.0,100,0.5,170\n0.1,200,0.6,171\n"
     (out,) = import_files(*write(folder, rows, signal='time = "t_ms"\ntime_format = "ms"'))
     assert (values(out, "psi")[0], values(out, "n_left")[0]) == ([0.1, 0.2], [0.0, 0.1])
-    wrong = (('time_format = "ms"', "needs time"), ('time = "t_ms"\ntime_format = "weeks"', "must be s,"))
+    wrong = (('time_format = "ms"', "needs `time`"), ('time = "t_ms"\ntime_format = "weeks"', "must be s,"))
     for signal, message in wrong:
         with pytest.raises(SeatrialError, match=rf"signal\[1\]\.time_format: {message}"):
             import_files(*write(folder, rows, signal=signal))
@@ -145,9 +145,7 @@ GAPS = "t,cmd,heading\n0.0,1,1\n0.1,,2\n0.2,3,nan\n0.3,4,4\n"
 
 
 def test_cells_without_a_number_are_left_out(folder: Path) -> None:
-    with pytest.raises(
-        SeatrialError, match=r"run\.csv: line 4, column 'heading': no number in this cell; nan = \"drop\""
-    ):
+    with pytest.raises(SeatrialError, match=r"run\.csv: line 4, column 'heading': there is no number; nan = \"drop\""):
         import_files(*write(folder, GAPS))
     (out,) = import_files(*write(folder, GAPS, csv='nan = "drop"'))
     assert values(out, "n_left") == ([0.0, 0.2, 0.3], [1.0, 3.0, 4.0])
@@ -221,16 +219,19 @@ def test_times_of_day_continue_after_midnight(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("rows", "line"),
     [
-        ("time,cmd,heading\n0,1,2\n", "column 't' is not in the header; the columns are: time, cmd, heading"),
+        (
+            "time,cmd,heading\n0,1,2\n",
+            "column 't' is not in the header; name one of these in the import map: time, cmd, heading",
+        ),
         ("t,cmd,heading,cmd\n0,1,2,3\n", "column 'cmd' appears twice in the header"),
         ("t,cmd,heading\n0,x1,2\n", "line 2, column 'cmd': 'x1' is not a number"),
         ("t,cmd,heading\n0,1_0,2\n", "line 2, column 'cmd': '1_0' is not a number"),
         ("t,cmd,heading\n0,1,2\n1,1e999,2\n", "line 3, column 'cmd': '1e999' is not a finite number"),
-        ("t,cmd,heading\n,1,2\n", "line 2, column 't': the cell has no time; remove the line"),
-        ("t,cmd,heading\n0,1,2\n1,2\n", "line 3: 2 cells, but the header has 3"),
+        ("t,cmd,heading\n,1,2\n", "line 2, column 't': there is no time; remove this line of the table"),
+        ("t,cmd,heading\n0,1,2\n1,2\n", "line 3: 2 values, but the header has 3"),
         # a cell has two lines: lines are counted as in an editor
         ('t,cmd,heading\n0," 1\n",2\n1,2,z\n', "line 4, column 'heading': 'z' is not a number"),
-        ("t,cmd,heading\n", "no rows below the header"),
+        ("t,cmd,heading\n", "no lines with data below the header"),
         ("", "the file is empty"),
         ("t,cmd,heading\n-5,1,2\n", "times must be between 1970 and 2038"),
         ("t,cmd,heading\n1e12,1,2\n", "times must be between 1970 and 2038"),
@@ -265,28 +266,28 @@ def test_an_invalid_iso_time_is_refused(folder: Path) -> None:
     [
         ('unit = "deg"', 'unit = "degs"', r"signal\[1\]\.unit: 'degs' is not a known unit"),
         ('unit = "deg"', 'unit = "m"\nangle = "wrap"',
-         r"signal\[1\]\.angle: needs a unit of angle \(deg, rad\), not m"),
-        ('column = "t"', 'colum = "t"', r"time\.column: give either column or rate_hz"),
+         r"signal\[1\]\.angle: works only with a unit of angle \(deg, rad\), not m"),
+        ('column = "t"', 'colum = "t"', r"time\.column: give one of column and rate_hz"),
         ('name = "psi"', 'name = "n_left"', "signal: 'n_left' appears twice"),
-        ('unit = "deg"', 'unit = "deg"\nmissing_is = 0', r"signal\[1\]\.missing_is: needs missing"),
+        ('unit = "deg"', 'unit = "deg"\nmissing_is = 0', r"signal\[1\]\.missing_is: needs `missing`"),
         ('name = "psi"', 'name = "p/si"', r"signal\[1\]\.name: 'p/si' is not a valid name"),
         ('column = "t"', 'column = "t"\nformat = "weeks"', r"time\.format: must be s, ms, us, ns, min, h, day, iso"),
-        ('column = "t"', 'column = "t"\nformat = "gps"', r"time\.format: gps needs date: the column of the GPS week"),
-        ('column = "t"', 'column = "t"\ndate = "day"', r"time\.date: needs format iso, gps, .*, not s"),
-        ('column = "t"', 'column = "t"\norigin = "today"', r"time\.origin: not an ISO date and time: 'today'"),
+        ('column = "t"', 'column = "t"\nformat = "gps"', r"time\.format: gps needs `date`, the name of the column"),
+        ('column = "t"', 'column = "t"\ndate = "day"', r"time\.date: works only with format iso, gps, .*, not s"),
+        ('column = "t"', 'column = "t"\norigin = "today"', r"time\.origin: must be an ISO date and .* not 'today'"),
         ("[time]", "[tims]", r"tims: unknown key"),
         ('column = "t"', 'colum = "t"', r"rate_hz; is 'colum' a typing error\?"),
         ('column = "heading"', 'colum = "heading"', r"signal\[1\]\.column: missing; .*is 'colum' a typing error"),
         ("[csv]", "[geometry]\ny_left = -25.0\ny_right = 25.0\nlength = 1.2\n[csv]",
-         r"geometry\.y_left: 25 m from the middle of a hull of 1\.2 m; positions are in metres"),
+         r"geometry\.y_left: 25 m from the middle of a hull of 1\.2 m; write positions in metres"),
         ("[csv]", '[csv]\ndelimiter = ", "', r"csv\.delimiter: must be one character"),
         ("[csv]", '[csv]\ndecimal = ","', r"csv\.decimal: is also the delimiter"),
         ('role = "input"', 'role = "input"\nsign = 2', r"signal\[2\]\.sign: must be 1 or -1"),
-        ("[csv]", '[[log]]\nname = "a"\nt_from = 3\nt_to = 2\n[csv]', r"log\[1\]\.t_to: must be after t_from"),
+        ("[csv]", '[[log]]\nname = "a"\nt_from = 3\nt_to = 2\n[csv]', r"log\[1\]\.t_to: must be later than t_from"),
         ("[csv]", "[scale]\nc1 = -12.0\n[csv]", r"scale\.c1: must be positive, not -12"),
         ("[csv]", "[scale]\nthrust = 12.0\n[csv]", r"scale\.thrust: unknown key"),
         ("[csv]", "[geometry]\ny_left = 0.2\ny_right = -0.2\n[csv]", r"geometry\.y_left: must be less than y_right"),
-        ("[csv]", "[csv]\nskiprows = 2", r"csv\.skiprows: unknown key; known here: delimiter"),
+        ("[csv]", "[csv]\nskiprows = 2", r"csv\.skiprows: unknown key; correct or remove it; known here: delimiter"),
     ],
 )  # fmt: skip
 def test_what_is_wrong_with_a_map_is_one_line(folder: Path, old: str, new: str, line: str) -> None:
@@ -330,11 +331,14 @@ def test_merged_files_must_each_have_their_part(folder: Path) -> None:
     assert open_log(out).sources(Scalar) == ["n_left", "n_right", "speed_x", "speed_y"]
     assert values(out, "n_right") == ([49.4, 50.4], [0.2, 0.4])
     assert values(out, "speed_y") == ([0.0, 49.5], [0.0, -0.1])
-    with pytest.raises(SeatrialError, match=r"'surge_\*_odomvel\.csv' must match exactly one file; it matches: none"):
+    with pytest.raises(
+        SeatrialError,
+        match=r"'surge_\*_odomvel\.csv' must match exactly one of the given files; correct it, as it matches: none",
+    ):
         import_files(path, [one], force=True)
     other = folder / "notes.csv"
     other.write_text("a\n1\n")
-    with pytest.raises(SeatrialError, match=r"notes\.csv must match exactly one \[\[file\]\]; it matches 0"):
+    with pytest.raises(SeatrialError, match=r"notes\.csv must match exactly one \[\[file\]\], and it matches 0"):
         import_files(path, [one, two, other], force=True)
 
 

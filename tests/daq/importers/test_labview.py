@@ -84,7 +84,7 @@ def test_a_measurement_file_of_labview_is_imported(name: str, mark: str, decimal
 def test_a_file_without_rows_is_refused(tmp_path: Path) -> None:
     source = tmp_path / "run.lvm"
     source.write_text("\n".join(head("One", "\t", ".")) + "\n")
-    with pytest.raises(SeatrialError, match="no rows below the header"):
+    with pytest.raises(SeatrialError, match="no lines with data below the header"):
         guess_map(source)
     source.write_text("LabVIEW Measurement\t\n")
     with pytest.raises(SeatrialError, match="header of this LabVIEW file has no end"):

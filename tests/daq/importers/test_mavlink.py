@@ -122,7 +122,7 @@ def test_of_two_autopilots_one_is_imported_and_the_other_is_named(tmp_path: Path
     path = tmp_path / "run.tlog"
     path.write_bytes(attitudes((1, 12.0), (2, 400.0)))
     with pytest.warns(
-        SeatrialWarning, match=r"system 1 is imported; the log also contains system 2: choose one by --system"
+        SeatrialWarning, match=r"system 1 is imported; the log also contains system 2: choose one with --system"
     ):
         out, _ = import_mavlink(path, out=tmp_path / "run.mcap")
     with open_log(out) as log:
@@ -144,7 +144,9 @@ def test_a_file_that_is_not_a_tlog_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(SeatrialError, match="no heartbeat of an autopilot"):
         import_mavlink(path, out=tmp_path / "x.mcap")
     tlog(path)
-    with pytest.raises(SeatrialError, match=r"no samples of system 9 .* it contains systems 1: choose one by --system"):
+    with pytest.raises(
+        SeatrialError, match=r"no samples of system 9 .* it contains systems 1: choose one with --system"
+    ):
         import_mavlink(path, system=9, out=tmp_path / "x.mcap")
     assert not (tmp_path / "x.mcap").exists()
 

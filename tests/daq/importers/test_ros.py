@@ -313,9 +313,11 @@ def test_a_bag_exported_from_a_log_is_imported_by_its_guess(tmp_path: Path) -> N
 
 
 def test_what_is_wrong_is_one_line(bag: Path, tmp_path: Path) -> None:
-    with pytest.raises(SeatrialError, match="no topic /gps; the topics are: /fix, /imu/data, /name"):
+    with pytest.raises(
+        SeatrialError, match="no topic /gps; name one of its topics in the import map: /fix, /imu/data, /name"
+    ):
         signals(bag, tmp_path, '{ name = "x", topic = "/gps", field = "x", unit = "m" }')
-    with pytest.raises(SeatrialError, match="/rpm has no 'rpm'; the columns are: data"):
+    with pytest.raises(SeatrialError, match="/rpm has no column 'rpm'; name one of these in the import map: data"):
         signals(bag, tmp_path, '{ name = "x", topic = "/rpm", field = "rpm", unit = "m" }')
     with pytest.raises(SeatrialError, match=r"signal\[1\]\.field: missing"):
         signals(bag, tmp_path, '{ name = "x", topic = "/rpm", column = "data", unit = "m" }')
@@ -367,7 +369,7 @@ def test_a_bag_whose_pose_is_only_in_tf_is_imported(tmp_path: Path) -> None:
     np.testing.assert_allclose(heading["value"], math.radians(-45.0), atol=1e-9)
     wrong = guess.text.replace("/tf:odom:base_link", "/tf:odom:boat")
     (tmp_path / "wrong.toml").write_text(wrong, encoding="utf-8")
-    with pytest.raises(SeatrialError, match="no transform /tf:odom:boat; the topics are"):
+    with pytest.raises(SeatrialError, match="no transform /tf:odom:boat; name one of its topics"):
         import_files(tmp_path / "wrong.toml", [path], out_dir=tmp_path)
 
 

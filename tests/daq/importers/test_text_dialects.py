@@ -325,9 +325,12 @@ def test_a_dialect_of_text_tables_is_read(tmp_path: Path, text: str, start: floa
 
 # Table -> warning
 SAID = {
-    "short": (DIALECTS["a short line"][0], r"1 line left out; the first, line 52, has 3 cells, but the header has 7$"),
+    "short": (DIALECTS["a short line"][0], r"1 line left out; the first, line 52, has 3 values, but the header has 7$"),
     "cut": (DIALECTS["a last line that is cut"][0], r"line 201, the last, is cut off and left out$"),
-    "cells": (DIALECTS["text in cells"][0], r"line 41, column 'x': 'OVERFLOW' is not a number; 3 such cells left out$"),
+    "cells": (
+        DIALECTS["text in cells"][0],
+        r"line 41, column 'x': 'OVERFLOW' is not a number; 3 such values left out$",
+    ),
     "time": (DIALECTS["text in the time"][0], r"2 rows without a time left out, the first is row 60$"),
 }
 
@@ -352,7 +355,7 @@ REFUSED = {
         table("time", lambda t: f"{t:%H:%M:%S}:{t.microsecond // 1000}"), "is not a time of format",
     ),
     "a month in another language": (
-        table("Zeit", lambda t: f"{t:%d}. Mai {t:%Y %H:%M:%S}"), r"its strptime pattern as format in \[time\]$",
+        table("Zeit", lambda t: f"{t:%d}. Mai {t:%Y %H:%M:%S}"), r"its strptime pattern as `format` in \[time\]",
     ),
     "a DataFlash log as text": (
         "FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format,Columns\n", "import the original .BIN",
@@ -372,4 +375,4 @@ def test_an_unreadable_table_is_refused(tmp_path: Path, text: str, line: str) ->
 def test_a_duplicate_column_name_is_reported(tmp_path: Path) -> None:
     source = tmp_path / "run.csv"
     source.write_text("\n".join([f"{HEADER},x", *(f"{row},1" for row in ROWS)]) + "\n")
-    assert "# caveat: column 'x' is 2 times in the header: name the columns in the map" in guess_map(source).text
+    assert "# caveat: column 'x' is 2 times in the header: name the columns in the import map" in guess_map(source).text

@@ -53,9 +53,9 @@ def test_what_a_whole_log_says_of_itself(whole: Path) -> None:
 
 def test_asking_for_what_is_not_there(whole: Path) -> None:
     log = open_log(whole)
-    with pytest.raises(SeatrialError, match=r"no messages on /gps/gnss; topics with messages: .*/gnss/gnss"):
+    with pytest.raises(SeatrialError, match=r"no messages on /gps/gnss; use a topic that has messages: .*/gnss/gnss"):
         log.table(Gnss, "gps")
-    with pytest.raises(SeatrialError, match=r"esc has several nodes, \[1, 2\]: choose a node"):
+    with pytest.raises(SeatrialError, match=r"device esc has several nodes, \[1, 2\]: give one of them"):
         log.table(Esc, "esc")
     with pytest.raises(SeatrialError, match="no messages on /signal/sway"):
         log.unit("sway")

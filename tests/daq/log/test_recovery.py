@@ -47,7 +47,7 @@ def test_all_segments_of_a_killed_run_become_one_whole_file(killed_set: Path) ->
     done = run("recover", killed_set)
     out = killed_set.with_name("run-recovered.mcap")
     assert f"{out}: {2 * len(yaw)} messages of 4 segments\n" == done.stdout
-    assert "warning: run.3.mcap: the recording was cut off" in done.stderr
+    assert "run.mcap: run.3.mcap: the recording was cut off" in done.stderr
     with out.open("rb") as file:
         summary = make_reader(file, validate_crcs=True).get_summary()
     assert summary is not None

@@ -70,9 +70,11 @@ def test_a_short_message_is_counted(database: object) -> None:
 
 
 def test_a_name_missing_in_the_dbc_is_reported_with_the_existing_names(database: object, tmp_path: Path) -> None:
-    with pytest.raises(SeatrialError, match="no message 'Engine'; there is: Motor, Supply"):
+    with pytest.raises(SeatrialError, match="no message 'Engine'; name one in the rig that it has: Motor, Supply"):
         dbc.Decoder(database, (DbcSignal("Engine", "Speed", "rpm", 1),))
-    with pytest.raises(SeatrialError, match="no signal of Motor 'rpm'; there is: Speed, Current, Unit"):
+    with pytest.raises(
+        SeatrialError, match="no signal of Motor 'rpm'; name one in the rig that it has: Speed, Current, Unit"
+    ):
         dbc.Decoder(database, (DbcSignal("Motor", "rpm", "rpm", 1),))
     with pytest.raises(SeatrialError, match="no signal of Motor 'Node'"):
         dbc.Decoder(database, (DbcSignal("Motor", "Speed", "rpm", "Node"),))

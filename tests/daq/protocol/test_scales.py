@@ -70,7 +70,7 @@ def test_answers_of_mantracourt_are_read() -> None:
 def test_a_refusal_is_reported_until_an_answer_comes() -> None:
     decoder = mantracourt.Decoder(query="!001:FOO?")
     assert decoder.feed(b"!001:FOO?\r?\r", 5.0) == []  # the echo of a half-duplex adapter, and then the refusal
-    assert "refuses !001:FOO?" in decoder.remark
+    assert "refuses the request !001:FOO?" in decoder.remark
     assert len(decoder.feed(mantracourt.encode(1.5), 5.0)) == 1
     assert decoder.remark == ""
 

@@ -156,7 +156,7 @@ def test_all_baud_rates_of_the_table_are_tried() -> None:
 def test_an_invalid_address_is_wrong_usage(address: str) -> None:
     done = CliRunner().invoke(cli.devices, [address])
     assert done.exit_code == 2, done.output
-    assert f"must be udp:HOST:PORT, udpin:, udpout: or tcp: the same way, not '{address}'" in done.output
+    assert f"must be udp:HOST:PORT, udpin:HOST:PORT, udpout:HOST:PORT or tcp:HOST:PORT, not '{address}'" in done.output
 
 
 def test_the_devices_command_writes_the_tables_of_a_rig_file(tmp_path: Path) -> None:

@@ -238,5 +238,5 @@ def test_a_log_without_samples_is_a_failure(tmp_path: Path) -> None:
         [sys.executable, "-m", "seatrial", *words], capture_output=True, text=True, timeout=60, check=False
     )
     assert done.returncode == 1
-    assert "nothing came from any device" in done.stderr
+    assert "no device sent any data" in done.stderr
     open_log(tmp_path / "run.mcap").close()

@@ -95,13 +95,13 @@ def test_an_acquisition_that_hangs_is_not_recording() -> None:
     assert " REC " in rows(seen, mav_rig(), NOW + 0.2)[0]
     head, *other_rows = rows(seen, mav_rig(), NOW + 6.0)
     assert " REC " not in head
-    assert "the acquisition does not answer" in head
+    assert "the acquisition process does not answer" in head
     (row,) = [row for row in other_rows if "autopilot" in row]
     assert row.startswith("!")
     assert "6.0 STALE" in row
     assert " 25.0 " not in row
-    assert "the acquisition does not answer" in line(seen, mav_rig(), NOW + 6.0)
-    assert "the acquisition does not answer" not in line(seen, mav_rig(), NOW + 0.2)
+    assert "the acquisition process does not answer" in line(seen, mav_rig(), NOW + 6.0)
+    assert "the acquisition process does not answer" not in line(seen, mav_rig(), NOW + 0.2)
 
 
 def test_the_state_of_an_autopilot_is_shown_in_words() -> None:

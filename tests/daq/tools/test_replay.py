@@ -179,6 +179,6 @@ def test_a_log_without_raw_bytes_cannot_be_replayed(tmp_path: Path) -> None:
 def test_a_missing_device_of_a_replay_is_named(recorded: Path, tmp_path: Path) -> None:
     with (
         open_log(recorded) as log,
-        pytest.raises(SeatrialError, match="no raw bytes of 'gps'; devices with raw bytes: ahrs"),
+        pytest.raises(SeatrialError, match="no raw bytes of device 'gps'; give one of those with raw bytes: ahrs"),
     ):
         replay_log(log, ["gps"], tmp_path)

@@ -38,7 +38,10 @@ def test_what_is_set_already_is_left_alone(timer: Path, value: str) -> None:
 def test_a_timer_that_may_not_be_written_names_the_command_that_does(timer: Path) -> None:
     timer.unlink()
     timer.symlink_to("/proc/sys/kernel/ngroups_max")  # a file that nobody, root or not, may write
-    assert said(timer) == f"the adapter delays bytes by up to 65536 ms (Permission denied): echo 1 | sudo tee {timer}"
+    assert (
+        said(timer)
+        == f"the adapter delays bytes by up to 65536 ms (Permission denied); to set 1 ms: echo 1 | sudo tee {timer}"
+    )
     assert UDEV_RULE.endswith('ATTR{latency_timer}="1"')
 
 

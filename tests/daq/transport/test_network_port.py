@@ -285,6 +285,6 @@ def test_the_watchdog_is_heard_on_a_signed_link_long_after_it_was_made(tmp_path:
                     heard += [] if message is None else [message.get_type()]
                     data = data[about.total :]
         sender.join()
-    assert sender.outcome == "zero was sent, and not answered: it may still be armed"  # nobody here answers
+    assert sender.outcome == "zero thrust was sent, and not answered: it may still be armed"  # nobody here answers
     assert heard.count("RC_CHANNELS_OVERRIDE") > 5
     assert heard.count("COMMAND_LONG") > 5

@@ -287,7 +287,7 @@ def test_fixed_and_initial_values_are_used(fitted: Path, tmp_path: Path, run: Ru
         ("thruster {estimation}", "a shaft speed is needed; the log has left, right; name one with --thruster"),
         ("thruster {bench} --thruster port", "no signal 'n_cmd_port'"),
         ("diagnose {rig} {estimation}", "not 'seatrial-model 1': give a model.toml of seatrial"),
-        ("diagnose {estimation} {estimation}", "estimation.mcap: not a text file; a TOML file is expected"),
+        ("diagnose {estimation} {estimation}", "estimation.mcap: not a text file; give a TOML file"),
         ("diagnose {model} {bench}", "none of the sensors of"),
         ("vehicle {rig}", "rig.toml"),
     ],

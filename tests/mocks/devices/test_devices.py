@@ -285,11 +285,11 @@ def test_garbage_is_as_long_as_the_bytes_it_replaces() -> None:
 @pytest.mark.parametrize(
     ("text", "match"),
     [
-        ("fire@3", "no fault 'fire'; there is: pull"),
-        ("pull", "must read"),
-        ("pull/sonar@3", "no device 'sonar'; there is: ahrs, gnss"),
-        ("esc-dead/ahrs@3", "no thruster 'ahrs'; there is: left"),
-        ("pull@-3", "must read"),
+        ("fire@3", "no fault 'fire'; use one of pull"),
+        ("pull", "write it as"),
+        ("pull/sonar@3", "no device 'sonar'; use one of ahrs, gnss"),
+        ("esc-dead/ahrs@3", "no thruster 'ahrs'; use one of left"),
+        ("pull@-3", "write it as"),
     ],
 )
 def test_a_fault_that_makes_no_sense_is_named(text: str, match: str) -> None:
