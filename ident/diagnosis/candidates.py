@@ -180,7 +180,7 @@ class TrajectoryLinearisation:
         ]
         driven = [np.zeros((len(self.x), 0))] * len(scans)
         if m:
-            begin = self._ends.get(key, [np.zeros(m)] * len(scans))
+            begin = self._ends.get(key, [_initial_states(larger, effect, values) for values in all_values])
             driven = self._effect_states(rowwise, begin, all_values, u)
             self._ends[key] = [z[-1].copy() for z in driven]
         for scanned, values, z in zip(scans, all_values, driven, strict=True):
@@ -225,8 +225,9 @@ class TrajectoryLinearisation:
     ) -> list[Array]:
         """Return the states (n_rows, m) that an effect adds, along the trajectory, for each set of parameter values.
 
-        The size of the effect is zero, so its states do not act on the model. They are linear with constant
-        coefficients, and are driven by the states and inputs of the model.
+        The size of the effect is zero, so its states do not act on the model. They are driven by the states and inputs
+        of the model. States that are linear with constant coefficients are solved for all rows at once, others are
+        integrated from row to row.
 
         Parameters
         ----------
@@ -244,6 +245,9 @@ class TrajectoryLinearisation:
         steps, step_of = self.steps
         found = []
         for z, values in zip(begin, all_values, strict=True):
+            if not _has_constant_coefficients(rowwise, x, u, values, m):
+                found.append(rowwise.integrate_last_states(self.x, u, values, self.record.h[:-1], z))
+                continue
             drive = np.stack(rowwise.columns(x, u, values)[n : n + m], axis=1)
             A = rowwise.rate_jacobian(x[:1], u[:1], values)[0, n:, n:]
             transition, weight = (matrices[step_of] for matrices in _discretised_dynamics(A, steps))
@@ -279,6 +283,28 @@ class TrajectoryLinearisation:
             assert effect.curve is not None
             for columns in self.effect(effect):
                 yield replace(columns, name=curve_name(effect.kind, effect.curve))
+
+
+def _initial_states(larger: Model, effect: Effect, values: Array) -> Array:
+    """Return the initial means (m,) of the states of an effect, which is part of the model ``larger``.
+
+    ``values`` are the values of its parameters. A mean may be the value of a parameter.
+    """
+    named = dict(zip(larger.values, values.tolist(), strict=True))
+    return np.array([named[s.x0] if isinstance(s.x0, str) else s.x0 for s in effect.states], dtype=np.float64)
+
+
+def _has_constant_coefficients(rowwise: VectorisedModel, x: Array, u: Array, values: Array, m: int) -> bool:
+    """Return whether the last m states of a model obey linear equations with constant coefficients.
+
+    The derivatives of their rates by these states are compared at the first, middle and last rows of states x
+    (n_rows, n_states) and inputs u, with the last states as they are and increased by one.
+    """
+    rows = [0, len(x) // 2, len(x) - 1]
+    at = np.concatenate([x[rows], x[rows]])
+    at[3:, -m:] += 1.0
+    slopes = rowwise.rate_jacobian(at, np.concatenate([u[rows], u[rows]]), values)[:, -m:, -m:]
+    return bool(np.allclose(slopes, slopes[0], rtol=1e-6, atol=1e-9))
 
 
 def _discretised_dynamics(A: Array, steps: Array) -> tuple[Array, Array]:

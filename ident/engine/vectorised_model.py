@@ -89,6 +89,48 @@ class VectorisedModel:
         """
         return self._evaluate_jacobian(self._rate_jacobian, self.n_states, x, u, values)
 
+    def integrate_last_states(self, x: Array, u: Array, values: Array, steps: Array, begin: Array) -> Array:
+        """Integrate the last states of the model along a given trajectory of the others, by Heun's method.
+
+        Parameters
+        ----------
+        x : Array (n_rows, n_known)
+            Known trajectory of the first states, which the last states do not change.
+        u : Array (n_rows, n_inputs)
+            Inputs.
+        values : Array (n_parameters,)
+            Values of the parameters.
+        steps : Array (n_rows - 1,)
+            Time from each row to the next one [s].
+        begin : Array (n_states - n_known,)
+            Last states at the first row.
+
+        Returns
+        -------
+        Array (n_rows, n_states - n_known)
+            The last states at each row.
+        """
+        known, last = x.shape[1], self.n_states - x.shape[1]
+        z, step = ca.SX.sym("z", last), ca.SX.sym("step")
+        here, there, p = (
+            ca.SX.sym("here", known + u.shape[1]),
+            ca.SX.sym("there", known + u.shape[1]),
+            ca.SX.sym("p", len(values)),
+        )
+
+        def rates(state: Any, row: Any) -> Any:
+            """Return the rates of the last states in a row."""
+            found = self._rates_and_outputs(ca.vertcat(row[:known], state), row[known:], p)
+            return found[known : self.n_states]
+
+        first = rates(z, here)
+        after = z + step / 2 * (first + rates(z + step * first, there))
+        one_step = ca.Function("one_step", [z, here, there, step, p], [after])
+        all_steps = one_step.mapaccum("all_steps", len(x) - 1)
+        rows = np.concatenate([x, u], axis=1).T
+        found = all_steps(begin, rows[:, :-1], rows[:, 1:], steps[None], np.tile(values[:, None], len(x) - 1))
+        return np.concatenate([begin[None], np.asarray(found).T])
+
     def _evaluate_jacobian(self, function: Any, n: int, x: Array, u: Array, values: Array) -> Array:
         """Return a Jacobian for all rows of states and inputs, shape (n_rows, n, n_states).
 

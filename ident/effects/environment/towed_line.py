@@ -1,38 +1,51 @@
-"""Line that the boat tows at its stern, such as an umbilical: it trails behind and follows turns late."""
+"""Line that the boat tows at its stern, such as an umbilical: its end stays in the water until the line is taut."""
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
-from seatrial.ident.model import INF, Effect, Parameter, Signals, State, smooth_modulus
+from seatrial.ident.model import INF, Effect, Parameter, Signals, State
 
-SLOW = 0.1  # m/s; the modulus of the speed is rounded below it, because a Kalman filter needs its derivative
+STRETCH = 0.03  # of the length; over this stretch the line becomes taut, because a filter needs a smooth tension
+SHORT_M = 0.05  # distance [m] below which the direction of the line is rounded
+
+
+def drawn(s: Signals) -> tuple[Any, Any, Any]:
+    """Return the speed [m/s] with which the end of the line is drawn, and its direction in body axes, unit vector.
+
+    The speed is that of the tow point along the line if the line is taut, and zero if it is slack or pushed.
+    """
+    p, x = s.p, s.x
+    distance = np.sqrt(x.line_x * x.line_x + x.line_y * x.line_y + SHORT_M * SHORT_M)
+    forward, starboard = x.line_x / distance, x.line_y / distance
+    along = x.u * forward + (x.v + p.x_line * x.r) * starboard
+    taut = 1 / (1 + np.exp(np.minimum((1 - distance / p.l_line) / STRETCH, 50.0)))
+    return taut * (along + np.sqrt(along * along + 1e-4)) / 2, forward, starboard
 
 
 def pull(s: Signals) -> None:
-    """Add the pull of the line to the forces [N] and to the yaw moment [N m], in place.
+    """Add the tension of the line to the forces [N] and the moment [N m], in place.
 
-    The tension is ``k_line`` times the squared velocity of the tow point along the line. It is zero if the tow point
-    moves towards the line.
+    The tension is ``k_line`` times the squared speed with which the end of the line is drawn.
     """
-    p, x = s.p, s.x
-    along = x.u * np.cos(x.line) + (x.v + p.x_line * x.r) * np.sin(x.line)
-    tension = p.k_line * along * (along + np.sqrt(along * along + 1e-6)) / 2
-    sideways = tension * np.sin(x.line)
-    s.X = s.X - tension * np.cos(x.line)
-    s.Y = s.Y - sideways
-    s.N = s.N - p.x_line * sideways
+    speed, forward, starboard = drawn(s)
+    tension = s.p.k_line * speed * speed
+    s.X = s.X - tension * forward
+    s.Y = s.Y - tension * starboard
+    s.N = s.N - s.p.x_line * tension * starboard
 
 
 def trail(s: Signals) -> None:
-    """Set the rate of the angle of the line [rad/s]: the line turns as a rod that is dragged at one end (tractrix).
+    """Set the rates of the vector from the end of the line to the tow point [m/s], in body axes.
 
-    The angle also decays towards the stern if the boat moves astern. A line that is pushed would fold, and its angle
-    would have no stable value; it has no tension then.
+    The end rests in the water unless it is drawn, so the vector changes with the velocity of the tow point through the
+    water and with the turn of the boat.
     """
-    p, x = s.p, s.x
-    across = (x.v + p.x_line * x.r) * np.cos(x.line) - smooth_modulus(x.u, SLOW) * np.sin(x.line)
-    s.rate["line"] = across / p.l_line - x.r
+    x, (speed, forward, starboard) = s.x, drawn(s)
+    s.rate["line_x"] = x.u + x.r * x.line_y - speed * forward
+    s.rate["line_y"] = x.v + s.p.x_line * x.r - x.r * x.line_x - speed * starboard
 
 
 EFFECT = Effect(
@@ -53,11 +66,14 @@ EFFECT = Effect(
         Parameter("l_line", 8.0, "m", "length of the line", "log", prior=(8.0, 6.0), bounds=(0.3, 200.0)),
         Parameter("x_line", -0.5, "m", "position of the tow point forward of the origin", prior=(-0.5, 0.3), step=0.05),
     ),
-    states=(State("line", "rad", "direction of the pull on the line, from the bow", 0.0, sd0=0.3),),
-    scan={"l_line": (1.0, 3.0, 8.0, 20.0)},
-    formula="F = -k V^2 (V >= 0) at x_line along the line, V the velocity of the tow point along the line, "
-    "a' = (v + x_line r) cos(a) / l - |u| sin(a) / l - r its angle from the bow",
-    source="quasi-steady towing of a short line (tractrix); Faltinsen 1990, chapter 8",
+    states=(
+        State("line_x", "m", "tow point forward of the end of the line", 0.0, "l_line", sd0=0.5),
+        State("line_y", "m", "tow point to starboard of the end of the line", 0.0, 0.0, sd0=1.0),
+    ),
+    scan={"l_line": (1.0, 2.0, 4.0, 6.0, 9.0, 14.0, 22.0)},
+    formula="F = -k V^2 e at x_line; V = max(w e, 0) if |d| = l, else 0; d' = w - V e the vector from the end of the "
+    "line to the tow point, e = d / |d|, w the velocity of the tow point through the water",
+    source="quasi-steady towing of a short line, whose end is drawn through the water; Faltinsen 1990, chapter 8",
     experiment="zigzags and turns at several speeds, with and without the line",
     requires=("hull",),
     one_sided=True,

@@ -109,23 +109,28 @@ def test_current_and_drag_change_with_the_place() -> None:
     assert force("shallow-water", {"x": 10.0, "u": -2.0}, d_north=0.3) == pytest.approx(12.0)
 
 
-def test_towed_line_trails_behind_the_stern_and_has_no_tension_astern() -> None:
-    values = {"k_line": 6.0, "l_line": 5.0, "x_line": -0.6}
-    straight = rates(model_with("towed-line", **values), u=1.0)
-    plain = rates(model_with("towed-line"), u=1.0)
+def test_towed_line_pulls_only_if_it_is_taut_and_drawn() -> None:
+    def added(**x: float) -> dict[str, float]:
+        """Return the rates that a line of 5 m adds, and those of the vector from its end to the tow point."""
+        values = {"k_line": 6.0, "l_line": 5.0, "x_line": -0.6}
+        with_it, plain = rates(model_with("towed-line", **values), **x), rates(model_with("towed-line"), **x)
+        return {n: with_it[n] - plain[n] for n in "uvr"} | {n: with_it[n] for n in ("line_x", "line_y")}
+
     m = model_with("towed-line").values
-    assert straight["u"] - plain["u"] == pytest.approx(-6.0 / m["m_u"], rel=1e-4)
-    assert (straight["v"], straight["line"]) == pytest.approx((plain["v"], 0.0))
-    aside = rates(model_with("towed-line", **values), u=1.0, line=0.3)
-    across = 6.0 * np.cos(0.3) ** 2 * np.sin(0.3)
-    assert aside["v"] - plain["v"] == pytest.approx(-across / m["m_v"], rel=1e-4)
-    assert aside["r"] - plain["r"] == pytest.approx(0.6 * across / m["m_r"], rel=1e-4)
-    assert aside["line"] == pytest.approx(-np.sqrt(1.01) * np.sin(0.3) / 5.0)
-    back = rates(model_with("towed-line", **values), u=-1.0, line=0.3)
-    assert back["u"] == pytest.approx(rates(model_with("towed-line"), u=-1.0, line=0.3)["u"], abs=1e-4)
-    assert back["line"] < 0.0
-    turn = rates(model_with("towed-line", **values), u=1.0, r=0.2)
-    assert turn["line"] == pytest.approx(-0.6 * 0.2 / 5.0 - 0.2)
+    straight = added(u=1.0, line_x=6.0)
+    assert straight["u"] == pytest.approx(-6.0 / m["m_u"], rel=5e-3)
+    assert (straight["v"], straight["r"], straight["line_x"]) == pytest.approx((0.0, 0.0, 0.0), abs=5e-3)
+    c, s = np.cos(0.3), np.sin(0.3)
+    aside = added(u=1.0, line_x=6.0 * c, line_y=6.0 * s)
+    assert aside["v"] == pytest.approx(-6.0 * c * c * s / m["m_v"], rel=5e-3)
+    assert aside["r"] == pytest.approx(0.6 * 6.0 * c * c * s / m["m_r"], rel=5e-3)
+    assert (aside["line_x"], aside["line_y"]) == pytest.approx((1.0 - c * c, -c * s), abs=5e-3)
+    for x in ({"u": 1.0, "line_x": 4.0}, {"u": -1.0, "line_x": 6.0}):  # slack, and pushed
+        loose = added(**x)
+        assert [loose[n] for n in "uvr"] == pytest.approx([0.0] * 3, abs=1e-4)
+        assert loose["line_x"] == pytest.approx(x["u"], abs=0.01)
+    turn = added(r=0.2, line_x=4.0, line_y=1.0)
+    assert (turn["line_x"], turn["line_y"]) == pytest.approx((0.2, -0.6 * 0.2 - 0.2 * 4.0), abs=0.01)
 
 
 def test_payload_that_shifts_equals_a_boat_with_each_centre_of_gravity() -> None:

@@ -98,6 +98,7 @@ def test_effect_changes_the_model_and_is_described(name: str) -> None:
     x, u = points(model)
     u = RNG.uniform(-1, 1, size=u.shape)  # The delayed inputs differ from the inputs.
     u[:, [i.name == "t" for i in model.inputs]] = np.linspace(0.0, RECORD_S, len(u))[:, None]
+    x[:, [s.name == "line_x" for s in model.states]] += 10.0  # A slack line does nothing.
     first = effect.parameters[0]
     stepped = model.replace_parameters(first.at(first.value + first.step))
     assert first.step > 0
