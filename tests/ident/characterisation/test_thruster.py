@@ -96,7 +96,10 @@ def test_direction_that_was_not_measured_has_no_thrust(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("shaft", "force", "message"),
-    [(1.0, -1.0, "the force falls as the command rises"), (-1.0, 1.0, "left: the shaft turns against its command")],
+    [
+        (1.0, -1.0, "the force falls as the command rises"),
+        (-1.0, 1.0, "left: the shaft turns in reverse at forward commands"),
+    ],
 )
 def test_wrong_sign_gives_a_one_line_error(
     shaft: float, force: float, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]

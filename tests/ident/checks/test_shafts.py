@@ -108,4 +108,4 @@ def test_shaft_that_reverses_has_no_lost_speed() -> None:
 @pytest.mark.parametrize(("losses", "often"), [((35.0,), "once"), ((35.0, 40.0), "2 times")])
 def test_lost_speeds_are_counted(losses: tuple[float, ...], often: str) -> None:
     (text,) = [text for _, code, text in found(brief_reversal(*losses)) if code == "shaft-speed-drops-out"]
-    assert text == f"its speed falls to zero {often} while it is commanded to turn"
+    assert text == f"the shaft speed falls to zero {often} while the command is not zero"
