@@ -5,9 +5,9 @@ This file has the whole rule by which an effect is accepted in a round or remove
 
 1. The log-likelihood. Its gain, summed in blocks of time, has to be positive and significant.
 2. The prediction errors of all channels over the horizon (`prediction_change_by_record`).
-3. The prediction errors over three seconds (1.2 s for a thruster) by inputs alone. That is about the time in which speed
-   follows thrust. The disturbance forces are set to zero in it. Otherwise they would replace the missing effect and
-   extrapolate it.
+3. The prediction errors over three seconds (1.2 s for a thruster) by inputs alone. That is about the time in which
+   speed follows thrust. The disturbance forces are set to zero in it. Otherwise they would replace the missing effect
+   and extrapolate it.
 
 An effect with per-record parameters is compared on blocks in time of the validation runs. Each block is predicted with
 the estimates of the other blocks of its run. Otherwise the data that the effect was fitted to would judge it.
@@ -154,7 +154,7 @@ def comparison(
     failed_before = {f.record for f in before.failed}
     lost = [f for f in after.failed if f.record not in failed_before]
     if lost:
-        raise ValueError(f"{lost[0].record} cannot be evaluated with the added effect: {lost[0].reason}")
+        raise ValueError(f"{lost[0].record} cannot be predicted with the added effect: {lost[0].reason}")
     return Comparison(before, after, policy)
 
 

@@ -125,7 +125,7 @@ def test_zero_of_the_load_cell_is_subtracted_with_its_error() -> None:
     assert adequate(found)
     assert found.covariance[1, 1] > 2 * levels.offset_se**2  # The error of c2 includes that of the zero.
     (note,) = [line for line in curve_notes(levels, ThrustCurve(curve, 1), found) if "at rest" in line]
-    assert note.startswith("The load cell's reading at rest, 5.")
+    assert note.startswith("The force on the load cell at rest, 5.")
     assert curve_warnings(levels) == []
 
 

@@ -122,7 +122,9 @@ def test_each_direction_has_its_own_error_by_the_covariance() -> None:
     np.testing.assert_allclose(force, [41.0, -39.0, 0.0])
     np.testing.assert_allclose(error, np.sqrt([0.25 - 2 * 0.096, 0.25 + 2 * 0.096, 0.0]))
     answer = thruster_answer(estimates(-0.8), has_force=True)
-    assert "gives 41.00 ± 0.24 N forward and 39.00 ± 0.66 N in reverse at full speed (statistical only)" in answer
+    assert (
+        "gives 41.00 ± 0.24 N forward and 39.00 ± 0.66 N in reverse at full speed (errors: statistical only)" in answer
+    )
     answer = thruster_answer(estimates(-0.8), has_force=True, calibration=0.1)
     assert "gives 41.0 ± 4.1 N forward and 39.0 ± 4.0 N in reverse" in answer
     assert "The logs do not determine the thrust" in thruster_answer(estimates(np.nan), has_force=True)
