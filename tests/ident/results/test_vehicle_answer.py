@@ -266,7 +266,8 @@ def test_correlation_with_an_input_is_quantified() -> None:
     )
     assert said([1e-9], [], searchable=True).endswith("to see whether an effect is missing.")
     assert said([1e-9], []).endswith(
-        ": an effect is missing, or the noise of a sensor is autocorrelated. Look at the residuals in the report, or try another --model."
+        ": an effect is missing, or the noise of a sensor is autocorrelated. Look at the residuals in the report, or "
+        "try another --model."
     )
 
 
