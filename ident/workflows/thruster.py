@@ -293,7 +293,7 @@ def static_curve(
     if "force" not in channels:
         raise SeatrialError(
             f"{where}: no signal 'force' of a load cell, which a static curve needs; the log has "
-            f"{', '.join(sorted(channels))}"
+            f"{', '.join(sorted(channels))}; record the load cell, or import it by the name force"
         )
     (log,), drifts = _without_zero_drift([log], lambda x: names[0], request.settle)
     channels = log.run.channels
