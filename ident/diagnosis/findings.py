@@ -229,7 +229,7 @@ class Round:
         match self.outcome:
             case Outcome.SMALL:
                 return (
-                    "other effects are small compared with those found: "
+                    "other effects are small compared with the effects found: "
                     f"{best.effect.title} gains {best.gain:.0f} in 2 ln L"
                 )
             case Outcome.WORSE_PREDICTION:

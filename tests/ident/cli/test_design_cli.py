@@ -90,7 +90,7 @@ def test_design_that_is_worse_than_a_random_signal_is_reported_first(
         assert run(capsys, *words, "--out", str(out))[0] == 0
         result = json.loads(out.with_suffix(".json").read_text())
         assert (result["value"] < max(row["value"] for row in result["baselines"])) == worse
-        assert result["answer"].startswith("Worse than " if worse else "After this mission")
+        assert result["answer"].startswith("The designed mission is worse than " if worse else "After this mission")
 
 
 def test_existing_files_are_not_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -133,7 +133,7 @@ def test_rate_above_the_row_rate_gives_a_warning(
     made = json.loads(out.with_suffix(".json").read_text())
     assert made["rates"] == {"attitude": float(rate), "gyro": 10.0, "position": 5.0}
     assert warned == any(
-        "attitude 10 Hz), and the model has the noise of these rows" in w["text"] for w in made["warnings"]
+        "attitude 10 Hz), and the model has the noise of these data" in w["text"] for w in made["warnings"]
     )
     assert f"attitude {rate} Hz, gyro 10 Hz" in out.with_suffix(".html").read_text(encoding="utf-8")
 
