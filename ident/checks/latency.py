@@ -157,7 +157,13 @@ def _motion_thrust_delay(
     """
     found = [estimate for estimate in (attitude, velocity) if estimate is not None and _is_well_estimated(estimate)]
     if not found:
-        yield Finding(OK, "delay-unknown", "late", push.where, "the delay between thrust and motion is not known")
+        yield Finding(
+            OK,
+            "delay-unknown",
+            "late",
+            push.where,
+            "the delay between thrust and motion is not known: the thrust explains too little of the motion",
+        )
         return
     nearest = min(found, key=lambda estimate: abs(estimate.lag))  # one of the two sensors may be late itself
     same = len({estimate.lag > 0.0 for estimate in found}) == 1

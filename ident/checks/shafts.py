@@ -158,7 +158,7 @@ def _shaft_findings(name: str, command: Channel, shaft: Channel) -> Iterator[Fin
             "shaft-late",
             "delay",
             name,
-            f"the shaft follows {found.delay:.2f} s after its command",
+            f"the shaft follows {found.delay:.2f} s after its command, later than {MAX_DELAY:g} s",
             "check the telemetry rate, the load of the bus, and the ramp of the controller",
         )
     elif found.delay_known and not any(f.check == "delay" for f in of_steps):
